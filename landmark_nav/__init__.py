@@ -1,0 +1,1 @@
+"""A robot that teaches itself where it is, with one turning camera."""

@@ -1,0 +1,15 @@
+"""The package's one root error."""
+
+from __future__ import annotations
+
+__all__ = ['LandmarkNavError']
+
+
+class LandmarkNavError(Exception):
+    """
+    Bad input that a user can mend.
+
+    The message is one line that says what is wrong, where, and what to do. Commands print it on
+    stderr and exit with status 1; services answer it with ``success: false``. What is merely to
+    be expected (too few landmarks, a degenerate triplet) is a typed result instead.
+    """

@@ -1,0 +1,1 @@
+"""Bags through the pipelines, measured against truth and drawn."""

@@ -1,0 +1,1 @@
+"""Angles, planar poses, camera, cylinder and walls: no images, no state."""

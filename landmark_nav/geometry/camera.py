@@ -1,0 +1,259 @@
+"""
+Camera model (pixel <-> ray) and the pan-tilt mount that carries it.
+
+Pixel centres lie at integer coordinates, as in OpenCV and ROS `CameraInfo`. Optical frames are
+x right, y down, z forward (REP-103).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['CameraModel', 'PanTiltMount', 'rotation_rpy']
+
+FloatArray = npt.NDArray[np.float64]
+
+# How many distortion coefficients each ROS distortion model carries.
+_COEFFICIENTS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4}
+
+# Enough for 1e-9 px with any lens whose distortion is invertible inside the image.
+_POLISH_ITERATIONS = 60
+
+# Optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up).
+_BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """
+    A calibrated camera.
+
+    Parameters
+    ----------
+    width, height : int
+        Image size, pixels.
+    fx, fy, cx, cy : float
+        Focal lengths and principal point, pixels.
+    model : str
+        ROS distortion model: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``.
+    distortion : tuple of float
+        Coefficients in ROS order; empty means none.
+
+    Raises
+    ------
+    LandmarkNavError
+        Unknown model, wrong number of coefficients, or values that are not a camera.
+
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    model: str = 'plumb_bob'
+    distortion: tuple[float, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.model not in _COEFFICIENTS:
+            raise LandmarkNavError(
+                f'camera model {self.model!r} is not supported: '
+                f'publish camera_info as one of {", ".join(sorted(_COEFFICIENTS))}'
+            )
+        if len(self.distortion) > _COEFFICIENTS[self.model]:
+            raise LandmarkNavError(
+                f'camera model {self.model} takes {_COEFFICIENTS[self.model]} distortion '
+                f'coefficients at most, camera_info has {len(self.distortion)}'
+            )
+        values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.all(np.isfinite(values)) or min(self.fx, self.fy) <= 0.0:
+            raise LandmarkNavError(
+                f'camera_info is not a calibrated camera (fx {self.fx}, fy {self.fy}, '
+                f'cx {self.cx}, cy {self.cy}): calibrate it'
+            )
+        if self.width < 16 or self.height < 16:
+            raise LandmarkNavError(f'camera_info has a {self.width} x {self.height} image')
+
+    @property
+    def matrix(self) -> FloatArray:
+        """Intrinsic matrix K, (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def _coefficients(self) -> FloatArray:
+        padded = np.zeros(_COEFFICIENTS[self.model])
+        padded[: len(self.distortion)] = self.distortion
+        return padded
+
+    @cached_property
+    def _max_radius(self) -> float:
+        """Largest normalised radius in the image; beyond it the polynomial may fold back."""
+        u = np.linspace(-0.5, self.width - 0.5, 17)
+        v = np.linspace(-0.5, self.height - 0.5, 17)
+        border = np.concatenate(
+            [
+                np.stack([u, np.full_like(u, v[0])], -1),
+                np.stack([u, np.full_like(u, v[-1])], -1),
+                np.stack([np.full_like(v, u[0]), v], -1),
+                np.stack([np.full_like(v, u[-1]), v], -1),
+            ]
+        )
+        return float(np.linalg.norm(self.unproject(border)[:, :2], axis=1).max())
+
+    def project(self, points_optical: npt.ArrayLike) -> FloatArray:
+        """
+        Pixels (..., 2) of points (..., 3) in the optical frame; NaN where not in front.
+
+        Brown, Decentering distortion of lenses, 1966; Kannala and Brandt, PAMI 28(8), 2006.
+        """
+        points = np.asarray(points_optical, dtype=np.float64)
+        flat = points.reshape(-1, 3)
+        pixels = np.full((len(flat), 2), np.nan)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            radius = np.hypot(flat[:, 0], flat[:, 1]) / flat[:, 2]
+        good = (flat[:, 2] > 1e-9) & (radius < 1.05 * self._max_radius)
+        if np.any(good):
+            pixels[good] = self._project_unchecked(flat[good])
+        return pixels.reshape((*points.shape[:-1], 2))
+
+    def unproject(self, pixels: npt.ArrayLike) -> FloatArray:
+        """Rays (..., 3) with z = 1 in the optical frame, of pixels (..., 2)."""
+        uv = np.asarray(pixels, dtype=np.float64)
+        flat = np.ascontiguousarray(uv.reshape(-1, 1, 2))
+        if self.model == 'equidistant':
+            start = cv2.fisheye.undistortPoints(flat, self.matrix, self._coefficients)
+        else:
+            start = cv2.undistortPoints(flat, self.matrix, self._coefficients)
+        rays = np.ones((len(flat), 3))
+        rays[:, :2] = np.asarray(start, dtype=np.float64).reshape(-1, 2)
+        # OpenCV stops after five iterations, up to 0.1 px away, and how to ask for more differs
+        # between its versions; this fixed point contracts by the distortion's slope each time.
+        for _ in range(_POLISH_ITERATIONS if len(flat) else 0):
+            residual = self._project_unchecked(rays) - flat[:, 0]
+            rays[:, :2] -= residual / [self.fx, self.fy]
+            if np.abs(residual).max() < 1e-9:
+                break
+        return rays.reshape((*uv.shape[:-1], 3))
+
+    def _project_unchecked(self, points: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of points (n, 3) that lie in front of the camera."""
+        inside = np.ascontiguousarray(points).reshape(-1, 1, 3)
+        zero = np.zeros(3)
+        project = cv2.fisheye.projectPoints if self.model == 'equidistant' else cv2.projectPoints
+        found = project(inside, zero, zero, self.matrix, self._coefficients)[0]
+        return np.asarray(found, dtype=np.float64).reshape(-1, 2)
+
+    @cached_property
+    def ray_grid(self) -> npt.NDArray[np.float32]:
+        """Normalised ray x/z, y/z of every pixel, (height, width, 2); computed once."""
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return self.unproject(np.stack([u, v], -1))[..., :2].astype(np.float32)
+
+    def contains(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
+        """Whether pixels (..., 2) lie in the image, `margin_px` inside its border."""
+        uv = np.asarray(pixels, dtype=np.float64)
+        with np.errstate(invalid='ignore'):
+            return np.asarray(
+                (uv[..., 0] >= margin_px)
+                & (uv[..., 0] <= self.width - 1 - margin_px)
+                & (uv[..., 1] >= margin_px)
+                & (uv[..., 1] <= self.height - 1 - margin_px)
+            )
+
+    @property
+    def half_fov_rad(self) -> float:
+        """Smaller of the two horizontal half angles of view, radians."""
+        edge = self.unproject([[0.0, self.cy], [self.width - 1.0, self.cy]])
+        return float(np.arctan(np.abs(edge[:, 0])).min())
+
+
+def rotation_rpy(rpy_rad: npt.ArrayLike) -> FloatArray:
+    """Rotation (3, 3) of fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
+    roll, pitch, yaw = np.asarray(rpy_rad, dtype=np.float64)
+    return np.asarray(_rot_z(yaw) @ _rot_y(pitch) @ _rot_x(roll))
+
+
+@dataclass(frozen=True)
+class PanTiltMount:
+    """
+    Where the turning camera sits on the robot.
+
+    Parameters
+    ----------
+    axis_xyz : tuple of float
+        Pan axis in ``base_link``, metres.
+    axis_rpy : tuple of float
+        Orientation of the axis frame at pan 0, radians.
+    optical_center_offset : tuple of float
+        Optical centre from the axis, metres, in the frame that turns with pan and tilt
+        (x along the view, y left, z up).
+    base_frame, pan_joint, tilt_joint : str
+        Names.
+
+    """
+
+    axis_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axis_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    optical_center_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    base_frame: str = 'base_link'
+    pan_joint: str = 'pan_joint'
+    tilt_joint: str = 'tilt_joint'
+
+    def camera_pose_base(
+        self, pan_rad: npt.ArrayLike, tilt_rad: npt.ArrayLike = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """
+        Pose of the optical frame in ``base_link``.
+
+        Parameters
+        ----------
+        pan_rad, tilt_rad : array_like, shape (...)
+            Joint angles; pan positive to the left, tilt positive upwards.
+
+        Returns
+        -------
+        rotation : ndarray, shape (..., 3, 3)
+            Optical frame -> base.
+        translation : ndarray, shape (..., 3)
+            Optical centre in base, metres.
+
+        """
+        pan, tilt = np.broadcast_arrays(
+            np.asarray(pan_rad, dtype=np.float64), np.asarray(tilt_rad, dtype=np.float64)
+        )
+        turned = rotation_rpy(self.axis_rpy) @ _rot_z(pan) @ _rot_y(-tilt)
+        center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)
+        return turned @ _BODY_FROM_OPTICAL, center
+
+
+def _rot_x(angle: Any) -> FloatArray:
+    return _rotation_about(0, angle)
+
+
+def _rot_y(angle: Any) -> FloatArray:
+    return _rotation_about(1, angle)
+
+
+def _rot_z(angle: Any) -> FloatArray:
+    return _rotation_about(2, angle)
+
+
+def _rotation_about(axis: int, angle: Any) -> FloatArray:
+    angle = np.asarray(angle, dtype=np.float64)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    out = np.zeros((*angle.shape, 3, 3))
+    out[..., axis, axis] = 1.0
+    out[..., first, first] = out[..., second, second] = np.cos(angle)
+    out[..., first, second] = -np.sin(angle)
+    out[..., second, first] = np.sin(angle)
+    return out

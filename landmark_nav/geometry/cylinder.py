@@ -1,0 +1,90 @@
+"""
+Cylindrical panorama: column <-> azimuth, row <-> tangent of the elevation.
+
+This is the only place where "image right is clockwise" turns into counter-clockwise azimuths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ['Cylinder']
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """
+    Geometry of a full-turn cylindrical image.
+
+    Parameters
+    ----------
+    width, height : int
+        Size, pixels; `width` spans exactly one turn.
+    fy : float
+        Pixels per unit tangent of elevation.
+    cx : float
+        Column of azimuth 0 in the base frame.
+    cy : float
+        Row of the horizon.
+
+    """
+
+    width: int
+    height: int
+    fy: float
+    cx: float
+    cy: float
+
+    @classmethod
+    def with_resolution(cls, px_per_rad: float, tan_min: float, tan_max: float) -> Cylinder:
+        """Square-pixel cylinder of about `px_per_rad` that covers tangents of elevation."""
+        width = round(2.0 * np.pi * px_per_rad)
+        scale = width / (2.0 * np.pi)
+        top = int(np.ceil(tan_max * scale))
+        bottom = int(np.ceil(-tan_min * scale))
+        return cls(width, top + bottom + 1, scale, (width - 1) / 2.0, float(top))
+
+    @property
+    def fx(self) -> float:
+        """Pixels per radian of azimuth."""
+        return self.width / (2.0 * np.pi)
+
+    def wrap_column(self, column: npt.ArrayLike) -> FloatArray:
+        """Columns wrapped to [-0.5, width - 0.5)."""
+        column = np.asarray(column, dtype=np.float64)
+        return np.asarray(np.mod(column + 0.5, self.width) - 0.5)
+
+    def column_of(self, azimuth_rad: npt.ArrayLike) -> FloatArray:
+        """Column of azimuths in the base frame, wrapped."""
+        return self.wrap_column(self.cx - self.fx * np.asarray(azimuth_rad, dtype=np.float64))
+
+    def azimuth_rad(self, column: npt.ArrayLike) -> FloatArray:
+        """Azimuth of columns in the base frame, not wrapped."""
+        return np.asarray((self.cx - np.asarray(column, dtype=np.float64)) / self.fx)
+
+    def tangent(self, row: npt.ArrayLike) -> FloatArray:
+        """Tangent of elevation of rows."""
+        return np.asarray((self.cy - np.asarray(row, dtype=np.float64)) / self.fy)
+
+    def row_of(self, tangent: npt.ArrayLike) -> FloatArray:
+        """Row of tangents of elevation."""
+        return np.asarray(self.cy - self.fy * np.asarray(tangent, dtype=np.float64))
+
+    def rays(self, pixels: npt.ArrayLike) -> FloatArray:
+        """Rays (..., 3) = (cos az, sin az, tan el) in the base frame, of (column, row) pixels."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        azimuth = self.azimuth_rad(pixels[..., 0])
+        return np.stack([np.cos(azimuth), np.sin(azimuth), self.tangent(pixels[..., 1])], -1)
+
+    def project(self, directions_base: npt.ArrayLike) -> FloatArray:
+        """Pixels (column, row), (..., 2), of directions (..., 3) in the base frame."""
+        d = np.asarray(directions_base, dtype=np.float64)
+        column = self.column_of(np.arctan2(d[..., 1], d[..., 0]))
+        with np.errstate(divide='ignore', invalid='ignore'):
+            row = self.row_of(d[..., 2] / np.hypot(d[..., 0], d[..., 1]))
+        return np.stack([column, row], -1)

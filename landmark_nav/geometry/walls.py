@@ -1,0 +1,187 @@
+"""The wall map: vertical rectangles, rays against them, and the papers that hang there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['Paper', 'Room', 'Wall']
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall from `start` to `end` (x, y in map, metres); the room lies to its left."""
+
+    id: str
+    start: tuple[float, float]
+    end: tuple[float, float]
+    height: float
+
+    @property
+    def length(self) -> float:
+        """Length, metres."""
+        return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal into the room, (3,)."""
+        dx, dy = (self.end[0] - self.start[0], self.end[1] - self.start[1])
+        return np.array([-dy, dx, 0.0]) / self.length
+
+
+@dataclass(frozen=True)
+class Paper:
+    """A coloured paper of the reference area: centre (x, y, z in map) and size, metres."""
+
+    color: str
+    center: tuple[float, float, float]
+    width: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Room:
+    """
+    Walls and reference papers in the map frame.
+
+    Raises
+    ------
+    LandmarkNavError
+        No walls, a wall without length, an open outline or walls that cross.
+
+    """
+
+    walls: tuple[Wall, ...]
+    papers: tuple[Paper, ...] = ()
+    frame_id: str = 'map'
+
+    def __post_init__(self) -> None:
+        """Check that the outline is closed and does not cross itself."""
+        if len(self.walls) < 3:
+            raise LandmarkNavError(f'room has {len(self.walls)} walls: a closed outline needs 3')
+        for wall in self.walls:
+            if not np.all(np.isfinite([*wall.start, *wall.end, wall.height])):
+                raise LandmarkNavError(f'wall {wall.id} has a coordinate that is not a number')
+            if wall.length < 1e-3 or wall.height <= 0.0:
+                raise LandmarkNavError(f'wall {wall.id} has no length or no height')
+        self._check_closed()
+        self._check_crossings()
+
+    def _check_closed(self) -> None:
+        starts = self._starts
+        for wall in self.walls:
+            gap = np.hypot(*(starts - np.asarray(wall.end)).T)
+            if np.sum(gap < 1e-2) != 1:
+                raise LandmarkNavError(
+                    f'the walls are open: wall {wall.id} ends at '
+                    f'({wall.end[0]:g}, {wall.end[1]:g}) where {np.sum(gap < 1e-2)} walls start '
+                    f'(nearest start is {gap.min():.3g} m away); one must start there'
+                )
+
+    def _check_crossings(self) -> None:
+        a, b = self._starts, self._ends
+        side = b - a
+
+        def cross(u: FloatArray, v: FloatArray) -> FloatArray:
+            return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+        # Strict crossing of segment i and j: the ends of each lie on both sides of the other.
+        start_side = cross(side[:, None], a[None] - a[:, None])
+        end_side = cross(side[:, None], b[None] - a[:, None])
+        splits = start_side * end_side < -1e-9
+        for i, j in zip(*np.nonzero(splits & splits.T), strict=True):
+            raise LandmarkNavError(
+                f'walls {self.walls[i].id} and {self.walls[j].id} cross: mend room.yaml'
+            )
+        area = 0.5 * float(np.sum(cross(a, b)))
+        if area <= 0.0:
+            raise LandmarkNavError(
+                'the inside of the room must lie to the left of start -> end: '
+                'the walls run clockwise, swap start and end of each'
+            )
+
+    @cached_property
+    def _starts(self) -> FloatArray:
+        return np.array([w.start for w in self.walls], dtype=np.float64)
+
+    @cached_property
+    def _ends(self) -> FloatArray:
+        return np.array([w.end for w in self.walls], dtype=np.float64)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Unit normals into the room, (walls, 3)."""
+        return np.array([w.normal for w in self.walls])
+
+    def raycast(
+        self, origin_xy: npt.ArrayLike, azimuth_rad: npt.ArrayLike
+    ) -> tuple[FloatArray, IntArray]:
+        """
+        Horizontal distance to the first wall along rays.
+
+        Parameters
+        ----------
+        origin_xy : array_like, shape (..., 2)
+            Where the rays start, map frame, metres.
+        azimuth_rad : array_like, shape (...)
+            Their directions in map.
+
+        Returns
+        -------
+        distance : ndarray, shape (...)
+            Metres; inf where no wall is hit.
+        wall : ndarray of int, shape (...)
+            Index of the wall, -1 where none is hit.
+
+        """
+        azimuth = np.asarray(azimuth_rad, dtype=np.float64)[..., None]
+        origin = np.asarray(origin_xy, dtype=np.float64)[..., None, :]
+        direction = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+        side = self._ends - self._starts
+        offset = self._starts - origin
+        with np.errstate(divide='ignore', invalid='ignore'):
+            denominator = direction[..., 0] * side[:, 1] - direction[..., 1] * side[:, 0]
+            along_ray = (offset[..., 0] * side[:, 1] - offset[..., 1] * side[:, 0]) / denominator
+            along_wall = (
+                offset[..., 0] * direction[..., 1] - offset[..., 1] * direction[..., 0]
+            ) / denominator
+        hit = (along_ray > 1e-9) & (along_wall >= -1e-9) & (along_wall <= 1.0 + 1e-9)
+        distance = np.where(hit, along_ray, np.inf)
+        wall = np.argmin(distance, axis=-1)
+        nearest = np.take_along_axis(distance, wall[..., None], -1)[..., 0]
+        return nearest, np.where(np.isfinite(nearest), wall, -1)
+
+    def visible(
+        self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike, slack_m: float = 0.08
+    ) -> npt.NDArray[np.bool_]:
+        """Whether no wall stands between origins (..., 2) and points (..., 2)."""
+        delta = np.asarray(points_xy, dtype=np.float64) - np.asarray(origin_xy, dtype=np.float64)
+        distance, _ = self.raycast(origin_xy, np.arctan2(delta[..., 1], delta[..., 0]))
+        return np.asarray(distance > np.hypot(delta[..., 0], delta[..., 1]) - slack_m)
+
+    def contains(self, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Whether points (..., 2) lie inside the outline (even-odd rule)."""
+        points = np.asarray(points_xy, dtype=np.float64)
+        x, y = points[..., 0, None], points[..., 1, None]
+        a, b = self._starts, self._ends
+        with np.errstate(divide='ignore', invalid='ignore'):
+            x_cross = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+        crosses = ((a[:, 1] > y) != (b[:, 1] > y)) & (x < x_cross)
+        return np.asarray(np.sum(crosses, axis=-1) % 2 == 1)
+
+    def nearest_wall(self, points_xy: npt.ArrayLike) -> IntArray:
+        """Index of the wall nearest to points (..., 2)."""
+        points = np.asarray(points_xy, dtype=np.float64)[..., None, :]
+        side = self._ends - self._starts
+        length_sq = np.sum(side**2, -1)
+        t = np.clip(np.sum((points - self._starts) * side, -1) / length_sq, 0.0, 1.0)
+        foot = self._starts + t[..., None] * side
+        return np.asarray(np.argmin(np.sum((points - foot) ** 2, -1), -1))

@@ -1,0 +1,1 @@
+"""From sweeps of the camera to a map of landmarks: the stages in order in `pipeline`."""

@@ -1,0 +1,1 @@
+"""Where to look: features, conspicuity, saliency, hierarchical selection."""

@@ -1,0 +1,1 @@
+"""From a picture and a map to a pose: the stages in order in `pipeline`."""

@@ -1,0 +1,1 @@
+"""Standard messages <-> the types of `landmark_nav.types`, with and without ROS."""

@@ -1,0 +1,67 @@
+"""
+Parameters: frozen dataclasses whose fields carry a description and a range.
+
+The same dataclass configures a stage offline and is declared as ROS parameters by its node.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['check_parameters', 'parameter']
+
+T = TypeVar('T')
+
+
+def parameter(
+    default: T,
+    description: str,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: Sequence[str] | None = None,
+) -> T:
+    """Dataclass field with a description and what it may be (inclusive range or choices)."""
+    return dataclasses.field(
+        default=default,
+        metadata={
+            'description': description,
+            'minimum': minimum,
+            'maximum': maximum,
+            'choices': tuple(choices) if choices is not None else None,
+        },
+    )
+
+
+def check_parameters(config: Any) -> None:
+    """
+    Check every field against its metadata; call it in ``__post_init__``.
+
+    Raises
+    ------
+    LandmarkNavError
+        A value is not a number, outside its range, or none of its choices.
+
+    """
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        where = f'parameter {field.name} of {type(config).__name__}'
+        choices = field.metadata.get('choices')
+        if choices is not None and value not in choices:
+            raise LandmarkNavError(f'{where} is {value!r}: take one of {", ".join(choices)}')
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        low, high = field.metadata.get('minimum'), field.metadata.get('maximum')
+        if not np.isfinite(value):
+            raise LandmarkNavError(f'{where} is {value}: take a number')
+        if (low is not None and value < low) or (high is not None and value > high):
+            raise LandmarkNavError(
+                f'{where} is {value:g}: take {"any" if low is None else f"{low:g}"} '
+                f'to {"any" if high is None else f"{high:g}"}'
+            )

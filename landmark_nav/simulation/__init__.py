@@ -1,0 +1,1 @@
+"""A seeded room, its camera and its robot."""

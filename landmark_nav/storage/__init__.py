@@ -1,0 +1,1 @@
+"""Files: room, robot, maps, bags."""

@@ -1,0 +1,309 @@
+"""
+What crosses the stages: frozen values, SI units, radians, integer nanoseconds.
+
+Frames are in the names: ``pose_map_base`` is the pose of ``base_link`` in ``map``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.walls import Wall
+
+__all__ = [
+    'CameraFrame',
+    'Candidate',
+    'Detections',
+    'FloatArray',
+    'ImageArray',
+    'JointSample',
+    'Landmark',
+    'LandmarkMap',
+    'OdometrySample',
+    'Panorama',
+    'PoseEstimate',
+    'Refusal',
+    'Sweep',
+    'Triplet',
+]
+
+FloatArray = npt.NDArray[np.float64]
+ImageArray = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Something to be expected did not work out: a short `reason` and what was measured."""
+
+    reason: str
+    detail: str = ''
+
+    def __str__(self) -> str:
+        """Both in one line."""
+        return f'{self.reason}: {self.detail}' if self.detail else self.reason
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEstimate:
+    """
+    A planar pose with its covariance.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Time it holds for.
+    pose : ndarray, shape (3,)
+        x [m], y [m], heading [rad].
+    covariance : ndarray, shape (3, 3)
+        Of x, y, heading.
+
+    """
+
+    stamp_ns: int
+    pose: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class OdometrySample:
+    """Wheel odometry: pose (3,) of the base in ``odom`` and its speeds."""
+
+    stamp_ns: int
+    pose_odom_base: FloatArray
+    linear_m_s: float = 0.0
+    angular_rad_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """Measured angles of the pan-tilt unit, radians."""
+
+    stamp_ns: int
+    pan_rad: float
+    tilt_rad: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrame:
+    """
+    One picture with the joint angles it was taken at.
+
+    `image` is BGR (height, width, 3) or grey (height, width), uint8.
+    """
+
+    stamp_ns: int
+    image: ImageArray
+    camera: CameraModel
+    pan_rad: float
+    tilt_rad: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """
+    The frames of one turn of the camera at one place, sorted by time.
+
+    `pose_map_base` is set if the place is known from elsewhere (``sweep/pose``).
+    """
+
+    stamp_ns: int
+    frames: tuple[CameraFrame, ...]
+    pose_map_base: PoseEstimate | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Panorama:
+    """
+    A cylindrical view of the room and where it was taken.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Start of its sweep.
+    image : ndarray, shape (height, width, 3)
+        BGR, uint8.
+    mask : ndarray of bool, shape (height, width)
+        Which pixels some frame covered.
+    cylinder : Cylinder
+        Geometry; azimuth 0 is ``base_link`` +x.
+    center_map : ndarray, shape (3,)
+        The viewpoint (pan axis at the height of the optical centre) in map, metres.
+    heading_rad : float
+        Heading of the base in map.
+    covariance : ndarray, shape (4, 4)
+        Of x, y, z, heading.
+
+    """
+
+    stamp_ns: int
+    image: ImageArray
+    mask: npt.NDArray[np.bool_]
+    cylinder: Cylinder
+    center_map: FloatArray
+    heading_rad: float
+    covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """
+    A texture patch that attention proposes, in panorama pixels.
+
+    `column`, `row` are its centre; `saliency` is relative to the strongest one.
+    """
+
+    column: float
+    row: float
+    width_px: int
+    height_px: int
+    saliency: float
+
+
+@dataclass(frozen=True, eq=False)
+class Landmark:
+    """
+    An elected wall patch.
+
+    Parameters
+    ----------
+    id : int
+        Unique in its map.
+    position : ndarray, shape (3,)
+        Centre in map, metres.
+    covariance : ndarray, shape (3, 3)
+        Total covariance of `position`.
+    shared_loading : ndarray, shape (3, m)
+        What all landmarks of a map have in common, mostly the pose errors of the panoramas: the
+        covariance between landmarks k and l is ``L_k @ L_l.T``. Columns are unit-variance
+        factors; `m` is the same for the whole map.
+    normal : ndarray, shape (3,)
+        Unit, horizontal, into the room.
+    width_m, height_m : float
+        Size of the patch on the wall.
+    patch : ndarray, shape (rows, columns)
+        Grey texture in wall coordinates, uint8: columns run to the right as seen from inside the
+        room, rows downwards, centre of the array at `position`, square texels.
+    viewpoint : ndarray, shape (3,)
+        Where it was learned from, in map: sets the observation area.
+    threshold : float
+        Least normalized cross-correlation that counts as found.
+    wall_id : str
+        The wall that carries it.
+    saliency : float
+        Of its candidate.
+
+    """
+
+    id: int
+    position: FloatArray
+    covariance: FloatArray
+    shared_loading: FloatArray
+    normal: FloatArray
+    width_m: float
+    height_m: float
+    patch: ImageArray
+    viewpoint: FloatArray
+    threshold: float
+    wall_id: str = ''
+    saliency: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """
+    What was learned, with where it came from.
+
+    The arrays below are stacked over landmarks in the order of `landmarks`.
+    """
+
+    landmarks: tuple[Landmark, ...]
+    frame_id: str = 'map'
+    walls: tuple[Wall, ...] = ()
+    panorama_poses: tuple[PoseEstimate, ...] = ()
+    provenance: dict[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def ids(self) -> npt.NDArray[np.int64]:
+        """Landmark ids, (n,)."""
+        return np.array([k.id for k in self.landmarks], dtype=np.int64)
+
+    @cached_property
+    def positions(self) -> FloatArray:
+        """Centres in map, (n, 3)."""
+        return np.array([k.position for k in self.landmarks], dtype=np.float64).reshape(-1, 3)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Normals, (n, 3)."""
+        return np.array([k.normal for k in self.landmarks], dtype=np.float64).reshape(-1, 3)
+
+    @cached_property
+    def viewpoints(self) -> FloatArray:
+        """Where each was learned from, (n, 3)."""
+        return np.array([k.viewpoint for k in self.landmarks], dtype=np.float64).reshape(-1, 3)
+
+    @cached_property
+    def sizes_m(self) -> FloatArray:
+        """Width and height, (n, 2)."""
+        return np.array([(k.width_m, k.height_m) for k in self.landmarks]).reshape(-1, 2)
+
+    @cached_property
+    def covariances(self) -> FloatArray:
+        """Total covariances, (n, 3, 3)."""
+        return np.array([k.covariance for k in self.landmarks]).reshape(-1, 3, 3)
+
+    @cached_property
+    def joint_covariance_xy(self) -> FloatArray:
+        """Joint covariance of all (x, y), (2n, 2n), with the part that landmarks share."""
+        n = len(self.landmarks)
+        loading = np.array([k.shared_loading[:2] for k in self.landmarks]).reshape(2 * n, -1)
+        joint = loading @ loading.T
+        for k in range(n):
+            joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = self.covariances[k, :2, :2]
+        return np.asarray(joint)
+
+
+@dataclass(frozen=True, eq=False)
+class Triplet:
+    """
+    Three landmarks to look at, chosen by the covariance that they promise.
+
+    `bearing_rad` (3,) are expected at the pan axis, counter-clockwise from ``base_link`` +x, with
+    standard deviations `sigma_rad` (3,); `covariance` (3, 3) is the predicted one of the fix;
+    `pan_rad` is where the camera should look.
+    """
+
+    stamp_ns: int
+    ids: npt.NDArray[np.int64]
+    bearing_rad: FloatArray
+    sigma_rad: FloatArray
+    covariance: FloatArray
+    pan_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """
+    Landmarks found in one picture, arrays over the n found.
+
+    `bearing_rad` (n,) is seen from the pan axis, counter-clockwise from ``base_link`` +x;
+    `variance_rad2` (n,) is its measurement variance without the map's share; `score` (n,) is the
+    normalized cross-correlation; `uv_px` (n, 2) the place in the picture.
+    """
+
+    stamp_ns: int
+    ids: npt.NDArray[np.int64]
+    bearing_rad: FloatArray
+    variance_rad2: FloatArray
+    score: FloatArray
+    uv_px: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many were found."""
+        return len(self.ids)
