@@ -1,0 +1,29 @@
+"""
+Messages -> types.
+
+Every function takes objects that have the fields of the message, so that the same code serves
+rosbags and rclpy; numeric arrays may be NumPy arrays, array.array, bytes or lists.
+"""
+
+from landmark_nav.messages.decode.cameras import camera_model
+from landmark_nav.messages.decode.detections import detections, triplet
+from landmark_nav.messages.decode.headers import stamp_ns
+from landmark_nav.messages.decode.images import image
+from landmark_nav.messages.decode.joints import joint_sample, sweep_trajectory
+from landmark_nav.messages.decode.landmarks import landmark_map
+from landmark_nav.messages.decode.panoramas import panorama
+from landmark_nav.messages.decode.poses import odometry, pose_estimate
+
+__all__ = [
+    'camera_model',
+    'detections',
+    'image',
+    'joint_sample',
+    'landmark_map',
+    'odometry',
+    'panorama',
+    'pose_estimate',
+    'stamp_ns',
+    'sweep_trajectory',
+    'triplet',
+]

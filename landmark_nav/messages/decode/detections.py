@@ -1,0 +1,61 @@
+"""Triplets and detections."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.messages.clouds import unpack_cloud
+from landmark_nav.messages.decode.headers import finite, stamp_ns
+from landmark_nav.messages.layouts import DETECTION, TRIPLET
+from landmark_nav.types import Detections, Triplet
+
+__all__ = ['detections', 'triplet']
+
+
+def detections(msg: Any) -> Detections:
+    """
+    Landmarks found in one picture, out of ``detections``.
+
+    Raises
+    ------
+    LandmarkNavError
+        Fields are missing, or bearings are not numbers.
+
+    """
+    points = unpack_cloud(msg, DETECTION.names or ())
+    stamp = stamp_ns(msg.header)
+    return Detections(
+        stamp,
+        points['id'].astype(np.int64),
+        finite(points['bearing'], 'bearing', stamp),
+        finite(points['bearing_variance'], 'bearing variance', stamp),
+        points['score'].astype(np.float64),
+        np.stack([points['u'], points['v']], -1).astype(np.float64),
+    )
+
+
+def triplet(msg: Any) -> Triplet:
+    """
+    The chosen three, out of ``triplet``.
+
+    Raises
+    ------
+    LandmarkNavError
+        Fields are missing, not three points, or values that are not numbers.
+
+    """
+    points = unpack_cloud(msg, TRIPLET.names or ())
+    if len(points) != 3:
+        raise LandmarkNavError(f'triplet has {len(points)} points, not 3')
+    stamp = stamp_ns(msg.header)
+    return Triplet(
+        stamp,
+        points['id'].astype(np.int64),
+        finite(points['bearing'], 'triplet bearing', stamp),
+        finite(points['bearing_sigma'], 'triplet sigma', stamp),
+        finite(points['covariance'][0], 'triplet covariance', stamp).reshape(3, 3),
+        float(finite(points['pan'][0], 'triplet pan', stamp)),
+    )

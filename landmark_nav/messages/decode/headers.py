@@ -1,0 +1,45 @@
+"""Stamps, and numbers that must be numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.types import FloatArray
+
+__all__ = ['duration_ns', 'finite', 'stamp_ns', 'yaw_rad']
+
+
+def stamp_ns(header: Any) -> int:
+    """Stamp of a std_msgs/Header, integer nanoseconds."""
+    return duration_ns(header.stamp)
+
+
+def duration_ns(value: Any) -> int:
+    """Convert a builtin_interfaces Time or Duration to integer nanoseconds."""
+    return int(value.sec) * 1_000_000_000 + int(value.nanosec)
+
+
+def finite(values: Any, what: str, stamp: int) -> FloatArray:
+    """
+    Values as an array; a `LandmarkNavError` that says which are none if one is NaN or infinite.
+
+    `what` names them: 'odometry position'; `stamp` is when, nanoseconds.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if not np.all(np.isfinite(array)):
+        raise LandmarkNavError(
+            f'{what} at {stamp * 1e-9:.3f} s is {np.array2string(array, separator=", ")}: '
+            'not a number, mend its publisher'
+        )
+    return array
+
+
+def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
+    """Heading of a geometry_msgs/Quaternion, radians; it need not be normalised exactly."""
+    x, y, z, w = finite([quaternion.x, quaternion.y, quaternion.z, quaternion.w], what, stamp)
+    if x * x + y * y + z * z + w * w < 1e-6:
+        raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s is the zero quaternion')
+    return float(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

@@ -1,0 +1,70 @@
+"""Pan and tilt."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
+from landmark_nav.types import JointSample
+
+__all__ = ['joint_sample', 'sweep_trajectory']
+
+
+def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
+    """
+    Pan and tilt in a sensor_msgs/JointState; None if it is about other joints.
+
+    Raises
+    ------
+    LandmarkNavError
+        Names without positions, or positions that are not numbers.
+
+    """
+    names = list(msg.name)
+    if mount.pan_joint not in names:
+        return None
+    return _sample(names, msg.position, stamp_ns(msg.header), mount, 'joint_states position')
+
+
+def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
+    """
+    Measured angles at the frames of a sweep, out of a trajectory_msgs/JointTrajectory.
+
+    Raises
+    ------
+    LandmarkNavError
+        It is not about the pan joint, or holds angles that are not numbers.
+
+    """
+    names = list(msg.joint_names)
+    if mount.pan_joint not in names:
+        raise LandmarkNavError(
+            f'sweep trajectory is about {", ".join(names) or "no joint"}, not about '
+            f'{mount.pan_joint}: set pan_joint in robot.yaml'
+        )
+    start = stamp_ns(msg.header)
+    return tuple(
+        _sample(
+            names,
+            point.positions,
+            start + duration_ns(point.time_from_start),
+            mount,
+            'sweep trajectory position',
+        )
+        for point in msg.points
+    )
+
+
+def _sample(
+    names: list[str], positions: Any, stamp: int, mount: PanTiltMount, what: str
+) -> JointSample:
+    if len(positions) < len(names):
+        raise LandmarkNavError(
+            f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints'
+        )
+    pan = positions[names.index(mount.pan_joint)]
+    tilt = positions[names.index(mount.tilt_joint)] if mount.tilt_joint in names else 0.0
+    pan, tilt = finite([pan, tilt], what, stamp)
+    return JointSample(stamp, float(pan), float(tilt))

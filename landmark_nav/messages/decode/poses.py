@@ -1,0 +1,53 @@
+"""Odometry and poses in the plane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.messages.decode.headers import finite, stamp_ns, yaw_rad
+from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
+
+__all__ = ['odometry', 'pose_estimate']
+
+# Of x, y, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
+_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+
+
+def odometry(msg: Any) -> OdometrySample:
+    """
+    Wheel odometry of a nav_msgs/Odometry.
+
+    Raises
+    ------
+    LandmarkNavError
+        A value is not a number.
+
+    """
+    stamp = stamp_ns(msg.header)
+    twist = msg.twist.twist
+    speeds = finite([twist.linear.x, twist.angular.z], 'odometry speed', stamp)
+    return OdometrySample(
+        stamp, _planar(msg.pose.pose, 'odometry', stamp), float(speeds[0]), float(speeds[1])
+    )
+
+
+def pose_estimate(msg: Any) -> PoseEstimate:
+    """
+    Planar pose of a geometry_msgs/PoseWithCovarianceStamped or a nav_msgs/Odometry.
+
+    Raises
+    ------
+    LandmarkNavError
+        A value is not a number.
+
+    """
+    stamp = stamp_ns(msg.header)
+    full = finite(msg.pose.covariance, 'pose covariance', stamp).reshape(6, 6)
+    return PoseEstimate(stamp, _planar(msg.pose.pose, 'pose', stamp), full[_PLANAR])
+
+
+def _planar(pose: Any, what: str, stamp: int) -> FloatArray:
+    position = finite([pose.position.x, pose.position.y], f'{what} position', stamp)
+    return np.array([*position, yaw_rad(pose.orientation, f'{what} orientation', stamp)])

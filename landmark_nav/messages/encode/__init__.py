@@ -1,0 +1,30 @@
+"""
+Types -> messages: the inverse of `landmark_nav.messages.decode`.
+
+Every function takes a `MessageFactory` first, so that the same code makes rosbags' messages for
+bags and real ROS messages for topics.
+"""
+
+from landmark_nav.messages.encode.cameras import camera_info
+from landmark_nav.messages.encode.detections import detections, triplet
+from landmark_nav.messages.encode.headers import header
+from landmark_nav.messages.encode.images import compressed_image, image
+from landmark_nav.messages.encode.joints import joint_state, sweep_trajectory
+from landmark_nav.messages.encode.landmarks import landmark_map
+from landmark_nav.messages.encode.panoramas import panorama
+from landmark_nav.messages.encode.poses import odometry, pose
+
+__all__ = [
+    'camera_info',
+    'compressed_image',
+    'detections',
+    'header',
+    'image',
+    'joint_state',
+    'landmark_map',
+    'odometry',
+    'panorama',
+    'pose',
+    'sweep_trajectory',
+    'triplet',
+]

@@ -1,0 +1,37 @@
+"""Triplets and detections."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.messages.clouds import pack_cloud
+from landmark_nav.messages.encode.headers import header
+from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.messages.layouts import DETECTION, TRIPLET
+from landmark_nav.types import Detections, Triplet
+
+__all__ = ['detections', 'triplet']
+
+
+def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base_link') -> Any:
+    """Build the PointCloud2 of ``detections``, stamped with the picture."""
+    points = np.zeros(len(found), dtype=DETECTION)
+    points['id'] = found.ids
+    points['bearing'] = found.bearing_rad
+    points['bearing_variance'] = found.variance_rad2
+    points['score'] = found.score
+    points['u'], points['v'] = found.uv_px[:, 0], found.uv_px[:, 1]
+    return pack_cloud(factory, header(factory, found.stamp_ns, frame_id), points)
+
+
+def triplet(factory: MessageFactory, chosen: Triplet, frame_id: str = 'base_link') -> Any:
+    """Build the PointCloud2 of ``triplet``."""
+    points = np.zeros(3, dtype=TRIPLET)
+    points['id'] = chosen.ids
+    points['bearing'] = chosen.bearing_rad
+    points['bearing_sigma'] = chosen.sigma_rad
+    points['covariance'] = chosen.covariance.reshape(-1)
+    points['pan'] = chosen.pan_rad
+    return pack_cloud(factory, header(factory, chosen.stamp_ns, frame_id), points)

@@ -1,0 +1,49 @@
+"""Pictures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from landmark_nav.messages.encode.headers import header
+from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.types import ImageArray
+
+__all__ = ['compressed_image', 'image']
+
+
+def image(factory: MessageFactory, picture: ImageArray, stamp_ns: int, frame_id: str) -> Any:
+    """Build a sensor_msgs/Image of grey (h, w), BGR (h, w, 3) or BGRA (h, w, 4)."""
+    channels = 1 if picture.ndim == 2 else picture.shape[2]
+    height, width = picture.shape[:2]
+    return factory(
+        'sensor_msgs/msg/Image',
+        header=header(factory, stamp_ns, frame_id),
+        height=height,
+        width=width,
+        encoding={1: 'mono8', 3: 'bgr8', 4: 'bgra8'}[channels],
+        is_bigendian=0,
+        step=width * channels,
+        data=np.ascontiguousarray(picture).reshape(-1),
+    )
+
+
+def compressed_image(
+    factory: MessageFactory,
+    picture: ImageArray,
+    stamp_ns: int,
+    frame_id: str,
+    jpeg_quality: int = 90,
+) -> Any:
+    """Build a sensor_msgs/CompressedImage (JPEG) of grey (h, w) or BGR (h, w, 3)."""
+    done, data = cv2.imencode('.jpg', picture, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    if not done:
+        raise ValueError(f'a picture of shape {picture.shape} cannot be written as JPEG')
+    return factory(
+        'sensor_msgs/msg/CompressedImage',
+        header=header(factory, stamp_ns, frame_id),
+        format='jpeg',
+        data=data.reshape(-1),
+    )

@@ -1,0 +1,80 @@
+"""Odometry and poses in the plane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.messages.encode.headers import header, upright, vector
+from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
+
+__all__ = ['odometry', 'pose']
+
+# Of x, y, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
+_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+
+
+def odometry(
+    factory: MessageFactory,
+    sample: OdometrySample,
+    covariance: FloatArray | None = None,
+    *,
+    frame_id: str = 'odom',
+    child_frame_id: str = 'base_link',
+) -> Any:
+    """
+    Build a nav_msgs/Odometry.
+
+    Parameters
+    ----------
+    factory : MessageFactory
+        Builds the message.
+    sample : OdometrySample
+        Pose of the base in `frame_id`, whichever that is, and speeds.
+    covariance : ndarray, shape (3, 3), optional
+        Of x, y, heading; unknown (zero) by default.
+    frame_id, child_frame_id : str
+        Frames.
+
+    """
+    x, y, yaw = sample.pose_odom_base
+    twist = factory(
+        'geometry_msgs/msg/Twist',
+        linear=vector(factory, 'Vector3', sample.linear_m_s, 0.0),
+        angular=vector(factory, 'Vector3', 0.0, 0.0, sample.angular_rad_s),
+    )
+    return factory(
+        'nav_msgs/msg/Odometry',
+        header=header(factory, sample.stamp_ns, frame_id),
+        child_frame_id=child_frame_id,
+        pose=factory(
+            'geometry_msgs/msg/PoseWithCovariance',
+            pose=upright(factory, x, y, 0.0, yaw),
+            covariance=_spread(covariance),
+        ),
+        twist=factory('geometry_msgs/msg/TwistWithCovariance', twist=twist),
+    )
+
+
+def pose(factory: MessageFactory, estimate: PoseEstimate, frame_id: str = 'map') -> Any:
+    """Build a geometry_msgs/PoseWithCovarianceStamped."""
+    x, y, yaw = estimate.pose
+    return factory(
+        'geometry_msgs/msg/PoseWithCovarianceStamped',
+        header=header(factory, estimate.stamp_ns, frame_id),
+        pose=factory(
+            'geometry_msgs/msg/PoseWithCovariance',
+            pose=upright(factory, x, y, 0.0, yaw),
+            covariance=_spread(estimate.covariance),
+        ),
+    )
+
+
+def _spread(covariance: FloatArray | None) -> FloatArray:
+    """Covariance (36,) of all six degrees of freedom out of the planar one."""
+    full = np.zeros((6, 6))
+    if covariance is not None:
+        full[_PLANAR] = covariance
+    return full.reshape(-1)

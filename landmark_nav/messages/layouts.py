@@ -1,0 +1,78 @@
+"""Point layouts on the wire: what each PointCloud2 topic carries."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ['DETECTION', 'LANDMARK_FIELDS', 'TRIPLET', 'landmark_layout']
+
+DETECTION = np.dtype(
+    [
+        ('id', '<u4'),
+        ('bearing', '<f8'),
+        ('bearing_variance', '<f8'),
+        ('score', '<f4'),
+        ('u', '<f4'),
+        ('v', '<f4'),
+    ]
+)
+
+# Covariance of the promised fix and the pan to turn to are the same in all three rows.
+TRIPLET = np.dtype(
+    [
+        ('id', '<u4'),
+        ('bearing', '<f8'),
+        ('bearing_sigma', '<f8'),
+        ('pan', '<f8'),
+        ('covariance', '<f8', (9,)),
+    ]
+)
+
+# x, y, z must be float32: RViz draws no other point clouds.
+LANDMARK_FIELDS: list[tuple[str, str] | tuple[str, str, tuple[int]]] = [
+    ('id', '<u4'),
+    ('x', '<f4'),
+    ('y', '<f4'),
+    ('z', '<f4'),
+    ('normal_x', '<f4'),
+    ('normal_y', '<f4'),
+    ('normal_z', '<f4'),
+    ('width', '<f4'),
+    ('height', '<f4'),
+    ('viewpoint_x', '<f4'),
+    ('viewpoint_y', '<f4'),
+    ('viewpoint_z', '<f4'),
+    ('threshold', '<f4'),
+    ('saliency', '<f4'),
+    ('atlas_x', '<u4'),
+    ('atlas_y', '<u4'),
+    ('atlas_width', '<u4'),
+    ('atlas_height', '<u4'),
+    ('wall', '<i4'),
+    ('covariance', '<f8', (9,)),
+]
+
+
+def landmark_layout(factors: int, walls: int, name_bytes: int) -> np.dtype[np.void]:
+    """
+    Return the layout of ``landmarks``.
+
+    Beside its own values each row repeats what belongs to the map: the outline of the walls
+    (start x, y, end x, y, height of each) and their names, so that the one topic suffices.
+
+    Parameters
+    ----------
+    factors : int
+        Columns of the shared loading.
+    walls : int
+        Walls of the map.
+    name_bytes : int
+        Length of their names, joined by line feeds, in UTF-8.
+
+    """
+    sized = [
+        ('shared_loading', '<f8', (3 * factors,)),
+        ('walls', '<f8', (5 * walls,)),
+        ('wall_names', 'u1', (name_bytes,)),
+    ]
+    return np.dtype([*LANDMARK_FIELDS, *(field for field in sized if field[2][0] > 0)])

@@ -1,0 +1,403 @@
+from __future__ import annotations
+
+import array
+from types import SimpleNamespace
+
+import cv2
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.walls import Wall
+from landmark_nav.messages import decode, encode
+from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
+from landmark_nav.messages.factory import default_typestore, rosbag_factory
+from landmark_nav.types import (
+    Detections,
+    JointSample,
+    Landmark,
+    LandmarkMap,
+    OdometrySample,
+    Panorama,
+    PoseEstimate,
+    Triplet,
+)
+
+STORE = default_typestore()
+FACTORY = rosbag_factory(STORE)
+MOUNT = PanTiltMount()
+STAMP = 5_000_000_000_123
+
+
+def over_the_wire(msg):
+    """Serialise and read again, as a bag does."""
+    return STORE.deserialize_cdr(STORE.serialize_cdr(msg, msg.__msgtype__), msg.__msgtype__)
+
+
+def as_rclpy(msg):
+    """The same fields in the containers that rclpy uses: array.array and lists."""
+    if hasattr(msg, '__msgtype__'):
+        fields = {k: as_rclpy(v) for k, v in vars(msg).items()}
+        return SimpleNamespace(**fields)
+    if isinstance(msg, list):
+        return [as_rclpy(m) for m in msg]
+    if isinstance(msg, np.ndarray):
+        return array.array(msg.dtype.char.replace('?', 'B'), msg.tobytes())
+    return msg
+
+
+both = pytest.mark.parametrize('deliver', [over_the_wire, as_rclpy], ids=['rosbags', 'rclpy'])
+
+
+@both
+@pytest.mark.parametrize('shape', [(5, 7), (5, 7, 3)])
+def test_image_comes_back(deliver, shape):
+    picture = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
+    msg = deliver(encode.image(FACTORY, picture, STAMP, 'cam'))
+    assert decode.stamp_ns(msg.header) == STAMP
+    np.testing.assert_array_equal(decode.image(msg), picture)
+
+
+@both
+def test_every_encoding_becomes_bgr_or_grey(deliver):
+    rng = np.random.default_rng(1)
+    bgr = rng.integers(0, 256, (4, 6, 3)).astype(np.uint8)
+    alpha = np.full((4, 6, 1), 255, np.uint8)
+    for encoding, pixels in {
+        'rgb8': bgr[..., ::-1],
+        'bgra8': np.concatenate([bgr, alpha], -1),
+        'rgba8': np.concatenate([bgr[..., ::-1], alpha], -1),
+    }.items():
+        msg = encode.image(FACTORY, np.ascontiguousarray(pixels), STAMP, '')
+        msg.encoding = encoding
+        np.testing.assert_array_equal(decode.image(deliver(msg)), bgr)
+
+
+@pytest.mark.parametrize('big', [False, True])
+def test_mono16_keeps_the_high_byte_and_padding_of_rows_is_dropped(big):
+    words = np.arange(12).reshape(3, 4) * 5000
+    rows = np.zeros((3, 11), np.uint8)
+    rows[:, :8] = words.astype('>u2' if big else '<u2').view(np.uint8).reshape(3, 8)
+    msg = FACTORY(
+        'sensor_msgs/msg/Image',
+        height=3,
+        width=4,
+        step=11,
+        encoding='mono16',
+        is_bigendian=int(big),
+        data=rows.reshape(-1),
+    )
+    np.testing.assert_array_equal(decode.image(msg), words >> 8)
+
+
+def test_unknown_encoding_is_refused_by_name():
+    msg = encode.image(FACTORY, np.zeros((4, 4), np.uint8), STAMP, '')
+    msg.encoding = 'bayer_rggb8'
+    with pytest.raises(LandmarkNavError, match='bayer_rggb8'):
+        decode.image(msg)
+
+
+@pytest.mark.parametrize('change', [{'step': 3}, {'height': 6}, {'width': 0}])
+def test_sizes_that_contradict_each_other_are_refused(change):
+    msg = encode.image(FACTORY, np.zeros((4, 4), np.uint8), STAMP, '')
+    for name, value in change.items():
+        setattr(msg, name, value)
+    with pytest.raises(LandmarkNavError, match='broken'):
+        decode.image(msg)
+
+
+@both
+def test_jpeg_and_png_decode(deliver):
+    ramp = np.tile(np.arange(0, 250, 5, dtype=np.uint8), (40, 1))
+    jpeg = encode.compressed_image(FACTORY, ramp, STAMP, 'cam', jpeg_quality=95)
+    assert np.abs(decode.image(deliver(jpeg)).astype(int) - ramp).max() < 8
+    jpeg.format, jpeg.data = 'bgr8; png compressed bgr8', cv2.imencode('.png', ramp)[1].reshape(-1)
+    np.testing.assert_array_equal(decode.image(deliver(jpeg)), ramp)
+
+
+def test_damaged_and_foreign_compressed_images_are_refused():
+    msg = encode.compressed_image(FACTORY, np.zeros((16, 16), np.uint8), STAMP, '')
+    msg.data = msg.data[:20]
+    with pytest.raises(LandmarkNavError, match='does not decode'):
+        decode.image(msg)
+    msg.data = msg.data[:0]
+    with pytest.raises(LandmarkNavError, match='0 bytes'):
+        decode.image(msg)
+    msg.format = '16UC1; compressedDepth png'
+    with pytest.raises(LandmarkNavError, match='compressedDepth'):
+        decode.image(msg)
+
+
+@both
+@pytest.mark.parametrize(
+    ('model', 'distortion'),
+    [
+        ('plumb_bob', (0.1, -0.02, 0.001, 0.0, 0.003)),
+        ('equidistant', (0.1, 0.01, 0.0, 0.001)),
+        ('rational_polynomial', (0.1, 0.0, 0.0, 0.0, 0.2, 0.1, 0.0, 0.1)),
+        ('plumb_bob', ()),
+    ],
+)
+def test_camera_comes_back_as_the_same_object(deliver, model, distortion):
+    camera = CameraModel(640, 480, 500.0, 501.0, 320.5, 239.5, model, distortion)
+    msg = deliver(encode.camera_info(FACTORY, camera, STAMP, 'cam'))
+    decoded = decode.camera_model(msg)
+    assert decoded == camera
+    assert decode.camera_model(deliver(msg) if deliver is over_the_wire else msg) is decoded
+
+
+def test_region_and_binning_move_the_principal_point():
+    camera = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5)
+    msg = encode.camera_info(FACTORY, camera, STAMP, '')
+    msg.binning_x = msg.binning_y = 2
+    msg.roi = FACTORY(
+        'sensor_msgs/msg/RegionOfInterest', x_offset=120, y_offset=40, width=400, height=400
+    )
+    binned = decode.camera_model(msg)
+    assert (binned.width, binned.height) == (200, 200)
+    assert (binned.cx, binned.cy) == (99.5, 99.5)
+    assert binned.fx == 250.0
+
+
+def test_unknown_camera_model_is_refused_by_name_and_so_is_an_uncalibrated_one():
+    msg = encode.camera_info(FACTORY, CameraModel(64, 64, 50.0, 50.0, 31.5, 31.5), STAMP, '')
+    msg.distortion_model = 'thin_prism'
+    with pytest.raises(LandmarkNavError, match='thin_prism'):
+        decode.camera_model(msg)
+    msg.k = np.zeros(9)
+    with pytest.raises(LandmarkNavError, match='calibrate'):
+        decode.camera_model(msg)
+
+
+@both
+def test_joints_come_back_and_foreign_joints_are_none(deliver):
+    sample = JointSample(STAMP, 1.25, -0.5)
+    msg = encode.joint_state(FACTORY, sample, MOUNT)
+    assert decode.joint_sample(deliver(msg), MOUNT) == sample
+    msg.name = ['wheel_left', 'wheel_right']
+    assert decode.joint_sample(deliver(msg), MOUNT) is None
+
+
+@both
+def test_trajectory_comes_back(deliver):
+    samples = tuple(JointSample(STAMP + k * 700_000_000, 0.1 * k, 0.01) for k in range(5))
+    msg = deliver(encode.sweep_trajectory(FACTORY, samples, MOUNT))
+    assert decode.sweep_trajectory(msg, MOUNT) == samples
+    with pytest.raises(LandmarkNavError, match='neck'):
+        decode.sweep_trajectory(msg, PanTiltMount(pan_joint='neck'))
+
+
+@both
+def test_odometry_and_poses_come_back(deliver):
+    sample = OdometrySample(STAMP, np.array([1.0, -2.0, 3.0]), 0.2, -0.1)
+    covariance = np.diag([1.0, 2.0, 3.0]) + 0.1
+    msg = deliver(encode.odometry(FACTORY, sample, covariance, frame_id='map'))
+    decoded = decode.odometry(msg)
+    np.testing.assert_allclose(decoded.pose_odom_base, sample.pose_odom_base, atol=1e-12)
+    assert (decoded.linear_m_s, decoded.angular_rad_s) == (0.2, -0.1)
+    np.testing.assert_array_equal(decode.pose_estimate(msg).covariance, covariance)
+    estimate = PoseEstimate(STAMP, sample.pose_odom_base, covariance)
+    again = decode.pose_estimate(deliver(encode.pose(FACTORY, estimate)))
+    np.testing.assert_allclose(again.pose, estimate.pose, atol=1e-12)
+    np.testing.assert_array_equal(again.covariance, covariance)
+
+
+def test_values_that_are_no_numbers_are_refused_with_what_and_when():
+    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.array([1.0, np.nan, 0.0])))
+    with pytest.raises(LandmarkNavError, match=r'odometry position at 5000\.000 s'):
+        decode.odometry(msg)
+    with pytest.raises(LandmarkNavError, match='pose position'):
+        decode.pose_estimate(msg)
+    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
+    msg.pose.pose.orientation.w = 0.0
+    with pytest.raises(LandmarkNavError, match='zero quaternion'):
+        decode.odometry(msg)
+    joints = encode.joint_state(FACTORY, JointSample(STAMP, np.inf), MOUNT)
+    with pytest.raises(LandmarkNavError, match='joint_states position'):
+        decode.joint_sample(joints, MOUNT)
+    joints.position = joints.position[:1]
+    with pytest.raises(LandmarkNavError, match='1 values for 2 joints'):
+        decode.joint_sample(joints, MOUNT)
+
+
+SCALARS = st.sampled_from(['<u4', '<i2', 'u1', '<f4', '<f8'])
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    data=st.data(),
+    kinds=st.lists(st.tuples(SCALARS, st.integers(1, 4)), min_size=1, max_size=5),
+    count=st.integers(0, 6),
+)
+def test_clouds_come_back_bit_by_bit(data, kinds, count):
+    dtype = np.dtype(
+        [
+            (f'f{k}', kind) if size == 1 else (f'f{k}', kind, (size,))
+            for k, (kind, size) in enumerate(kinds)
+        ]
+    )
+    raw = data.draw(hnp.arrays(np.uint8, count * dtype.itemsize))
+    points = np.frombuffer(raw.tobytes(), dtype=dtype)
+    msg = over_the_wire(pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'map'), points))
+    again = unpack_cloud(msg, dtype.names)
+    assert again.tobytes() == points.tobytes()
+    assert again.dtype == dtype
+
+
+def test_cloud_without_a_field_or_with_too_few_bytes_is_refused():
+    points = np.zeros(3, np.dtype([('id', '<u4'), ('x', '<f4')]))
+    msg = pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'map'), points)
+    with pytest.raises(LandmarkNavError, match='lacks the field bearing'):
+        unpack_cloud(msg, ['id', 'bearing'])
+    msg.data = msg.data[:-1]
+    with pytest.raises(LandmarkNavError, match='23 bytes'):
+        unpack_cloud(msg, ['id'])
+
+
+@both
+@pytest.mark.parametrize('count', [0, 4])
+def test_detections_come_back(deliver, count):
+    rng = np.random.default_rng(2)
+    found = Detections(
+        STAMP,
+        np.arange(count) + 7,
+        rng.normal(size=count),
+        rng.random(count),
+        rng.random(count),
+        rng.random((count, 2)) * 500,
+    )
+    again = decode.detections(deliver(encode.detections(FACTORY, found)))
+    np.testing.assert_array_equal(again.ids, found.ids)
+    np.testing.assert_array_equal(again.bearing_rad, found.bearing_rad)
+    np.testing.assert_array_equal(again.variance_rad2, found.variance_rad2)
+    np.testing.assert_allclose(again.uv_px, found.uv_px, rtol=1e-6)
+    assert again.stamp_ns == STAMP
+
+
+@both
+def test_triplet_comes_back(deliver):
+    chosen = Triplet(
+        STAMP,
+        np.array([3, 9, 1]),
+        np.array([0.1, 0.2, -0.3]),
+        np.array([0.01, 0.02, 0.03]),
+        np.diag([1e-4, 2e-4, 3e-5]),
+        0.4,
+    )
+    again = decode.triplet(deliver(encode.triplet(FACTORY, chosen)))
+    for name in ('ids', 'bearing_rad', 'sigma_rad', 'covariance', 'pan_rad'):
+        np.testing.assert_array_equal(getattr(again, name), getattr(chosen, name))
+
+
+@both
+def test_panorama_comes_back(deliver):
+    rng = np.random.default_rng(3)
+    cylinder = Cylinder(200, 40, 31.0, 99.5, 19.0)
+    covariance = np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5
+    view = Panorama(
+        STAMP,
+        rng.integers(0, 256, (40, 200, 3)).astype(np.uint8),
+        rng.random((40, 200)) > 0.3,
+        cylinder,
+        np.array([1.0, 2.0, 1.1]),
+        -2.0,
+        covariance,
+    )
+    messages = [deliver(m) for m in encode.panorama(FACTORY, view)]
+    again = decode.panorama(*messages)
+    np.testing.assert_array_equal(again.image, view.image)
+    np.testing.assert_array_equal(again.mask, view.mask)
+    assert again.cylinder == cylinder
+    np.testing.assert_array_equal(again.center_map, view.center_map)
+    np.testing.assert_allclose(again.heading_rad, view.heading_rad)
+    np.testing.assert_array_equal(again.covariance, covariance)
+
+
+def test_panorama_of_parts_that_do_not_belong_together_is_refused():
+    view = Panorama(
+        STAMP,
+        np.zeros((40, 200, 3), np.uint8),
+        np.ones((40, 200), np.bool_),
+        Cylinder(200, 40, 31.0, 99.5, 19.0),
+        np.zeros(3),
+        0.0,
+        np.eye(4),
+    )
+    picture, info, pose = encode.panorama(FACTORY, view)
+    info.distortion_model = 'plumb_bob'
+    with pytest.raises(LandmarkNavError, match='plumb_bob'):
+        decode.panorama(picture, info, pose)
+    pose.header = encode.header(FACTORY, STAMP + 1, 'map')
+    with pytest.raises(LandmarkNavError, match='comes with'):
+        decode.panorama(picture, info, pose)
+
+
+def some_map(count, factors, seed=4):
+    rng = np.random.default_rng(seed)
+    walls = (
+        Wall('south', (0.0, 0.0), (5.0, 0.0), 2.5),
+        Wall('ost-süd', (5.0, 0.0), (5.0, 4.0), 2.5),
+        Wall('diagonal', (5.0, 4.0), (0.0, 0.0), 2.5),
+    )
+    landmarks = []
+    for k in range(count):
+        root = rng.normal(size=(3, 3)) * 0.01
+        angle = rng.random() * 6
+        landmarks.append(
+            Landmark(
+                id=3 * k + 1,
+                position=rng.normal(size=3),
+                covariance=root @ root.T + 1e-6 * np.eye(3),
+                shared_loading=rng.normal(size=(3, factors)) * 1e-3,
+                normal=np.array([np.cos(angle), np.sin(angle), 0.0]),
+                width_m=0.2,
+                height_m=0.3,
+                patch=rng.integers(0, 256, (20 + k, 300)).astype(np.uint8),
+                viewpoint=rng.normal(size=3),
+                threshold=0.7,
+                wall_id=walls[k % 3].id,
+                saliency=0.5,
+            )
+        )
+    return LandmarkMap(tuple(landmarks), 'map', walls)
+
+
+@both
+@pytest.mark.parametrize(('count', 'factors'), [(7, 6), (1, 0)])
+def test_map_comes_back(deliver, count, factors):
+    sent = some_map(count, factors)
+    cloud, atlas, markers = encode.landmark_map(FACTORY, sent, STAMP)
+    over_the_wire(markers)
+    again = decode.landmark_map(deliver(cloud), deliver(atlas))
+    assert again.walls == sent.walls
+    np.testing.assert_array_equal(again.ids, sent.ids)
+    np.testing.assert_allclose(again.positions, sent.positions, rtol=1e-6)
+    np.testing.assert_array_equal(again.covariances, sent.covariances)
+    np.testing.assert_array_equal(again.joint_covariance_xy, sent.joint_covariance_xy)
+    for one, other in zip(again.landmarks, sent.landmarks, strict=True):
+        np.testing.assert_array_equal(one.patch, other.patch)
+        np.testing.assert_allclose(one.normal, other.normal, atol=1e-6)
+        np.testing.assert_allclose(one.viewpoint, other.viewpoint, rtol=1e-6)
+        assert one.wall_id == other.wall_id
+        assert one.threshold == pytest.approx(other.threshold)
+
+
+def test_empty_map_travels_and_a_foreign_atlas_is_refused():
+    cloud, atlas, _ = encode.landmark_map(FACTORY, LandmarkMap(()), STAMP)
+    assert decode.landmark_map(over_the_wire(cloud), over_the_wire(atlas)).landmarks == ()
+    cloud, _, _ = encode.landmark_map(FACTORY, some_map(3, 2), STAMP)
+    with pytest.raises(LandmarkNavError, match='outside the atlas'):
+        decode.landmark_map(cloud, atlas)
+    atlas.header = encode.header(FACTORY, STAMP + 1, 'map')
+    with pytest.raises(LandmarkNavError, match='different maps'):
+        decode.landmark_map(cloud, atlas)
+
+
+def test_factory_refuses_fields_that_do_not_exist():
+    with pytest.raises(TypeError, match='colour'):
+        FACTORY('sensor_msgs/msg/Image', colour=1)
