@@ -1,0 +1,78 @@
+"""Install the package with pip or with colcon; both lay out the same prefix."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'landmark_nav'
+NODES = (
+    'sweep_capture',
+    'panorama_synthesizer',
+    'landmark_learner',
+    'triplet_selector',
+    'triangulation_localizer',
+    'odometry_fusion',
+    'room_simulator',
+    'bag_player',
+)
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    description='Lets a wheeled robot with one turning camera learn its landmarks by itself',
+    license='Apache-2.0',
+    maintainer='landmark_nav maintainers',
+    maintainer_email='maintainers@landmark-nav.example',
+    python_requires='>=3.10',
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml'))),
+        (f'share/{PACKAGE}/launch', sorted(glob(f'{PACKAGE}/launch/*.launch.py'))),
+        (f'lib/{PACKAGE}', [f'resource/executables/{name}' for name in NODES]),
+    ],
+    # test/oldest.txt holds the lower bounds; docs/architecture.md says what each is for.
+    install_requires=[
+        'numpy>=1.26.0',
+        'scipy>=1.11.2',
+        'opencv-python-headless>=4.6.0.66',
+        'PyYAML>=6.0.1',
+        'rosbags>=0.11.0',
+        'mcap>=1.0.0',
+        'matplotlib>=3.6.0',
+        'tqdm>=4.66.0',
+    ],
+    extras_require={
+        # ROS 2 as wheels, for machines without a ROS 2 of their own; std_msgs, rosgraph_msgs and
+        # builtin_interfaces come with these.
+        'ros': [
+            'ros-rclpy[fastrtps]==9.1.2',
+            'ros-diagnostic-msgs==5.5.1',
+            'ros-geometry-msgs==5.5.1',
+            'ros-nav-msgs==5.5.1',
+            'ros-sensor-msgs==5.5.1',
+            'ros-std-srvs==5.5.1',
+            'ros-trajectory-msgs==5.5.1',
+            'ros-visualization-msgs==5.5.1',
+        ],
+        # Linters are pinned: another version would format and complain differently.
+        'dev': [
+            'hypothesis>=6.100',
+            'mypy==2.4.1',
+            'pytest>=8.0',
+            'pytest-xdist>=3.5',
+            'ruff==0.17.5',
+            'types-PyYAML',
+            'types-tqdm',
+        ],
+    },
+    entry_points={
+        'console_scripts': [
+            'landmark-nav = landmark_nav.cli.main:main',
+            *(f'{name} = {PACKAGE}.nodes.{name}:main' for name in NODES),
+        ],
+    },
+    zip_safe=False,
+)
