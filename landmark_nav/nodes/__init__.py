@@ -1,1 +1,16 @@
-"""The ROS nodes, one module an executable."""
+"""
+The ROS nodes: each converts, calls a stage and publishes.
+
+Importing any of them without ROS 2 ends the process with one line that says what to install,
+because the executables import their node before they run it.
+"""
+
+from __future__ import annotations
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.ros import require_ros
+
+try:
+    require_ros('this node')
+except LandmarkNavError as error:
+    raise SystemExit(str(error)) from None

@@ -1,0 +1,59 @@
+"""``/diagnostics`` once a second: OK, degraded or lost, with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock
+from rclpy.node import Node
+
+from landmark_nav.ros.topics import TOPICS
+
+__all__ = ['Health', 'Level', 'publish_health']
+
+
+class Level(Enum):
+    """How well a node does its work."""
+
+    OK = DiagnosticStatus.OK
+    DEGRADED = DiagnosticStatus.WARN
+    LOST = DiagnosticStatus.ERROR
+
+
+@dataclass(frozen=True)
+class Health:
+    """A level, the reason for it and figures that help to understand it."""
+
+    level: Level
+    reason: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) -> None:
+    """Publish `report()` every second of the wall's time, also while a bag's clock stands."""
+    topic = '/diagnostics'
+    publisher = node.create_publisher(DiagnosticArray, topic, TOPICS[topic].qos)
+
+    def publish() -> None:
+        health = report()
+        status = DiagnosticStatus(
+            level=health.level.value,
+            name=f'{node.get_name()}: {subcomponent}',
+            message=health.reason,
+            hardware_id=node.get_fully_qualified_name(),
+            values=[KeyValue(key=key, value=str(value)) for key, value in health.values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = node.get_clock().now().to_msg()
+        publisher.publish(array)
+
+    node.create_timer(
+        1.0,
+        publish,
+        callback_group=ReentrantCallbackGroup(),
+        clock=Clock(),
+    )

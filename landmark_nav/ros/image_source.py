@@ -1,0 +1,58 @@
+"""Pictures of a topic, raw or compressed, whichever is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.subscription import Subscription
+
+from landmark_nav.ros.node import LandmarkNode
+
+__all__ = ['TRANSPORTS', 'ImageSource']
+
+TRANSPORTS = ('auto', 'raw', 'compressed')
+
+
+class ImageSource:
+    """
+    Subscription to the pictures of `topic` or of ``topic/compressed``.
+
+    With the transport ``auto`` both are tried and the first that delivers stays, so that a
+    picture neither travels nor is handled twice.
+    """
+
+    def __init__(
+        self,
+        node: LandmarkNode,
+        topic: str,
+        callback: Callable[[Any], None],
+        transport: str = 'auto',
+        *,
+        depth: int | None = None,
+        group: CallbackGroup | None = None,
+    ) -> None:
+        self._node = node
+        self._subscriptions: dict[str, Subscription[Any]] = {}
+        wanted = {'raw': [topic], 'compressed': [f'{topic}/compressed']}
+        for name in wanted.get(transport, [*wanted['raw'], *wanted['compressed']]):
+            self._subscriptions[name] = node.listen(
+                name, self._only(name, callback), depth=depth, group=group
+            )
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._keep(None)
+
+    def _only(self, name: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def take(message: Any) -> None:
+            if name in self._subscriptions:
+                self._keep(name)
+                callback(message)
+
+        return take
+
+    def _keep(self, name: str | None) -> None:
+        for other in [other for other in self._subscriptions if other != name]:
+            self._node.destroy_subscription(self._subscriptions.pop(other))

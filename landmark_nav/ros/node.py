@@ -1,0 +1,140 @@
+"""What all nodes of the package share: topics by name, guarded callbacks, services, health."""
+
+# rclpy is not typed in every distribution: its Node may be Any here.
+# mypy: disallow_subclassing_any=False
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import logging
+import traceback
+from typing import Any, TypeVar
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.ros.factory import message_class
+from landmark_nav.ros.health import Health, Level, publish_health
+from landmark_nav.ros.logs import forward_logs
+from landmark_nav.ros.parameters import declare
+from landmark_nav.ros.topics import TOPICS, with_depth
+
+__all__ = ['LandmarkNode']
+
+T = TypeVar('T')
+
+_LOG = logging.getLogger(__name__)
+_MAX_WARNINGS_REMEMBERED = 100
+
+
+class LandmarkNode(Node):
+    """
+    Base of the package's nodes.
+
+    Bad input in a callback (`LandmarkNavError`) drops that message, is logged once and shows in
+    ``/diagnostics``; it never ends the node.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node, also that of its executable.
+    subcomponent : str
+        What ``/diagnostics`` calls its work.
+    **options
+        Passed on to `rclpy.node.Node`, such as `context` or `parameter_overrides`.
+
+    """
+
+    def __init__(self, name: str, subcomponent: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        forward_logs(self.get_logger())
+        self._warned: set[str] = set()
+        self._last_problem = ''
+        publish_health(self, subcomponent, self._checked_health)
+
+    def health(self) -> Health:
+        """How well the node does; overridden by each."""
+        raise NotImplementedError
+
+    def configure(self, config_class: type[T]) -> T:
+        """Declare a dataclass as parameters and return it filled."""
+        return declare(self, config_class)
+
+    def required(self, name: str, value: str) -> str:
+        """Value of a parameter that has no sensible default, such as the path of a file."""
+        if not value:
+            raise LandmarkNavError(
+                f'parameter {name} of {self.get_name()} is not set: give it in config/'
+                f'{self.get_name()}.yaml or as --ros-args -p {name}:=PATH'
+            )
+        return value
+
+    def advertise(self, topic: str) -> Publisher[Any]:
+        """Publisher of a public topic."""
+        spec = TOPICS[topic]
+        return self.create_publisher(message_class(spec.type_name), topic, spec.qos)
+
+    def listen(
+        self,
+        topic: str,
+        callback: Callable[[Any], None],
+        *,
+        depth: int | None = None,
+        group: CallbackGroup | None = None,
+    ) -> Subscription[Any]:
+        """Subscribe to a public topic; `depth` replaces the length of its queue."""
+        spec = TOPICS[topic]
+        return self.create_subscription(
+            message_class(spec.type_name),
+            topic,
+            self._guarded(topic, callback),
+            spec.qos if depth is None else with_depth(spec.qos, depth),
+            callback_group=group,
+        )
+
+    def offer(
+        self, service: str, action: Callable[[], str], *, group: CallbackGroup | None = None
+    ) -> None:
+        """Offer a Trigger service: `action` returns what it did or raises why it could not."""
+
+        def answer(_request: Any, response: Any) -> Any:
+            try:
+                response.message = action()
+                response.success = True
+            except LandmarkNavError as error:
+                response.message = str(error)
+                _LOG.warning('%s refused: %s', service, error)
+            except Exception as error:
+                response.message = f'internal error, please report it: {error!r}'
+                _LOG.error('%s failed:\n%s', service, traceback.format_exc())
+            return response
+
+        self.create_service(Trigger, service, answer, callback_group=group)
+
+    def drop(self, what: str, error: object) -> None:
+        """Note that something was not used, and why; the same words are logged once."""
+        text = f'{what} dropped: {error}'
+        self._last_problem = text
+        if text not in self._warned and len(self._warned) < _MAX_WARNINGS_REMEMBERED:
+            self._warned.add(text)
+            _LOG.warning('%s', text)
+
+    def _guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def guarded(message: Any) -> None:
+            try:
+                callback(message)
+            except LandmarkNavError as error:
+                self.drop(topic, error)
+
+        return guarded
+
+    def _checked_health(self) -> Health:
+        health = self.health()
+        problem, self._last_problem = self._last_problem, ''
+        if problem and health.level is Level.OK:
+            return Health(Level.DEGRADED, problem, health.values)
+        return health

@@ -1,0 +1,93 @@
+"""Frozen dataclasses of `landmark_nav.parameters` as read-only ROS parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['declare']
+
+T = TypeVar('T')
+
+_LARGEST_INTEGER = 2**63 - 1
+
+
+def declare(node: Node, config_class: type[T], prefix: str = '') -> T:
+    """
+    Declare the fields of a dataclass as parameters and return it filled.
+
+    A field that is a dataclass itself becomes a section: ``prefix.field.name``. Values come from
+    the node's parameter file or the command line; fields without one keep their defaults.
+
+    Raises
+    ------
+    LandmarkNavError
+        A value has the wrong type, is out of range, or does not agree with the others.
+
+    """
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(config_class):  # type: ignore[arg-type]
+        name = prefix + field.name
+        default = _default(field)
+        if dataclasses.is_dataclass(default):
+            values[field.name] = declare(node, type(default), f'{name}.')
+            continue
+        listed = isinstance(default, tuple)
+        try:
+            value = node.declare_parameter(
+                name, list(default) if listed else default, _descriptor(field, default)
+            ).value
+        except InvalidParameterTypeException as error:
+            example = list(default) if listed else default
+            raise LandmarkNavError(
+                f'parameter {name} of {node.get_name()} has the wrong type: '
+                f'write it like {example!r}'
+            ) from error
+        except InvalidParameterValueException as error:
+            raise LandmarkNavError(
+                f'parameter {name} of {node.get_name()}: {" ".join(str(error).split())}'
+            ) from error
+        values[field.name] = tuple(value) if listed else value
+    return config_class(**values)
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return field.default
+
+
+def _descriptor(field: dataclasses.Field[Any], default: Any) -> ParameterDescriptor:
+    choices = field.metadata.get('choices')
+    low, high = field.metadata.get('minimum'), field.metadata.get('maximum')
+    descriptor = ParameterDescriptor(
+        description=field.metadata.get('description', ''),
+        additional_constraints=f'one of {", ".join(choices)}' if choices else '',
+        read_only=True,
+    )
+    if (low is None and high is None) or isinstance(default, bool):
+        return descriptor
+    if isinstance(default, int):
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-_LARGEST_INTEGER if low is None else int(low),
+                to_value=_LARGEST_INTEGER if high is None else int(high),
+                step=0,
+            )
+        ]
+    elif isinstance(default, float):
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=-sys.float_info.max if low is None else float(low),
+                to_value=sys.float_info.max if high is None else float(high),
+                step=0.0,
+            )
+        ]
+    return descriptor

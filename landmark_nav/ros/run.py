@@ -1,0 +1,77 @@
+"""`main` of every node: spin until SIGINT or SIGTERM, then end cleanly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import os
+import sys
+from threading import Thread
+
+import rclpy
+from rclpy.executors import (
+    Executor,
+    ExternalShutdownException,
+    MultiThreadedExecutor,
+    SingleThreadedExecutor,
+)
+from rclpy.node import Node
+
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['run_node']
+
+_GRACE_S = 1.0
+
+
+def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
+    """
+    Run one node in this process.
+
+    Parameters
+    ----------
+    make_node : callable
+        Makes it; called once ROS is initialised.
+    threads : int
+        How many callbacks may run at once.
+
+    Returns
+    -------
+    int
+        Exit status: 0 after a signal, 1 if the node could not be made.
+
+    """
+    rclpy.init(args=sys.argv)
+    try:
+        node = make_node()
+        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+        _leave(executor)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except LandmarkNavError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except Exception:
+        # A publisher that a callback uses after the signal has no context any more.
+        if rclpy.ok():
+            raise
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _leave(executor: Executor) -> None:
+    """
+    Wait for callbacks under way, but not for long.
+
+    A stage such as learning takes seconds and can't be interrupted; what it writes appears whole
+    or not at all, so the process may end in the midst of it.
+    """
+    waiter = Thread(target=executor.shutdown, daemon=True)
+    waiter.start()
+    waiter.join(_GRACE_S)
+    if waiter.is_alive():
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
