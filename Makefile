@@ -16,18 +16,19 @@ export ROS_DOMAIN_ID := $(shell echo $$(($$$$ % 90 + 10)))
 endif
 
 BIN = .venv/bin
-PACKAGED = setup.py setup.cfg pyproject.toml package.xml $(wildcard resource/* config/* landmark_nav/launch/*)
+PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
+	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-unit test-ros lint bench test-oldest clean
 
 install: .venv/installed
 
-# Editable, so that code is run as it is written; what is copied (config, launch files, executables)
-# is copied anew when it changes.
+# Not editable: setuptools then leaves out lib/landmark_nav and share, and tests should meet what a
+# user gets. `build` would bring back files that are gone from the tree.
 .venv/installed: $(PACKAGED)
-	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[ros,dev]'
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	rm -rf build
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[ros,dev]'
 	touch $@
 
 demo: install
@@ -41,22 +42,22 @@ lint: install
 	$(BIN)/mypy landmark_nav
 
 test-unit: install
-	$(BIN)/python -m pytest -q -n 2 test/unit
+	$(BIN)/pytest -q -n 2 test/unit
 
 # One after the other: these start nodes as processes of their own.
 test-ros: install test-unit
-	$(BIN)/python -m pytest -q test/nodes test/system
+	$(BIN)/pytest -q test/nodes test/system
 
 bench: install
 	$(BIN)/landmark-nav bench
 
 test-oldest: .venv-oldest/installed
-	.venv-oldest/bin/python -m pytest -q -n 2 test/unit
+	.venv-oldest/bin/pytest -q -n 2 test/unit
 
-.venv-oldest/installed: setup.py pyproject.toml test/oldest.txt
-	$(OLDEST_PYTHON) -m venv .venv-oldest
-	.venv-oldest/bin/python -m pip install --quiet --upgrade pip
-	.venv-oldest/bin/python -m pip install --quiet -r test/oldest.txt --editable .
+.venv-oldest/installed: $(PACKAGED) test/oldest.txt
+	test -x .venv-oldest/bin/python || $(OLDEST_PYTHON) -m venv .venv-oldest
+	rm -rf build
+	.venv-oldest/bin/python -m pip install --quiet --disable-pip-version-check -r test/oldest.txt .
 	touch $@
 
 clean:
