@@ -1,0 +1,110 @@
+"""Parameters of attention."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.parameters import check_parameters, parameter
+
+__all__ = ['FEATURES', 'AttentionConfig']
+
+FEATURES = (
+    'intensity',
+    'edges',
+    'vertical_edges',
+    'corners',
+    'symmetry',
+    'line_symmetry',
+)
+
+
+@dataclass(frozen=True)
+class AttentionConfig:
+    """
+    What attracts attention, what size is cut out, and what is refused.
+
+    Raises
+    ------
+    LandmarkNavError
+        A value out of its range, sizes in the wrong order, or no weight at all.
+
+    """
+
+    weight_intensity: float = parameter(0.05, 'weight of bright areas', minimum=0, maximum=10)
+    weight_edges: float = parameter(0.15, 'weight of Canny edges', minimum=0, maximum=10)
+    weight_vertical_edges: float = parameter(
+        0.3, 'weight of vertical edges, which fix a bearing', minimum=0, maximum=10
+    )
+    weight_corners: float = parameter(0.2, 'weight of corners', minimum=0, maximum=10)
+    weight_symmetry: float = parameter(
+        0.3, 'weight of symmetry about a point', minimum=0, maximum=10
+    )
+    weight_line_symmetry: float = parameter(
+        0.05, 'weight of symmetry about vertical lines', minimum=0, maximum=10
+    )
+    edge_low: float = parameter(
+        4.0, 'gradient at which an edge goes on, grey levels per px', minimum=0.5, maximum=100
+    )
+    edge_high: float = parameter(
+        10.0, 'gradient at which an edge starts, grey levels per px', minimum=0.5, maximum=100
+    )
+    center_sigma_px: float = parameter(
+        4.0, 'centre of the difference of Gaussians, px', minimum=2, maximum=32
+    )
+    surround_sigma_px: float = parameter(
+        16.0, 'surround of the difference of Gaussians, px', minimum=4, maximum=64
+    )
+    size_min_px: int = parameter(28, 'least width and height of a patch, px', minimum=12)
+    size_max_px: int = parameter(32, 'largest width and height of a patch, px', maximum=128)
+    size_step_px: int = parameter(2, 'step between sizes, px', minimum=1)
+    candidates: int = parameter(120, 'patches per panorama at most', minimum=1)
+    least_response: float = parameter(
+        0.1, 'stop where the response falls below this share of the first', minimum=0, maximum=1
+    )
+    inhibition: float = parameter(
+        1.25, 'area that is inhibited after attending, in patch widths', minimum=1, maximum=4
+    )
+    sector_deg: float = parameter(20.0, 'width of a sector of azimuth', minimum=1, maximum=360)
+    candidates_per_sector: int = parameter(10, 'patches per sector at most', minimum=1)
+    neighborhood_columns_px: int = parameter(
+        60, 'how far to either side a patch may be mistaken', minimum=8, maximum=400
+    )
+    neighborhood_rows_px: int = parameter(
+        16, 'how far up and down a patch may be mistaken', minimum=0, maximum=400
+    )
+    ambiguity_max: float = parameter(
+        0.75, 'largest correlation with another place near by', minimum=0, maximum=1
+    )
+    noise_gray: float = parameter(
+        3.0, 'noise of one frame, standard deviation in grey levels', minimum=0.1, maximum=50
+    )
+    bearing_sigma_max_px: float = parameter(
+        0.1, 'largest predicted noise of a match along the row, px', minimum=0.01, maximum=2
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+        if not any(self.weights.values()):
+            raise LandmarkNavError('all weights of AttentionConfig are 0: raise at least one')
+        for low, high in (
+            ('edge_low', 'edge_high'),
+            ('center_sigma_px', 'surround_sigma_px'),
+            ('size_min_px', 'size_max_px'),
+        ):
+            if getattr(self, low) > getattr(self, high):
+                raise LandmarkNavError(
+                    f'parameter {low} of AttentionConfig is {getattr(self, low):g}, above {high} '
+                    f'{getattr(self, high):g}: swap them'
+                )
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each of `FEATURES`."""
+        return {name: float(getattr(self, f'weight_{name}')) for name in FEATURES}
+
+    @property
+    def sizes_px(self) -> tuple[int, ...]:
+        """Widths and heights to choose from, rising."""
+        return tuple(range(self.size_min_px, self.size_max_px + 1, self.size_step_px))

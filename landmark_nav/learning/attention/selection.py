@@ -1,0 +1,187 @@
+"""
+Hierarchical winner-take-all: which rectangles of a saliency map are attended, one after another.
+
+Culhane and Tsotsos, An Attentional Prototype for Early Vision, ECCV 1992: units with rectangular
+receptive fields of several sizes compete at the top; the beam of the winner is narrowed layer by
+layer; what was attended is inhibited, and the competition is run again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.learning.attention.config import AttentionConfig
+from landmark_nav.learning.attention.features import FloatMap
+from landmark_nav.types import Candidate, Refusal
+
+__all__ = ['Examine', 'select']
+
+Examine = Callable[[Candidate], 'Refusal | None']
+_Index = npt.NDArray[np.intp]
+
+# Distance between units in the layers of the pyramid, top first, px.
+_PITCHES_PX = (4, 2, 1)
+# A unit that sees an uncovered pixel loses against any other.
+_FORBIDDEN = np.float32(-1e4)
+# Among equal means the larger field wins, but one that dilutes its content does not.
+_SIZE_EXPONENT = 0.25
+
+
+def select(
+    saliency: FloatMap,
+    covered: npt.NDArray[np.bool_],
+    config: AttentionConfig,
+    examine: Examine,
+) -> tuple[tuple[Candidate, ...], tuple[tuple[Candidate, Refusal], ...]]:
+    """
+    Attend to one rectangle after another until there are enough or nothing stands out any more.
+
+    Parameters
+    ----------
+    saliency : ndarray of float32, shape (height, width)
+        Of a full turn: the last column borders on the first.
+    covered : ndarray of bool, shape (height, width)
+        A rectangle lies on these pixels only.
+    config : AttentionConfig
+    examine : callable
+        Says why an attended rectangle is of no use, or None.
+
+    Returns
+    -------
+    accepted : tuple of Candidate
+        In the order of attention, at most `candidates_per_sector` in each sector of azimuth.
+    refused : tuple of (Candidate, Refusal)
+
+    """
+    width = saliency.shape[1]
+    sectors = max(1, round(360.0 / config.sector_deg))
+    taken = np.zeros(sectors, dtype=int)
+    units = _Units(saliency, covered, config)
+    accepted: list[Candidate] = []
+    refused: list[tuple[Candidate, Refusal]] = []
+    first = units.strongest()[0]
+    while len(accepted) < config.candidates:
+        response, row, column = units.strongest()
+        if response <= 0.0 or response < config.least_response * first:
+            break
+        winner = units.narrow(row, column)
+        units.inhibit(winner)
+        sector = int((winner.column + 0.5) * sectors / width) % sectors
+        if taken[sector] >= config.candidates_per_sector:
+            continue
+        refusal = examine(winner)
+        if refusal is not None:
+            refused.append((winner, refusal))
+            continue
+        accepted.append(winner)
+        taken[sector] += 1
+        if taken[sector] == config.candidates_per_sector:
+            units.close(sector / sectors, (sector + 1) / sectors)
+    return tuple(accepted), tuple(refused)
+
+
+class _Units:
+    """The units that compete, over what is left of the saliency map."""
+
+    def __init__(
+        self, saliency: FloatMap, covered: npt.NDArray[np.bool_], config: AttentionConfig
+    ) -> None:
+        sizes = config.sizes_px
+        self._fields = [(w, h) for w in sizes for h in sizes]
+        self._gains = [
+            (w * h) ** (_SIZE_EXPONENT - 1.0) / sizes[-1] ** 0.5 for w, h in self._fields
+        ]
+        self._inhibition = config.inhibition
+        self._reach = sizes[-1] // 2 + 1
+        self._border = self._reach + 2 * _PITCHES_PX[0]
+        self._height, self._width = saliency.shape
+        self._left = np.pad(
+            np.where(covered, saliency, _FORBIDDEN),
+            ((self._border, self._border), (0, 0)),
+            constant_values=_FORBIDDEN,
+        )
+        self._rows: _Index = np.arange(0, self._height, _PITCHES_PX[0])
+        self._columns: _Index = np.arange(0, self._width, _PITCHES_PX[0])
+        self._open = np.ones(len(self._columns), dtype=bool)
+        self._top = self._respond(self._rows, self._columns)[0]
+
+    def strongest(self) -> tuple[float, int, int]:
+        """Response and place (row, column) of the winner of the top layer."""
+        at = int(np.argmax(self._top))
+        row, column = np.unravel_index(at, self._top.shape)
+        return float(self._top.flat[at]), int(self._rows[row]), int(self._columns[column])
+
+    def narrow(self, row: int, column: int) -> Candidate:
+        """Follow the beam of a top unit down to the rectangle that made it win."""
+        field, response = 0, 0.0
+        for above, pitch in pairwise(_PITCHES_PX):
+            offsets = np.arange(-above, above + 1, pitch)
+            responses, fields = self._respond(row + offsets, column + offsets)
+            i, j = np.unravel_index(int(np.argmax(responses)), responses.shape)
+            row, column = row + int(offsets[i]), column + int(offsets[j])
+            field, response = int(fields[i, j]), float(responses[i, j])
+        width, height = self._fields[field]
+        # The centre of pixels column - width // 2 and the width - 1 next ones.
+        center = column - width // 2 + (width - 1) / 2.0
+        return Candidate(
+            column=float((center + 0.5) % self._width - 0.5),
+            row=row - height // 2 + (height - 1) / 2.0,
+            width_px=width,
+            height_px=height,
+            saliency=response,
+        )
+
+    def inhibit(self, attended: Candidate) -> None:
+        """Take the attended area out of the map and let the units that saw it respond anew."""
+        half_width = 0.5 * self._inhibition * attended.width_px
+        half_height = 0.5 * self._inhibition * attended.height_px
+        away = self._columns_away(np.arange(self._width), attended.column)
+        columns = np.flatnonzero(np.abs(away) <= half_width)
+        first = max(0, int(np.ceil(attended.row - half_height))) + self._border
+        last = min(self._height - 1, int(attended.row + half_height)) + self._border
+        area = np.ix_(np.arange(first, last + 1), columns)
+        self._left[area] = np.minimum(self._left[area], 0.0)
+
+        away = self._columns_away(self._columns, attended.column)
+        saw_column = np.flatnonzero(np.abs(away) <= half_width + self._reach)
+        saw_row = np.flatnonzero(np.abs(self._rows - attended.row) <= half_height + self._reach)
+        columns = np.rint(attended.column + away[saw_column]).astype(np.intp)
+        responses = self._respond(self._rows[saw_row], columns)[0]
+        responses[:, ~self._open[saw_column]] = -np.inf
+        self._top[np.ix_(saw_row, saw_column)] = responses
+
+    def close(self, begin: float, end: float) -> None:
+        """Let no unit between two shares of the turn win any more."""
+        share = (self._columns + 0.5) / self._width
+        self._open &= (share < begin) | (share >= end)
+        self._top[:, ~self._open] = -np.inf
+
+    def _columns_away(self, columns: _Index, center: float) -> npt.NDArray[np.float64]:
+        half = 0.5 * self._width
+        return np.asarray((columns - center + half) % self._width - half)
+
+    def _respond(
+        self, rows: _Index, columns: _Index
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+        """Largest response over the sizes of units at rows x columns, and which size it was."""
+        top, left = int(rows.min()) - self._reach, int(columns.min()) - self._reach
+        across = np.arange(left, int(columns.max()) + self._reach + 1) % self._width
+        down = slice(self._border + top, self._border + int(rows.max()) + self._reach + 1)
+        table = cv2.integral(self._left[down].take(across, axis=1), sdepth=cv2.CV_64F)
+        best = np.full((len(rows), len(columns)), -np.inf)
+        field = np.zeros(best.shape, dtype=np.intp)
+        for k, ((width, height), gain) in enumerate(zip(self._fields, self._gains, strict=True)):
+            above, before = rows - top - height // 2, columns - left - width // 2
+            upper, lower = table[above], table[above + height]
+            response = gain * (
+                (lower[:, before + width] - lower[:, before])
+                - (upper[:, before + width] - upper[:, before])
+            )
+            stronger = response > best
+            best[stronger], field[stronger] = response[stronger], k
+        return best, field
