@@ -26,7 +26,7 @@ install: .venv/installed
 # Not editable: setuptools then leaves out lib/landmark_nav and share, and tests should meet what a
 # user gets. `build` would bring back files that are gone from the tree.
 .venv/installed: $(PACKAGED)
-	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	rm -rf build
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[ros,dev]'
 	touch $@
@@ -55,7 +55,7 @@ test-oldest: .venv-oldest/installed
 	.venv-oldest/bin/pytest -q -n 2 test/unit
 
 .venv-oldest/installed: $(PACKAGED) test/oldest.txt
-	test -x .venv-oldest/bin/python || $(OLDEST_PYTHON) -m venv .venv-oldest
+	test -x .venv-oldest/bin/pip || $(OLDEST_PYTHON) -m venv .venv-oldest
 	rm -rf build
 	.venv-oldest/bin/python -m pip install --quiet --disable-pip-version-check -r test/oldest.txt .
 	touch $@

@@ -130,6 +130,8 @@ class CameraModel:
         """Rays (..., 3) with z = 1 in the optical frame, of pixels (..., 2)."""
         uv = np.asarray(pixels, dtype=np.float64)
         flat = np.ascontiguousarray(uv.reshape(-1, 1, 2))
+        if not len(flat):
+            return np.empty((*uv.shape[:-1], 3))  # OpenCV takes no empty arrays
         if self.model == 'equidistant':
             start = cv2.fisheye.undistortPoints(flat, self.matrix, self._coefficients)
         else:
@@ -138,7 +140,7 @@ class CameraModel:
         rays[:, :2] = np.asarray(start, dtype=np.float64).reshape(-1, 2)
         # OpenCV stops after five iterations, up to 0.1 px away, and how to ask for more differs
         # between its versions; this fixed point contracts by the distortion's slope each time.
-        for _ in range(_POLISH_ITERATIONS if len(flat) else 0):
+        for _ in range(_POLISH_ITERATIONS):
             residual = self._project_unchecked(rays) - flat[:, 0]
             rays[:, :2] -= residual / [self.fx, self.fy]
             if np.abs(residual).max() < 1e-9:

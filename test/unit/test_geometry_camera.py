@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount, rotation_rpy
+
+SIZE: dict[str, Any] = {
+    'width': 512, 'height': 384, 'fx': 570.0, 'fy': 572.0, 'cx': 254.0, 'cy': 193.5,
+}  # fmt: skip
+CAMERAS = {
+    'ideal': CameraModel(**SIZE),
+    'plumb_bob': CameraModel(
+        **SIZE, model='plumb_bob', distortion=(-0.21, 0.06, 0.001, -0.0007, 0.01)
+    ),
+    'rational_polynomial': CameraModel(
+        **SIZE,
+        model='rational_polynomial',
+        distortion=(0.4, -0.1, 0.0005, 0.0002, 0.02, 0.7, -0.05, 0.01),
+    ),
+    'equidistant': CameraModel(
+        **{**SIZE, 'fx': 230.0, 'fy': 231.0},
+        model='equidistant',
+        distortion=(-0.02, 0.005, -0.003, 0.0004),
+    ),
+}
+
+
+@pytest.mark.parametrize('camera', CAMERAS.values(), ids=CAMERAS.keys())
+@settings(max_examples=30, deadline=None)
+@given(st.floats(-0.5, 511.5), st.floats(-0.5, 383.5))
+def test_every_pixel_comes_back(camera: CameraModel, u: float, v: float) -> None:
+    ray = camera.unproject([u, v])
+    assert ray[2] == 1.0
+    np.testing.assert_allclose(camera.project(7.0 * ray), [u, v], atol=1e-6)
+
+
+def test_a_pinhole_projects_as_one_would_by_hand() -> None:
+    pixel = CAMERAS['ideal'].project([0.2, -0.1, 2.0])
+    np.testing.assert_allclose(pixel, [254.0 + 57.0, 193.5 - 28.6])
+
+
+def test_plumb_bob_is_browns_formula() -> None:
+    camera = CAMERAS['plumb_bob']
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = 0.25, -0.15
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    u = 570.0 * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + 254.0
+    v = 572.0 * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + 193.5
+    np.testing.assert_allclose(camera.project([x, y, 1.0]), [u, v])
+
+
+@pytest.mark.parametrize('camera', CAMERAS.values(), ids=CAMERAS.keys())
+def test_what_is_behind_or_folds_back_has_no_pixel(camera: CameraModel) -> None:
+    pixels = camera.project([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [30.0, 0.0, 1.0]])
+    assert np.isnan(pixels).all()
+
+
+def test_shapes_are_kept_and_nothing_stays_nothing() -> None:
+    camera = CAMERAS['plumb_bob']
+    assert camera.unproject(np.full((2, 3, 2), 100.0)).shape == (2, 3, 3)
+    assert camera.project(np.ones((2, 3, 3))).shape == (2, 3, 2)
+    assert camera.unproject(np.empty((0, 2))).shape == (0, 3)
+
+
+def test_ray_grid_holds_the_ray_of_each_pixel() -> None:
+    camera = CAMERAS['plumb_bob']
+    grid = camera.ray_grid
+    assert grid.shape == (384, 512, 2)
+    np.testing.assert_allclose(grid[300, 40], camera.unproject([40, 300])[:2], atol=1e-6)
+
+
+def test_contains_respects_the_margin() -> None:
+    pixels = [[5.0, 5.0], [0.0, 0.0], [511.0, 383.0], [512.0, 10.0], [np.nan, 3.0]]
+    camera = CAMERAS['ideal']
+    assert camera.contains(pixels).tolist() == [True, True, True, False, False]
+    assert camera.contains(pixels, 5.0).tolist() == [True, False, False, False, False]
+
+
+def test_half_field_of_view_is_the_smaller_side() -> None:
+    assert CAMERAS['ideal'].half_fov_rad == pytest.approx(np.arctan(254.0 / 570.0))
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        ({'model': 'fov'}, "'fov' is not supported: publish camera_info as one of equidistant"),
+        ({'distortion': (0.1,) * 6}, 'takes 5 distortion coefficients at most'),
+        ({'fx': 0.0}, 'not a calibrated camera'),
+        ({'cx': float('nan')}, 'not a calibrated camera'),
+        ({'width': 0}, '0 x 384 image'),
+    ],
+)
+def test_what_is_no_camera_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(LandmarkNavError, match=message):
+        CameraModel(**{**SIZE, **change})
+
+
+def test_rpy_turns_about_fixed_axes_roll_first() -> None:
+    np.testing.assert_allclose(rotation_rpy([0, 0, np.pi / 2]) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(rotation_rpy([0, np.pi / 2, 0]) @ [1, 0, 0], [0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(
+        rotation_rpy([np.pi / 2, 0, np.pi / 2]) @ [0, 1, 0], [0, 0, 1], atol=1e-15
+    )
+
+
+def test_at_zero_the_camera_looks_ahead() -> None:
+    rotation, center = PanTiltMount(axis_xyz=(0.1, 0.2, 1.1)).camera_pose_base(0.0)
+    np.testing.assert_allclose(rotation @ [0, 0, 1], [1, 0, 0], atol=1e-15)  # forward
+    np.testing.assert_allclose(rotation @ [1, 0, 0], [0, -1, 0], atol=1e-15)  # image right
+    np.testing.assert_allclose(rotation @ [0, 1, 0], [0, 0, -1], atol=1e-15)  # image down
+    np.testing.assert_allclose(center, [0.1, 0.2, 1.1])
+
+
+def test_pan_is_to_the_left_and_tilt_upwards() -> None:
+    mount = PanTiltMount()
+    left, _ = mount.camera_pose_base(np.pi / 2)
+    np.testing.assert_allclose(left @ [0, 0, 1], [0, 1, 0], atol=1e-15)
+    up, _ = mount.camera_pose_base(0.0, np.pi / 6)
+    np.testing.assert_allclose(up @ [0, 0, 1], [np.cos(np.pi / 6), 0, 0.5], atol=1e-15)
+
+
+@settings(max_examples=30)
+@given(st.floats(-4.0, 4.0), st.floats(-1.0, 1.0))
+def test_optical_center_turns_with_the_camera(pan: float, tilt: float) -> None:
+    mount = PanTiltMount(axis_xyz=(0.1, 0.0, 1.0), optical_center_offset=(0.05, 0.02, 0.03))
+    rotation, center = mount.camera_pose_base(pan, tilt)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    # Forward, left and up of the camera are z, -x and -y of its optical frame.
+    offset = rotation @ np.array([-0.02, -0.03, 0.05])
+    np.testing.assert_allclose(center, np.array([0.1, 0.0, 1.0]) + offset, atol=1e-12)
+
+
+def test_many_angles_at_once_equal_one_by_one() -> None:
+    mount = PanTiltMount(axis_rpy=(0.01, -0.02, 0.3), optical_center_offset=(0.05, 0.0, 0.0))
+    pans, tilts = np.linspace(-3, 3, 5), np.linspace(-0.3, 0.3, 5)
+    rotations, centers = mount.camera_pose_base(pans, tilts)
+    for k in range(5):
+        rotation, center = mount.camera_pose_base(pans[k], tilts[k])
+        np.testing.assert_allclose(rotations[k], rotation)
+        np.testing.assert_allclose(centers[k], center)

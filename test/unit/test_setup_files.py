@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.setup_files import load_robot, load_room
+
+ROOM = """\
+frame_id: hall
+walls:
+- {id: south, start: [0, 0], end: [4, 0], height: 2.5}
+- {id: east, start: [4, 0], end: [4, 3], height: 2.5}
+- {id: slant, start: [4, 3], end: [0, 0], height: 2.5}
+reference_area:
+  papers:
+  - {color: red, center: [1, 0, 1.5], width: 0.2, height: 0.3}
+"""
+ROBOT = """\
+pan_joint: neck
+pan_axis: {xyz: [0.1, 0, 1.1], rpy: [0, 0, 0.2]}
+optical_center_offset: [0.05, 0, 0.02]
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / 'setup.yaml'
+    path.write_text(text, encoding='utf-8')
+    return path
+
+
+def test_room_as_written(tmp_path: Path) -> None:
+    room = load_room(written(tmp_path, ROOM))
+    assert room.frame_id == 'hall'
+    assert [(wall.id, wall.start, wall.height) for wall in room.walls][1] == ('east', (4, 0), 2.5)
+    (paper,) = room.papers
+    assert (paper.color, paper.center, paper.height) == ('red', (1, 0, 1.5), 0.3)
+
+
+def test_a_room_needs_no_papers(tmp_path: Path) -> None:
+    assert load_room(written(tmp_path, ROOM.partition('reference_area')[0])).papers == ()
+
+
+def test_robot_as_written_and_defaults(tmp_path: Path) -> None:
+    mount = load_robot(written(tmp_path, ROBOT))
+    assert mount.axis_xyz == (0.1, 0, 1.1)
+    assert mount.axis_rpy == (0, 0, 0.2)
+    assert mount.optical_center_offset == (0.05, 0, 0.02)
+    assert (mount.base_frame, mount.pan_joint, mount.tilt_joint) == (
+        'base_link',
+        'neck',
+        'tilt_joint',
+    )
+    bare = load_robot(written(tmp_path, 'pan_axis: {xyz: [0, 0, 1]}'))
+    assert bare.axis_rpy == bare.optical_center_offset == (0.0, 0.0, 0.0)
+
+
+def test_the_study_room_is_read(shared_data: Path) -> None:
+    room = load_room(shared_data / 'study' / 'room.yaml')
+    assert len(room.walls) == 4
+    assert [paper.color for paper in room.papers] == ['red', 'green', 'blue']
+    assert load_robot(shared_data / 'study' / 'robot.yaml').axis_xyz == (0.08, 0.0, 1.1)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('- 1', 'holds no mapping'),
+        ('', 'holds no mapping'),
+        ('a: [1', 'not YAML'),
+        ('frame_id: map', 'walls is missing'),
+        ('walls: 3', 'walls is not a list'),
+        ('walls: [3]', r'walls\[0\]: id is missing'),
+        (
+            ROOM.replace('start: [0, 0]', 'start: [0]'),
+            r'walls\[0\]: start is .* list of 2 numbers',
+        ),
+        (ROOM.replace('[4, 3], height: 2.5', '[4, 3], height: tall'), r'walls\[1\]: height is'),
+        (ROOM.replace('height: 2.5', 'height: true', 1), r'walls\[0\]: height is True, not a'),
+        (ROOM.replace('height: 2.5', 'height: .nan', 1), r'walls\[0\]: height is nan, not a'),
+        (ROOM.replace('color: red, ', ''), r'papers\[0\]: color is missing'),
+        (ROOM.replace('end: [4, 3]', 'end: [4, 2]'), 'the walls are open: wall east'),
+    ],
+)
+def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(LandmarkNavError, match=message) as caught:
+        load_room(path)
+    assert str(caught.value).startswith(f'{path}: ')
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('base_frame: base_link', 'pan_axis is missing'),
+        ('pan_axis: 3', 'xyz is missing'),
+        ('pan_axis: {xyz: [0, 0, high]}', "xyz is 'high', not a number"),
+        ('pan_axis: {xyz: [0, 0, 1], rpy: 0}', 'rpy is 0, not a list of 3 numbers'),
+        ('pan_axis: {xyz: [0, 0, 1]}\noptical_center_offset: [1]', 'optical_center_offset is'),
+    ],
+)
+def test_a_bad_robot_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(LandmarkNavError, match=message):
+        load_robot(written(tmp_path, text))
+
+
+def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LandmarkNavError, match=r'nowhere.yaml: cannot be read'):
+        load_room(tmp_path / 'nowhere.yaml')
+    binary = tmp_path / 'binary.yaml'
+    binary.write_bytes(b'\xff\xfe\x00')
+    with pytest.raises(LandmarkNavError, match=r'binary.yaml: cannot be read'):
+        load_robot(binary)
