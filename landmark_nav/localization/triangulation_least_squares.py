@@ -63,7 +63,7 @@ def solve(
         gradient = bearing_gradients(pose, position)
         residual = bearing_residuals(pose, position, bearing)
         jacobian = np.column_stack([gradient, np.full(len(bearing), -1.0)])
-        weight: FloatArray = np.linalg.inv(np.diag(variance) + map_share(gradient, map_cov))
+        weight = np.asarray(np.linalg.inv(np.diag(variance) + map_share(gradient, map_cov)))
         normal = jacobian.T @ weight @ jacobian
         # A normal matrix scaled to unit diagonal tells rank from units.
         scale = 1.0 / np.sqrt(np.diag(normal))

@@ -1,0 +1,151 @@
+"""
+Wheel odometry as motion: increments between any two times and how wrong they may be.
+
+White noise follows Borenstein and Feng (1996) in form: variances grow with the way and the turn.
+What is wrong with every increment alike (wheel diameter, track, their difference) is not noise
+but three factors that the filter estimates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray
+
+__all__ = [
+    'Motion',
+    'OdometryNoiseConfig',
+    'fraction_of_motion',
+    'motion_covariance',
+    'twist_motion',
+]
+
+
+class Motion(NamedTuple):
+    """
+    A planar motion in the body frame.
+
+    `increment` (3,) is forward [m], left [m] and turn [rad], over `seconds`, of which nothing is
+    known for `blind_seconds` (odometry missing or broken).
+    """
+
+    increment: FloatArray
+    seconds: float
+    blind_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class OdometryNoiseConfig:
+    """How far wheel odometry is to be trusted."""
+
+    along_m_per_sqrt_m: float = parameter(
+        0.005, 'Sigma along the way after one metre, m.', minimum=0.0, maximum=1.0
+    )
+    across_m_per_sqrt_m: float = parameter(
+        0.005, 'Sigma across the way after one metre, m.', minimum=0.0, maximum=1.0
+    )
+    turn_rad_per_sqrt_m: float = parameter(
+        0.008, 'Sigma of the heading after one metre, rad.', minimum=0.0, maximum=1.0
+    )
+    turn_rad_per_sqrt_rad: float = parameter(
+        0.015, 'Sigma of the heading after one radian of turn, rad.', minimum=0.0, maximum=1.0
+    )
+    floor_m_per_sqrt_s: float = parameter(
+        0.0005, 'Sigma of the position after one second at rest, m.', minimum=0.0, maximum=1.0
+    )
+    floor_rad_per_sqrt_s: float = parameter(
+        0.0003, 'Sigma of the heading after one second at rest, rad.', minimum=0.0, maximum=1.0
+    )
+    blind_m_per_sqrt_s: float = parameter(
+        0.5, 'Sigma of the position after one second without odometry, m.', minimum=0.0
+    )
+    blind_rad_per_sqrt_s: float = parameter(
+        0.5, 'Sigma of the heading after one second without odometry, rad.', minimum=0.0
+    )
+    estimate_odometry_bias: bool = parameter(
+        True, 'Estimate the scale, the drift per metre and the turn scale of the odometry.'
+    )
+    scale_sigma: float = parameter(
+        0.03, 'Sigma of the relative error of the way at the start.', minimum=0.0, maximum=1.0
+    )
+    drift_sigma_rad_per_m: float = parameter(
+        0.01, 'Sigma of the systematic turn per metre at the start.', minimum=0.0, maximum=1.0
+    )
+    turn_scale_sigma: float = parameter(
+        0.03, 'Sigma of the relative error of turns at the start.', minimum=0.0, maximum=1.0
+    )
+    bias_change_per_sqrt_m: float = parameter(
+        0.05,
+        'How far these three wander in one metre, relative to their sigmas at the start.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    max_speed_m_s: float = parameter(
+        3.0, 'Odometry that moves faster has jumped, m/s.', minimum=0.01, maximum=100.0
+    )
+    max_rate_rad_s: float = parameter(
+        6.0, 'Odometry that turns faster has jumped, rad/s.', minimum=0.01, maximum=100.0
+    )
+    horizon_s: float = parameter(
+        0.25,
+        'How far the last twist predicts beyond the last sample, s.',
+        minimum=0.0,
+        maximum=5.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+    @property
+    def bias_sigmas(self) -> FloatArray:
+        """Sigmas at the start of scale, drift and turn scale, (3,); zero if not estimated."""
+        sigmas = (self.scale_sigma, self.drift_sigma_rad_per_m, self.turn_scale_sigma)
+        return np.array(sigmas) if self.estimate_odometry_bias else np.zeros(3)
+
+
+def motion_covariance(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
+    """Variances (3,) of a motion's forward, left and turn; they add up over its parts."""
+    forward, left, turn = motion.increment
+    way = float(np.hypot(forward, left))
+    rest = config.floor_m_per_sqrt_s**2 * motion.seconds
+    rest += config.blind_m_per_sqrt_s**2 * motion.blind_seconds
+    rest_turn = config.floor_rad_per_sqrt_s**2 * motion.seconds
+    rest_turn += config.blind_rad_per_sqrt_s**2 * motion.blind_seconds
+    return np.array(
+        [
+            config.along_m_per_sqrt_m**2 * way + rest,
+            config.across_m_per_sqrt_m**2 * way + rest,
+            config.turn_rad_per_sqrt_m**2 * way
+            + config.turn_rad_per_sqrt_rad**2 * abs(turn)
+            + rest_turn,
+        ]
+    )
+
+
+def twist_motion(linear_m_s: float, angular_rad_s: float, seconds: float) -> FloatArray:
+    """Increment (3,) of a constant twist: an arc."""
+    turn = angular_rad_s * seconds
+    # Chord of the arc; sinc keeps straight motion regular (numpy's has pi in it).
+    chord = linear_m_s * seconds * np.sinc(turn / (2.0 * np.pi))
+    return np.array([chord * np.cos(turn / 2.0), chord * np.sin(turn / 2.0), turn])
+
+
+def fraction_of_motion(increment: FloatArray, fraction: float) -> FloatArray:
+    """
+    First part (3,) of an increment (3,) done at constant twist.
+
+    The exponential of the fraction of the logarithm in SE(2): the chord turns by half the turn.
+    """
+    if fraction <= 0.0:
+        return np.zeros(3)
+    turn = increment[2]
+    ratio = fraction * np.sinc(fraction * turn / (2.0 * np.pi)) / np.sinc(turn / (2.0 * np.pi))
+    chord = ratio * np.array([increment[0], increment[1], 0.0])
+    rotated = compose([0.0, 0.0, (fraction - 1.0) * turn / 2.0], chord)
+    return np.array([rotated[0], rotated[1], fraction * turn])
