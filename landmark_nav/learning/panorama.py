@@ -97,9 +97,7 @@ def synthesize_cylinder(
     total = np.zeros((cylinder.height, cylinder.width, 3), np.float32)
     weight = np.zeros((cylinder.height, cylinder.width), np.float32)
     for slab in slabs:
-        weighted = cv2.multiply(
-            slab.image, cv2.merge([slab.weight] * 3), dtype=cv2.CV_32F
-        )
+        weighted = cv2.multiply(slab.image, cv2.merge([slab.weight] * 3), dtype=cv2.CV_32F)
         for columns, part in _wrapped(slab.start, slab.weight.shape[1], cylinder.width):
             total[:, columns] += weighted[:, part]
             weight[:, columns] += slab.weight[:, part]
@@ -161,7 +159,8 @@ def _slab(
     rays = camera.unproject(border) @ rotation.T
     ahead = rotation[:, 2]
     side = np.arctan2(
-        ahead[0] * rays[:, 1] - ahead[1] * rays[:, 0], ahead[0] * rays[:, 0] + ahead[1] * rays[:, 1]
+        ahead[0] * rays[:, 1] - ahead[1] * rays[:, 0],
+        ahead[0] * rays[:, 0] + ahead[1] * rays[:, 1],
     )
     middle = cylinder.cx - cylinder.fx * np.arctan2(ahead[1], ahead[0])
     start = int(np.floor(middle - cylinder.fx * side.max()))

@@ -27,7 +27,7 @@ from landmark_nav.learning.papers import find_blobs, locate_edges, opponent_imag
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray
 
-__all__ = ['locate_sweep', 'ReferenceAreaConfig', 'SweepPlace']
+__all__ = ['ReferenceAreaConfig', 'SweepPlace', 'locate_sweep']
 
 _SAMPLES_PER_EDGE = 15
 
@@ -238,9 +238,7 @@ class _PaperFitter:
         rise = points_map[:, 2] - self._height - p[3] + p[4] * np.hypot(xy[:, 0], xy[:, 1])
         return self._view.cylinder.project(np.column_stack([xy, rise]))
 
-    def _measure(
-        self, p: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
+    def _measure(self, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
         """Find each edge near where `p` expects it: targets, normals, sigmas, shares found."""
         expected = self._project(p)
         outside = self._to_pixels(np.concatenate([q + 0.01 * o for q, o, _ in self._edges]), p)

@@ -1,0 +1,76 @@
+"""Flat patches on vertical walls: their axes, and the way from rays to texels."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ['patch_axes', 'patch_points', 'rays_to_patch']
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """
+    Right and down, as seen from inside the room, of patches with horizontal normals.
+
+    Parameters
+    ----------
+    normals : array_like, shape (..., 3)
+        Unit normals into the room.
+
+    Returns
+    -------
+    right, down : ndarray, shape (..., 3)
+
+    """
+    n = np.asarray(normals, dtype=np.float64)
+    right = np.stack([-n[..., 1], n[..., 0], np.zeros_like(n[..., 0])], -1)
+    down = np.zeros_like(n)
+    down[..., 2] = -1.0
+    return right, down
+
+
+def patch_points(
+    position: npt.ArrayLike, normal: npt.ArrayLike, shape: tuple[int, int], texel_m: float
+) -> FloatArray:
+    """Points (rows, columns, 3) in map of the texels of a patch centred on `position`."""
+    right, down = patch_axes(normal)
+    column = (np.arange(shape[1]) - (shape[1] - 1) / 2.0) * texel_m
+    row = (np.arange(shape[0]) - (shape[0] - 1) / 2.0) * texel_m
+    return np.asarray(
+        np.asarray(position) + column[None, :, None] * right + row[:, None, None] * down
+    )
+
+
+def rays_to_patch(
+    positions: npt.ArrayLike,
+    normals: npt.ArrayLike,
+    rotation_map_camera: npt.ArrayLike,
+    center_map: npt.ArrayLike,
+) -> FloatArray:
+    """
+    Homographies from rays of a camera to metres on patches.
+
+    A ray (x, y, 1) of the optical frame meets patch k at ``H[k] @ ray``, homogeneous
+    coordinates of metres to the right and down from its centre (Hartley and Zisserman, Multiple
+    View Geometry, 2004, section 13.1).
+
+    Parameters
+    ----------
+    positions, normals : array_like, shape (n, 3)
+        Patch centres and normals in map.
+    rotation_map_camera : array_like, shape (3, 3)
+        Optical frame -> map.
+    center_map : array_like, shape (3,)
+        Optical centre in map.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
+
+    """
+    right, down = patch_axes(normals)
+    offset = np.asarray(positions, dtype=np.float64) - np.asarray(center_map, dtype=np.float64)
+    plane = np.stack([right, down, offset], -1)
+    return np.linalg.inv(np.asarray(rotation_map_camera).T @ plane)

@@ -1,0 +1,187 @@
+"""
+Election: which reconstructed patches become landmarks, and why the others don't.
+
+Livatino and Madsen elect patches whose acquisition camera stands in their observation area; to
+that come the size of the patch, how well its place is known, and whether it was found again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.geometry.patches import patch_axes
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment import Adjustment
+from landmark_nav.learning.stereo import Sighting, wall_texture, WallPatch
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
+
+__all__ = ['ElectionConfig', 'elect']
+
+
+@dataclass(frozen=True)
+class ElectionConfig:
+    """What a landmark must be."""
+
+    max_incidence_rad: float = parameter(
+        1.05, 'greatest angle between the reference view and the normal', minimum=0.1, maximum=1.5
+    )
+    min_size_px: int = parameter(
+        20, 'least width and height in the reference view, pixels', minimum=8, maximum=512
+    )
+    max_off_wall_m: float = parameter(
+        0.06, 'how far off its wall a patch may hang, metres', minimum=0, maximum=1
+    )
+    max_sigma_m: float = parameter(
+        0.03, 'greatest standard deviation of its place along any axis', minimum=1e-4, maximum=1
+    )
+    max_chi_square: float = parameter(
+        13.8, 'greatest misfit between its sightings and its wall', minimum=1, maximum=1000
+    )
+    max_overlap: float = parameter(
+        0.4, 'greatest share of a patch that another may cover', minimum=0, maximum=1
+    )
+    max_count: int = parameter(80, 'most landmarks of a map', minimum=3, maximum=5000)
+    threshold_share: float = parameter(
+        0.75, 'share of the correlation between its own views that counts as found', minimum=0.3,
+        maximum=1,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+def elect(
+    patches: Sequence[WallPatch],
+    sightings: Sequence[Sequence[Sighting]],
+    adjustment: Adjustment,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[ImageArray],
+    room: Room,
+    config: ElectionConfig,
+) -> list[Landmark | Refusal]:
+    """
+    Elect landmarks among reconstructed patches.
+
+    Parameters
+    ----------
+    patches, sightings : sequence
+        What was reconstructed and where it was seen.
+    adjustment : Adjustment
+        Places and covariances in the same order.
+    panoramas : sequence of Panorama
+        With adjusted poses.
+    greys : sequence of ndarray, shape (height, width)
+        Their images in grey.
+    room : Room
+        The walls.
+    config : ElectionConfig
+        Bounds.
+
+    Returns
+    -------
+    list of Landmark or Refusal
+        In the order of `patches`; ids count from 1 in the order of merit.
+
+    """
+    outcomes: list[Landmark | Refusal] = [Refusal('not reached')] * len(patches)
+    covariance = adjustment.own_covariance + np.einsum(
+        'nip,njp->nij', adjustment.shared_loading, adjustment.shared_loading
+    )
+    taken: list[Landmark] = []
+    for k in np.argsort([-patch.candidate.saliency for patch in patches], kind='stable'):
+        patch = patches[k]
+        refusal = _refuse(patch, k, adjustment, covariance[k], panoramas[patch.source], config)
+        if refusal is None and any(
+            _overlap(patch, adjustment.positions[k], other) > config.max_overlap
+            for other in taken
+            if other.wall_id == room.walls[patch.wall].id
+        ):
+            refusal = Refusal('covered by a stronger landmark')
+        if refusal is None and len(taken) >= config.max_count:
+            refusal = Refusal('enough landmarks', f'{config.max_count} stronger ones')
+        if refusal is not None:
+            outcomes[k] = refusal
+            continue
+        score = min(s.score for s in sightings[k])
+        landmark = _landmark(
+            len(taken) + 1, patch, adjustment.positions[k], panoramas[patch.source],
+            greys[patch.source], room,
+            covariance=covariance[k],
+            shared_loading=adjustment.shared_loading[k],
+            threshold=float(np.clip(config.threshold_share * score, 0.55, 0.85)),
+        )  # fmt: skip
+        if landmark is None:
+            outcomes[k] = Refusal('runs out of its panorama')
+            continue
+        outcomes[k] = landmark
+        taken.append(landmark)
+    return outcomes
+
+
+def _refuse(
+    patch: WallPatch,
+    k: int,
+    adjustment: Adjustment,
+    covariance: FloatArray,
+    panorama: Panorama,
+    config: ElectionConfig,
+) -> Refusal | None:
+    off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
+    if abs(off_wall) > config.max_off_wall_m or misfit > config.max_chi_square:
+        return Refusal('not on a wall', f'{off_wall * 100:.0f} cm off, misfit {misfit:.0f}')
+    sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    if sigma > config.max_sigma_m:
+        return Refusal('place too uncertain', f'{sigma * 100:.1f} cm')
+    ray = panorama.center_map[:2] - adjustment.positions[k, :2]
+    incidence = float(np.arccos(np.clip(ray @ patch.normal[:2] / np.hypot(*ray), -1.0, 1.0)))
+    if incidence > config.max_incidence_rad:
+        return Refusal('seen too obliquely', f'{np.degrees(incidence):.0f} deg')
+    if min(patch.candidate.width_px, patch.candidate.height_px) < config.min_size_px:
+        return Refusal('too small')
+    return None
+
+
+def _overlap(patch: WallPatch, position: FloatArray, other: Landmark) -> float:
+    """Share of the smaller of two patches of one wall that the other covers."""
+    size = np.array([patch.shape[1], patch.shape[0]]) * patch.texel_m
+    other_size = np.array([other.width_m, other.height_m])
+    right, down = patch_axes(patch.normal)
+    apart = np.abs([(other.position - position) @ right, (other.position - position) @ down])
+    common = np.clip((size + other_size) / 2.0 - apart, 0.0, np.minimum(size, other_size))
+    return float(np.prod(common) / min(np.prod(size), np.prod(other_size)))
+
+
+def _landmark(
+    number: int,
+    patch: WallPatch,
+    position: FloatArray,
+    panorama: Panorama,
+    grey: ImageArray,
+    room: Room,
+    *,
+    covariance: FloatArray,
+    shared_loading: FloatArray,
+    threshold: float,
+) -> Landmark | None:
+    texture = wall_texture(panorama, grey, position, patch.normal, patch.shape, patch.texel_m)
+    if texture is None:
+        return None
+    return Landmark(
+        id=number,
+        position=position,
+        covariance=covariance,
+        shared_loading=shared_loading,
+        normal=patch.normal,
+        width_m=patch.shape[1] * patch.texel_m,
+        height_m=patch.shape[0] * patch.texel_m,
+        patch=np.clip(np.rint(texture), 0, 255).astype(np.uint8),
+        viewpoint=panorama.center_map,
+        threshold=threshold,
+        wall_id=room.walls[patch.wall].id,
+        saliency=patch.candidate.saliency,
+    )

@@ -1,0 +1,306 @@
+"""
+Learning, stage by stage.
+
+sweep -> cylinder -> place from the reference area -> panorama;
+panoramas -> candidates -> wall patches -> sightings -> adjustment -> election -> map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
+from landmark_nav.learning.attention import AttentionConfig, select_candidates
+from landmark_nav.learning.election import elect, ElectionConfig
+from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig, SweepPlace
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.stereo import (
+    hypothesize,
+    match_in,
+    own_sighting,
+    Sighting,
+    StereoConfig,
+    WallPatch,
+)
+from landmark_nav.types import (
+    Candidate,
+    FloatArray,
+    Landmark,
+    LandmarkMap,
+    Panorama,
+    PoseEstimate,
+    Refusal,
+    Sweep,
+)
+
+__all__ = [
+    'LearningConfig',
+    'LearningResult',
+    'PanoramaStages',
+    'learn_from_panoramas',
+    'panorama_from_sweep',
+]
+
+
+@dataclass(frozen=True)
+class PanoramaStages:
+    """Parameters of the stages from sweep to panorama."""
+
+    panorama: PanoramaConfig = field(default_factory=PanoramaConfig)
+    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
+
+
+@dataclass(frozen=True)
+class LearningConfig:
+    """Parameters of the stages from panoramas to map."""
+
+    attention: AttentionConfig = field(default_factory=AttentionConfig)
+    stereo: StereoConfig = field(default_factory=StereoConfig)
+    adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
+    election: ElectionConfig = field(default_factory=ElectionConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class LearningResult:
+    """
+    What was learned and what became of every candidate.
+
+    `panoramas` carry their adjusted poses. `candidates` and `outcomes` have one tuple a
+    panorama, in the same order: the elected `Landmark` or why there is none.
+    """
+
+    map: LandmarkMap
+    panoramas: tuple[Panorama, ...]
+    candidates: tuple[tuple[Candidate, ...], ...]
+    outcomes: tuple[tuple[Landmark | Refusal, ...], ...]
+    reconstructed: int
+
+
+def panorama_from_sweep(
+    sweep: Sweep,
+    room: Room,
+    mount: PanTiltMount,
+    config: PanoramaStages,
+    log: StageLog | None = None,
+) -> Panorama:
+    """
+    Make the panorama of a sweep and find where it was taken.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Frames of one turn; its place too, if it is known from elsewhere.
+    room : Room
+        Walls and reference papers.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : PanoramaStages
+        Parameters.
+    log : StageLog, optional
+        Where times go.
+
+    Returns
+    -------
+    Panorama
+
+    Raises
+    ------
+    LandmarkNavError
+        No frames, or the papers don't give one place.
+
+    """
+    if not sweep.frames:
+        raise LandmarkNavError('the sweep has no frames: call capture_sweep again')
+    log = log or StageLog()
+    with log.measure('panorama'):
+        view = synthesize_cylinder(sweep, mount, config.panorama)
+    with log.measure('reference_area'):
+        place = _place(view, sweep, room, mount, config)
+    if any(mount.optical_center_offset[:2]):
+        # The optical centre swings around the axis: with the walls' distance that is undone,
+        # which needs the place, which the undoing makes a little better in turn.
+        with log.measure('panorama'):
+            heading = place.pose_map_base[2]
+            axis = _axis(place, mount)
+            view = synthesize_cylinder(
+                sweep,
+                mount,
+                config.panorama,
+                lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], 50.0),
+            )
+        with log.measure('reference_area'):
+            place = _place(view, sweep, room, mount, config)
+    return Panorama(
+        sweep.stamp_ns,
+        view.image,
+        view.mask,
+        view.cylinder,
+        _axis(place, mount),
+        float(place.pose_map_base[2]),
+        _axis_covariance(place, mount),
+    )
+
+
+def _place(
+    view: CylinderImage, sweep: Sweep, room: Room, mount: PanTiltMount, config: PanoramaStages
+) -> SweepPlace:
+    known = sweep.pose_map_base
+    if known is None:
+        return locate_sweep(view, room, mount, config.reference_area)
+    covariance = np.zeros((4, 4))
+    plane = np.ix_([0, 1, 3], [0, 1, 3])
+    covariance[plane] = known.covariance + 1e-10 * np.eye(3)
+    covariance[2, 2] = config.reference_area.height_sigma_m**2
+    tilt = sweep.frames[0].tilt_rad
+    height = float(mount.camera_pose_base(0.0, tilt)[1][2])
+    return SweepPlace(known.pose, height, covariance)
+
+
+def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
+    """The panorama's viewpoint: the pan axis at the height of the optical centre."""
+    axis = se2.compose(place.pose_map_base, [*mount.axis_xyz[:2], 0.0])
+    return np.array([axis[0], axis[1], place.height_m])
+
+
+def _axis_covariance(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
+    jacobian = np.eye(4)
+    lever = se2.rotation(place.pose_map_base[2]) @ np.asarray(mount.axis_xyz[:2])
+    jacobian[0, 3], jacobian[1, 3] = -lever[1], lever[0]
+    return np.asarray(jacobian @ place.covariance @ jacobian.T)
+
+
+def learn_from_panoramas(
+    panoramas: Sequence[Panorama],
+    room: Room,
+    config: LearningConfig,
+    log: StageLog | None = None,
+) -> LearningResult:
+    """
+    Learn landmarks from two panoramas or more.
+
+    Parameters
+    ----------
+    panoramas : sequence of Panorama
+        From different places.
+    room : Room
+        Walls that carry landmarks.
+    config : LearningConfig
+        Parameters.
+    log : StageLog, optional
+        Where times go.
+
+    Returns
+    -------
+    LearningResult
+
+    Raises
+    ------
+    LandmarkNavError
+        One panorama only, all from one place, or no landmark at all.
+
+    """
+    _check(panoramas)
+    log = log or StageLog()
+    greys = [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY) for p in panoramas]
+    with log.measure('attention'):
+        candidates = tuple(select_candidates(p, config.attention) for p in panoramas)
+
+    patches: list[WallPatch] = []
+    sightings: list[list[Sighting]] = []
+    origin: list[tuple[int, int]] = []
+    outcomes: list[list[Landmark | Refusal]] = [[] for _ in panoramas]
+    with log.measure('stereo'):
+        for i, panorama in enumerate(panoramas):
+            for n, candidate in enumerate(candidates[i]):
+                patch = hypothesize(candidate, i, panorama, room, config.stereo)
+                if isinstance(patch, Refusal):
+                    outcomes[i].append(patch)
+                    continue
+                found = [
+                    match_in(patch, j, panoramas, greys, room, config.stereo)
+                    for j in range(len(panoramas))
+                    if j != i
+                ]
+                seen = [s for s in found if isinstance(s, Sighting)]
+                if not seen:
+                    outcomes[i].append(next(s for s in found if isinstance(s, Refusal)))
+                    continue
+                outcomes[i].append(Refusal('not elected'))
+                patches.append(patch)
+                sightings.append([own_sighting(patch, panorama), *seen])
+                origin.append((i, n))
+    if len(patches) < 3:
+        raise LandmarkNavError(
+            f'{len(patches)} of {sum(map(len, candidates))} candidates were found again from '
+            f'another place ({_reasons(outcomes)}): take panoramas 1 to 3 m apart that see the '
+            'same textured walls, and check room.yaml'
+        )
+    with log.measure('adjustment'):
+        start = np.array([patch.position for patch in patches])
+        adjustment = adjust(
+            sightings, [p.wall for p in patches], start, panoramas, room, config.adjustment
+        )
+    adjusted = tuple(
+        replace(p, center_map=pose[:3], heading_rad=float(pose[3]), covariance=covariance)
+        for p, pose, covariance in zip(
+            panoramas, adjustment.poses, adjustment.pose_covariance, strict=True
+        )
+    )
+    with log.measure('election'):
+        elected = elect(patches, sightings, adjustment, adjusted, greys, room, config.election)
+    for (i, n), outcome in zip(origin, elected, strict=True):
+        outcomes[i][n] = outcome
+    landmarks = sorted((e for e in elected if isinstance(e, Landmark)), key=lambda e: e.id)
+    if not landmarks:
+        raise LandmarkNavError(
+            f'no landmark elected ({_reasons(outcomes)}): check that room.yaml fits the room'
+        )
+    plane = np.ix_([0, 1, 3], [0, 1, 3])
+    return LearningResult(
+        LandmarkMap(
+            tuple(landmarks),
+            room.frame_id,
+            room.walls,
+            tuple(
+                PoseEstimate(
+                    p.stamp_ns, np.array([*p.center_map[:2], p.heading_rad]), p.covariance[plane]
+                )
+                for p in adjusted
+            ),
+        ),
+        adjusted,
+        candidates,
+        tuple(tuple(o) for o in outcomes),
+        len(patches),
+    )
+
+
+def _check(panoramas: Sequence[Panorama]) -> None:
+    if len(panoramas) < 2:
+        raise LandmarkNavError(
+            f'learning needs two panoramas from different places, there is {len(panoramas)}: '
+            'drive 1 to 3 m on and call capture_sweep again'
+        )
+    centers = np.array([p.center_map[:2] for p in panoramas])
+    spread = float(np.max(np.linalg.norm(centers[:, None] - centers[None], axis=-1)))
+    if spread < 0.2:
+        raise LandmarkNavError(
+            f'all {len(panoramas)} panoramas are from one place (within {spread:.2f} m): '
+            'drive 1 to 3 m on and call capture_sweep again'
+        )
+
+
+def _reasons(outcomes: Sequence[Sequence[Landmark | Refusal]]) -> str:
+    """Count the refusals, the commonest first."""
+    reasons = [o.reason for group in outcomes for o in group if isinstance(o, Refusal)]
+    ranked = sorted(set(reasons), key=lambda r: -reasons.count(r))
+    return ', '.join(f'{reasons.count(r)} {r}' for r in ranked)

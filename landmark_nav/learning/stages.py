@@ -1,0 +1,33 @@
+"""What each stage of learning took."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+import resource
+import time
+
+__all__ = ['StageLog']
+
+
+@dataclass
+class StageLog:
+    """Seconds of each stage by name, and the process's peak memory at its end, megabytes."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    peak_memory_mb: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def measure(self, stage: str) -> Iterator[None]:
+        """Add the time of the block to a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            took = time.perf_counter() - start
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + took
+            # Linux reports kilobytes.
+            self.peak_memory_mb[stage] = (
+                resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+            )

@@ -1,0 +1,280 @@
+"""
+Stereo between panoramas: where candidates lie on the walls, found again from another place.
+
+A candidate's ray meets a wall; the patch of wall that it then shows is what the other panorama
+should show too, wherever it was taken from. Both views are resampled on the wall, so that slant
+and distance are undone and only the shift along the epipolar curve is left to search (McMillan
+and Bishop, SIGGRAPH 1995, give the curve; on the wall it is a short straight line).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.patches import patch_axes, patch_points
+from landmark_nav.geometry.walls import Room
+from landmark_nav.matching import match_template
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
+
+__all__ = ['Sighting', 'StereoConfig', 'WallPatch', 'hypothesize', 'match_in', 'wall_texture']
+
+
+@dataclass(frozen=True)
+class StereoConfig:
+    """What counts as the same patch seen from two places."""
+
+    min_score: float = parameter(
+        0.75, 'least normalized cross-correlation between two views', minimum=0, maximum=1
+    )
+    max_second_ratio: float = parameter(
+        0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1
+    )
+    max_incidence_rad: float = parameter(
+        1.15, 'greatest angle between a view and the normal', minimum=0.1, maximum=1.5
+    )
+    min_parallax_rad: float = parameter(
+        0.10, 'least angle between two views of a landmark', minimum=0, maximum=1.5
+    )
+    behind_wall_m: float = parameter(
+        0.15, 'how far behind the wall a match is searched', minimum=0, maximum=2
+    )
+    before_wall_m: float = parameter(
+        0.5, 'how far before the wall a match is searched', minimum=0, maximum=5
+    )
+    margin_m: float = parameter(
+        0.04, 'search around the epipolar line for pose errors', minimum=0.005, maximum=0.5
+    )
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+@dataclass(frozen=True, eq=False)
+class WallPatch:
+    """
+    The piece of wall that a candidate shows if it lies on the wall.
+
+    `position` (3,) and `normal` (3,) in map; `shape` (rows, columns) and `texel_m` of its
+    texture; `source` is the panorama it was proposed in.
+    """
+
+    candidate: Candidate
+    source: int
+    wall: int
+    position: FloatArray
+    normal: FloatArray
+    shape: tuple[int, int]
+    texel_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Where a panorama shows a patch: azimuth in its base frame, tangent, their sigmas."""
+
+    panorama: int
+    azimuth_rad: float
+    tangent: float
+    sigma_azimuth_rad: float
+    sigma_tangent: float
+    score: float
+
+
+def hypothesize(
+    candidate: Candidate, source: int, panorama: Panorama, room: Room, config: StereoConfig
+) -> WallPatch | Refusal:
+    """Patch of wall behind a candidate of panorama number `source`."""
+    cylinder = panorama.cylinder
+    azimuth = float(cylinder.azimuth_rad(candidate.column)) + panorama.heading_rad
+    tangent = float(cylinder.tangent(candidate.row))
+    distances, walls = room.raycast(panorama.center_map[:2], azimuth)
+    distance, wall = float(distances), int(walls)
+    if wall < 0:
+        return Refusal('no wall behind it')
+    height = float(panorama.center_map[2]) + distance * tangent
+    if not 0.05 < height < room.walls[wall].height - 0.05:
+        return Refusal('floor or ceiling', f'height {height:.2f} m')
+    normal = room.normals[wall]
+    direction = np.array([np.cos(azimuth), np.sin(azimuth)])
+    cosine = float(-direction @ normal[:2])
+    if cosine < np.cos(config.max_incidence_rad):
+        return Refusal('too oblique', f'{np.degrees(np.arccos(cosine)):.0f} deg')
+    texel = distance / cylinder.fy
+    shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))
+    position = np.append(panorama.center_map[:2] + distance * direction, height)
+    right, _ = patch_axes(normal)
+    ends = position[:2] + np.array([[-0.5], [0.5]]) * shape[1] * texel * right[:2]
+    start, side = room.walls[wall].start, np.subtract(room.walls[wall].end, room.walls[wall].start)
+    share = (ends - start) @ side / (side @ side)
+    if share.min() < 0.0 or share.max() > 1.0:
+        return Refusal('across the corner of two walls')
+    return WallPatch(candidate, source, wall, position, normal, shape, texel)
+
+
+def own_sighting(patch: WallPatch, panorama: Panorama) -> Sighting:
+    """The patch in the panorama that proposed it: there it is by definition."""
+    cylinder = panorama.cylinder
+    return Sighting(
+        patch.source,
+        float(cylinder.azimuth_rad(patch.candidate.column)),
+        float(cylinder.tangent(patch.candidate.row)),
+        0.0,
+        0.0,
+        1.0,
+    )
+
+
+def wall_texture(
+    panorama: Panorama,
+    grey: ImageArray,
+    position: FloatArray,
+    normal: FloatArray,
+    shape: tuple[int, int],
+    texel_m: float,
+) -> npt.NDArray[np.float32] | None:
+    """
+    What a panorama shows of a patch of wall.
+
+    Parameters
+    ----------
+    panorama : Panorama
+        The view.
+    grey : ndarray, shape (height, width)
+        Its image in grey.
+    position, normal : ndarray, shape (3,)
+        Centre and normal of the patch in map.
+    shape : tuple of int
+        Rows and columns.
+    texel_m : float
+        Size of a texel, metres.
+
+    Returns
+    -------
+    ndarray of float32, shape `shape`, or None
+        None where the panorama does not cover it.
+
+    """
+    points = patch_points(position, normal, shape, texel_m) - panorama.center_map
+    turned = points[..., :2] @ se2.rotation(panorama.heading_rad)
+    pixels = panorama.cylinder.project(np.concatenate([turned, points[..., 2:]], -1))
+    rows = pixels[..., 1]
+    if rows.min() < 1.0 or rows.max() > grey.shape[0] - 2.0:
+        return None
+    corner = pixels[:: max(shape[0] - 1, 1), :: max(shape[1] - 1, 1)].reshape(-1, 2)
+    inside = np.rint(corner).astype(int)
+    if not panorama.mask[inside[:, 1], inside[:, 0] % grey.shape[1]].all():
+        return None
+    maps = pixels.astype(np.float32)
+    found = cv2.remap(
+        grey.astype(np.float32), maps[..., 0], maps[..., 1], cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_WRAP,
+    )  # fmt: skip
+    return np.asarray(found, dtype=np.float32)
+
+
+def match_in(
+    patch: WallPatch,
+    other: int,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[ImageArray],
+    room: Room,
+    config: StereoConfig,
+) -> Sighting | Refusal:
+    """Find a patch of one panorama in another, number `other`."""
+    here, there = panoramas[patch.source], panoramas[other]
+    if not room.visible(there.center_map[:2], patch.position[:2]):
+        return Refusal('hidden from the other place')
+    to_here = here.center_map - patch.position
+    to_there = there.center_map - patch.position
+    cosine = float(to_there[:2] @ patch.normal[:2]) / float(np.hypot(*to_there[:2]))
+    if cosine < np.cos(config.max_incidence_rad):
+        return Refusal('too oblique from the other place')
+    parallax = abs(np.arctan2(*_cross_dot(to_here[:2], to_there[:2])))
+    if parallax < config.min_parallax_rad:
+        return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
+
+    # Depth along the source's ray moves the match along a line on the wall.
+    cosine_here = float(to_here[:2] @ patch.normal[:2]) / float(np.hypot(*to_here[:2]))
+    ends = np.array([-config.behind_wall_m, config.before_wall_m]) / cosine_here
+    away = to_here / np.hypot(*to_here[:2])
+    shifts = np.array(
+        [_on_wall(patch, patch.position + depth * away, there.center_map) for depth in ends]
+    )
+    margin = config.margin_m / patch.texel_m + 3.0
+    low = np.floor(np.minimum(shifts.min(0), 0.0) / patch.texel_m - margin).astype(int)
+    high = np.ceil(np.maximum(shifts.max(0), 0.0) / patch.texel_m + margin).astype(int)
+    right, down = patch_axes(patch.normal)
+    middle = (low + high) / 2.0 * patch.texel_m
+    span = high - low
+    shape = (patch.shape[0] + int(span[1]), patch.shape[1] + int(span[0]))
+    center = patch.position + middle[0] * right + middle[1] * down
+    search = wall_texture(there, greys[other], center, patch.normal, shape, patch.texel_m)
+    template = wall_texture(
+        here, greys[patch.source], patch.position, patch.normal, patch.shape, patch.texel_m
+    )
+    if search is None or template is None:
+        return Refusal('not covered by both panoramas')
+    # The sharper view is blurred to what the other can show, or the peak would suffer.
+    own, seen = (_texels_per_pixel(patch, p) for p in (here, there))
+    template = _blur_to(template, own, seen)
+    search = _blur_to(search, seen, own)
+    match = match_template(
+        search, template, min_score=config.min_score, max_second_ratio=config.max_second_ratio
+    )
+    if isinstance(match, Refusal):
+        return match
+    from_center = (match.xy - (np.array(shape[::-1]) - 1) / 2.0) * patch.texel_m
+    point = center + from_center[0] * right + from_center[1] * down
+    ray = point - there.center_map
+    reach = float(np.hypot(ray[0], ray[1]))
+    azimuth = np.arctan2(ray[1], ray[0]) - there.heading_rad
+    sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m
+    return Sighting(
+        other,
+        float(azimuth),
+        float(ray[2]) / reach,
+        float(sigma[0]) * cosine / reach,
+        float(sigma[1]) / reach,
+        match.score,
+    )
+
+
+def _cross_dot(a: FloatArray, b: FloatArray) -> tuple[float, float]:
+    return float(a[0] * b[1] - a[1] * b[0]), float(a @ b)
+
+
+def _on_wall(patch: WallPatch, point: FloatArray, center: FloatArray) -> FloatArray:
+    """Metres right and down on the wall where a point appears from `center`."""
+    ray = point - center
+    scale = ((patch.position - center) @ patch.normal) / min(float(ray @ patch.normal), -1e-3)
+    shift = center + scale * ray - patch.position
+    right, down = patch_axes(patch.normal)
+    return np.array([shift @ right, shift @ down])
+
+
+def _texels_per_pixel(patch: WallPatch, panorama: Panorama) -> FloatArray:
+    """How many texels one pixel of a panorama covers, across and along the wall."""
+    ray = patch.position - panorama.center_map
+    reach = float(np.hypot(ray[0], ray[1]))
+    cosine = -float(ray[:2] @ patch.normal[:2]) / reach
+    pixel = reach / panorama.cylinder.fy / patch.texel_m
+    return np.array([pixel / max(cosine, 0.1), pixel])
+
+
+def _blur_to(
+    texture: npt.NDArray[np.float32], own: FloatArray, other: FloatArray
+) -> npt.NDArray[np.float32]:
+    """Blur a texture of resolution `own` to `other` where that is coarser (texels a pixel)."""
+    sigma = 0.5 * np.sqrt(np.maximum(other**2 - own**2, 0.0))
+    if sigma.max() < 0.3:
+        return texture
+    x, y = np.maximum(sigma, 0.01)
+    blurred = cv2.GaussianBlur(texture, (0, 0), sigmaX=float(x), sigmaY=float(y))
+    return np.asarray(blurred, dtype=np.float32)
