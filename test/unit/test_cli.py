@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+import subprocess
+import sys
+import types
+from typing import Any
+
+import pytest
+
+from landmark_nav.cli.main import COMMANDS, main
+from landmark_nav.cli.progress import progress
+from landmark_nav.errors import LandmarkNavError
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
+    """Command `learn` replaced by one that each test gives its own `run`."""
+    module = types.ModuleType('landmark_nav.cli.learn')
+
+    def add_parser(commands: Any) -> None:
+        commands.add_parser('learn', help='a command').add_argument('bag')
+
+    module.add_parser = add_parser  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, 'landmark_nav.cli.learn', module)
+    return module
+
+
+def failing(error: BaseException) -> Any:
+    def run(args: argparse.Namespace) -> int:
+        raise error
+
+    return run
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['--help']) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in COMMANDS)
+
+
+@pytest.mark.parametrize('arguments', [[], ['no-such-thing'], ['learn', '--frobnicate']])
+def test_wrong_usage_is_status_2(
+    arguments: list[str], command: types.ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert 'usage: landmark-nav' in capsys.readouterr().err
+
+
+def test_a_command_gets_its_arguments_and_gives_its_status(command: types.ModuleType) -> None:
+    seen = []
+    command.run = lambda args: seen.append(args.bag) or 1  # type: ignore[attr-defined]
+    assert main(['-v', 'learn', 'folder']) == 1
+    assert seen == ['folder']
+
+
+@pytest.mark.parametrize(
+    ('error', 'line'),
+    [
+        (LandmarkNavError('room.yaml: no walls: add some'), 'room.yaml: no walls: add some'),
+        (LandmarkNavError('two\n  lines'), 'two lines'),
+        (PermissionError(13, 'Permission denied', '/map'), "[Errno 13] Permission denied: '/map'"),
+        (ModuleNotFoundError('x', name='cv2'), 'cv2 is not installed: pip install opencv-pyth'),
+        (ModuleNotFoundError('x', name='rclpy.node'), 'needs ROS 2 and rclpy is not installed: '),
+        (ModuleNotFoundError('x', name='std_srvs.srv'), 'needs ROS 2 and std_srvs is not inst'),
+    ],
+)
+def test_what_a_user_can_mend_is_one_line(
+    error: Exception, line: str, command: types.ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command.run = failing(error)  # type: ignore[attr-defined]
+    assert main(['learn', 'bag']) == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith(f'landmark-nav learn: {line}')
+    assert printed.count('\n') == 1
+
+
+def test_a_bug_keeps_its_traceback(command: types.ModuleType) -> None:
+    command.run = failing(ModuleNotFoundError('x', name='landmark_nav.gone'))  # type: ignore[attr-defined]
+    with pytest.raises(ModuleNotFoundError):
+        main(['learn', 'bag'])
+
+
+def test_interrupted_is_status_130(command: types.ModuleType) -> None:
+    command.run = failing(KeyboardInterrupt())  # type: ignore[attr-defined]
+    assert main(['learn', 'bag']) == 130
+
+
+def test_a_reader_that_leaves_is_no_error() -> None:
+    # The other end of the pipe is closed before anything is written.
+    code = (
+        'import sys, types\n'
+        'command = types.ModuleType("learn")\n'
+        'command.add_parser = lambda commands: commands.add_parser("learn")\n'
+        'command.run = lambda args: print("x" * 10**6) or 0\n'
+        'sys.modules["landmark_nav.cli.learn"] = command\n'
+        'from landmark_nav.cli.main import main\n'
+        'sys.exit(main(["learn"]))\n'
+    )
+    process = subprocess.Popen(
+        [sys.executable, '-c', code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    assert process.stderr.read() == ''
+    process.wait(timeout=20)
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, '--help']) == 0
+    assert f'usage: landmark-nav {name}' in capsys.readouterr().out
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        'import sys\n'
+        'from landmark_nav.cli.main import main\n'
+        'main(["--help"])\n'
+        'heavy = {"numpy", "cv2", "scipy", "matplotlib", "rosbags", "rclpy"} & set(sys.modules)\n'
+        'sys.exit(f"loaded {heavy}" if heavy else 0)\n'
+    )
+    result = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, timeout=20
+    )
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize('name', ['demo', 'play'])
+def test_ros_commands_explain_themselves_without_ros(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, 'rclpy', None)
+    monkeypatch.delitem(sys.modules, f'landmark_nav.cli.{name}', raising=False)
+    import_module(f'landmark_nav.cli.{name}')
+    assert main([name, '--help']) == 0
+
+
+def test_progress_passes_everything_through(capsys: pytest.CaptureFixture[str]) -> None:
+    assert list(progress(iter('abc'), 'letters', total=3)) == ['a', 'b', 'c']
+    assert capsys.readouterr().err == ''

@@ -1,0 +1,165 @@
+"""The package's shell: what setup.py, package.xml and the installed prefix say is the same."""
+
+from __future__ import annotations
+
+import ast
+from importlib.metadata import Distribution, distribution, PackageNotFoundError
+import os
+from pathlib import Path
+import re
+import runpy
+import sys
+import types
+from typing import Any
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
+
+# rosdep key -> what pip calls it. There is no key for mcap: rosdep users have it from pip.
+DISTRIBUTIONS = {
+    'python3-matplotlib': 'matplotlib',
+    'python3-numpy': 'numpy',
+    'python3-opencv': 'opencv-python-headless',
+    'python3-rosbags-pip': 'rosbags',
+    'python3-scipy': 'scipy',
+    'python3-tqdm': 'tqdm',
+    'python3-yaml': 'PyYAML',
+}
+# Come with the wheels that the extra `ros` names, or are not there as wheels (launch, tf2).
+NOT_IN_EXTRA = {
+    'builtin_interfaces',
+    'launch',
+    'launch_ros',
+    'rosgraph_msgs',
+    'std_msgs',
+    'tf2_msgs',
+}
+
+
+@pytest.fixture(scope='module')
+def setup_arguments() -> dict[str, Any]:
+    """What setup.py hands to setuptools."""
+    given: dict[str, Any] = {}
+    setuptools = types.ModuleType('setuptools')
+    setuptools.setup = given.update  # type: ignore[attr-defined]
+    setuptools.find_packages = lambda **_: []  # type: ignore[attr-defined]
+    before = Path.cwd()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, 'setuptools', setuptools)
+        os.chdir(REPOSITORY)
+        try:
+            runpy.run_path('setup.py')
+        finally:
+            os.chdir(before)
+    return given
+
+
+@pytest.fixture(scope='module')
+def installed() -> Distribution:
+    try:
+        return distribution('landmark_nav')
+    except PackageNotFoundError:
+        pytest.skip('landmark_nav is not installed, only on the path')
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {re.split(r'[\[=<>]', requirement)[0] for requirement in requirements}
+
+
+def depends(kind: str = 'exec_depend') -> set[str]:
+    return {str(element.text) for element in MANIFEST.iter(kind)}
+
+
+def test_the_manifest_is_format_3_for_ament_python() -> None:
+    assert MANIFEST.get('format') == '3'
+    assert MANIFEST.findtext('export/build_type') == 'ament_python'
+
+
+def test_name_version_and_licence_are_the_same_everywhere(setup_arguments: dict[str, Any]) -> None:
+    for field in ('name', 'version', 'license', 'description'):
+        assert MANIFEST.findtext(field) == setup_arguments[field]
+    changes = (REPOSITORY / 'CHANGELOG.rst').read_text(encoding='utf-8')
+    assert re.search(rf'^{re.escape(setup_arguments["version"])} \(', changes, re.MULTILINE)
+    assert 'Apache License' in (REPOSITORY / 'LICENSE').read_text(encoding='utf-8')
+
+
+def test_python_dependencies_agree(setup_arguments: dict[str, Any]) -> None:
+    keys = {key for key in depends() if key.startswith('python3-')}
+    assert {DISTRIBUTIONS[key] for key in keys} | {'mcap'} == names(
+        setup_arguments['install_requires']
+    )
+
+
+def test_every_third_party_import_is_declared(setup_arguments: dict[str, Any]) -> None:
+    modules = {'cv2': 'opencv-python-headless', 'yaml': 'PyYAML'}
+    ros, python = set(), set()
+    for path in (REPOSITORY / 'landmark_nav').rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            found = []
+            if isinstance(node, ast.Import):
+                found = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                found = [str(node.module)]
+            for name in (name.partition('.')[0] for name in found):
+                if name in sys.stdlib_module_names or name == 'landmark_nav':
+                    continue
+                is_python = name in names(setup_arguments['install_requires']) or name in modules
+                (python if is_python else ros).add(modules.get(name, name))
+    assert python == names(setup_arguments['install_requires'])
+    assert ros <= depends()
+
+
+def test_the_extra_has_the_ros_dependencies(setup_arguments: dict[str, Any]) -> None:
+    ros = {key for key in depends() if not key.startswith('python3-')} - NOT_IN_EXTRA
+    wheels = names(setup_arguments['extras_require']['ros'])
+    assert {f'ros-{key.replace("_", "-")}' for key in ros} == wheels
+
+
+def test_the_oldest_versions_are_those_declared(setup_arguments: dict[str, Any]) -> None:
+    pins = (REPOSITORY / 'test' / 'oldest.txt').read_text(encoding='utf-8')
+    for requirement in setup_arguments['install_requires']:
+        assert re.search(rf'^{re.escape(requirement.replace(">=", "=="))}\b', pins, re.MULTILINE)
+
+
+def test_every_executable_has_a_main(setup_arguments: dict[str, Any]) -> None:
+    for script in setup_arguments['entry_points']['console_scripts']:
+        _, module, function = re.split(r' = |:', script)
+        path = REPOSITORY / f'{module.replace(".", "/")}.py'
+        tree = ast.parse(path.read_text(encoding='utf-8'))
+        assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def test_every_node_can_be_found_by_ros2_run(setup_arguments: dict[str, Any]) -> None:
+    files = dict(setup_arguments['data_files'])['lib/landmark_nav']
+    scripts = setup_arguments['entry_points']['console_scripts']
+    nodes = {script.partition(' = ')[0] for script in scripts if '.nodes.' in script}
+    assert {Path(file).name for file in files} == nodes
+    assert len(nodes) == 8
+    for file in files:
+        assert os.access(REPOSITORY / file, os.X_OK)
+
+
+def test_config_and_launch_files_are_installed(setup_arguments: dict[str, Any]) -> None:
+    data_files = dict(setup_arguments['data_files'])
+    assert data_files['share/ament_index/resource_index/packages'] == ['resource/landmark_nav']
+    for folder, pattern in (('config', 'config/*'), ('launch', 'landmark_nav/launch/*.py')):
+        there = {str(path.relative_to(REPOSITORY)) for path in REPOSITORY.glob(pattern)}
+        assert set(data_files[f'share/landmark_nav/{folder}']) == there
+
+
+def test_the_prefix_holds_what_ros_looks_for(
+    installed: Distribution, setup_arguments: dict[str, Any]
+) -> None:
+    assert installed.version == setup_arguments['version']
+    prefix = Path(sys.prefix)
+    if not (prefix / 'share' / 'landmark_nav').is_dir():
+        pytest.skip(f'landmark_nav was not installed whole into {prefix}')
+    for folder, files in setup_arguments['data_files']:
+        for file in files:
+            assert (prefix / folder / Path(file).name).is_file()
+    for executable in (prefix / 'lib' / 'landmark_nav').iterdir():
+        assert os.access(executable, os.X_OK)
+        assert os.access(prefix / 'bin' / executable.name, os.X_OK)
