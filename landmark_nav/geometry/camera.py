@@ -8,7 +8,7 @@ x right, y down, z forward (REP-103).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -155,11 +155,10 @@ class CameraModel:
         found = project(inside, zero, zero, self.matrix, self._coefficients)[0]
         return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
-    @cached_property
+    @property
     def ray_grid(self) -> npt.NDArray[np.float32]:
-        """Normalised ray x/z, y/z of every pixel, (height, width, 2); computed once."""
-        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
-        return self.unproject(np.stack([u, v], -1))[..., :2].astype(np.float32)
+        """Normalised ray x/z, y/z of every pixel, (height, width, 2); computed once a camera."""
+        return _ray_grid(self)
 
     def contains(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
         """Whether pixels (..., 2) lie in the image, `margin_px` inside its border."""
@@ -177,6 +176,13 @@ class CameraModel:
         """Smaller of the two horizontal half angles of view, radians."""
         edge = self.unproject([[0.0, self.cy], [self.width - 1.0, self.cy]])
         return float(np.arctan(np.abs(edge[:, 0])).min())
+
+
+@lru_cache(maxsize=4)
+def _ray_grid(camera: CameraModel) -> npt.NDArray[np.float32]:
+    # Cached by value: every message brings a camera of its own, equal to the one before.
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    return camera.unproject(np.stack([u, v], -1))[..., :2].astype(np.float32)
 
 
 def rotation_rpy(rpy_rad: npt.ArrayLike) -> FloatArray:
