@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import os
+from pathlib import Path
 import sys
 from threading import Thread
 
@@ -50,7 +51,7 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except LandmarkNavError as error:
-        print(error, file=sys.stderr)
+        print(f'{Path(sys.argv[0]).stem}: {error}', file=sys.stderr)
         return 1
     except Exception:
         # A publisher that a callback uses after the signal has no context any more.

@@ -17,6 +17,8 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
+from landmark_nav.storage.bags.topics import TOPIC_TYPES
+
 __all__ = ['LATCHED', 'RELIABLE', 'SENSOR_DATA', 'SWEEP', 'TOPICS', 'Topic', 'with_depth']
 
 
@@ -45,34 +47,27 @@ class Topic:
     qos: QoSProfile
 
 
-_POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+_PROFILES = (
+    (
+        SENSOR_DATA,
+        'camera/image_raw',
+        'camera/image_raw/compressed',
+        'camera/camera_info',
+        'joint_states',
+        'odom',
+        'ground_truth/odom',
+    ),
+    (SWEEP, 'sweep/image', 'sweep/image/compressed', 'sweep/camera_info'),
+    (RELIABLE, 'sweep/trajectory', 'sweep/pose', 'pan_tilt/command', 'cmd_vel', 'initialpose'),
+    (LATCHED, 'panorama/image', 'panorama/camera_info', 'panorama/pose'),
+    (LATCHED, 'landmarks', 'landmarks/atlas', 'landmarks/markers'),
+    (RELIABLE, 'triplet', 'detections', 'triangulation/pose', 'odometry/fused'),
+)
 
 TOPICS = {
-    'camera/image_raw': Topic('sensor_msgs/msg/Image', SENSOR_DATA),
-    'camera/image_raw/compressed': Topic('sensor_msgs/msg/CompressedImage', SENSOR_DATA),
-    'camera/camera_info': Topic('sensor_msgs/msg/CameraInfo', SENSOR_DATA),
-    'joint_states': Topic('sensor_msgs/msg/JointState', SENSOR_DATA),
-    'odom': Topic('nav_msgs/msg/Odometry', SENSOR_DATA),
-    'ground_truth/odom': Topic('nav_msgs/msg/Odometry', SENSOR_DATA),
-    'sweep/image': Topic('sensor_msgs/msg/Image', SWEEP),
-    'sweep/image/compressed': Topic('sensor_msgs/msg/CompressedImage', SWEEP),
-    'sweep/camera_info': Topic('sensor_msgs/msg/CameraInfo', SWEEP),
-    'sweep/trajectory': Topic('trajectory_msgs/msg/JointTrajectory', RELIABLE),
-    'sweep/pose': Topic(_POSE, RELIABLE),
-    'panorama/image': Topic('sensor_msgs/msg/Image', LATCHED),
-    'panorama/camera_info': Topic('sensor_msgs/msg/CameraInfo', LATCHED),
-    'panorama/pose': Topic(_POSE, LATCHED),
-    'landmarks': Topic('sensor_msgs/msg/PointCloud2', LATCHED),
-    'landmarks/atlas': Topic('sensor_msgs/msg/Image', LATCHED),
-    'landmarks/markers': Topic('visualization_msgs/msg/MarkerArray', LATCHED),
-    'triplet': Topic('sensor_msgs/msg/PointCloud2', RELIABLE),
-    'detections': Topic('sensor_msgs/msg/PointCloud2', RELIABLE),
-    'triangulation/pose': Topic(_POSE, RELIABLE),
-    'cmd_vel': Topic('geometry_msgs/msg/Twist', RELIABLE),
-    'initialpose': Topic(_POSE, RELIABLE),
-    'odometry/fused': Topic('nav_msgs/msg/Odometry', RELIABLE),
-    '/diagnostics': Topic('diagnostic_msgs/msg/DiagnosticArray', RELIABLE),
+    name: Topic(TOPIC_TYPES[name], profile) for profile, *names in _PROFILES for name in names
 }
+TOPICS['/diagnostics'] = Topic('diagnostic_msgs/msg/DiagnosticArray', RELIABLE)
 
 
 def with_depth(qos: QoSProfile, depth: int) -> QoSProfile:

@@ -1,0 +1,1 @@
+"""What `landmark-nav demo` is made of, without ROS: processes, path, story."""

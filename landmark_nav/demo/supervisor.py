@@ -1,0 +1,128 @@
+"""Processes that belong together: started, watched, and ended as one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import signal
+import subprocess
+import time
+from types import TracebackType
+
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['ProcessEndedError', 'Supervisor']
+
+_POLL_S = 0.05
+_LAST_LINES = 4
+
+
+class ProcessEndedError(LandmarkNavError):
+    """A process ended that should have gone on."""
+
+
+@dataclass(frozen=True)
+class _Child:
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+
+class Supervisor:
+    """
+    Context manager over child processes, each in a process group of its own.
+
+    Parameters
+    ----------
+    log_folder : Path
+        Where what each of them prints goes, ``NAME.log``.
+    environment : mapping
+        Their whole environment.
+    grace_s : float
+        How long each signal may take at the end: SIGINT, SIGTERM, SIGKILL.
+
+    """
+
+    def __init__(
+        self, log_folder: Path, environment: Mapping[str, str], grace_s: float = 3.0
+    ) -> None:
+        self._log_folder = log_folder
+        self._environment = dict(environment)
+        self._grace_s = grace_s
+        self._children: list[_Child] = []
+        log_folder.mkdir(parents=True, exist_ok=True)
+
+    def __enter__(self) -> Supervisor:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """End all that are left."""
+        self.stop()
+
+    def start(self, name: str, command: Sequence[str]) -> None:
+        """Start one; its own process group keeps a Ctrl-C at the terminal from it."""
+        log = self._log_folder / f'{name}.log'
+        with log.open('wb') as output:
+            process = subprocess.Popen(
+                list(command),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+            )
+        self._children.append(_Child(name, process, log))
+
+    def check(self) -> None:
+        """
+        Look after all of them.
+
+        Raises
+        ------
+        ProcessEndedError
+            One has ended; the message says which, how, and what it said last.
+
+        """
+        for child in self._children:
+            status = child.process.poll()
+            if status is not None:
+                raise ProcessEndedError(
+                    f'{child.name} ended with {_described(status)}: {_last_words(child.log)} '
+                    f'(all it said: {child.log})'
+                )
+
+    def stop(self) -> dict[str, int]:
+        """End all, gently at first; returns their exit statuses by name."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            running = [child for child in self._children if child.process.poll() is None]
+            for child in running:
+                # Its id is that of its group, which also ends what it may have started.
+                os.killpg(child.process.pid, number)
+            deadline = time.monotonic() + self._grace_s
+            while time.monotonic() < deadline and any(
+                child.process.poll() is None for child in running
+            ):
+                time.sleep(_POLL_S)
+        statuses = {child.name: child.process.wait() for child in self._children}
+        self._children = []
+        return statuses
+
+
+def _described(status: int) -> str:
+    if status < 0:
+        return f'signal {signal.Signals(-status).name}'
+    return f'exit status {status}'
+
+
+def _last_words(log: Path) -> str:
+    lines = [line.strip() for line in log.read_text(errors='replace').splitlines()]
+    said = [line for line in lines if line][-_LAST_LINES:]
+    return ' | '.join(said) or 'it said nothing'

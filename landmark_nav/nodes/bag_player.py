@@ -1,0 +1,129 @@
+"""Plays a bag onto the topics it was recorded from, with ``/clock``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import logging
+from threading import Event, Thread
+import time
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.ros.factory import message_class, ros_factory
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.run import run_node
+from landmark_nav.ros.topics import RELIABLE, TOPICS
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags.topics import relative_name
+
+__all__ = ['BagPlayerNode', 'Parameters', 'main']
+
+_LOG = logging.getLogger(__name__)
+_CLOCK_PERIOD_NS = 10_000_000
+_LAST_WORDS_S = 2.0
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Of the node ``bag_player``."""
+
+    bag: str = parameter('', 'rosbag2 folder or .mcap file')
+    rate: float = parameter(1.0, 'speed relative to the recording', minimum=0.01, maximum=100.0)
+    start_delay_s: float = parameter(
+        1.0, 'time for subscribers to find the topics before the first message, s', minimum=0.0
+    )
+    clock: bool = parameter(True, 'publish /clock, for nodes with use_sim_time')
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+class BagPlayerNode(LandmarkNode):
+    """Publishes the serialised messages as they are, and ends with the bag."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('bag_player', 'playback', **options)
+        self._config = self.configure(Parameters)
+        self._bag = Bag(self.required('bag', self._config.bag))
+        self._players = {
+            topic: self._advertise(topic, kind) for topic, kind in self._bag.types.items()
+        }
+        self._clock_publisher = (
+            self.create_publisher(message_class('rosgraph_msgs/msg/Clock'), '/clock', 10)
+            if self._config.clock
+            else None
+        )
+        self._played_ns = 0
+        self._stop = Event()
+        self.context.on_shutdown(self._stop.set)
+        Thread(target=self._play, daemon=True).start()
+
+    def health(self) -> Health:
+        """How far it is."""
+        played_s = self._played_ns * 1e-9
+        return Health(Level.OK, f'{played_s:.1f} s of {self._bag.duration_s:.1f} s')
+
+    def _advertise(self, topic: str, type_name: str) -> Publisher[Any]:
+        try:
+            kind = message_class(type_name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise LandmarkNavError(
+                f'{self._bag.path}: {topic} is of type {type_name}, which is not installed here'
+            ) from error
+        known = TOPICS.get(relative_name(topic))
+        return self.create_publisher(kind, topic, known.qos if known else RELIABLE)
+
+    def _play(self) -> None:
+        """Publish all, then end the node; runs in a thread of its own."""
+        try:
+            self._publish_all()
+        except LandmarkNavError as error:
+            _LOG.error('playback ends early: %s', error)
+        if not self._stop.is_set():
+            for publisher in self._players.values():
+                publisher.wait_for_all_acked(Duration(seconds=_LAST_WORDS_S))
+            _LOG.info('%s is played', self._bag.path)
+            self.context.try_shutdown()
+
+    def _publish_all(self) -> None:
+        _LOG.info('playing %s, %.1f s', self._bag.path, self._bag.duration_s)
+        if self._stop.wait(self._config.start_delay_s):
+            return
+        first_ns = next_clock_ns = self._bag.start_ns
+        begin = time.monotonic()
+        for entry in self._bag.messages():
+            while next_clock_ns <= entry.stamp_ns:
+                if self._wait_until(begin, next_clock_ns - first_ns):
+                    return
+                self._tick(next_clock_ns)
+                next_clock_ns += _CLOCK_PERIOD_NS
+            if self._wait_until(begin, entry.stamp_ns - first_ns):
+                return
+            self._players[entry.topic].publish(entry.data)
+            self._played_ns = entry.stamp_ns - first_ns
+
+    def _wait_until(self, begin: float, bag_ns: int) -> bool:
+        """Wait for the time of a message; whether the node ends meanwhile."""
+        left_s = begin + bag_ns * 1e-9 / self._config.rate - time.monotonic()
+        return self._stop.wait(left_s) if left_s > 0.0 else self._stop.is_set()
+
+    def _tick(self, now_ns: int) -> None:
+        if self._clock_publisher is not None:
+            sec, nanosec = divmod(now_ns, 1_000_000_000)
+            stamp = ros_factory('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
+            self._clock_publisher.publish(ros_factory('rosgraph_msgs/msg/Clock', clock=stamp))
+
+
+def main() -> int:
+    """Entry point of the executable."""
+    return run_node(BagPlayerNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,119 @@
+"""Learns landmarks from the panoramas it has seen, keeps the map and gives it to who localizes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import logging
+import time
+from typing import Any
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
+from landmark_nav.messages import decode, encode
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.run import run_node
+from landmark_nav.ros.same_stamp import listen_together
+from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.setup_files import load_room
+from landmark_nav.types import LandmarkMap, Panorama
+
+__all__ = ['LandmarkLearnerNode', 'Parameters', 'main']
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Parameters(LearningConfig):
+    """Of the node ``landmark_learner``, beside those of the stages."""
+
+    room_file: str = parameter('', 'room.yaml: the walls that carry landmarks')
+    map_folder: str = parameter('map', 'folder that save_map writes and load_map reads')
+    load_on_start: bool = parameter(False, 'load the map as soon as the node starts')
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+class LandmarkLearnerNode(LandmarkNode):
+    """``panorama/*`` to ``landmarks``, by `learning.pipeline.learn_from_panoramas`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('landmark_learner', 'learning', **options)
+        self._config = self.configure(Parameters)
+        self._room = load_room(self.required('room_file', self._config.room_file))
+        self._outputs = [
+            self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')
+        ]
+        self._panoramas: dict[int, Panorama] = {}
+        self._map: LandmarkMap | None = None
+        panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
+        listen_together(self, panorama, self._on_panorama)
+        # One service at a time, while panoramas go on arriving.
+        group = MutuallyExclusiveCallbackGroup()
+        self.offer('learn_landmarks', self._learn, group=group)
+        self.offer('clear_panoramas', self._clear, group=group)
+        self.offer('save_map', self._save, group=group)
+        self.offer('load_map', self._load, group=group)
+        if self._config.load_on_start:
+            _LOG.info('%s', self._load())
+
+    def health(self) -> Health:
+        """OK with a map; degraded until then."""
+        values = {'panoramas': len(self._panoramas)}
+        if self._map is None:
+            return Health(Level.DEGRADED, 'no map yet: call learn_landmarks or load_map', values)
+        return Health(Level.OK, f'{len(self._map.landmarks)} landmarks', values)
+
+    def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
+        view = decode.panorama(image, info, pose)
+        self._panoramas[view.stamp_ns] = view
+        _LOG.info('panorama %d received', len(self._panoramas))
+
+    def _learn(self) -> str:
+        panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]
+        start = time.monotonic()
+        result = learn_from_panoramas(panoramas, self._room, self._config)
+        self._publish(result.map)
+        walls = len({landmark.wall_id for landmark in result.map.landmarks})
+        return (
+            f'{len(result.map.landmarks)} landmarks on {walls} walls out of '
+            f'{len(panoramas)} panoramas in {time.monotonic() - start:.1f} s'
+        )
+
+    def _clear(self) -> str:
+        count = len(self._panoramas)
+        self._panoramas.clear()
+        return f'{count} panoramas forgotten; the map stays'
+
+    def _save(self) -> str:
+        if self._map is None:
+            raise LandmarkNavError('there is no map to save: call learn_landmarks first')
+        save_map(self._map, self._config.map_folder)
+        return f'{len(self._map.landmarks)} landmarks saved in {self._config.map_folder}'
+
+    def _load(self) -> str:
+        loaded = load_map(self._config.map_folder)
+        self._publish(loaded)
+        return f'{len(loaded.landmarks)} landmarks loaded from {self._config.map_folder}'
+
+    def _publish(self, landmarks: LandmarkMap) -> None:
+        self._map = landmarks
+        stamp_ns = self.get_clock().now().nanoseconds
+        messages = encode.landmark_map(ros_factory, landmarks, stamp_ns)
+        for output, message in zip(self._outputs, messages, strict=True):
+            output.publish(message)
+
+
+def main() -> int:
+    """Entry point of the executable."""
+    return run_node(LandmarkLearnerNode, threads=2)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,149 @@
+"""Fuses wheel odometry with what the camera finds, into the pose of the robot in map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+import logging
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
+from landmark_nav.localization.fusion_health import HealthConfig
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.messages import decode, encode
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.run import run_node
+from landmark_nav.ros.same_stamp import listen_together
+from landmark_nav.ros.transforms import MapToOdom
+from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
+
+__all__ = ['OdometryFusionNode', 'Parameters', 'main']
+
+_LOG = logging.getLogger(__name__)
+_LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Of the node ``odometry_fusion``."""
+
+    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
+    map_frame: str = parameter('map', 'frame of odometry/fused')
+    start_sigma_m: float = parameter(
+        0.3, 'position sigma of an initialpose that comes without covariance, m', minimum=1e-4
+    )
+    start_sigma_rad: float = parameter(
+        0.2, 'heading sigma of an initialpose that comes without covariance, rad', minimum=1e-4
+    )
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+    health: HealthConfig = field(default_factory=HealthConfig)
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+class OdometryFusionNode(LandmarkNode):
+    """``odom`` and ``detections`` to ``odometry/fused``, by `localization.fusion.PoseFilter`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('odometry_fusion', 'fusion', **options)
+        self._config = self.configure(Parameters)
+        self._mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._fused = self.advertise('odometry/fused')
+        self._transform = MapToOdom(self)
+        self._filter = self._new_filter(LandmarkMap(()))
+        self._landmarks = 0
+        self._accepted = self._rejected = 0
+        self.listen('odom', self._on_odometry, depth=50)
+        # Bearings and the poses made of them are the same information: only one is used.
+        if self._config.fusion.mode == 'bearings':
+            self.listen('detections', self._on_detections)
+        else:
+            self.listen('triangulation/pose', self._on_pose)
+        self.listen('initialpose', self._on_initial_pose)
+        listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        self.offer('relocalize', self._relocalize)
+
+    def health(self) -> Health:
+        """As the filter judges itself."""
+        status, reason = self._filter.status
+        counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
+        return Health(_LEVELS[status], reason or status, counts | {'rejected': self._rejected})
+
+    def _new_filter(self, landmarks: LandmarkMap) -> PoseFilter:
+        config = self._config
+        return PoseFilter(landmarks, self._mount, config.fusion, config.odometry, config.health)
+
+    def _on_landmarks(self, points: Any, atlas: Any) -> None:
+        """Go on with another map from where the robot is."""
+        landmarks = decode.landmark_map(points, atlas)
+        estimate = self._filter.estimate()
+        self._filter = self._new_filter(landmarks)
+        self._landmarks = len(landmarks.landmarks)
+        if estimate is not None:
+            self._filter.initialize(estimate)
+        _LOG.info('%d landmarks received', self._landmarks)
+
+    def _on_initial_pose(self, message: Any) -> None:
+        if message.header.frame_id != self._config.map_frame:
+            raise LandmarkNavError(f'it is not in frame {self._config.map_frame}: give it there')
+        start = decode.pose_estimate(message)
+        if not start.covariance.any():
+            sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)
+            start = replace(start, covariance=np.diag(np.square(sigma)))
+        self._filter.initialize(start)
+        x, y, heading = start.pose
+        _LOG.info('start at (%.2f, %.2f) m, %.1f deg', x, y, np.degrees(heading))
+
+    def _on_odometry(self, message: Any) -> None:
+        sample = decode.odometry(message)
+        refusal = self._filter.add_odometry(sample)
+        if refusal is not None:
+            raise LandmarkNavError(str(refusal))
+        estimate = self._filter.estimate(sample.stamp_ns)
+        if estimate is not None:
+            self._publish(estimate, sample, message.header.frame_id)
+
+    def _on_detections(self, message: Any) -> None:
+        self._count(self._filter.add_detections(decode.detections(message)))
+
+    def _on_pose(self, message: Any) -> None:
+        self._count(self._filter.add_pose(decode.pose_estimate(message)))
+
+    def _count(self, update: FusionUpdate) -> None:
+        self._accepted += len(update.accepted_ids)
+        self._rejected += len(update.rejected)
+
+    def _publish(self, estimate: PoseEstimate, sample: OdometrySample, odom_frame: str) -> None:
+        stamp, map_frame = sample.stamp_ns, self._config.map_frame
+        fused = replace(sample, pose_odom_base=estimate.pose)
+        base = self._mount.base_frame
+        message = encode.odometry(
+            ros_factory, fused, estimate.covariance, frame_id=map_frame, child_frame_id=base
+        )
+        self._fused.publish(message)
+        frames = (map_frame, odom_frame)
+        self._transform.send(stamp, estimate.pose, sample.pose_odom_base, frames)
+
+    def _relocalize(self) -> str:
+        raise LandmarkNavError(
+            'finding the place without a start pose is not possible yet: publish initialpose '
+            '(2D Pose Estimate in RViz), within 0.3 m and 10 deg'
+        )
+
+
+def main() -> int:
+    """Entry point of the executable."""
+    return run_node(OdometryFusionNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

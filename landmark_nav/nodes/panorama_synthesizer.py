@@ -1,0 +1,145 @@
+"""Makes a panorama of every sweep and finds where it was taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import logging
+from threading import Lock
+import time
+from typing import Any
+
+import numpy as np
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep import assemble_sweep, missing_frames
+from landmark_nav.messages import decode, encode
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.image_source import ImageSource
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.run import run_node
+from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.types import PoseEstimate, Sweep
+
+__all__ = ['PanoramaSynthesizerNode', 'Parameters', 'main']
+
+_LOG = logging.getLogger(__name__)
+# Frames of three sweeps of 72; older ones belong to a sweep that was given up.
+_MAX_FRAMES = 216
+
+
+@dataclass(frozen=True)
+class Parameters(PanoramaStages):
+    """Of the node ``panorama_synthesizer``, beside those of the stages."""
+
+    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
+    room_file: str = parameter('', 'room.yaml: walls and reference area')
+    late_frames_s: float = parameter(
+        3.0, 'how long to wait for frames that arrive after their trajectory, s', minimum=0.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+class PanoramaSynthesizerNode(LandmarkNode):
+    """``sweep/*`` to ``panorama/*``, by `learning.pipeline.panorama_from_sweep`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('panorama_synthesizer', 'panorama', **options)
+        self._config = self.configure(Parameters)
+        self._mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._room = load_room(self.required('room_file', self._config.room_file))
+        self._outputs = [
+            self.advertise(name)
+            for name in ('panorama/image', 'panorama/camera_info', 'panorama/pose')
+        ]
+        self._lock = Lock()
+        self._images: dict[int, Any] = {}
+        self._cameras: dict[int, CameraModel] = {}
+        self._pose: PoseEstimate | None = None
+        self._health = Health(Level.OK, 'waiting for a sweep')
+        self._source = ImageSource(self, 'sweep/image', self._on_image)
+        self.listen('sweep/camera_info', self._on_camera_info)
+        self.listen('sweep/pose', self._on_pose)
+        # A group of its own: frames go on arriving while it works.
+        group = MutuallyExclusiveCallbackGroup()
+        self.listen('sweep/trajectory', self._on_trajectory, group=group)
+
+    def health(self) -> Health:
+        """What became of the last sweep."""
+        return self._health
+
+    def _on_image(self, message: Any) -> None:
+        with self._lock:
+            _remember(self._images, decode.stamp_ns(message.header), message)
+
+    def _on_camera_info(self, message: Any) -> None:
+        camera = decode.camera_model(message)
+        with self._lock:
+            _remember(self._cameras, decode.stamp_ns(message.header), camera)
+
+    def _on_pose(self, message: Any) -> None:
+        self._pose = decode.pose_estimate(message)
+
+    def _on_trajectory(self, message: Any) -> None:
+        self._health = Health(Level.OK, 'at work on a sweep')
+        try:
+            start = time.monotonic()
+            sweep = self._sweep(message)
+            view = panorama_from_sweep(sweep, self._room, self._mount, self._config)
+        except LandmarkNavError as error:
+            self._health = Health(Level.LOST, str(error))
+            _LOG.error('no panorama: %s', error)
+            return
+        for output, part in zip(self._outputs, encode.panorama(ros_factory, view), strict=True):
+            output.publish(part)
+        x, y, heading = *view.center_map[:2], np.degrees(view.heading_rad)
+        sigma = np.sqrt(np.diag(view.covariance)[[0, 1, 3]])
+        self._health = Health(
+            Level.OK,
+            f'panorama at ({x:.3f}, {y:.3f}) m, {heading:.2f} deg',
+            {'sigma_m': np.hypot(*sigma[:2]), 'sigma_deg': np.degrees(sigma[2])},
+        )
+        _LOG.info('%s in %.1f s', self._health.reason, time.monotonic() - start)
+
+    def _sweep(self, message: Any) -> Sweep:
+        """Wait for its frames, then join them with their angles."""
+        trajectory = decode.sweep_trajectory(message, self._mount)
+        deadline = time.monotonic() + self._config.late_frames_s
+        while True:
+            with self._lock:
+                pairs = self._images.keys() & self._cameras.keys()
+            if not missing_frames(trajectory, pairs) or time.monotonic() > deadline:
+                break
+            time.sleep(0.05)
+        with self._lock:
+            found = {
+                stamp: (self._images.pop(stamp), self._cameras.pop(stamp))
+                for stamp in {sample.stamp_ns for sample in trajectory} & pairs
+            }
+        pictures = {
+            stamp: (decode.image(image), camera) for stamp, (image, camera) in found.items()
+        }
+        pose, self._pose = self._pose, None
+        return assemble_sweep(trajectory, pictures, pose)
+
+
+def _remember(items: dict[int, Any], stamp_ns: int, item: Any) -> None:
+    items[stamp_ns] = item
+    while len(items) > _MAX_FRAMES:
+        del items[min(items)]
+
+
+def main() -> int:
+    """Entry point of the executable."""
+    return run_node(PanoramaSynthesizerNode, threads=2)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

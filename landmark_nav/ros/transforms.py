@@ -1,0 +1,54 @@
+"""The one transform this package owns, ``map`` -> ``odom``."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from rclpy.node import Node
+
+from landmark_nav.geometry.se2 import compose, inverse
+from landmark_nav.messages.encode.headers import header, upright
+from landmark_nav.ros.factory import message_class, ros_factory
+from landmark_nav.types import FloatArray
+
+__all__ = ['MapToOdom']
+
+
+class MapToOdom:
+    """
+    Broadcasts ``map`` -> ``odom``, if tf2_msgs is installed (the ROS wheels have none).
+
+    Who publishes ``odom`` -> ``base_link`` is the robot: a frame has one parent only.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._publisher = None
+        if find_spec('tf2_msgs') is not None:
+            # The depth that tf2's own broadcaster has.
+            kind = message_class('tf2_msgs/msg/TFMessage')
+            self._publisher = node.create_publisher(kind, '/tf', 100)
+
+    def send(
+        self,
+        stamp_ns: int,
+        pose_map_base: FloatArray,
+        pose_odom_base: FloatArray,
+        frames: tuple[str, str],
+    ) -> None:
+        """Send the transform that joins the two poses of the base, between these two frames."""
+        if self._publisher is None:
+            return
+        x, y, yaw = compose(pose_map_base, inverse(pose_odom_base))
+        pose = upright(ros_factory, x, y, 0.0, yaw)
+        transform = ros_factory(
+            'geometry_msgs/msg/Transform',
+            translation=ros_factory('geometry_msgs/msg/Vector3', x=float(x), y=float(y)),
+            rotation=pose.orientation,
+        )
+        stamped = ros_factory(
+            'geometry_msgs/msg/TransformStamped',
+            header=header(ros_factory, stamp_ns, frames[0]),
+            child_frame_id=frames[1],
+            transform=transform,
+        )
+        self._publisher.publish(ros_factory('tf2_msgs/msg/TFMessage', transforms=[stamped]))
