@@ -1,0 +1,86 @@
+"""What the robot sensed on a drive, out of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags.reader import Bag, BagMessage
+from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory, naming
+from landmark_nav.types import CameraFrame, JointSample, OdometrySample, PoseEstimate
+
+__all__ = ['SensorEvent', 'sensor_events']
+
+SensorEvent = CameraFrame | JointSample | OdometrySample | PoseEstimate
+
+
+def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
+    """
+    What a drive's bag holds, in the order it was recorded.
+
+    Pan and tilt of a frame are interpolated at its stamp. Ground truth, if there is any, comes as
+    `PoseEstimate`. Pictures that cannot be used are left out and reported through ``bag.warn``.
+
+    Raises
+    ------
+    LandmarkNavError
+        A topic is missing, a value is not a number, or no picture can be used.
+
+    """
+    images = bag.require('camera/image_raw', 'camera/image_raw/compressed')
+    odometry = bag.require('odom')
+    cameras = CameraInfos.read(bag, 'camera/camera_info')
+    joints = JointHistory.read(bag, mount)
+    joint_topic = bag.require('joint_states')
+    truth = bag.find('ground_truth/odom')
+    topics = [t for t in (images, odometry, joint_topic, truth) if t is not None]
+    complaints: list[str] = []
+    used = 0
+    for entry in bag.messages(topics):
+        if entry.topic == images:
+            try:
+                yield _frame(bag, entry, cameras, joints)
+                used += 1
+            except _UnusableFrameError as error:
+                complaints.append(str(error))
+            continue
+        with naming(bag, entry.topic):
+            event: SensorEvent | None
+            if entry.topic == odometry:
+                event = decode.odometry(entry.message)
+            elif entry.topic == truth:
+                event = decode.pose_estimate(entry.message)
+            else:
+                event = decode.joint_sample(entry.message, mount)
+        if event is not None:
+            yield event
+    if complaints and not used:
+        raise LandmarkNavError(complaints[0])
+    if complaints:
+        bag.warn(
+            f'{len(complaints)} of {used + len(complaints)} pictures left out: {complaints[0]}'
+        )
+
+
+class _UnusableFrameError(Exception):
+    """One picture that has to be left out."""
+
+
+def _frame(bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointHistory) -> CameraFrame:
+    stamp = decode.stamp_ns(entry.message.header)
+    try:
+        with naming(bag, entry.topic):
+            picture = decode.image(entry.message)
+    except LandmarkNavError as error:
+        raise _UnusableFrameError(str(error)) from error
+    sample = joints.at(stamp)
+    if sample is None:
+        raise _UnusableFrameError(
+            f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it: '
+            'record joint_states at 10 Hz at least, on the same clock'
+        )
+    with naming(bag, entry.topic):
+        camera = cameras.for_picture(stamp, picture.shape)
+    return CameraFrame(stamp, picture, camera, sample.pan_rad, sample.tilt_rad)
