@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -25,12 +26,15 @@ from landmark_nav.localization.fusion_update import (
     update_bearings,
     update_pose,
 )
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry_noise import Motion, motion_variances, OdometryNoiseConfig
 from landmark_nav.localization.odometry_track import OdometryTrack
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 __all__ = ['FusionConfig', 'FusionUpdate', 'PoseFilter']
+
+# What may have happened while the clock was set back.
+_BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
 
 Step = Callable[[FilterState], tuple[FilterState, FusionUpdate | None]]
 
@@ -43,6 +47,12 @@ class FusionConfig:
         'bearings',
         'What corrects the odometry: every bearing by itself, or triangulated poses.',
         choices=('bearings', 'poses'),
+    )
+    landmarks: str = parameter(
+        'consider',
+        'Landmark errors: carried along, so that the map is all that is ever claimed, or refined '
+        'by what is seen.',
+        choices=('consider', 'refine'),
     )
     bearing_probability: float = parameter(
         0.999, 'Chi-square level of the gates for bearings.', minimum=0.5, maximum=1.0
@@ -148,9 +158,7 @@ class PoseFilter:
         known = self._track.stamps_ns
         if known is not None and not known[0] <= start.stamp_ns <= known[1] + 10**9:
             start = replace(start, stamp_ns=known[1])
-        state = initial_state(
-            start, len(self._map.landmarks), self._odometry, self._config.boresight_sigma_rad
-        )
+        state = initial_state(start, self._map, self._odometry, self._config.boresight_sigma_rad)
         self._events = [_Event(start.stamp_ns)]
         self._states = [state]
         self._health.restart(start.stamp_ns)
@@ -168,9 +176,10 @@ class PoseFilter:
 
         """
         known = self._track.stamps_ns
+        if known is not None and sample.stamp_ns < known[1] - int(self._config.history_s * 1e9):
+            return self._restart_clock(sample)
         refusal = self._track.add(sample)
-        now = self._track.stamps_ns
-        if not self._states or now is None or now == known:
+        if not self._states or self._track.stamps_ns == known:
             return refusal
         # What was predicted since the sample before is now known better.
         since = known[1] if known is not None else sample.stamp_ns
@@ -184,18 +193,24 @@ class PoseFilter:
         stamp = detections.stamp_ns
         if self._config.mode != 'bearings':
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
-        refusal = self._untimely(stamp)
-        if refusal is not None:
-            return FusionUpdate(stamp, refusal=refusal)
         frame = self._frame(detections)
-        if not len(frame.columns):
-            return FusionUpdate(
-                stamp, rejected=frame.unusable, refusal=Refusal('no usable bearing')
-            )
-        level, least = self._config.bearing_probability, 3 if self._health.astray else 1
+        refusal = self._untimely(stamp)
+        if refusal is None and not len(frame.columns):
+            refusal = Refusal('no usable bearing')
+        if refusal is not None:
+            self._health.note(refusal)
+            return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         return self._measure(
             stamp,
-            lambda state: update_bearings(state, frame, self._map, self._lever, level, least),
+            partial(
+                update_bearings,
+                frame=frame,
+                ids=self._map.ids,
+                lever=self._lever,
+                probability=self._config.bearing_probability,
+                least=3 if self._health.astray else 1,
+                refine=self._config.landmarks == 'refine',
+            ),
         )
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:
@@ -209,9 +224,10 @@ class PoseFilter:
         ):
             refusal = Refusal('pose is not a number')
         if refusal is not None:
+            self._health.note(refusal)
             return FusionUpdate(stamp, refusal=refusal)
         level = self._config.pose_probability
-        return self._measure(stamp, lambda state: update_pose(state, measured, level))
+        return self._measure(stamp, partial(update_pose, measured=measured, probability=level))
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
         """
@@ -227,6 +243,25 @@ class PoseFilter:
         place = max(bisect_right(self._events, stamp_ns, key=lambda e: e.stamp_ns) - 1, 0)
         state = self._states[place]
         return self._moved(state, max(stamp_ns, state.stamp_ns)).estimate()
+
+    def _restart_clock(self, sample: OdometrySample) -> Refusal:
+        """Go on from the newest state where time has gone back (a bag that starts over)."""
+        last = self._track.stamps_ns
+        assert last is not None
+        self._track = OdometryTrack(self._odometry)
+        self._track.add(sample)
+        if self._states:
+            covariance = self._states[-1].covariance.copy()
+            covariance[:3, :3] += np.diag(motion_variances(_BLIND_SECOND, self._odometry))
+            self._states = [
+                replace(self._states[-1], stamp_ns=sample.stamp_ns, covariance=covariance)
+            ]
+            self._events = [_Event(sample.stamp_ns)]
+            self._health.restart(sample.stamp_ns)
+        return Refusal(
+            'odometry went back in time',
+            f'{(last[1] - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
+        )
 
     def _untimely(self, stamp_ns: int) -> Refusal | None:
         if not self._states:

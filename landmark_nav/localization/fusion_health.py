@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from landmark_nav.localization.fusion_update import FusionUpdate
 from landmark_nav.parameters import check_parameters, parameter
-from landmark_nav.types import PoseEstimate
+from landmark_nav.types import PoseEstimate, Refusal
 
 __all__ = ['Health', 'HealthConfig', 'Status']
 
@@ -40,6 +40,12 @@ class HealthConfig:
     nis_window: int = parameter(
         10, 'Accepted measurements whose innovations are judged together.', minimum=1, maximum=1000
     )
+    nis_correlation: float = parameter(
+        5.0,
+        'How many measurements in a row repeat one error: the same landmarks, the same map.',
+        minimum=1.0,
+        maximum=1000.0,
+    )
     nis_probability: float = parameter(
         0.999, 'Chi-square level of that window.', minimum=0.5, maximum=1.0
     )
@@ -59,13 +65,14 @@ class Health:
         self._rejections = 0
         self._acceptances = 0
         self._astray: str = ''
+        self._last_refusal: str = ''
         self._window: deque[tuple[float, int]] = deque(maxlen=config.nis_window)
 
     def restart(self, stamp_ns: int) -> None:
         """Forget everything: a pose was given at that time."""
         self._accepted_ns = stamp_ns
         self._rejections = self._acceptances = 0
-        self._astray = ''
+        self._astray = self._last_refusal = ''
         self._window.clear()
 
     @property
@@ -73,16 +80,22 @@ class Health:
         """Whether measurements have contradicted the state for so long that it is not believed."""
         return bool(self._astray)
 
+    def note(self, refusal: Refusal) -> None:
+        """Remember why a measurement could not even be tried."""
+        self._last_refusal = f', last: {refusal}'
+
     def observe(self, update: FusionUpdate) -> None:
         """Take note of a measurement's fate."""
         if update.degrees:
             self._rejections = 0
+            self._last_refusal = ''
             self._acceptances += 1
             self._accepted_ns = max(self._accepted_ns or 0, update.stamp_ns)
             self._window.append((update.nis, update.degrees))
             if self._acceptances >= self._config.found_after_acceptances:
                 self._astray = ''
         elif update.refusal is not None:
+            self.note(update.refusal)
             self._rejections += 1
             self._acceptances = 0
             if self._rejections >= self._config.lost_after_rejections:
@@ -102,7 +115,9 @@ class Health:
         if sigma > self._config.lost_sigma_m or sigma_heading > self._config.lost_sigma_rad:
             return 'lost', f'sigma is {sigma:.2f} m and {np.degrees(sigma_heading):.1f} deg'
         nis, degrees = np.sum(self._window, axis=0) if self._window else (0.0, 0)
-        limit = float(chdtri(max(degrees, 1), 1.0 - self._config.nis_probability))
+        repeats = min(self._config.nis_correlation, max(len(self._window), 1))
+        level = 1.0 - self._config.nis_probability
+        limit = repeats * float(chdtri(max(degrees / repeats, 1.0), level))
         if nis > limit:
             return 'lost', (
                 f'innovations are too large: NIS {nis:.0f} over the last {len(self._window)} '
@@ -110,5 +125,5 @@ class Health:
             )
         waited = (estimate.stamp_ns - self._accepted_ns) * 1e-9
         if waited > self._config.coasting_after_s:
-            return 'coasting', f'nothing accepted for {waited:.1f} s'
+            return 'coasting', f'nothing accepted for {waited:.1f} s{self._last_refusal}'
         return 'tracking', ''

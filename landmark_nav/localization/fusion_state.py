@@ -3,12 +3,13 @@ The Schmidt-Kalman state and its two steps, as pure functions.
 
 Schmidt, Application of State-Space Methods to Navigation Problems, 1966: landmarks are consider
 states. Their errors and their correlations with the pose are carried along, but their places are
-not estimated, so repeated sightings never claim more than the map knows.
+not estimated, so repeated sightings never claim more than the map knows. On request they are
+estimated too (`correct` with `refine`), which is EKF-SLAM with the map as its prior.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +19,11 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
 from landmark_nav.localization.odometry_noise import (
     Motion,
-    motion_covariance,
+    motion_variances,
     OdometryNoiseConfig,
 )
-from landmark_nav.localization.triangulation_model import bearing_gradients
-from landmark_nav.types import FloatArray, PoseEstimate
+from landmark_nav.localization.triangulation_model import bearing_gradients, bearing_residuals
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = [
     'STATES',
@@ -37,9 +38,10 @@ __all__ = [
 
 IndexArray = npt.NDArray[np.intp]
 
-# x, y, heading; scale of the way, drift per metre, scale of turns; boresight of the camera.
-STATES = 7
-_SCALE, _DRIFT, _TURN_SCALE, _BORESIGHT = 3, 4, 5, 6
+# x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight.
+STATES = 8
+_SCALE, _DRIFT, _TURN_SCALE, _SLIP, _BORESIGHT = 3, 4, 5, 6, 7
+_BIASES = slice(_SCALE, _SLIP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +59,10 @@ class FilterState:
         Of `mean`.
     cross : ndarray, shape (STATES, 2n)
         Covariance of `mean` with the landmarks' (x, y).
+    landmarks : ndarray, shape (n, 2)
+        Their places in map, metres.
+    landmark_covariance : ndarray, shape (2n, 2n)
+        Their joint covariance.
 
     """
 
@@ -64,6 +70,8 @@ class FilterState:
     mean: FloatArray
     covariance: FloatArray
     cross: FloatArray
+    landmarks: FloatArray
+    landmark_covariance: FloatArray
 
     def estimate(self) -> PoseEstimate:
         """Return the pose alone."""
@@ -72,97 +80,109 @@ class FilterState:
 
 class MeasurementModel(NamedTuple):
     """
-    A linearised measurement of m numbers: residuals and the products a Kalman step needs.
+    A linearised measurement of m numbers: what a Kalman step needs.
 
-    `residual` (m,), `jacobian` (m, STATES), `state_covariance` (STATES, m) of the state with what
-    is expected, `map_covariance` (2n, m) of the landmarks with it, and its own covariance
-    `innovation` (m, m) with the measurement noise.
+    `innovation` (m,) is measured minus expected at the prior, `state_covariance` (STATES, m) the
+    covariance of the state with it, `map_covariance` (2n, m) that of the landmarks, `covariance`
+    (m, m) its own.
     """
 
-    residual: FloatArray
-    jacobian: FloatArray
+    innovation: FloatArray
     state_covariance: FloatArray
     map_covariance: FloatArray
-    innovation: FloatArray
+    covariance: FloatArray
 
 
 def initial_state(
-    start: PoseEstimate, landmarks: int, odometry: OdometryNoiseConfig, boresight_sigma: float
+    start: PoseEstimate,
+    landmark_map: LandmarkMap,
+    odometry: OdometryNoiseConfig,
+    boresight_sigma: float,
 ) -> FilterState:
     """Return the state at a given pose, independent of the map."""
+    sigmas = np.array([*odometry.bias_sigmas, odometry.slip_sigma, boresight_sigma])
     covariance = np.zeros((STATES, STATES))
     covariance[:3, :3] = start.covariance
-    covariance[range(3, 6), range(3, 6)] = odometry.bias_sigmas**2
-    covariance[_BORESIGHT, _BORESIGHT] = boresight_sigma**2
-    mean = np.zeros(STATES)
-    mean[:3] = start.pose
-    return FilterState(start.stamp_ns, mean, covariance, np.zeros((STATES, 2 * landmarks)))
+    covariance[range(3, STATES), range(3, STATES)] = sigmas**2
+    return FilterState(
+        start.stamp_ns,
+        np.array([*start.pose, *np.zeros(STATES - 3)]),
+        covariance,
+        np.zeros((STATES, 2 * len(landmark_map.landmarks))),
+        landmark_map.positions[:, :2],
+        landmark_map.joint_covariance_xy,
+    )
 
 
 def propagate(
     state: FilterState, stamp_ns: int, motion: Motion, config: OdometryNoiseConfig
 ) -> FilterState:
-    """Move on by odometry, corrected by what is known of its systematic errors."""
+    """Move on by odometry, corrected by what is known of its systematic errors and its slip."""
     forward, left, turn = motion.increment
-    scale = 1.0 + state.mean[_SCALE]
+    way = float(np.hypot(forward, left))
+    scale, drift, turn_scale, slip = state.mean[_SCALE:_BORESIGHT]
     corrected = np.array(
         [
-            scale * forward,
-            scale * left,
-            (1.0 + state.mean[_TURN_SCALE]) * turn + state.mean[_DRIFT] * forward,
+            (1.0 + scale) * forward,
+            (1.0 + scale) * left + slip * forward,
+            (1.0 + turn_scale) * turn + drift * forward,
         ]
     )
     by_pose, by_motion = compose_jacobians(state.mean[:3], corrected)
+    kept = np.exp(-way / config.slip_length_m)
     step = np.eye(STATES)
     step[:3, :3] = by_pose
-    step[:2, _SCALE] = by_motion[:2, 0] * forward + by_motion[:2, 1] * left
+    step[:3, _SCALE] = by_motion @ [forward, left, 0.0]
+    step[:3, _SLIP] = by_motion[:, 1] * forward
     step[2, _DRIFT], step[2, _TURN_SCALE] = forward, turn
+    step[_SLIP, _SLIP] = kept
 
     mean = state.mean.copy()
     mean[:3] = compose(state.mean[:3], corrected)
+    mean[_SLIP] *= kept
     covariance = step @ state.covariance @ step.T
-    covariance[:3, :3] += (by_motion * motion_covariance(motion, config)) @ by_motion.T
-    wander = (config.bias_change_per_sqrt_m * config.bias_sigmas) ** 2
-    covariance[range(3, 6), range(3, 6)] += wander * np.hypot(forward, left)
-    return FilterState(stamp_ns, mean, covariance, step @ state.cross)
+    covariance[:3, :3] += (by_motion * motion_variances(motion, config)) @ by_motion.T
+    wander = (config.bias_change_per_sqrt_m * config.bias_sigmas) ** 2 * way
+    covariance[_BIASES, _BIASES] += np.diag(wander)
+    covariance[_SLIP, _SLIP] += config.slip_sigma**2 * (1.0 - kept * kept)
+    return replace(
+        state, stamp_ns=stamp_ns, mean=mean, covariance=covariance, cross=step @ state.cross
+    )
 
 
 def bearing_model(
-    state: FilterState,
+    prior: FilterState,
+    at: FilterState,
     columns: IndexArray,
     bearings: FloatArray,
     noise: FloatArray,
-    landmarks: FloatArray,
-    landmark_covariance: FloatArray,
     lever: FloatArray,
 ) -> MeasurementModel:
     """
-    Linearise bearings about a state.
+    Bearings with the uncertainty of a prior, linearised at a state.
 
     Parameters
     ----------
-    state : FilterState
-        Where.
+    prior : FilterState
+        What is known without them.
+    at : FilterState
+        Where to linearise; its covariances are not used.
     columns : ndarray of int, shape (m,)
         Which landmarks.
     bearings : ndarray, shape (m,)
         What was measured, radians.
     noise : ndarray, shape (m, m)
         Measurement covariance, rad^2.
-    landmarks, landmark_covariance : ndarray, shape (n, 2), (2n, 2n)
-        The map.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
 
     """
-    x, y, heading = state.mean[:3]
+    x, y, heading = at.mean[:3]
     cos, sin = np.cos(heading), np.sin(heading)
     arm = np.array([cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1]])
     axis = np.array([x + arm[0], y + arm[1], heading])
-    seen = landmarks[columns]
-    delta = seen - axis[:2]
-    azimuth = np.arctan2(delta[:, 1], delta[:, 0])
-    residual = wrap_rad(bearings - azimuth + heading - state.mean[_BORESIGHT])
+    seen = at.landmarks[columns]
+    residual = bearing_residuals(axis, seen, bearings - at.mean[_BORESIGHT])
     gradient = bearing_gradients(axis, seen)
 
     jacobian = np.zeros((len(columns), STATES))
@@ -172,41 +192,54 @@ def bearing_model(
 
     # The derivative by a landmark's x and y is minus the one by the axis'.
     pair = np.stack([2 * columns, 2 * columns + 1], -1)
-    state_covariance = state.covariance @ jacobian.T
-    state_covariance -= np.einsum('smi,mi->sm', state.cross[:, pair], gradient)
-    map_covariance = state.cross.T @ jacobian.T
-    map_covariance -= np.einsum('cmi,mi->cm', landmark_covariance[:, pair], gradient)
-    innovation = jacobian @ state_covariance + noise
-    innovation -= np.einsum('mi,mij->mj', gradient, map_covariance[pair])
-    return MeasurementModel(residual, jacobian, state_covariance, map_covariance, innovation)
+    state_covariance = prior.covariance @ jacobian.T
+    state_covariance -= np.einsum('smi,mi->sm', prior.cross[:, pair], gradient)
+    map_covariance = prior.cross.T @ jacobian.T
+    map_covariance -= np.einsum('cmi,mi->cm', prior.landmark_covariance[:, pair], gradient)
+    covariance = jacobian @ state_covariance + noise
+    covariance -= np.einsum('mi,mij->mj', gradient, map_covariance[pair])
+
+    offset = prior.mean - at.mean
+    offset[2] = wrap_rad(offset[2])
+    innovation = residual - jacobian @ offset
+    innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
+    return MeasurementModel(innovation, state_covariance, map_covariance, covariance)
 
 
-def pose_model(state: FilterState, measured: PoseEstimate) -> MeasurementModel:
-    """Linearise a measured pose of the base about a state."""
-    residual = measured.pose - state.mean[:3]
-    residual[2] = wrap_rad(residual[2])
+def pose_model(prior: FilterState, measured: PoseEstimate) -> MeasurementModel:
+    """Return a measured pose of the base with the uncertainty of a prior."""
+    innovation = measured.pose - prior.mean[:3]
+    innovation[2] = wrap_rad(innovation[2])
     return MeasurementModel(
-        residual,
-        np.eye(3, STATES),
-        state.covariance[:, :3],
-        state.cross[:3].T,
-        state.covariance[:3, :3] + measured.covariance,
+        innovation,
+        prior.covariance[:, :3],
+        prior.cross[:3].T,
+        prior.covariance[:3, :3] + measured.covariance,
     )
 
 
-def correct(state: FilterState, model: MeasurementModel, prior: FilterState) -> FilterState:
+def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> FilterState:
     """
-    One Gauss-Newton step of the update of `prior` with a model linearised at `state`.
+    Kalman step from a prior; with a model linearised elsewhere it is an iterated one.
 
     Bell and Cathey, The Iterated Kalman Filter Update as a Gauss-Newton Method, 1993.
     """
-    gain = np.linalg.solve(model.innovation, model.state_covariance.T).T
-    offset = prior.mean - state.mean
-    offset[2] = wrap_rad(offset[2])
-    mean = prior.mean + gain @ (model.residual - model.jacobian @ offset)
+    gain = np.linalg.solve(model.covariance, model.state_covariance.T).T
+    mean = prior.mean + gain @ model.innovation
     mean[2] = wrap_rad(mean[2])
     covariance = prior.covariance - gain @ model.state_covariance.T
-    covariance = 0.5 * (covariance + covariance.T)
-    return FilterState(
-        prior.stamp_ns, mean, covariance, prior.cross - gain @ model.map_covariance.T
+    state = replace(
+        prior,
+        mean=mean,
+        covariance=0.5 * (covariance + covariance.T),
+        cross=prior.cross - gain @ model.map_covariance.T,
+    )
+    if not refine:
+        return state
+    map_gain = np.linalg.solve(model.covariance, model.map_covariance.T).T
+    map_covariance = prior.landmark_covariance - map_gain @ model.map_covariance.T
+    return replace(
+        state,
+        landmarks=prior.landmarks + (map_gain @ model.innovation).reshape(-1, 2),
+        landmark_covariance=0.5 * (map_covariance + map_covariance.T),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +17,15 @@ from landmark_nav.localization.fusion_state import (
     MeasurementModel,
     pose_model,
 )
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
+from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['BearingFrame', 'FusionUpdate', 'update_bearings', 'update_pose']
 
 IndexArray = npt.NDArray[np.intp]
 
-_MAX_ITERATIONS = 4
+_MAX_ITERATIONS = 5
+# A step this small bends bearings by a few microradians only.
+_LINEAR_M = 2e-3
 _NO_IDS = np.empty(0, dtype=np.int64)
 _NO_INNOVATIONS = np.empty(0)
 
@@ -78,10 +81,11 @@ class BearingFrame:
 def update_bearings(
     prior: FilterState,
     frame: BearingFrame,
-    landmark_map: LandmarkMap,
+    ids: npt.NDArray[np.int64],
     lever: FloatArray,
     probability: float,
     least: int = 1,
+    refine: bool = False,
 ) -> tuple[FilterState, FusionUpdate]:
     """
     Use the bearings of a frame that agree with the prior and with each other.
@@ -92,50 +96,52 @@ def update_bearings(
         State at the frame's time.
     frame : BearingFrame
         What was seen.
-    landmark_map : LandmarkMap
-        Where the landmarks are.
+    ids : ndarray of int, shape (n,)
+        Of all landmarks of the map.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
     probability : float
         Chi-square level of the gates.
     least : int
-        Fewer agreeing bearings are not used.
+        Fewer agreeing bearings, or fewer than two thirds, are not used.
+    refine : bool
+        Improve the landmarks' places too.
 
     """
 
-    def model_at(state: FilterState, chosen: IndexArray) -> MeasurementModel:
+    def model_at(chosen: IndexArray, at: FilterState) -> MeasurementModel:
+        noise = frame.noise[np.ix_(chosen, chosen)]
         return bearing_model(
-            state,
-            frame.columns[chosen],
-            frame.bearing_rad[chosen],
-            frame.noise[np.ix_(chosen, chosen)],
-            landmark_map.positions[:, :2],
-            landmark_map.joint_covariance_xy,
-            lever,
+            prior, at, frame.columns[chosen], frame.bearing_rad[chosen], noise, lever
         )
 
-    everything = np.arange(len(frame.columns))
-    model = model_at(prior, everything)
-    chosen, rejected = _agreeing(model, landmark_map.ids[frame.columns], probability)
-    rejected.update(frame.unusable)
-    if len(chosen) < max(least, (len(everything) + 1) // 2):
-        refusal = Refusal(
-            'bearings do not fit the expected pose',
-            f'{len(chosen)} of {len(everything)} agree, '
-            f'largest innovation {np.degrees(np.abs(model.residual).max()):.2f} deg',
+    seen = ids[frame.columns]
+    rejected = dict(frame.unusable)
+    before = model_at(np.arange(len(seen)), prior)
+    chosen = _inside_gate(before, prior, frame, seen, probability, rejected)
+    least = max(least, (2 * len(seen) + 2) // 3)
+    while len(chosen) >= least:
+        first = before if len(chosen) == len(seen) else model_at(chosen, prior)
+        state, model = _iterated(prior, first, partial(model_at, chosen), refine)
+        inverse = np.linalg.inv(model.covariance)
+        weighted = inverse @ model.innovation
+        nis = float(model.innovation @ weighted)
+        if nis <= float(chdtri(len(chosen), 1.0 - probability)):
+            return state, FusionUpdate(
+                prior.stamp_ns, seen[chosen], before.innovation[chosen], nis, len(chosen), rejected
+            )
+        # What the NIS would fall by without each: its square given all the others.
+        worst = int(np.argmax(weighted**2 / np.diag(inverse)))
+        rejected[int(seen[chosen[worst]])] = Refusal(
+            'disagrees with the others', f'joint NIS {nis:.1f} of {len(chosen)} bearings'
         )
-        return prior, FusionUpdate(prior.stamp_ns, rejected=rejected, refusal=refusal)
-    if len(chosen) < len(everything):
-        model = model_at(prior, chosen)
-    accepted = FusionUpdate(
-        prior.stamp_ns,
-        landmark_map.ids[frame.columns[chosen]],
-        model.residual,
-        _nis(model),
-        len(chosen),
-        rejected,
+        chosen = np.delete(chosen, worst)
+    refusal = Refusal(
+        'bearings do not fit the expected pose',
+        f'{len(chosen)} of {len(seen)} agree, '
+        f'largest innovation {np.degrees(np.abs(before.innovation).max()):.2f} deg',
     )
-    return _iterated(prior, model, lambda state: model_at(state, chosen)), accepted
+    return prior, FusionUpdate(prior.stamp_ns, rejected=rejected, refusal=refusal)
 
 
 def update_pose(
@@ -143,61 +149,49 @@ def update_pose(
 ) -> tuple[FilterState, FusionUpdate]:
     """Use a triangulated pose of the base, if it agrees with the prior."""
     model = pose_model(prior, measured)
-    nis = _nis(model)
+    nis = float(model.innovation @ np.linalg.solve(model.covariance, model.innovation))
     limit = float(chdtri(3, 1.0 - probability))
     if nis > limit:
         refusal = Refusal('pose does not fit the expected one', f'NIS {nis:.1f} over {limit:.1f}')
         return prior, FusionUpdate(prior.stamp_ns, refusal=refusal)
-    update = FusionUpdate(prior.stamp_ns, innovation_rad=model.residual, nis=nis, degrees=3)
-    return correct(prior, model, prior), update
+    update = FusionUpdate(prior.stamp_ns, innovation_rad=model.innovation, nis=nis, degrees=3)
+    return correct(prior, model, refine=False), update
 
 
-def _nis(model: MeasurementModel) -> float:
-    return float(model.residual @ np.linalg.solve(model.innovation, model.residual))
-
-
-def _agreeing(
-    model: MeasurementModel, ids: npt.NDArray[np.int64], probability: float
-) -> tuple[IndexArray, dict[int, Refusal]]:
-    """Places of the bearings that pass their own gate and then the joint one."""
-    square = model.residual**2 / np.diag(model.innovation)
-    alone = square <= float(chdtri(1, 1.0 - probability))
-    rejected = {
-        int(ids[k]): Refusal(
-            'outside its gate',
-            f'{np.degrees(model.residual[k]):.2f} deg, {np.sqrt(square[k]):.1f} sigma',
+def _inside_gate(
+    model: MeasurementModel,
+    prior: FilterState,
+    frame: BearingFrame,
+    seen: npt.NDArray[np.int64],
+    probability: float,
+    rejected: dict[int, Refusal],
+) -> IndexArray:
+    """Places of the bearings that each fit the prior; the others go to `rejected`."""
+    delta = prior.landmarks[frame.columns] - prior.mean[:2]
+    # What linearisation leaves out: the second derivative of a bearing is 1 / range^2.
+    curvature = np.trace(prior.covariance[:2, :2]) / np.sum(delta * delta, axis=-1)
+    variance = np.diag(model.covariance) + 0.5 * curvature**2
+    sigmas = np.abs(model.innovation) / np.sqrt(variance)
+    inside = sigmas**2 <= float(chdtri(1, 1.0 - probability))
+    for k in np.flatnonzero(~inside):
+        rejected[int(seen[k])] = Refusal(
+            'outside its gate', f'{np.degrees(model.innovation[k]):.2f} deg, {sigmas[k]:.1f} sigma'
         )
-        for k in np.flatnonzero(~alone)
-    }
-    chosen = np.flatnonzero(alone)
-    while len(chosen):
-        inverse = np.linalg.inv(model.innovation[np.ix_(chosen, chosen)])
-        weighted = inverse @ model.residual[chosen]
-        nis = float(model.residual[chosen] @ weighted)
-        if nis <= float(chdtri(len(chosen), 1.0 - probability)):
-            break
-        # What the NIS would fall by without each: its square given all the others.
-        worst = int(np.argmax(weighted**2 / np.diag(inverse)))
-        rejected[int(ids[chosen[worst]])] = Refusal(
-            'disagrees with the others', f'joint NIS {nis:.1f} of {len(chosen)} bearings'
-        )
-        chosen = np.delete(chosen, worst)
-    return chosen, rejected
+    return np.flatnonzero(inside)
 
 
 def _iterated(
     prior: FilterState,
     model: MeasurementModel,
     model_at: Callable[[FilterState], MeasurementModel],
-) -> FilterState:
-    """Repeat the update about its own result until it stays, at most to 0.1 mm and 0.1 mrad."""
-    state = correct(prior, model, prior)
-    moved = state.mean - prior.mean
-    # A step small beside the landmarks' distance is as good as linear.
-    for _ in range(_MAX_ITERATIONS - 1):
-        if np.abs(moved[:3]).max() < 1e-2:
+    refine: bool,
+) -> tuple[FilterState, MeasurementModel]:
+    """Repeat the update, linearised about its own result, until that stays."""
+    at, state = prior, correct(prior, model, refine)
+    for _ in range(_MAX_ITERATIONS):
+        if np.abs(state.mean[:2] - at.mean[:2]).max() < _LINEAR_M:
             break
-        improved = correct(state, model_at(state), prior)
-        moved = improved.mean - state.mean
-        state = improved
-    return state
+        at = state
+        model = model_at(at)
+        state = correct(prior, model, refine)
+    return state, model

@@ -3,7 +3,7 @@ Wheel odometry as motion: increments between any two times and how wrong they ma
 
 White noise follows Borenstein and Feng (1996) in form: variances grow with the way and the turn.
 What is wrong with every increment alike (wheel diameter, track, their difference) is not noise
-but three factors that the filter estimates.
+but three factors that the filter estimates; side slip is noise that lasts for some way.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = [
     'Motion',
     'OdometryNoiseConfig',
     'fraction_of_motion',
-    'motion_covariance',
+    'motion_variances',
     'twist_motion',
 ]
 
@@ -85,11 +85,23 @@ class OdometryNoiseConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    slip_sigma: float = parameter(
+        0.03,
+        'Sigma of the side slip, metres to the left per metre ahead.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    slip_length_m: float = parameter(
+        0.3, 'Way over which side slip changes, m.', minimum=0.001, maximum=1000.0
+    )
     max_speed_m_s: float = parameter(
         3.0, 'Odometry that moves faster has jumped, m/s.', minimum=0.01, maximum=100.0
     )
     max_rate_rad_s: float = parameter(
         6.0, 'Odometry that turns faster has jumped, rad/s.', minimum=0.01, maximum=100.0
+    )
+    max_gap_s: float = parameter(
+        1.0, 'A longer pause between samples counts as blind, s.', minimum=0.0, maximum=60.0
     )
     horizon_s: float = parameter(
         0.25,
@@ -109,7 +121,7 @@ class OdometryNoiseConfig:
         return np.array(sigmas) if self.estimate_odometry_bias else np.zeros(3)
 
 
-def motion_covariance(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
+def motion_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     """Variances (3,) of a motion's forward, left and turn; they add up over its parts."""
     forward, left, turn = motion.increment
     way = float(np.hypot(forward, left))

@@ -70,7 +70,8 @@ class OdometryTrack:
         if jumped:
             known = min(seconds, self._config.horizon_s)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
-        self._append(sample, compose(self._poses[-1], increment), jumped)
+        blind = jumped or seconds > self._config.max_gap_s
+        self._append(sample, compose(self._poses[-1], increment), blind)
         if jumped:
             return Refusal('odometry jumped', f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s')
         return None
