@@ -32,11 +32,11 @@ class AttentionConfig:
     """
 
     weight_intensity: float = parameter(0.05, 'weight of bright areas', minimum=0, maximum=10)
-    weight_edges: float = parameter(0.15, 'weight of Canny edges', minimum=0, maximum=10)
+    weight_edges: float = parameter(0.05, 'weight of Canny edges', minimum=0, maximum=10)
     weight_vertical_edges: float = parameter(
         0.3, 'weight of vertical edges, which fix a bearing', minimum=0, maximum=10
     )
-    weight_corners: float = parameter(0.2, 'weight of corners', minimum=0, maximum=10)
+    weight_corners: float = parameter(0.3, 'weight of corners', minimum=0, maximum=10)
     weight_symmetry: float = parameter(
         0.3, 'weight of symmetry about a point', minimum=0, maximum=10
     )
@@ -66,7 +66,7 @@ class AttentionConfig:
         1.25, 'area that is inhibited after attending, in patch widths', minimum=1, maximum=4
     )
     sector_deg: float = parameter(20.0, 'width of a sector of azimuth', minimum=1, maximum=360)
-    candidates_per_sector: int = parameter(10, 'patches per sector at most', minimum=1)
+    candidates_per_sector: int = parameter(12, 'patches per sector at most', minimum=1)
     neighborhood_columns_px: int = parameter(
         60, 'how far to either side a patch may be mistaken', minimum=8, maximum=400
     )
@@ -80,7 +80,7 @@ class AttentionConfig:
         3.0, 'noise of one frame, standard deviation in grey levels', minimum=0.1, maximum=50
     )
     bearing_sigma_max_px: float = parameter(
-        0.1, 'largest predicted noise of a match along the row, px', minimum=0.01, maximum=2
+        0.05, 'largest predicted noise of a match along the row, px', minimum=0.01, maximum=2
     )
 
     def __post_init__(self) -> None:

@@ -11,6 +11,9 @@ from landmark_nav.learning.attention.features import FloatMap
 
 __all__ = ['conspicuity_map', 'fuse']
 
+# A map that rises less has nothing in it but rounding.
+_LEAST_PEAK = 1e-3
+
 
 def conspicuity_map(feature: FloatMap, center_sigma: float, surround_sigma: float) -> FloatMap:
     """
@@ -31,7 +34,7 @@ def conspicuity_map(feature: FloatMap, center_sigma: float, surround_sigma: floa
     surround = cv2.GaussianBlur(feature, (0, 0), surround_sigma)
     stands_out = np.maximum(center - surround, 0.0)
     peak = float(stands_out.max())
-    if peak <= 0.0:
+    if peak < _LEAST_PEAK:
         return np.zeros_like(feature)
     stands_out /= np.float32(peak)
     reach = 2 * int(np.ceil(surround_sigma)) + 1

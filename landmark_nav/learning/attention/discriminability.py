@@ -12,6 +12,8 @@ __all__ = ['refusal']
 
 # A neighbour closer than this share of the patch is the patch itself, merely shifted.
 _SAME_PLACE = 0.25
+# Standard deviation of the Gaussian before gradients are taken, px.
+_SMOOTHING_PX = 1.0
 
 
 def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> Refusal | None:
@@ -30,9 +32,8 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]
     sigma_px = _bearing_sigma_px(patch, config.noise_gray)
     if sigma_px > config.bearing_sigma_max_px:
-        return Refusal(
-            'too little contrast along the row', f'a match would vary by {sigma_px:.2f} px'
-        )
+        found = f'a match would vary by {sigma_px:.2f} px' if np.isfinite(sigma_px) else 'noise'
+        return Refusal('too little contrast along the row', found)
     score = cv2.matchTemplate(window, np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
     columns_away = np.abs(np.arange(score.shape[1]) - column)
     rows_away = np.abs(np.arange(score.shape[0]) - row)
@@ -65,15 +66,16 @@ def _neighborhood(
 
 def _bearing_sigma_px(patch: ImageArray, noise_gray: float) -> float:
     """
-    Noise along the row of a least-squares match between two pictures of a patch.
+    Noise along the row of a least-squares match between two pictures of a patch, px.
 
-    The Cramer-Rao bound with the shift along the column unknown too: a patch of one slanted edge
-    fixes neither. What the noise itself adds to the gradients is no information.
+    The Cramer-Rao bound sqrt(2) noise / |gradients|, with the shift along the column unknown
+    too: a patch of one slanted edge fixes neither. The gradients are taken from a smoothed patch
+    and cleared of what noise adds to them, since noise is not found again.
     """
-    image = patch.astype(np.float64)
+    image = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), _SMOOTHING_PX)
     dx = 0.5 * (image[1:-1, 2:] - image[1:-1, :-2])
     dy = 0.5 * (image[2:, 1:-1] - image[:-2, 1:-1])
-    noise: float = 0.5 * noise_gray**2 * dx.size
+    noise = dx.size * noise_gray**2 / (8.0 * np.pi * _SMOOTHING_PX**4)
     xx, yy, xy = float(np.sum(dx * dx)), float(np.sum(dy * dy)), float(np.sum(dx * dy))
     information = xx - noise - (xy * xy / yy if yy > 0.0 else 0.0)
     if information <= 0.0:

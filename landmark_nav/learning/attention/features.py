@@ -69,10 +69,11 @@ def edge_gradients(gray: ImageArray, low: float, high: float) -> EdgeGradients:
     ).astype(bool)
     dx = np.where(edge, sobel_x, 0).astype(np.float32) / np.float32(_SOBEL_GAIN)
     dy = np.where(edge, sobel_y, 0).astype(np.float32) / np.float32(_SOBEL_GAIN)
-    magnitude = cv2.magnitude(dx, dy)
+    # Not cv2.magnitude: its last bit depends on where the arrays lie in memory.
+    magnitude = np.sqrt(dx * dx + dy * dy)
     found = magnitude[edge]
     strong = float(np.percentile(found, _STRONG_EDGE_PERCENT)) if found.size else 1.0
-    return EdgeGradients(dx, dy, np.asarray(magnitude), strong)
+    return EdgeGradients(dx, dy, magnitude, strong)
 
 
 def intensity_map(gray: ImageArray) -> FloatMap:

@@ -64,7 +64,7 @@ def _ring_symmetry(
 
     total = ring(strength, 1.0)
     circular = ring(real, -1.0) + cv2.sepFilter2D(imaginary, -1, first, first)
-    linear = cv2.magnitude(ring(real, 1.0), ring(imaginary, 1.0))
+    linear = np.sqrt(ring(real, 1.0) ** 2 + ring(imaginary, 1.0) ** 2)
     # Divided by what a full ring would hold, so that a few stray edges are no symmetry.
     certainty = total / (total + np.float32(_EMPTY))
     total = np.maximum(total, np.float32(1e-6))

@@ -1,0 +1,275 @@
+"""Attention as a whole: what is selected in synthetic panoramas, and what is not."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.learning.attention import (
+    attend,
+    AttentionConfig,
+    FEATURES,
+    saliency_map,
+    select_candidates,
+)
+from landmark_nav.types import Candidate, Panorama
+
+WIDTH, HEIGHT = 1601, 300
+
+
+def panorama(gray, mask=None):
+    gray = np.clip(np.rint(gray), 0, 255).astype(np.uint8)
+    height, width = gray.shape
+    return Panorama(
+        stamp_ns=0,
+        image=np.repeat(gray[..., None], 3, axis=2),
+        mask=np.ones(gray.shape, dtype=bool) if mask is None else mask,
+        cylinder=Cylinder(width, height, width / (2 * np.pi), (width - 1) / 2, height / 2),
+        center_map=np.zeros(3),
+        heading_rad=0.0,
+        covariance=np.zeros((4, 4)),
+    )
+
+
+def plaster(rng, noise=2.0, height=HEIGHT, width=WIDTH):
+    """A mottled wall under sensor noise."""
+    mottle = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 12)
+    return 150.0 + 6.0 * mottle / mottle.std() + rng.normal(0.0, noise, (height, width))
+
+
+def target(diameter, slant_deg=0.0, rings=5):
+    """Black and white rings on a board, narrowed by the slant."""
+    fine = 4
+    n = int(1.15 * diameter * fine)
+    y, x = np.mgrid[:n, :n] - (n - 1) / 2.0
+    ring = np.floor(np.hypot(x, y) / (0.5 * diameter * fine) * rings)
+    board = np.where((ring < rings) & (ring % 2 == 0), 20.0, 235.0)
+    size = round(n / fine * np.cos(np.radians(slant_deg))), n // fine
+    return cv2.resize(board, size, interpolation=cv2.INTER_AREA)
+
+
+def poster(rng, width, height, grain=2.5):
+    """Random texture: nowhere the same."""
+    texture = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), grain)
+    return 128.0 + 50.0 * texture / texture.std()
+
+
+def text(rng, width, height):
+    """Lines of random length."""
+    page = np.full((height, width), rng.uniform(150.0, 250.0))
+    for row in range(4, height - 4, 7):
+        page[row : row + 3, 4 : rng.integers(10, width - 4)] = 30.0
+    return page
+
+
+def paste(gray, patch, column, row):
+    """Put a patch with its upper left corner at (column, row), round the seam too."""
+    height, width = patch.shape
+    columns = np.arange(column, column + width) % gray.shape[1]
+    gray[row : row + height, columns] = patch
+
+
+def clutter(rng, count=14):
+    gray = plaster(rng)
+    for k in range(count):
+        width, height = (int(v) for v in rng.integers(40, 130, 2))
+        patch = (poster, text)[k % 2](rng, width, height)
+        paste(gray, patch, int(rng.integers(WIDTH)), int(rng.integers(HEIGHT - height)))
+    return gray
+
+
+def away_px(candidate: Candidate, column, row, width=WIDTH):
+    across = (candidate.column - column + width / 2) % width - width / 2
+    return max(abs(across), abs(candidate.row - row))
+
+
+@pytest.mark.parametrize('diameter', [30, 45, 60, 90])
+@pytest.mark.parametrize('slant_deg', [0, 50])
+def test_concentric_target_is_always_selected(diameter, slant_deg):
+    for rings in (5, 7):
+        rng = np.random.default_rng(diameter + slant_deg + rings)
+        gray = clutter(rng)
+        board = target(diameter, slant_deg, rings)
+        column = int(rng.integers(WIDTH))
+        row = int(rng.integers(5, HEIGHT - board.shape[0] - 5))
+        paste(gray, board, column, row)
+        gray = cv2.GaussianBlur(gray, (0, 0), 0.7) + rng.normal(0.0, 2.0, gray.shape)
+        center = column + (board.shape[1] - 1) / 2, row + (board.shape[0] - 1) / 2
+        found = select_candidates(panorama(gray), AttentionConfig())
+        rank = int(np.argmin([away_px(c, *center) for c in found]))
+        assert away_px(found[rank], *center) <= 8.0
+        assert rank < 12
+
+
+def test_each_of_several_equal_targets_is_selected():
+    gray = clutter(np.random.default_rng(3))
+    places = [(100, 40), (600, 150), (1200, 200)]
+    for place in places:
+        paste(gray, target(50), *place)
+    found = select_candidates(panorama(gray), AttentionConfig())
+    for column, row in places:
+        assert min(away_px(c, column + 28, row + 28) for c in found) <= 8.0
+
+
+@pytest.mark.parametrize('noise', [0.0, 2.0, 6.0])
+def test_bare_wall_yields_nothing(noise):
+    gray = plaster(np.random.default_rng(1), noise)
+    assert select_candidates(panorama(gray), AttentionConfig()) == ()
+
+
+@pytest.mark.parametrize('value', [0, 255])
+def test_uniform_picture_yields_nothing(value):
+    found = attend(panorama(np.full((HEIGHT, WIDTH), float(value))), AttentionConfig())
+    assert found.candidates == ()
+    assert found.refused == ()
+
+
+def repeated(kind):
+    row, column = np.mgrid[:150, :500]
+    if kind == 'horizontal bars':
+        return np.where(row // 6 % 2 == 0, 60.0, 200.0)
+    if kind == 'vertical bars':
+        return np.where(column // 6 % 2 == 0, 60.0, 200.0)
+    return np.where((row // 9 + column // 9) % 2 == 0, 60.0, 200.0)
+
+
+@pytest.mark.parametrize('kind', ['horizontal bars', 'vertical bars', 'checkerboard'])
+def test_repeated_patterns_are_refused_with_their_reason(kind):
+    gray = plaster(np.random.default_rng(2))
+    paste(gray, repeated(kind), 300, 80)
+    paste(gray, poster(np.random.default_rng(5), 120, 120), 1200, 80)
+    found = attend(panorama(gray), AttentionConfig())
+
+    def on_pattern(c):
+        return 280 < c.column < 820 and 60 < c.row < 250
+
+    assert not [c for c in found.candidates if on_pattern(c)]
+    reasons = {str(why.reason) for c, why in found.refused if on_pattern(c)}
+    assert 'looks like a place near by' in reasons
+    assert [c for c in found.candidates if 1200 <= c.column < 1320]
+
+
+def test_patch_across_the_seam_is_found_exactly_once():
+    gray = plaster(np.random.default_rng(4))
+    paste(gray, target(40), WIDTH - 23, 100)
+    found = select_candidates(panorama(gray), AttentionConfig())
+    assert found
+    near = [c for c in found if away_px(c, WIDTH, 123) <= 8.0]
+    assert len(near) == 1
+    assert -0.5 <= near[0].column < WIDTH - 0.5
+
+
+def test_turning_the_panorama_turns_the_candidates():
+    gray = np.clip(np.rint(clutter(np.random.default_rng(6))), 0, 255)[:, :1600]
+    config = AttentionConfig(candidates=20, candidates_per_sector=20)
+    there = select_candidates(panorama(gray), config)
+    turned = select_candidates(panorama(np.roll(gray, 800, axis=1)), config)
+    for c in there:
+        assert min(away_px(d, c.column + 800, c.row, 1600) for d in turned) <= 2.0
+
+
+def test_patches_stay_on_covered_pixels_and_ignore_the_rim():
+    rng = np.random.default_rng(7)
+    gray = clutter(rng)
+    mask = np.ones(gray.shape, dtype=bool)
+    rim = (20 + 15 * np.sin(np.arange(WIDTH) / 40.0)).astype(int)
+    mask[np.arange(HEIGHT)[:, None] < rim] = False
+    mask[:, 500:640] = False
+    found = attend(panorama(np.where(mask, gray, 0.0), mask), AttentionConfig())
+    assert len(found.candidates) > 10
+    for c in (*found.candidates, *(c for c, _ in found.refused)):
+        left, top = c.column - (c.width_px - 1) / 2, c.row - (c.height_px - 1) / 2
+        columns = np.arange(round(left), round(left) + c.width_px) % WIDTH
+        rows = np.arange(round(top), round(top) + c.height_px)
+        assert left == round(left)
+        assert top == round(top)
+        assert mask[np.ix_(rows, columns)].all()
+
+    bare = panorama(np.where(mask, plaster(rng), 0.0), mask)
+    assert select_candidates(bare, AttentionConfig()) == ()
+
+
+def test_nothing_is_selected_where_nothing_is_covered():
+    gray = clutter(np.random.default_rng(8))
+    assert select_candidates(panorama(gray, np.zeros(gray.shape, bool)), AttentionConfig()) == ()
+
+
+def test_directions_are_kept_varied():
+    rng = np.random.default_rng(9)
+    gray = plaster(rng)
+    paste(gray, poster(rng, 500, 250), 0, 20)
+    for column in range(600, 1500, 150):
+        paste(gray, 150 + 0.4 * (poster(rng, 60, 60) - 128), column, 100)
+    config = AttentionConfig(candidates=60, candidates_per_sector=6)
+    found = select_candidates(panorama(gray), config)
+    sectors = np.array([(c.column + 0.5) / WIDTH * 18 for c in found]).astype(int)
+    assert np.bincount(sectors).max() <= 6
+    for column in range(600, 1500, 150):
+        assert any(column <= c.column < column + 60 for c in found)
+
+
+def test_saliency_falls_and_sizes_are_as_asked():
+    gray = clutter(np.random.default_rng(10))
+    config = AttentionConfig(size_min_px=36, size_max_px=48, size_step_px=4, candidates=25)
+    found = select_candidates(panorama(gray), config)
+    assert 10 < len(found) <= 25
+    assert found[0].saliency == max(c.saliency for c in found) == 1.0
+    assert min(c.saliency for c in found) > 0.0
+    assert {c.width_px for c in found} | {c.height_px for c in found} <= {36, 40, 44, 48}
+
+
+def test_least_response_ends_the_selection():
+    picture = panorama(clutter(np.random.default_rng(11)))
+    few = select_candidates(picture, AttentionConfig(least_response=0.6))
+    many = select_candidates(picture, AttentionConfig(least_response=0.05))
+    assert 0 < len(few) < len(many)
+
+
+def test_every_feature_runs_alone():
+    gray = clutter(np.random.default_rng(12))
+    picture = panorama(gray)
+    gray = picture.image[..., 0]
+    off = {f'weight_{name}': 0.0 for name in FEATURES}
+    for name in FEATURES:
+        alone = AttentionConfig(**{**off, f'weight_{name}': 1.0})
+        saliency = saliency_map(gray, alone)
+        assert saliency.shape == gray.shape
+        assert saliency.dtype == np.float32
+        assert 0.0 <= saliency.min() < saliency.max() <= 1.0
+        np.testing.assert_array_equal(
+            saliency, saliency_map(gray, AttentionConfig(), feature=name)
+        )
+        assert select_candidates(picture, alone)
+
+
+def test_the_same_panorama_gives_the_same_candidates():
+    picture = panorama(clutter(np.random.default_rng(13)))
+    assert select_candidates(picture, AttentionConfig()) == select_candidates(
+        picture, AttentionConfig()
+    )
+
+
+@pytest.mark.parametrize(
+    ('values', 'message'),
+    [
+        ({f'weight_{name}': 0.0 for name in FEATURES}, 'all weights'),
+        ({'size_min_px': 40}, 'size_min_px'),
+        ({'edge_low': 20.0}, 'edge_low'),
+        ({'ambiguity_max': 1.5}, 'ambiguity_max'),
+        ({'weight_corners': float('nan')}, 'weight_corners'),
+    ],
+)
+def test_wrong_parameters_are_named(values, message):
+    with pytest.raises(LandmarkNavError, match=message):
+        AttentionConfig(**values)
+
+
+def test_unknown_feature_and_too_small_a_panorama_are_refused():
+    gray = np.zeros((HEIGHT, WIDTH), np.uint8)
+    with pytest.raises(LandmarkNavError, match='colour'):
+        saliency_map(gray, AttentionConfig(), feature='colour')
+    with pytest.raises(LandmarkNavError, match='too small'):
+        select_candidates(panorama(np.zeros((20, 400))), AttentionConfig())
