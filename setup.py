@@ -39,7 +39,7 @@ setup(
         'scipy>=1.11.2',
         'opencv-python-headless>=4.6.0.66',
         'PyYAML>=6.0.1',
-        'rosbags>=0.11.0',
+        'rosbags>=0.11.6',
         'mcap>=1.0.0',
         'matplotlib>=3.6.0',
         'tqdm>=4.66.0',

@@ -147,7 +147,7 @@ class Room:
         direction = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
         side = self._ends - self._starts
         offset = self._starts - origin
-        with np.errstate(divide='ignore', invalid='ignore'):
+        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
             denominator = direction[..., 0] * side[:, 1] - direction[..., 1] * side[:, 0]
             along_ray = (offset[..., 0] * side[:, 1] - offset[..., 1] * side[:, 0]) / denominator
             along_wall = (
