@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from functools import partial
+import json
+import os
+import sys
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
@@ -31,17 +33,12 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Play it in this process."""
+    """Become the node ``bag_player``."""
     require_ros('landmark-nav play')
-    from rclpy.parameter import Parameter
-
-    from landmark_nav.nodes.bag_player import BagPlayerNode
-    from landmark_nav.ros.run import run_node
-
     if not 0.01 <= args.rate <= 100.0:
         raise LandmarkNavError(f'--rate {args.rate:g} is out of range: take 0.01 to 100')
-    overrides = [
-        Parameter('bag', value=args.bag),
-        Parameter('rate', value=args.rate),
-    ]
-    return run_node(partial(BagPlayerNode, parameter_overrides=overrides))
+    # Values are YAML to ROS: quoted, so that a folder called 12 stays a name.
+    parameters = ['-p', f'bag:={json.dumps(args.bag)}', '-p', f'rate:={float(args.rate)!r}']
+    command = ['-m', 'landmark_nav.nodes.bag_player', '--ros-args', *parameters, *args.ros_args]
+    sys.stdout.flush()
+    os.execv(sys.executable, [sys.executable, *command])

@@ -1,0 +1,134 @@
+"""Finds landmarks in the camera's pictures and triangulates the robot's pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import time
+from typing import Any
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.localization.pipeline import Observation, ObservationConfig, observe
+from landmark_nav.localization.prior import PriorTrack
+from landmark_nav.messages import decode, encode
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.ros.camera_frames import CameraFrames
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.image_source import ImageSource, TRANSPORTS
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.run import run_node
+from landmark_nav.ros.same_stamp import listen_together
+from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
+
+__all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
+
+
+@dataclass(frozen=True)
+class Parameters(ObservationConfig):
+    """Of the node ``triangulation_localizer``, beside those of the stages."""
+
+    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
+    map_frame: str = parameter('map', 'frame of triangulation/pose')
+    image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
+    pan_sigma_rad: float = parameter(2e-4, 'error of the measured pan, rad', minimum=0.0)
+    max_wait_s: float = parameter(
+        0.15, 'how long a picture waits for joint_states and odometry/fused, s', minimum=0.0
+    )
+    max_prior_age_s: float = parameter(
+        0.5, 'how far odometry/fused may be from a picture, s', minimum=0.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+class TriangulationLocalizerNode(LandmarkNode):
+    """Pictures to ``detections`` and ``triangulation/pose``, by `localization.observe`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('triangulation_localizer', 'detection', **options)
+        self._config = self.configure(Parameters)
+        self._mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._detections = self.advertise('detections')
+        self._fix = self.advertise('triangulation/pose')
+        self._frames = CameraFrames(self, self._mount)
+        self._prior = PriorTrack(self._config.max_prior_age_s)
+        self._map: LandmarkMap | None = None
+        self._triplet: Triplet | None = None
+        self._source: ImageSource | None = None
+        self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
+        self.listen('odometry/fused', self._on_fused)
+        self.listen('triplet', self._on_triplet)
+        listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+
+    def health(self) -> Health:
+        """What came of the last picture."""
+        return self._health
+
+    def _on_fused(self, message: Any) -> None:
+        self._prior.add(decode.pose_estimate(message), decode.odometry(message))
+
+    def _on_triplet(self, message: Any) -> None:
+        self._triplet = decode.triplet(message)
+
+    def _on_landmarks(self, points: Any, atlas: Any) -> None:
+        self._map = decode.landmark_map(points, atlas)
+        if self._source is None:
+            self._health = Health(Level.DEGRADED, 'no picture yet')
+            # A queue of one: a picture that waits while another is looked at makes way for a
+            # newer one. The group lets joint states and odometry in meanwhile.
+            group = MutuallyExclusiveCallbackGroup()
+            transport = self._config.image_transport
+            self._source = ImageSource(
+                self, 'camera/image_raw', self._on_image, transport, depth=1, group=group
+            )
+
+    def _on_image(self, message: Any) -> None:
+        start = time.monotonic()
+        try:
+            seen = self._observe(message)
+        except LandmarkNavError as error:
+            self._health = Health(Level.LOST, f'picture not used: {error}')
+            raise
+        self._detections.publish(
+            encode.detections(ros_factory, seen.detections, self._mount.base_frame)
+        )
+        if isinstance(seen.fix, PoseEstimate):
+            self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
+        self._health = self._judged(seen, time.monotonic() - start)
+
+    def _observe(self, message: Any) -> Observation:
+        stamp = decode.stamp_ns(message.header)
+        self._frames.wait(stamp, self._config.max_wait_s, self._prior.reaches)
+        frame, prior = self._frames.complete(message), self._prior.at(stamp)
+        if isinstance(prior, Refusal):
+            raise LandmarkNavError(str(prior))
+        assert self._map is not None
+        sigma_rad = self._config.pan_sigma_rad
+        return observe(frame, prior, self._map, self._mount, self._config, sigma_rad)
+
+    def _judged(self, seen: Observation, seconds: float) -> Health:
+        found = set(seen.detections.ids.tolist())
+        values: dict[str, object] = {
+            'found': len(found),
+            'not_found': len(seen.refused),
+            'update_ms': f'{seconds * 1e3:.0f}',
+        }
+        if self._triplet is not None:
+            values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))
+        if isinstance(seen.fix, Refusal):
+            return Health(Level.DEGRADED, f'no fix: {seen.fix}', values)
+        return Health(Level.OK, f'fix from {len(found)} landmarks', values)
+
+
+def main() -> int:
+    """Entry point of the executable."""
+    return run_node(TriangulationLocalizerNode, threads=2)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
