@@ -1,0 +1,82 @@
+"""Checked access to the fields of a YAML document; complaints say where."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.types import FloatArray
+
+__all__ = [
+    'array_field',
+    'covariance_field',
+    'field',
+    'integer_field',
+    'list_field',
+    'number_field',
+]
+
+# A covariance may miss being positive semi-definite by this share of its largest eigenvalue.
+_ROUNDING = 1e-9
+
+
+def field(mapping: Any, key: str, where: str) -> Any:
+    """Value of `key`; `LandmarkNavError` where `mapping` is none or lacks it."""
+    if not isinstance(mapping, Mapping) or key not in mapping:
+        raise LandmarkNavError(f'{where}: {key} is missing')
+    return mapping[key]
+
+
+def list_field(mapping: Any, key: str, where: str) -> list[Any]:
+    """Value of `key`, a list."""
+    value = field(mapping, key, where)
+    if not isinstance(value, list):
+        raise LandmarkNavError(f'{where}: {key} is {value!r}, not a list')
+    return value
+
+
+def integer_field(mapping: Any, key: str, where: str) -> int:
+    """Value of `key`, an integer from 0 on."""
+    value = field(mapping, key, where)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise LandmarkNavError(f'{where}: {key} is {value!r}, not an integer from 0 on')
+    return value
+
+
+def number_field(mapping: Any, key: str, where: str) -> float:
+    """Value of `key`, a finite number."""
+    return float(array_field(mapping, key, (), where))
+
+
+def array_field(mapping: Any, key: str, shape: tuple[int | None, ...], where: str) -> FloatArray:
+    """Value of `key`, finite numbers of `shape`; None in it stands for any length."""
+    value = field(mapping, key, where)
+    wanted = ' x '.join('n' if length is None else str(length) for length in shape)
+    what = f'not {wanted} numbers' if shape else 'not a number'
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise LandmarkNavError(f'{where}: {key} is {value!r}, {what}') from error
+    fits = array.ndim == len(shape) and all(
+        wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
+    )
+    if not fits or (array.dtype.kind not in 'iuf' and array.size):
+        raise LandmarkNavError(f'{where}: {key} is {value!r}, {what}')
+    if not np.all(np.isfinite(array.astype(np.float64))):
+        raise LandmarkNavError(f'{where}: {key} is {value!r}: not finite')
+    return array.astype(np.float64)
+
+
+def covariance_field(mapping: Any, key: str, size: int, where: str) -> FloatArray:
+    """Value of `key`, a covariance matrix (size, size)."""
+    matrix = array_field(mapping, key, (size, size), where)
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    slack = _ROUNDING * max(float(eigenvalues[-1]), 0.0)
+    if np.abs(matrix - matrix.T).max() > slack or eigenvalues[0] < -slack:
+        raise LandmarkNavError(
+            f'{where}: {key} is no covariance: it must be symmetric without negative eigenvalues'
+        )
+    return matrix

@@ -1,0 +1,75 @@
+"""Folders that appear whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+import fnmatch
+import os
+from pathlib import Path
+import shutil
+
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['whole_folder']
+
+
+@contextmanager
+def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
+    """
+    Fill a hidden folder, which takes the place of `folder` if nothing goes wrong.
+
+    Parameters
+    ----------
+    folder : Path
+        What to write. If it is there already it is replaced as a whole; what the user keeps in
+        it beside `own` stays.
+    own : sequence of str
+        Patterns of what this program writes there; the first must be in any folder that may be
+        replaced.
+
+    Yields
+    ------
+    Path
+        The folder to fill.
+
+    Raises
+    ------
+    LandmarkNavError
+        `folder` is something else, or cannot be written.
+
+    """
+    if folder.is_dir() and any(folder.iterdir()) and not list(folder.glob(own[0])):
+        raise LandmarkNavError(
+            f'{folder}: holds other files and no {own[0]}: take an empty or a new folder'
+        )
+    if folder.exists() and not folder.is_dir():
+        raise LandmarkNavError(f'{folder}: is a file: take another name')
+    target = folder.resolve()
+    growing = target.with_name(f'.{target.name}.part-{os.getpid()}')
+    try:
+        growing.mkdir(parents=True)
+        yield growing
+        _swap(growing, target, own)
+    except OSError as error:
+        raise LandmarkNavError(f'{folder}: cannot be written: {error}') from error
+    finally:
+        shutil.rmtree(growing, ignore_errors=True)
+
+
+def _swap(growing: Path, target: Path, own: Sequence[str]) -> None:
+    """Put `growing` in the place of `target`, which comes back if that fails."""
+    if not target.exists():
+        growing.rename(target)
+        return
+    old = target.with_name(f'.{target.name}.old-{os.getpid()}')
+    target.rename(old)
+    try:
+        growing.rename(target)
+    except OSError:
+        old.rename(target)
+        raise
+    for kept in old.iterdir():
+        if not any(fnmatch.fnmatch(kept.name, pattern) for pattern in own):
+            kept.rename(target / kept.name)
+    shutil.rmtree(old)

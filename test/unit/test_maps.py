@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+import yaml
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.walls import Wall
+from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
+
+
+def make_map(seed=0, count=3, factors=4):
+    rng = np.random.default_rng(seed)
+
+    def covariance(size):
+        root = rng.normal(size=(size, size)) * 10.0 ** rng.uniform(-9, 0)
+        return root @ root.T
+
+    landmarks = []
+    for k in range(count):
+        angle = rng.uniform(-np.pi, np.pi)
+        patch = rng.integers(0, 256, rng.integers(5, 40, 2)).astype(np.uint8)
+        landmarks.append(
+            Landmark(
+                id=7 * k,
+                position=rng.normal(size=3) * 10.0 ** rng.uniform(-5, 5),
+                covariance=covariance(3),
+                shared_loading=rng.normal(size=(3, factors)) * 1e-3,
+                normal=np.array([np.cos(angle), np.sin(angle), 0.0]),
+                width_m=float(rng.uniform(0.05, 1.0)),
+                height_m=float(rng.uniform(0.05, 1.0)),
+                patch=patch,
+                viewpoint=rng.normal(size=3),
+                threshold=float(rng.uniform(0.3, 0.95)),
+                wall_id=['north', 'on', '1', 'östlich: «a»'][k % 4],
+                saliency=float(rng.random()),
+            )
+        )
+    return LandmarkMap(
+        tuple(landmarks),
+        'map',
+        (Wall('on', (0.1, 0.2), (1 / 3, 2e-7), 2.5),),
+        (PoseEstimate(1_000_000_000_123, rng.normal(size=3), covariance(3)),),
+        {'bag': 'a: b', 'rooms': '12'},
+    )
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 6), factors=st.integers(0, 9))
+def test_a_map_comes_back_bit_by_bit(tmp_path_factory, seed, count, factors):
+    saved = make_map(seed, count, factors)
+    folder = tmp_path_factory.mktemp('maps') / 'map'
+    save_map(saved, folder)
+    loaded = load_map(folder)
+    assert (loaded.frame_id, loaded.walls) == (saved.frame_id, saved.walls)
+    assert loaded.provenance == saved.provenance
+    for one, other in zip(loaded.panorama_poses, saved.panorama_poses, strict=True):
+        assert one.stamp_ns == other.stamp_ns
+        np.testing.assert_array_equal(one.pose, other.pose)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+    for one, other in zip(loaded.landmarks, saved.landmarks, strict=True):
+        assert (one.id, one.wall_id, one.threshold) == (other.id, other.wall_id, other.threshold)
+        assert (one.width_m, one.height_m) == (other.width_m, other.height_m)
+        assert one.saliency == other.saliency
+        for name in (
+            'position',
+            'covariance',
+            'shared_loading',
+            'normal',
+            'patch',
+            'viewpoint',
+        ):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_the_file_is_short_lines_and_the_same_every_time(tmp_path):
+    save_map(make_map(), tmp_path / 'a')
+    save_map(make_map(), tmp_path / 'b')
+    text = (tmp_path / 'a' / 'map.yaml').read_text()
+    assert text == (tmp_path / 'b' / 'map.yaml').read_text()
+    assert max(map(len, text.splitlines())) < 120
+    assert '  position: [' in text
+    assert text.startswith('schema_version: 1\n')
+    names = sorted(p.name for p in (tmp_path / 'a' / 'patches').iterdir())
+    assert names == ['000.png', '007.png', '014.png']
+
+
+def test_a_map_is_replaced_as_a_whole_and_what_the_user_keeps_beside_it_stays(tmp_path):
+    folder = tmp_path / 'map'
+    save_map(make_map(count=5), folder)
+    (folder / 'notes.txt').write_text('mine')
+    (folder / 'panorama_4.png').write_text('of the old map')
+    save_map(make_map(count=1), folder)
+    assert len(load_map(folder).landmarks) == 1
+    assert len(list((folder / 'patches').iterdir())) == 1
+    assert (folder / 'notes.txt').read_text() == 'mine'
+    assert not (folder / 'panorama_4.png').exists()
+    assert [p.name for p in tmp_path.iterdir()] == ['map']
+
+
+def test_an_old_map_outlives_a_failure_and_nothing_half_written_is_left(tmp_path):
+    folder = tmp_path / 'map'
+    save_map(make_map(count=2), folder)
+    good = make_map(count=2)
+    broken = replace(good, landmarks=(replace(good.landmarks[0], patch=np.empty((0, 0))),))
+    with pytest.raises(Exception, match=r'.'):
+        save_map(broken, folder)
+    assert len(load_map(folder).landmarks) == 2
+    assert [p.name for p in tmp_path.iterdir()] == ['map']
+
+
+def test_folders_that_are_no_maps_are_not_touched(tmp_path):
+    (tmp_path / 'photo.png').write_text('precious')
+    with pytest.raises(LandmarkNavError, match='other files'):
+        save_map(make_map(), tmp_path)
+    with pytest.raises(LandmarkNavError, match='is a file'):
+        save_map(make_map(), tmp_path / 'photo.png')
+    assert (tmp_path / 'photo.png').read_text() == 'precious'
+
+
+def edited(tmp_path, edit):
+    folder = tmp_path / 'map'
+    save_map(make_map(), folder)
+    path = folder / 'map.yaml'
+    document = yaml.safe_load(path.read_text())
+    edit(document)
+    path.write_text(yaml.safe_dump(document))
+    return folder
+
+
+def first(key, value):
+    return lambda document: document['landmarks'][0].__setitem__(key, value)
+
+
+@pytest.mark.parametrize(
+    ('edit', 'match'),
+    [
+        (lambda d: d.update(schema_version=2), 'schema version 2.*reads 1.*update landmark_nav'),
+        (lambda d: d.update(schema_version='0.9'), r"schema version '0\.9'.*learn the map again"),
+        (lambda d: d.pop('schema_version'), 'schema_version is missing'),
+        (lambda d: d.pop('landmarks'), 'landmarks is missing'),
+        (lambda d: d['landmarks'][1].update(id=0), 'id 0 is there twice'),
+        (
+            first('position', [1.0, float('nan'), 0.0]),
+            r'landmarks\[0\] \(id 0\): position.*finite',
+        ),
+        (first('position', [1.0, 2.0]), 'position is .*not 3 numbers'),
+        (first('position', 'here'), 'position is .*not 3 numbers'),
+        (first('covariance', [[1.0, 2, 0], [2, 1, 0], [0, 0, 1]]), 'no covariance'),
+        (first('covariance', [[1.0, 2], [2, 1, 0]]), 'not 3 x 3 numbers'),
+        (first('shared_loading', [[1.0], [2.0], [3.0]]), 'as many columns'),
+        (first('normal', [0.0, 0.0, 1.0]), 'normal is not horizontal'),
+        (first('size', [0.0, 1.0]), 'must be positive'),
+        (first('id', True), 'not an integer'),
+        (lambda d: d['walls'][0].pop('height'), r'walls\[0\]: height is missing'),
+        (lambda d: d['panorama_poses'][0].update(pose=[0, 0]), r'panorama_poses\[0\]: pose'),
+        (lambda d: d.update(provenance=['x']), 'provenance'),
+    ],
+)
+def test_a_map_that_cannot_be_is_refused_in_one_line(tmp_path, edit, match):
+    with pytest.raises(LandmarkNavError, match=match) as error:
+        load_map(edited(tmp_path, edit))
+    assert 'map.yaml' in str(error.value)
+    assert '\n' not in str(error.value)
+
+
+def test_missing_parts_are_named(tmp_path):
+    with pytest.raises(LandmarkNavError, match='no map there'):
+        load_map(tmp_path / 'nowhere')
+    folder = tmp_path / 'map'
+    save_map(make_map(), folder)
+    (folder / 'patches' / '007.png').unlink()
+    with pytest.raises(LandmarkNavError, match=r'id 7\): .*007\.png is not there'):
+        load_map(folder)
+    (folder / 'map.yaml').write_text('- a\n: b')
+    with pytest.raises(LandmarkNavError, match='not YAML'):
+        load_map(folder)
