@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray, Refusal
 
-__all__ = ['Match', 'match_template']
+__all__ = ['Match', 'blur_to', 'match_template']
 
 Float32Image = npt.NDArray[np.float32]
 
@@ -81,10 +81,10 @@ def match_template(
     """
     if float(np.std(template)) < min_contrast:
         return Refusal('blank template', f'contrast {np.std(template):.1f}')
-    # The extra rim lets the alignment look a little beyond the searched places.
-    search = cv2.GaussianBlur(search, (0, 0), _BLUR_PX)
-    template = cv2.GaussianBlur(template, (0, 0), _BLUR_PX)
-    scores = cv2.matchTemplate(search, template, cv2.TM_CCOEFF_NORMED)
+    search, template = _smooth(search), _smooth(template)
+    scores = np.asarray(
+        cv2.matchTemplate(search, template, cv2.TM_CCOEFF_NORMED), dtype=np.float32
+    )
     _, score, _, (column, row) = cv2.minMaxLoc(scores)
     if score < min_score:
         return Refusal('low correlation', f'{score:.2f} < {min_score:.2f}')
@@ -101,13 +101,32 @@ def match_template(
     return Match(center + shift, covariance, max(float(score), fine_score), second)
 
 
+def blur_to(
+    image: Float32Image, step: FloatArray, own_step: FloatArray | float = 1.0
+) -> Float32Image:
+    """
+    Blur an image that resolves `own_step` (2,) pixels to one that resolves `step`, across, down.
+
+    Where `step` is not the wider one nothing is to do; without it, sampling wider would alias.
+    """
+    sigma = 0.5 * np.sqrt(np.maximum(np.square(step) - np.square(own_step), 0.0))
+    if sigma.max() < 0.3:
+        return image
+    x, y = np.maximum(sigma, 0.01)
+    blurred = cv2.GaussianBlur(image, (0, 0), sigmaX=float(x), sigmaY=float(y))
+    return np.asarray(blurred, dtype=np.float32)
+
+
+def _smooth(image: Float32Image) -> Float32Image:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), dtype=np.float32)
+
+
 def _second_peak(scores: Float32Image, column: int, row: int, shape: tuple[int, ...]) -> float:
     """Best score away from the peak by more than a fifth of the template."""
     away_x, away_y = max(3, shape[1] // 5), max(3, shape[0] // 5)
     rest = scores.copy()
-    rest[
-        max(0, row - away_y) : row + away_y + 1, max(0, column - away_x) : column + away_x + 1
-    ] = -1.0
+    rows = slice(max(0, row - away_y), row + away_y + 1)
+    rest[rows, max(0, column - away_x) : column + away_x + 1] = -1.0
     # A slope down from the main peak is no peak of its own.
     inner = rest[1:-1, 1:-1]
     if inner.size == 0:
@@ -129,7 +148,10 @@ def _align(
     at = np.array([column, row], dtype=np.float64)
     gain, offset = 1.0, 0.0
     for _ in range(_ITERATIONS):
-        seen = cv2.getRectSubPix(search, (width, height), tuple(map(float, at + center)))
+        x, y = at + center
+        seen = np.asarray(
+            cv2.getRectSubPix(search, (width, height), (float(x), float(y))), dtype=np.float32
+        )
         seen_x, seen_y = _gradients(seen)
         value = seen[inner].ravel().astype(np.float64)
         # value(at + d) ~ gain * reference + offset

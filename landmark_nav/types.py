@@ -233,6 +233,11 @@ class LandmarkMap:
         """Landmark ids, (n,)."""
         return np.array([k.id for k in self.landmarks], dtype=np.int64)
 
+    def indices(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
+        """Places in `landmarks` of ids (n,) that the map holds."""
+        order = np.argsort(self.ids)
+        return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)], dtype=np.intp)
+
     @cached_property
     def positions(self) -> FloatArray:
         """Centres in map, (n, 3)."""
@@ -293,8 +298,9 @@ class Detections:
     Landmarks found in one picture, arrays over the n found.
 
     `bearing_rad` (n,) is seen from the pan axis, counter-clockwise from ``base_link`` +x;
-    `variance_rad2` (n,) is its measurement variance without the map's share; `score` (n,) is the
-    normalized cross-correlation; `uv_px` (n, 2) the place in the picture.
+    `variance_rad2` (n,) is its own measurement variance, without the map's share and without
+    what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
+    cross-correlation; `uv_px` (n, 2) the place in the picture.
     """
 
     stamp_ns: int

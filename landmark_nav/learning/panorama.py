@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -176,15 +177,18 @@ def _slab(
     axis = np.array([mount.axis_xyz[0], mount.axis_xyz[1], center[2]])
     offset = center - axis if range_m is not None else 0.0
     projected = camera.project((grid - offset) @ rotation).astype(np.float32)
-    projected = np.nan_to_num(projected, nan=-1e4)
+    # A cell with a corner that can't be seen has no map at all, not one towards a made-up corner.
+    visible = np.isfinite(projected[..., 0]).astype(np.float32)
+    layers = np.dstack([np.nan_to_num(projected), visible])
     size = (cells[1] * _GRID_PX, cells[0] * _GRID_PX)
-    fine = cv2.resize(projected, size, interpolation=cv2.INTER_LINEAR)
+    fine = cv2.resize(layers, size, interpolation=cv2.INTER_LINEAR)
     fine = fine[_GRID_PX : _GRID_PX + cylinder.height, _GRID_PX : _GRID_PX + count]
 
-    map_u, map_v = cv2.split(fine)
+    map_u, map_v, seen = cv2.split(fine)
     image = frame.image if frame.image.ndim == 3 else cv2.merge([frame.image] * 3)
     warped = cv2.remap(image, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     inside = (map_u >= left) & (map_u <= right) & (map_v >= top) & (map_v <= bottom)
+    inside &= seen > 0.999
     if config.blend == 'feather':
         window = np.cos(np.pi * (map_u - (left + right) / 2.0) / (right - left)) ** 4 + 1e-3
         weight = np.where(inside, window, 0.0).astype(np.float32)
@@ -212,7 +216,7 @@ def _median(slabs: list[_Slab], mean: ImageArray, cylinder: Cylinder) -> ImageAr
     )
     image = mean.copy()
     edges = [*cuts, cuts[0] + cylinder.width]
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in pairwise(edges):
         layers = []
         for slab in slabs:
             offset = (left - slab.start) % cylinder.width
@@ -242,4 +246,4 @@ def _middle(stack: list[ImageArray]) -> ImageArray:
     if len(values) % 2:
         return values[half]
     below, above = values[half - 1], values[half]
-    return below + (above - below + 1) // 2
+    return np.asarray(below + (above - below + 1) // 2, dtype=np.uint8)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
@@ -69,7 +70,7 @@ def find_blobs(view: CylinderImage, color: str) -> PaperBlobs:
     hue, saturation, value = cv2.split(cv2.cvtColor(cv2.medianBlur(image, 5), cv2.COLOR_BGR2HSV))
     distance = np.abs((hue.astype(np.int16) - HUES[color] + 90) % 180 - 90)
     mask = (distance <= _HUE_TOLERANCE) & (saturation > 90) & (value > 25)
-    count, _, stats, centers = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    _, _, stats, centers = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     found = []
     for (left, top, width, height, area), center in zip(stats[1:], centers[1:], strict=True):
         # Each blob of the turn starts once in (0, width]; what crosses the seam is whole there.
@@ -84,7 +85,7 @@ def find_blobs(view: CylinderImage, color: str) -> PaperBlobs:
 
 def opponent_image(image: ImageArray, color: str) -> FloatArray:
     """How much of the hue each pixel of a BGR image has; zero on grey, so shadows don't count."""
-    hue = np.uint8([[[HUES[color], 255, 255]]])
+    hue = np.array([[[HUES[color], 255, 255]]], dtype=np.uint8)
     direction = cv2.cvtColor(hue, cv2.COLOR_HSV2BGR)[0, 0].astype(np.float64)
     direction -= direction.mean()
     direction /= np.abs(direction).sum() / 2.0
@@ -123,24 +124,26 @@ def locate_edges(
     """
     offset = np.arange(-_SEARCH_PX, _SEARCH_PX + _STEP_PX / 2, _STEP_PX)
     where = points[:, None] + offset[:, None] * outwards[:, None]
-    column = cylinder.wrap_column(where[..., 0]).astype(np.float32)
-    row = where[..., 1].astype(np.float32)
-    bright, bright_clear = _crossing(_sample(luminance, column, row), offset)
-    color, color_clear = _crossing(_sample(opponent, column, row), offset)
+    where[..., 0] = cylinder.wrap_column(where[..., 0])
+    bright, bright_clear = _crossing(_sample(luminance, where), offset)
+    color, color_clear = _crossing(_sample(opponent, where), offset)
     # Both must mean the same edge: a shadow's border is not a change of hue.
     agree = bright_clear & color_clear & (np.abs(bright - color) < 0.7)
     place = np.where(agree, bright, np.where(color_clear, color, np.nan))
     return EdgeSamples(place, np.where(agree, 0.15, 0.5))
 
 
-def _sample(image: FloatArray, column: FloatArray, row: FloatArray) -> FloatArray:
+def _sample(image: FloatArray, where: FloatArray) -> FloatArray:
+    column, row = np.moveaxis(where.astype(np.float32), -1, 0)
     found = cv2.remap(
         image.astype(np.float32), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
     )
     return np.asarray(found, dtype=np.float64)
 
 
-def _crossing(profiles: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _crossing(
+    profiles: FloatArray, offset: FloatArray
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """Half-way crossing nearest to the middle of each profile (n, m), and whether it is clear."""
     inner = np.median(profiles[:, offset < -0.6 * _SEARCH_PX], axis=1)
     outer = np.median(profiles[:, offset > 0.6 * _SEARCH_PX], axis=1)

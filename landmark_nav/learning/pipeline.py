@@ -210,7 +210,9 @@ def learn_from_panoramas(
     """
     _check(panoramas)
     log = log or StageLog()
-    greys = [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY) for p in panoramas]
+    greys = [
+        np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.uint8) for p in panoramas
+    ]
     with log.measure('attention'):
         candidates = tuple(select_candidates(p, config.attention) for p in panoramas)
 

@@ -2,9 +2,9 @@
 Where a sweep was taken, from coloured papers that hang at known places.
 
 Blobs give hypotheses (each blob's height is its range, so that two papers and more fix a pose);
-the edges of the papers, found to sub-pixel, then decide and refine. Livatino and Madsen triangulate
-the three papers; all their edges together say the same more accurately, and their heights tell
-wrong combinations from right ones.
+the edges of the papers, found to sub-pixel, then decide and refine. Livatino and Madsen
+triangulate the three papers; all their edges together say the same more accurately, and their
+heights tell wrong combinations from right ones.
 """
 
 from __future__ import annotations
@@ -203,15 +203,16 @@ class _PaperFitter:
             if min(found) < 0.3:
                 return None
 
-            def residuals(p: FloatArray) -> FloatArray:
-                step = self._project(p) - target
-                step[:, 0] = _wrapped_columns(step[:, 0], self._view.cylinder)
-                edge = np.sum(step * normal, 1) / sigma
-                return np.concatenate([edge[np.isfinite(edge)], p[3:] / self._prior])
-
-            result = least_squares(residuals, parameters, loss='huber', f_scale=2.0, x_scale='jac')
+            result = least_squares(
+                self._residuals,
+                parameters,
+                loss='huber',
+                f_scale=2.0,
+                x_scale='jac',
+                args=(target, normal, sigma),
+            )
             parameters = result.x
-        edges = residuals(parameters)[: -len(self._prior)]
+        edges = result.fun[: -len(self._prior)]
         spread = np.median(np.abs(edges)) / 0.6745
         if spread > 6.0:
             return None
@@ -223,6 +224,15 @@ class _PaperFitter:
             covariance[np.ix_(order, order)],
         )
         return _Fit(place, float(np.mean(found)) / max(1.0, spread))
+
+    def _residuals(
+        self, p: FloatArray, target: FloatArray, normal: FloatArray, sigma: FloatArray
+    ) -> FloatArray:
+        """Distances of the edges found from where `p` has them, then the priors, in sigmas."""
+        step = self._project(p) - target
+        step[:, 0] = _wrapped_columns(step[:, 0], self._view.cylinder)
+        edge = np.sum(step * normal, 1) / sigma
+        return np.concatenate([edge[np.isfinite(edge)], p[3:] / self._prior])
 
     def _project(self, p: FloatArray) -> FloatArray:
         """Panorama pixels (n, 2) of all edge points."""

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.patches import patch_axes, patch_points
 from landmark_nav.geometry.walls import Room
-from landmark_nav.matching import match_template
+from landmark_nav.matching import blur_to, match_template
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
 
@@ -223,8 +223,8 @@ def match_in(
         return Refusal('not covered by both panoramas')
     # The sharper view is blurred to what the other can show, or the peak would suffer.
     own, seen = (_texels_per_pixel(patch, p) for p in (here, there))
-    template = _blur_to(template, own, seen)
-    search = _blur_to(search, seen, own)
+    template = blur_to(template, seen, own)
+    search = blur_to(search, own, seen)
     match = match_template(
         search, template, min_score=config.min_score, max_second_ratio=config.max_second_ratio
     )
@@ -266,15 +266,3 @@ def _texels_per_pixel(patch: WallPatch, panorama: Panorama) -> FloatArray:
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
     pixel = reach / panorama.cylinder.fy / patch.texel_m
     return np.array([pixel / max(cosine, 0.1), pixel])
-
-
-def _blur_to(
-    texture: npt.NDArray[np.float32], own: FloatArray, other: FloatArray
-) -> npt.NDArray[np.float32]:
-    """Blur a texture of resolution `own` to `other` where that is coarser (texels a pixel)."""
-    sigma = 0.5 * np.sqrt(np.maximum(other**2 - own**2, 0.0))
-    if sigma.max() < 0.3:
-        return texture
-    x, y = np.maximum(sigma, 0.01)
-    blurred = cv2.GaussianBlur(texture, (0, 0), sigmaX=float(x), sigmaY=float(y))
-    return np.asarray(blurred, dtype=np.float32)

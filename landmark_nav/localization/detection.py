@@ -2,7 +2,7 @@
 Detection: landmarks re-mapped to how they should look now, found in the picture.
 
 The plane of each patch and the expected pose give the template (Livatino and Madsen, section
-2.1); it is drawn in the raw picture's own pixels, lens and all, so that nothing needs undistorting.
+2.1); it is drawn in the raw picture's own pixels, lens and all: nothing needs undistorting.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import patch_axes, rays_to_patch
-from landmark_nav.matching import match_template
+from landmark_nav.matching import blur_to, match_template
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
@@ -29,7 +29,7 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['camera_in_map', 'detect_landmarks', 'DetectionConfig', 'DetectionResult']
+__all__ = ['DetectionConfig', 'DetectionResult', 'camera_in_map', 'detect_landmarks']
 
 Float32Image = npt.NDArray[np.float32]
 
@@ -52,9 +52,6 @@ class DetectionConfig:
     )
     vertical_sigma_px: float = parameter(
         1.0, 'vertical error of the picture from tilt and floor', minimum=0.1, maximum=50
-    )
-    pan_sigma_rad: float = parameter(
-        2e-4, 'standard deviation of the measured pan angle', minimum=0, maximum=0.1
     )
     lens_sigma_px: float = parameter(
         0.05, 'what the lens model leaves, pixels', minimum=0, maximum=5
@@ -114,10 +111,7 @@ def detect_landmarks(
     DetectionResult
 
     """
-    grey = frame.image
-    if grey.ndim == 3:
-        grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY)
-    view = _View(frame, grey, prior, mount)
+    view = _View(frame, prior, mount)
     refused: dict[int, Refusal] = {}
     found: list[tuple[int, float, float, float, FloatArray]] = []
     if len(indices):
@@ -144,15 +138,11 @@ def detect_landmarks(
 class _View:
     """The picture with the camera where the prior puts it."""
 
-    def __init__(
-        self,
-        frame: CameraFrame,
-        grey: npt.NDArray[np.uint8],
-        prior: PoseEstimate,
-        mount: PanTiltMount,
-    ) -> None:
+    def __init__(self, frame: CameraFrame, prior: PoseEstimate, mount: PanTiltMount) -> None:
         self.camera: CameraModel = frame.camera
-        self.grey = grey
+        image = frame.image
+        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+        self.grey = np.asarray(grey, dtype=np.uint8)
         self.prior = prior
         self.rotation, self.center = camera_in_map(
             prior.pose, mount, frame.pan_rad, frame.tilt_rad
@@ -222,26 +212,19 @@ def _detect(
         return Refusal('out of view')
     # The largest upright rectangle inside the patch's quadrilateral, cut by the picture.
     (u_tl, v_tl), (u_tr, v_tr), (u_br, v_br), (u_bl, v_bl) = expected.corners
-    left, right = int(np.ceil(max(u_tl, u_bl, 1.0))), int(min(u_tr, u_br, view.camera.width - 2.0))
-    top, bottom = (
-        int(np.ceil(max(v_tl, v_tr, 1.0))),
-        int(min(v_bl, v_br, view.camera.height - 2.0)),
-    )
+    width, height = view.camera.width, view.camera.height
+    left, right = int(np.ceil(max(u_tl, u_bl, 1.0))), int(min(u_tr, u_br, width - 2.0))
+    top, bottom = int(np.ceil(max(v_tl, v_tr, 1.0))), int(min(v_bl, v_br, height - 2.0))
     size = (right - left + 1, bottom - top + 1)
     if min(size) < config.min_size_px:
         return Refusal('too small or cut off', f'{size[0]} x {size[1]} px')
     window_u, window_v = (int(w) for w in expected.window)
-    x0, x1 = max(0, left - window_u), min(view.camera.width, right + window_u + 1)
-    y0, y1 = max(0, top - window_v), min(view.camera.height, bottom + window_v + 1)
+    x0, x1 = max(0, left - window_u), min(width, right + window_u + 1)
+    y0, y1 = max(0, top - window_v), min(height, bottom + window_v + 1)
 
     template, pixel_texels = _render(landmark, expected.ray_to_metres, view, left, top, size)
-    search = view.grey[y0:y1, x0:x1].astype(np.float32)
     # A patch seen closer than it was learned is less sharp than the picture.
-    blur = 0.5 * np.sqrt(np.maximum(pixel_texels**-2 - 1.0, 0.0))
-    if blur.max() > 0.3:
-        search = cv2.GaussianBlur(
-            search, (0, 0), sigmaX=max(blur[0], 0.01), sigmaY=max(blur[1], 0.01)
-        )
+    search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), pixel_texels**-1)
     match = match_template(
         search,
         template,
@@ -250,14 +233,14 @@ def _detect(
     )
     if isinstance(match, Refusal):
         return match
-    middle = np.array([(left + right) / 2.0, (top + bottom) / 2.0])
-    shift = match.xy + [x0, y0] - middle
+    expected_at = np.array([(left + right) / 2.0 - x0, (top + bottom) / 2.0 - y0])
+    shift = match.xy - expected_at
     if abs(shift[1]) > expected.window[1]:
         return Refusal('wrong height', f'{shift[1]:.1f} px off')
     uv = expected.uv + shift
     bearing, by_uv = _bearing(landmark, uv, view)
     variance = float(by_uv @ (match.covariance + np.eye(2) * config.lens_sigma_px**2) @ by_uv)
-    return bearing, variance + config.pan_sigma_rad**2, match.score, uv
+    return bearing, variance, match.score, uv
 
 
 def _render(
@@ -291,12 +274,7 @@ def _render(
         ]
     )
     texels = np.maximum(texels, 1e-2)
-    patch = landmark.patch.astype(np.float32)
-    blur = 0.5 * np.sqrt(np.maximum(texels**2 - 1.0, 0.0))
-    if blur.max() > 0.3:
-        patch = cv2.GaussianBlur(
-            patch, (0, 0), sigmaX=max(blur[0], 0.01), sigmaY=max(blur[1], 0.01)
-        )
+    patch = blur_to(landmark.patch.astype(np.float32), texels)
     template = cv2.remap(patch, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(template, dtype=np.float32), texels
 

@@ -1,0 +1,206 @@
+"""
+Localization, stage by stage.
+
+picture and prior -> triplet, detection, triangulation; bearings and odometry -> fusion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
+from landmark_nav.localization.fusion_health import HealthConfig
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.triangulation import triangulate, TriangulationConfig
+from landmark_nav.localization.triangulation_model import base_from_axis
+from landmark_nav.localization.triplet import select_triplet, TripletConfig, visible_landmarks
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+    Triplet,
+)
+
+__all__ = [
+    'LocalizationConfig',
+    'LocalizationUpdate',
+    'Localizer',
+    'Observation',
+    'ObservationConfig',
+    'observe',
+]
+
+
+@dataclass(frozen=True)
+class ObservationConfig:
+    """Parameters of the stages that look at a picture."""
+
+    triplet: TripletConfig = field(default_factory=TripletConfig)
+    detection: DetectionConfig = field(default_factory=DetectionConfig)
+    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
+
+
+@dataclass(frozen=True)
+class LocalizationConfig:
+    """Parameters of all stages."""
+
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+    health: HealthConfig = field(default_factory=HealthConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """
+    What a picture says about the pose.
+
+    `fix` is the triangulated pose of the base, computed from the bearings alone; the prior told
+    where to look, and rejects what cannot be.
+    """
+
+    detections: Detections
+    refused: Mapping[int, Refusal]
+    fix: PoseEstimate | Refusal
+
+
+def observe(
+    frame: CameraFrame,
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: ObservationConfig,
+    common_bearing_sigma_rad: float = 0.0,
+) -> Observation:
+    """
+    Detect what should be in view and triangulate.
+
+    Parameters
+    ----------
+    frame : CameraFrame
+        Picture with its joint angles.
+    prior : PoseEstimate
+        Expected pose of the base at its stamp.
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : ObservationConfig
+        Parameters.
+    common_bearing_sigma_rad : float
+        What all bearings of the picture share: the error of the measured pan.
+
+    Returns
+    -------
+    Observation
+
+    """
+    expected = visible_landmarks(
+        prior, landmark_map, frame.camera, mount, frame.pan_rad, frame.tilt_rad, config.triplet
+    )
+    result = detect_landmarks(frame, prior, landmark_map, mount, config.detection, expected)
+    found = result.detections
+    index = landmark_map.indices(found.ids)
+    rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
+    fix = triangulate(
+        landmark_map.positions[index, :2],
+        found.bearing_rad,
+        found.variance_rad2,
+        landmark_map.joint_covariance_xy[np.ix_(rows, rows)],
+        config=config.triangulation,
+        common_variance=common_bearing_sigma_rad**2,
+    )
+    base = fix if isinstance(fix, Refusal) else base_from_axis(fix.at(frame.stamp_ns), mount)
+    return Observation(found, result.refused, base)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizationUpdate:
+    """
+    All that came of one picture.
+
+    `triplet` is what the camera would best be turned to from here; `fused` is the filter's
+    estimate at the picture's stamp, after it.
+    """
+
+    stamp_ns: int
+    triplet: Triplet | Refusal
+    observation: Observation
+    fusion: FusionUpdate
+    fused: PoseEstimate
+    status: str
+    reason: str
+
+
+class Localizer:
+    """
+    The nodes of the navigation phase in one: for bags, and for use without ROS.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : LocalizationConfig
+        Parameters.
+
+    """
+
+    def __init__(
+        self, landmark_map: LandmarkMap, mount: PanTiltMount, config: LocalizationConfig
+    ) -> None:
+        self._map, self._mount, self._config = landmark_map, mount, config
+        self._filter = PoseFilter(
+            landmark_map, mount, config.fusion, config.odometry, config.health
+        )
+
+    def initialize(self, start: PoseEstimate) -> None:
+        """Start anew at a pose of the base."""
+        self._filter.initialize(start)
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """Move on; why the sample was left out, if it was."""
+        return self._filter.add_odometry(sample)
+
+    def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
+        """Pose of the base at a time, the newest by default; None before `initialize`."""
+        return self._filter.estimate(stamp_ns)
+
+    def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | Refusal:
+        """Look at a picture and correct the pose; a refusal before `initialize`."""
+        prior = self._filter.estimate(frame.stamp_ns)
+        if prior is None:
+            return Refusal('not initialized', 'give a start pose')
+        config = self._config
+        triplet = select_triplet(
+            prior, self._map, frame.camera, self._mount, config.observation.triplet
+        )
+        seen = observe(
+            frame,
+            prior,
+            self._map,
+            self._mount,
+            config.observation,
+            config.fusion.pan_sigma_rad,
+        )
+        if config.fusion.mode == 'bearings':
+            update = self._filter.add_detections(seen.detections)
+        elif isinstance(seen.fix, PoseEstimate):
+            update = self._filter.add_pose(seen.fix)
+        else:
+            update = FusionUpdate(frame.stamp_ns, refusal=seen.fix)
+        fused = self._filter.estimate(frame.stamp_ns)
+        assert fused is not None
+        status, reason = self._filter.status
+        return LocalizationUpdate(
+            frame.stamp_ns, triplet, seen, update, fused, str(status), reason
+        )
