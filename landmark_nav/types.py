@@ -267,6 +267,8 @@ class LandmarkMap:
     def joint_covariance_xy(self) -> FloatArray:
         """Joint covariance of all (x, y), (2n, 2n), with the part that landmarks share."""
         n = len(self.landmarks)
+        if n == 0:
+            return np.zeros((0, 0))
         loading = np.array([k.shared_loading[:2] for k in self.landmarks]).reshape(2 * n, -1)
         joint = loading @ loading.T
         for k in range(n):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import logging
 from threading import Event, Thread
 import time
 from typing import Any
@@ -23,7 +22,6 @@ from landmark_nav.storage.bags.topics import relative_name
 
 __all__ = ['BagPlayerNode', 'Parameters', 'main']
 
-_LOG = logging.getLogger(__name__)
 _CLOCK_PERIOD_NS = 10_000_000
 _LAST_WORDS_S = 2.0
 
@@ -84,15 +82,15 @@ class BagPlayerNode(LandmarkNode):
         try:
             self._publish_all()
         except LandmarkNavError as error:
-            _LOG.error('playback ends early: %s', error)
+            self.get_logger().error(f'playback ends early: {error}')
         if not self._stop.is_set():
             for publisher in self._players.values():
                 publisher.wait_for_all_acked(Duration(seconds=_LAST_WORDS_S))
-            _LOG.info('%s is played', self._bag.path)
+            self.get_logger().info(f'{self._bag.path} is played')
             self.context.try_shutdown()
 
     def _publish_all(self) -> None:
-        _LOG.info('playing %s, %.1f s', self._bag.path, self._bag.duration_s)
+        self.get_logger().info(f'playing {self._bag.path}, {self._bag.duration_s:.1f} s')
         if self._stop.wait(self._config.start_delay_s):
             return
         first_ns = next_clock_ns = self._bag.start_ns

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import logging
 import time
 from typing import Any
 
@@ -23,8 +22,6 @@ from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import LandmarkMap, Panorama
 
 __all__ = ['LandmarkLearnerNode', 'Parameters', 'main']
-
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,7 @@ class LandmarkLearnerNode(LandmarkNode):
         self.offer('save_map', self._save, group=group)
         self.offer('load_map', self._load, group=group)
         if self._config.load_on_start:
-            _LOG.info('%s', self._load())
+            self.get_logger().info(self._load())
 
     def health(self) -> Health:
         """OK with a map; degraded until then."""
@@ -73,7 +70,7 @@ class LandmarkLearnerNode(LandmarkNode):
     def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
         view = decode.panorama(image, info, pose)
         self._panoramas[view.stamp_ns] = view
-        _LOG.info('panorama %d received', len(self._panoramas))
+        self.get_logger().info(f'panorama {len(self._panoramas)} received')
 
     def _learn(self) -> str:
         panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]

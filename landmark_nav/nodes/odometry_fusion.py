@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-import logging
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
-_LOG = logging.getLogger(__name__)
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 
 
@@ -90,7 +88,7 @@ class OdometryFusionNode(LandmarkNode):
         self._landmarks = len(landmarks.landmarks)
         if estimate is not None:
             self._filter.initialize(estimate)
-        _LOG.info('%d landmarks received', self._landmarks)
+        self.get_logger().info(f'{self._landmarks} landmarks received')
 
     def _on_initial_pose(self, message: Any) -> None:
         if message.header.frame_id != self._config.map_frame:
@@ -101,7 +99,7 @@ class OdometryFusionNode(LandmarkNode):
             start = replace(start, covariance=np.diag(np.square(sigma)))
         self._filter.initialize(start)
         x, y, heading = start.pose
-        _LOG.info('start at (%.2f, %.2f) m, %.1f deg', x, y, np.degrees(heading))
+        self.get_logger().info(f'start at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
 
     def _on_odometry(self, message: Any) -> None:
         sample = decode.odometry(message)

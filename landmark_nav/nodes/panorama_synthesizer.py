@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import logging
 from threading import Lock
 import time
 from typing import Any
@@ -27,7 +26,6 @@ from landmark_nav.types import PoseEstimate, Sweep
 
 __all__ = ['PanoramaSynthesizerNode', 'Parameters', 'main']
 
-_LOG = logging.getLogger(__name__)
 # Frames of three sweeps of 72; older ones belong to a sweep that was given up.
 _MAX_FRAMES = 216
 
@@ -95,7 +93,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
             view = panorama_from_sweep(sweep, self._room, self._mount, self._config)
         except LandmarkNavError as error:
             self._health = Health(Level.LOST, str(error))
-            _LOG.error('no panorama: %s', error)
+            self.get_logger().error(f'no panorama: {error}')
             return
         for output, part in zip(self._outputs, encode.panorama(ros_factory, view), strict=True):
             output.publish(part)
@@ -106,7 +104,8 @@ class PanoramaSynthesizerNode(LandmarkNode):
             f'panorama at ({x:.3f}, {y:.3f}) m, {heading:.2f} deg',
             {'sigma_m': np.hypot(*sigma[:2]), 'sigma_deg': np.degrees(sigma[2])},
         )
-        _LOG.info('%s in %.1f s', self._health.reason, time.monotonic() - start)
+        took_s = time.monotonic() - start
+        self.get_logger().info(f'{self._health.reason} in {took_s:.1f} s')
 
     def _sweep(self, message: Any) -> Sweep:
         """Wait for its frames, then join them with their angles."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-import logging
 from threading import Condition
 import time
 from typing import Any
@@ -27,7 +26,6 @@ from landmark_nav.storage.setup_files import load_robot
 
 __all__ = ['Parameters', 'SweepCaptureNode', 'main']
 
-_LOG = logging.getLogger(__name__)
 _POLL_S = 0.1
 
 
@@ -137,7 +135,7 @@ class SweepCaptureNode(LandmarkNode):
         taken, total = len(self._sweep.kept), self._config.capture.frames
         if taken % 12 == 0 or taken == total:
             pan_deg = np.degrees(kept.joints.pan_rad)
-            _LOG.info('frame %d of %d at %.1f deg', taken, total, pan_deg)
+            self.get_logger().info(f'frame {taken} of {total} at {pan_deg:.1f} deg')
 
 
 def main() -> int:
