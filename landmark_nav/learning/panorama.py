@@ -214,7 +214,7 @@ def _median(slabs: list[_Slab], mean: ImageArray, cylinder: Cylinder) -> ImageAr
     cuts = sorted(
         {c % cylinder.width for s in slabs for c in (s.start, s.start + s.weight.shape[1])}
     )
-    image = mean.copy()
+    image: ImageArray = mean.copy()
     edges = [*cuts, cuts[0] + cylinder.width]
     for left, right in pairwise(edges):
         layers = []
@@ -244,6 +244,6 @@ def _middle(stack: list[ImageArray]) -> ImageArray:
             values[j] = np.maximum(values[j - 1], values[j])
             values[j - 1] = low
     if len(values) % 2:
-        return values[half]
+        return np.asarray(values[half], dtype=np.uint8)
     below, above = values[half - 1], values[half]
     return np.asarray(below + (above - below + 1) // 2, dtype=np.uint8)

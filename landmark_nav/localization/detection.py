@@ -86,7 +86,7 @@ def detect_landmarks(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: DetectionConfig,
-    indices: Sequence[int],
+    indices: npt.NDArray[np.intp],
 ) -> DetectionResult:
     """
     Find landmarks in a picture.
@@ -103,7 +103,7 @@ def detect_landmarks(
         Where the camera turns.
     config : DetectionConfig
         Parameters.
-    indices : sequence of int
+    indices : ndarray of int, shape (n,)
         Which landmarks of the map to look for: those expected in this view.
 
     Returns

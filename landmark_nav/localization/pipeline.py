@@ -17,7 +17,7 @@ from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFil
 from landmark_nav.localization.fusion_health import HealthConfig
 from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.localization.triangulation import triangulate, TriangulationConfig
-from landmark_nav.localization.triangulation_model import base_from_axis
+from landmark_nav.localization.triangulation_model import axis_from_base, base_from_axis
 from landmark_nav.localization.triplet import select_triplet, TripletConfig, visible_landmarks
 from landmark_nav.types import (
     CameraFrame,
@@ -115,6 +115,7 @@ def observe(
         found.bearing_rad,
         found.variance_rad2,
         landmark_map.joint_covariance_xy[np.ix_(rows, rows)],
+        start=axis_from_base(prior, mount),
         config=config.triangulation,
         common_variance=common_bearing_sigma_rad**2,
     )
