@@ -1,16 +1,12 @@
 """
-Fusion of bearings with odometry: a Schmidt-Kalman filter that puts every measurement in its time.
+Fusion of bearings with odometry: a Schmidt-Kalman filter that knows when it is lost.
 
-A short history of what came in is kept, sorted by stamp, with the state after each. What comes
-late is inserted and all after it is repeated, so the result does not depend on the order of
-arrival. A measurement newer than the odometry is first used where the last twist leads, then
-again where the odometry says.
+`fusion_state` holds the equations, `fusion_update` the gates, `fusion_history` the order of time
+and `fusion_health` the verdict.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -19,24 +15,19 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion_health import Health, HealthConfig, Status
-from landmark_nav.localization.fusion_state import FilterState, initial_state, propagate
+from landmark_nav.localization.fusion_history import History, Step
+from landmark_nav.localization.fusion_state import FilterState, initial_state
 from landmark_nav.localization.fusion_update import (
-    BearingFrame,
+    bearing_frame,
     FusionUpdate,
     update_bearings,
     update_pose,
 )
-from landmark_nav.localization.odometry_noise import Motion, motion_variances, OdometryNoiseConfig
-from landmark_nav.localization.odometry_track import OdometryTrack
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 __all__ = ['FusionConfig', 'FusionUpdate', 'PoseFilter']
-
-# What may have happened while the clock was set back.
-_BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
-
-Step = Callable[[FilterState], tuple[FilterState, FusionUpdate | None]]
 
 
 @dataclass(frozen=True)
@@ -87,14 +78,6 @@ class FusionConfig:
         check_parameters(self)
 
 
-@dataclass(frozen=True, eq=False)
-class _Event:
-    """What happens to the state at a time; `step` is None for odometry alone."""
-
-    stamp_ns: int
-    step: Step | None = None
-
-
 class PoseFilter:
     """
     Pose of ``base_link`` in map, out of odometry and landmarks.
@@ -123,16 +106,14 @@ class PoseFilter:
         self._lever = np.asarray(mount.axis_xyz[:2], dtype=np.float64)
         self._config = config or FusionConfig()
         self._odometry = odometry or OdometryNoiseConfig()
-        self._track = OdometryTrack(self._odometry)
+        self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
-        self._column = {int(k): i for i, k in enumerate(landmark_map.ids)}
-        self._events: list[_Event] = []
-        self._states: list[FilterState] = []  # after each event
+        self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
 
     @property
     def state(self) -> FilterState | None:
         """The newest state, with the systematic errors; None before `initialize`."""
-        return self._states[-1] if self._states else None
+        return self._history.newest
 
     @property
     def status(self) -> tuple[Status, str]:
@@ -151,19 +132,17 @@ class PoseFilter:
             A pose or covariance that is not finite, or a covariance that is not positive.
 
         """
-        if not (np.isfinite(start.pose).all() and np.isfinite(start.covariance).all()):
+        if not _is_finite(start):
             raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')
         if np.linalg.eigvalsh(start.covariance)[0] < -1e-9:
             raise LandmarkNavError('start pose: its covariance is not positive semidefinite')
-        known = self._track.stamps_ns
+        known = self._history.odometry_ns
         if known is not None and not known[0] <= start.stamp_ns <= known[1] + 10**9:
             start = replace(start, stamp_ns=known[1])
-        state = initial_state(start, self._map, self._odometry, self._config.boresight_sigma_rad)
-        self._events = [_Event(start.stamp_ns)]
-        self._states = [state]
+        self._history.restart(
+            initial_state(start, self._map, self._odometry, self._config.boresight_sigma_rad)
+        )
         self._health.restart(start.stamp_ns)
-        if known is not None and known[1] > start.stamp_ns:
-            self._insert(_Event(known[1]))
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """
@@ -175,17 +154,9 @@ class PoseFilter:
             What was wrong with the sample; the filter goes on without it.
 
         """
-        known = self._track.stamps_ns
-        if known is not None and sample.stamp_ns < known[1] - int(self._config.history_s * 1e9):
-            return self._restart_clock(sample)
-        refusal = self._track.add(sample)
-        if not self._states or self._track.stamps_ns == known:
-            return refusal
-        # What was predicted since the sample before is now known better.
-        since = known[1] if known is not None else sample.stamp_ns
-        if sample.stamp_ns > self._events[0].stamp_ns:
-            self._insert(_Event(sample.stamp_ns), repeat_after_ns=since)
-        self._forget()
+        refusal = self._history.add_odometry(sample)
+        if refusal is not None and refusal.reason == 'clock was set back':
+            self._health.restart(sample.stamp_ns)
         return refusal
 
     def add_detections(self, detections: Detections) -> FusionUpdate:
@@ -193,7 +164,7 @@ class PoseFilter:
         stamp = detections.stamp_ns
         if self._config.mode != 'bearings':
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
-        frame = self._frame(detections)
+        frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad)
         refusal = self._untimely(stamp)
         if refusal is None and not len(frame.columns):
             refusal = Refusal('no usable bearing')
@@ -219,9 +190,7 @@ class PoseFilter:
         if self._config.mode != 'poses':
             return FusionUpdate(stamp, refusal=Refusal('mode is bearings', 'poses are not used'))
         refusal = self._untimely(stamp)
-        if refusal is None and not (
-            np.isfinite(measured.pose).all() and np.isfinite(measured.covariance).all()
-        ):
+        if refusal is None and not _is_finite(measured):
             refusal = Refusal('pose is not a number')
         if refusal is not None:
             self._health.note(refusal)
@@ -236,71 +205,23 @@ class PoseFilter:
         Beyond the last odometry its twist predicts for a short while, then only the covariance
         grows. Before the history begins its first state is given.
         """
-        if not self._states:
+        newest = self._history.newest
+        if newest is None:
             return None
-        if stamp_ns is None:
-            return self._states[-1].estimate()
-        place = max(bisect_right(self._events, stamp_ns, key=lambda e: e.stamp_ns) - 1, 0)
-        state = self._states[place]
-        return self._moved(state, max(stamp_ns, state.stamp_ns)).estimate()
-
-    def _restart_clock(self, sample: OdometrySample) -> Refusal:
-        """Go on from the newest state where time has gone back (a bag that starts over)."""
-        last = self._track.stamps_ns
-        assert last is not None
-        self._track = OdometryTrack(self._odometry)
-        self._track.add(sample)
-        if self._states:
-            covariance = self._states[-1].covariance.copy()
-            covariance[:3, :3] += np.diag(motion_variances(_BLIND_SECOND, self._odometry))
-            self._states = [
-                replace(self._states[-1], stamp_ns=sample.stamp_ns, covariance=covariance)
-            ]
-            self._events = [_Event(sample.stamp_ns)]
-            self._health.restart(sample.stamp_ns)
-        return Refusal(
-            'odometry went back in time',
-            f'{(last[1] - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
-        )
+        return (newest if stamp_ns is None else self._history.at(stamp_ns)).estimate()
 
     def _untimely(self, stamp_ns: int) -> Refusal | None:
-        if not self._states:
+        if self._history.newest is None:
             return Refusal('not initialized', 'give a start pose')
-        begin = self._events[0].stamp_ns
-        if stamp_ns < begin:
-            return Refusal('too late', f'{(begin - stamp_ns) * 1e-9:.3f} s before the history')
-        return None
+        late = (self._history.begin_ns - stamp_ns) * 1e-9
+        return Refusal('too late', f'{late:.3f} s before the history') if late > 0.0 else None
 
-    def _frame(self, detections: Detections) -> BearingFrame:
-        """Sort out what no filter can use."""
-        unusable: dict[int, Refusal] = {}
-        chosen: list[int] = []
-        good = np.isfinite(detections.bearing_rad) & (detections.variance_rad2 > 0.0)
-        good &= np.isfinite(detections.variance_rad2)
-        taken: set[int] = set()
-        for k, landmark in enumerate(detections.ids.tolist()):
-            if landmark not in self._column:
-                unusable[landmark] = Refusal('not in the map')
-            elif not good[k]:
-                unusable[landmark] = Refusal('bearing or variance is not a number')
-            elif landmark in taken:
-                unusable[landmark] = Refusal('given twice')
-            else:
-                taken.add(landmark)
-                chosen.append(k)
-        columns = np.array([self._column[int(detections.ids[k])] for k in chosen], dtype=np.intp)
-        noise = np.diag(detections.variance_rad2[chosen]) + self._config.pan_sigma_rad**2
-        return BearingFrame(columns, detections.bearing_rad[chosen], noise, unusable)
-
-    def _measure(
-        self, stamp_ns: int, step: Callable[[FilterState], tuple[FilterState, FusionUpdate]]
-    ) -> FusionUpdate:
-        update = self._insert(_Event(stamp_ns, step))
+    def _measure(self, stamp_ns: int, step: Step) -> FusionUpdate:
+        update = self._history.insert(stamp_ns, step)
         assert update is not None
         self._health.observe(update)
         if self._health.astray and update.refusal is not None:
-            self._insert(_Event(stamp_ns, self._doubted))
-        self._forget()
+            self._history.insert(stamp_ns, self._doubted)
         return update
 
     def _doubted(self, state: FilterState) -> tuple[FilterState, None]:
@@ -312,35 +233,6 @@ class PoseFilter:
             covariance[2, 2] += self._config.astray_sigma_rad**2
         return replace(state, covariance=covariance), None
 
-    def _moved(self, state: FilterState, stamp_ns: int) -> FilterState:
-        if stamp_ns == state.stamp_ns:
-            return state
-        motion = self._track.motion(state.stamp_ns, stamp_ns)
-        return propagate(state, stamp_ns, motion, self._odometry)
 
-    def _insert(self, event: _Event, repeat_after_ns: int | None = None) -> FusionUpdate | None:
-        """Put an event in its place and repeat what follows; what became of the event."""
-        place = bisect_right(self._events, event.stamp_ns, key=lambda e: e.stamp_ns)
-        self._events.insert(place, event)
-        first = place
-        if repeat_after_ns is not None:
-            after = bisect_right(self._events, repeat_after_ns, key=lambda e: e.stamp_ns)
-            first = max(1, min(place, after))
-        del self._states[first:]
-        update = None
-        for k in range(first, len(self._events)):
-            state = self._moved(self._states[-1], self._events[k].stamp_ns)
-            step = self._events[k].step
-            if step is not None:
-                state, happened = step(state)
-                update = happened if k == place else update
-            self._states.append(state)
-        return update
-
-    def _forget(self) -> None:
-        """Drop events older than the history, all but the last of them."""
-        oldest = self._events[-1].stamp_ns - int(self._config.history_s * 1e9)
-        drop = bisect_right(self._events, oldest, key=lambda e: e.stamp_ns) - 1
-        if drop > 0:
-            del self._events[:drop], self._states[:drop]
-            self._track.trim(self._events[0].stamp_ns)
+def _is_finite(estimate: PoseEstimate) -> bool:
+    return bool(np.isfinite(estimate.pose).all() and np.isfinite(estimate.covariance).all())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -17,9 +17,9 @@ from landmark_nav.localization.fusion_state import (
     MeasurementModel,
     pose_model,
 )
-from landmark_nav.types import FloatArray, PoseEstimate, Refusal
+from landmark_nav.types import Detections, FloatArray, PoseEstimate, Refusal
 
-__all__ = ['BearingFrame', 'FusionUpdate', 'update_bearings', 'update_pose']
+__all__ = ['BearingFrame', 'FusionUpdate', 'bearing_frame', 'update_bearings', 'update_pose']
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -76,6 +76,44 @@ class BearingFrame:
     bearing_rad: FloatArray
     noise: FloatArray
     unusable: dict[int, Refusal]
+
+
+def bearing_frame(
+    detections: Detections, columns: Mapping[int, int], common_sigma: float
+) -> BearingFrame:
+    """
+    Sort out what no filter can use.
+
+    Parameters
+    ----------
+    detections : Detections
+        Of one picture.
+    columns : mapping of int to int
+        Landmark id to place in the map.
+    common_sigma : float
+        Error that all bearings of the picture share, radians.
+
+    """
+    variance = detections.variance_rad2
+    good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
+    unusable: dict[int, Refusal] = {}
+    chosen: dict[int, int] = {}
+    for k, landmark in enumerate(detections.ids.tolist()):
+        if landmark not in columns:
+            unusable[landmark] = Refusal('not in the map')
+        elif not good[k]:
+            unusable[landmark] = Refusal('bearing or variance is not a number')
+        elif landmark in chosen:
+            unusable[landmark] = Refusal('given twice')
+        else:
+            chosen[landmark] = k
+    rows = list(chosen.values())
+    return BearingFrame(
+        np.array([columns[k] for k in chosen], dtype=np.intp),
+        detections.bearing_rad[rows],
+        np.diag(variance[rows]) + common_sigma**2,
+        unusable,
+    )
 
 
 def update_bearings(
