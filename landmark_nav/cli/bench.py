@@ -1,0 +1,121 @@
+"""`landmark-nav bench`: the time of every stage beside a reference, measured in the same run."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import chain
+import json
+from pathlib import Path
+import platform
+from statistics import median
+import time
+from typing import Any
+
+import cv2
+import numpy as np
+
+from landmark_nav.cli.bench_learning import learning_comparisons
+from landmark_nav.cli.bench_localization import localization_comparisons
+from landmark_nav.cli.bench_world import Comparison, World
+from landmark_nav.cli.progress import progress
+
+__all__ = ['add_parser', 'run']
+
+
+@dataclass(frozen=True)
+class Row:
+    """Median seconds of a stage, and of the reference that does a comparable amount of work."""
+
+    stage: str
+    ours_s: float
+    reference: str
+    reference_s: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times longer the stage takes than its reference."""
+        return self.ours_s / self.reference_s
+
+    def __str__(self) -> str:
+        """The row of the table."""
+        return (
+            f'{self.stage:<34}{1e3 * self.ours_s:>10.4g}{1.0 / self.ours_s:>10.4g}'
+            f'{1e3 * self.reference_s:>10.4g}{self.ratio:>8.2f}  {self.reference}'
+        )
+
+
+_HEADER = f'{"stage":<34}{"ms":>10}{"per s":>10}{"ref ms":>10}{"ratio":>8}  reference'
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the subparsers of `landmark-nav`."""
+    parser = commands.add_parser(
+        'bench',
+        help='time every stage beside a reference',
+        description='Times every stage on simulated data, and beside it, in the same run and on '
+        'the same data, a reference. The ratio of the two can be compared between machines.',
+    )
+    parser.add_argument('--json', type=Path, metavar='F', help='write the figures to F')
+    parser.add_argument('--seed', type=_whole(0), default=0, help='of the simulated room')
+    parser.add_argument(
+        '--repeats', type=_whole(1), default=7, help='of which the median is taken'
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Time, print and write."""
+    cv2.setNumThreads(1)
+    world = World(args.seed)
+    comparisons = chain(learning_comparisons(world), localization_comparisons(world))
+    rows = [_timed(comparison, args.repeats) for comparison in progress(comparisons, 'timing')]
+    print(_HEADER, *rows, sep='\n')
+    if args.json:
+        document = {
+            'schema': 1,
+            'machine': platform.machine(),
+            'python': platform.python_version(),
+            'numpy': np.__version__,
+            'opencv': cv2.__version__,
+            'stages': [
+                {
+                    'stage': row.stage,
+                    'seconds': row.ours_s,
+                    'reference': row.reference,
+                    'reference_seconds': row.reference_s,
+                    'ratio': row.ratio,
+                }
+                for row in rows
+            ],
+        }
+        args.json.write_text(json.dumps(document, indent=2) + '\n', encoding='utf-8')
+    return 0
+
+
+def _timed(comparison: Comparison, repeats: int) -> Row:
+    """Time the two in turn, so that what else the machine does meets both."""
+    works = (comparison.ours, comparison.reference)
+    for work in works:  # warms up
+        work()
+    taken = [[_seconds(work) / comparison.count for work in works] for _ in range(repeats)]
+    ours, reference = (median(column) for column in zip(*taken, strict=True))
+    return Row(comparison.stage, ours, comparison.reference_name, reference)
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def _whole(least: int) -> Callable[[str], int]:
+    """Reader of whole numbers from `least` on."""
+
+    def number(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f'{value} is less than {least}')
+        return value
+
+    return number

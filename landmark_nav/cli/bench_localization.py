@@ -1,0 +1,165 @@
+"""What `landmark-nav bench` times of localization, and beside what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations, pairwise
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from landmark_nav.cli.bench_world import CAMERA, Comparison, MOUNT, World
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.detection import (
+    detect_landmarks,
+    DetectionConfig,
+    DetectionResult,
+)
+from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.triangulation import triangulate, triangulate_three
+from landmark_nav.localization.triplet import select_triplet, TripletConfig
+from landmark_nav.types import Detections, FloatArray, OdometrySample
+
+__all__ = ['localization_comparisons']
+
+_BEARING_SIGMA_RAD = 1e-3
+
+
+def localization_comparisons(world: World) -> Iterator[Comparison]:
+    """Triplet, detection, triangulation and fusion."""
+    yield _triplet(world)
+    yield _detection(world)
+    yield _triangulation(world)
+    yield _closed_form(world)
+    yield _fusion(world)
+
+
+def _triplet(world: World) -> Comparison:
+    config = TripletConfig()
+    positions = world.learned.map.positions[:, :2]
+    axis = se2.compose(world.prior.pose, [*MOUNT.axis_xyz[:2], 0.0])[:2]
+    # A fifth of all landmarks is about what one view shows.
+    triplets = list(combinations(range(len(positions)), 3))[::5]
+
+    def one_by_one() -> float:
+        best = np.inf
+        for triplet in triplets:
+            offset = positions[list(triplet)] - axis
+            square = np.sum(offset**2, -1)
+            jacobian = np.c_[offset[:, 1] / square, -offset[:, 0] / square, -np.ones(3)]
+            information = jacobian.T @ jacobian / _BEARING_SIGMA_RAD**2
+            if np.linalg.det(information) > 1e-3:
+                best = min(best, float(np.trace(np.linalg.inv(information)[:2, :2])))
+        return best
+
+    return Comparison(
+        'choice of the triplet',
+        lambda: select_triplet(world.prior, world.learned.map, CAMERA, MOUNT, config),
+        f'covariances of {len(triplets)} triplets, one by one',
+        one_by_one,
+    )
+
+
+def _detection(world: World) -> Comparison:
+    learned, frame = world.learned.map, world.view
+    expected = world.expected(frame.pan_rad)
+    grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+    patches = [cv2.resize(learned.landmarks[k].patch, (32, 32)) for k in expected]
+
+    def ours() -> DetectionResult:
+        return detect_landmarks(frame, world.prior, learned, MOUNT, DetectionConfig(), expected)
+
+    return Comparison(
+        'detection of a landmark',
+        ours,
+        'cv2.matchTemplate over the whole picture',
+        lambda: [cv2.matchTemplate(grey, patch, cv2.TM_CCOEFF_NORMED) for patch in patches],
+        count=max(len(expected), 1),
+    )
+
+
+def _triangulation(world: World) -> Comparison:
+    positions, bearings = world.learned.map.positions[:8, :2], world.bearings[:8]
+    variances = np.full(len(positions), _BEARING_SIGMA_RAD**2)
+    start = se2.compose(world.prior.pose, [0.1, -0.1, 0.05])
+
+    def residuals(pose: FloatArray) -> FloatArray:
+        offset = positions - pose[:2]
+        expected = np.arctan2(offset[:, 1], offset[:, 0]) - pose[2]
+        return wrap_rad(bearings - expected) / _BEARING_SIGMA_RAD
+
+    return Comparison(
+        f'triangulation of {len(positions)} bearings',
+        lambda: triangulate(positions, bearings, variances),
+        'scipy.optimize.least_squares from near by',
+        lambda: least_squares(residuals, start),
+    )
+
+
+def _closed_form(world: World) -> Comparison:
+    rng = np.random.default_rng(0)
+    count = 10_000
+    chosen = np.array([rng.choice(len(world.bearings), 3, replace=False) for _ in range(count)])
+    positions = world.learned.map.positions[chosen, :2]
+    bearings = world.bearings[chosen]
+    square = rng.normal(size=(count, 3, 3))
+    return Comparison(
+        'triangulation of three, closed form',
+        lambda: triangulate_three(positions, bearings),
+        'numpy.linalg.solve of as many 3 x 3',
+        lambda: np.linalg.solve(square, bearings[..., None]),
+        count=count,
+    )
+
+
+def _fusion(world: World) -> Comparison:
+    """One second of a drive: 20 odometry samples and 5 pictures of three landmarks."""
+    learned = world.learned.map
+    ids, bearings = learned.ids[:3], world.bearings[:3]
+    variances = np.full(3, _BEARING_SIGMA_RAD**2)
+    samples = [
+        OdometrySample(50_000_000 * k, np.array([0.0, 0.0, 1e-6 * k]), 0.0, 0.0) for k in range(21)
+    ]
+
+    def ours() -> None:
+        pose_filter = PoseFilter(learned, MOUNT)
+        pose_filter.add_odometry(samples[0])
+        pose_filter.initialize(world.prior)
+        for sample in samples[1:]:
+            pose_filter.add_odometry(sample)
+            if sample.stamp_ns % 200_000_000 == 0:
+                pose_filter.add_detections(
+                    Detections(
+                        sample.stamp_ns, ids, bearings, variances, np.ones(3), np.zeros((3, 2))
+                    )
+                )
+
+    def textbook() -> FloatArray:
+        """EKF of three states that takes the map for exact and every sample as it comes."""
+        pose, covariance = world.prior.pose, world.prior.covariance
+        lever = np.asarray(MOUNT.axis_xyz[:2])
+        for before, sample in pairwise(samples):
+            motion = se2.relative(before.pose_odom_base, sample.pose_odom_base)
+            by_pose, by_motion = se2.compose_jacobians(pose, motion)
+            pose = se2.compose(pose, motion)
+            covariance = by_pose @ covariance @ by_pose.T + 1e-8 * by_motion @ by_motion.T
+            if sample.stamp_ns % 200_000_000:
+                continue
+            for position, bearing in zip(learned.positions[:3, :2], bearings, strict=True):
+                offset = position - se2.transform_points(pose, lever)
+                square = offset @ offset
+                row = np.array([offset[1] / square, -offset[0] / square, -1.0])
+                gain = covariance @ row / (row @ covariance @ row + _BEARING_SIGMA_RAD**2)
+                expected = np.arctan2(offset[1], offset[0]) - pose[2]
+                pose = pose + gain * wrap_rad(bearing - expected)
+                covariance = covariance - np.outer(gain, row @ covariance)
+        return pose
+
+    return Comparison(
+        'fusion, a second of a drive',
+        ours,
+        'EKF of three states, exact map, no delays',
+        textbook,
+    )

@@ -1,0 +1,22 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from landmark_nav.cli.main import main
+
+
+def test_bench_times_every_stage_beside_a_reference(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures = tmp_path / 'bench.json'
+    assert main(['bench', '--repeats', '1', '--json', str(figures)]) == 0
+    document = json.loads(figures.read_text(encoding='utf-8'))
+    names = ' '.join(stage['stage'] for stage in document['stages'])
+    for stage in ('picture', 'panorama', 'attention', 'stereo', 'triplet', 'detection', 'fusion'):
+        assert stage in names
+    for stage in document['stages']:
+        assert stage['ratio'] == pytest.approx(stage['seconds'] / stage['reference_seconds'])
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(document['stages'])
