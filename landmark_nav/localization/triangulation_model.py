@@ -103,8 +103,8 @@ def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[flo
     square = np.sum(delta * delta, -1)
     first, last = delta[1] - delta[0], delta[2] - delta[0]
     double_area = first[0] * last[1] - first[1] * last[0]
-    # Twice the area times the power of the point; the in-circle determinant.
-    power = np.linalg.det(np.column_stack([delta, square]))
+    # Twice the signed area times the power of the point: minus the in-circle determinant.
+    power = -np.linalg.det(np.column_stack([delta, square]))
     sides = np.linalg.norm([first, last, delta[2] - delta[1]], axis=1)
     half_product = 0.5 * np.prod(sides)  # twice the area times the radius
     center = np.sqrt(max(half_product**2 + double_area * power, 0.0))

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+
+from landmark_nav.geometry.observation import observed_well, relative_sampling
+
+POINT = np.array([[2.0, 0.0, 1.2]])
+NORMAL = np.array([[0.0, 1.0, 0.0]])
+REFERENCE = np.array([[2.0, 3.0, 1.1]])
+
+
+def test_reference_view_samples_as_itself() -> None:
+    horizontal, vertical = relative_sampling(POINT, NORMAL, REFERENCE, REFERENCE[0])
+    np.testing.assert_allclose([horizontal, vertical], 1.0)
+
+
+def test_sampling_agrees_with_the_columns_a_cylinder_gives_a_patch() -> None:
+    viewer = np.array([4.0, 1.5, 1.1])
+    edges = POINT[0, :2] + np.array([[-1e-4, 0.0], [1e-4, 0.0]])
+
+    def angle(center: np.ndarray) -> float:
+        delta = edges - center[:2]
+        return float(np.abs(np.diff(np.arctan2(delta[:, 1], delta[:, 0])))[0])
+
+    horizontal, _ = relative_sampling(POINT, NORMAL, REFERENCE, viewer)
+    assert np.isclose(horizontal[0], angle(viewer) / angle(REFERENCE[0]), rtol=1e-6)
+
+
+@given(st.floats(0.0, 2.0 * np.pi), st.floats(0.1, 9.0), st.floats(-1.2, 1.2))
+def test_area_is_the_annulus_between_two_tangent_circles(
+    direction: float, distance: float, incidence: float
+) -> None:
+    reference = POINT + 3.0 * np.array([[np.sin(incidence), np.cos(incidence), 0.0]])
+    viewer = POINT[0] + distance * np.array([np.cos(direction), np.sin(direction), 0.0])
+
+    def inside_tangent_circle(diameter: float) -> bool:
+        return bool(np.hypot(viewer[0] - 2.0, viewer[1] - diameter / 2.0) <= diameter / 2.0)
+
+    expected = (
+        1.5 <= distance <= 6.0
+        and inside_tangent_circle(6.0 / np.cos(incidence))
+        and not inside_tangent_circle(1.5 / np.cos(incidence))
+    )
+    # On the very border rounding decides.
+    horizontal, vertical = relative_sampling(POINT, NORMAL, reference, viewer)
+    values = np.array([horizontal[0], vertical[0]])
+    if np.all(np.abs(values - [[0.5], [2.0]]) > 1e-6):
+        assert observed_well(POINT, NORMAL, reference, viewer)[0] == expected
+
+
+def test_many_viewers_and_patches_at_once() -> None:
+    points = np.repeat(POINT, 3, axis=0)
+    viewers = np.array([[[2.0, 3.0, 1.1], [2.0, -3.0, 1.1]], [[2.0, 0.0, 1.1], [9.0, 9.0, 1.1]]])
+    well = observed_well(
+        points, np.repeat(NORMAL, 3, axis=0), np.repeat(REFERENCE, 3, axis=0), viewers
+    )
+    assert well.shape == (2, 2, 3)
+    # In front; behind the wall; on the wall; too far.
+    np.testing.assert_array_equal(well[..., 0], [[True, False], [False, False]])
+
+
+def test_limits_are_parameters() -> None:
+    viewer = np.array([2.0, 1.2, 1.1])
+    assert not observed_well(POINT, NORMAL, REFERENCE, viewer)[0]
+    assert observed_well(POINT, NORMAL, REFERENCE, viewer, maximum=3.0)[0]

@@ -1,0 +1,259 @@
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
+from landmark_nav.localization.triangulation_model import (
+    axis_from_base,
+    base_from_axis,
+    bearing_gradients,
+    bearing_residuals,
+    map_share,
+)
+from landmark_nav.types import PoseEstimate, Refusal
+
+FloatArray = npt.NDArray[np.float64]
+
+LANDMARKS = np.array([[0.0, 1.0], [2.0, 4.0], [6.0, 3.0], [5.0, 0.0], [6.5, 1.0], [3.5, 4.4]])
+POSE = np.array([3.0, 2.0, 2.8])
+SIGMA = 1e-3
+
+
+def bearings(pose: FloatArray, landmarks: FloatArray) -> FloatArray:
+    delta = landmarks - pose[:2]
+    return wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - pose[2])
+
+
+def variances(n: int) -> FloatArray:
+    return np.full(n, SIGMA**2)
+
+
+def expect_fix(found: Fix | Refusal) -> Fix:
+    assert isinstance(found, Fix), str(found)
+    return found
+
+
+def expect_refusal(found: Fix | Refusal, reason: str) -> None:
+    assert isinstance(found, Refusal), f'a fix at {found.pose}'
+    assert reason in str(found)
+
+
+def joint_map_covariance(n: int, shared: float = 0.01, own: float = 0.006) -> FloatArray:
+    loading = np.tile(np.eye(2), (n, 1)) * shared
+    return np.asarray(loading @ loading.T + own**2 * np.eye(2 * n))
+
+
+class TestRecovery:
+    @pytest.mark.parametrize('n', [3, 4, 6])
+    @pytest.mark.parametrize('heading', [2.8, np.pi, -np.pi + 1e-9, 0.0])
+    def test_noiseless(self, n: int, heading: float) -> None:
+        pose = np.array([3.0, 2.0, heading])
+        fix = expect_fix(triangulate(LANDMARKS[:n], bearings(pose, LANDMARKS[:n]), variances(n)))
+        np.testing.assert_allclose(fix.pose[:2], pose[:2], atol=1e-6)
+        assert abs(wrap_rad(fix.pose[2] - heading)) < 1e-6
+        assert -np.pi < fix.pose[2] <= np.pi
+        assert fix.chi_square < 1e-6
+
+    @settings(max_examples=50, deadline=None)
+    @given(st.floats(0.7, 5.9), st.floats(0.7, 3.7), st.floats(-np.pi, np.pi))
+    def test_anywhere_in_the_room(self, x: float, y: float, heading: float) -> None:
+        pose = np.array([x, y, heading])
+        found = triangulate(LANDMARKS, bearings(pose, LANDMARKS), variances(6))
+        np.testing.assert_allclose(expect_fix(found).pose[:2], pose[:2], atol=1e-6)
+
+    def test_three_on_one_wall_are_safe(self) -> None:
+        papers = np.array([[2.75, 0.0], [4.05, 0.0], [5.2, 0.0]])
+        pose = np.array([3.5, 2.5, -1.0])
+        fix = expect_fix(triangulate(papers, bearings(pose, papers), variances(3)))
+        np.testing.assert_allclose(fix.pose, pose, atol=1e-6)
+
+    def test_finds_outliers(self) -> None:
+        seen = bearings(POSE, LANDMARKS)
+        seen[2] += 0.03
+        seen[4] -= 1.0
+        fix = expect_fix(triangulate(LANDMARKS, seen, variances(6)))
+        np.testing.assert_array_equal(np.flatnonzero(~fix.used), [2, 4])
+        np.testing.assert_allclose(fix.pose, POSE, atol=1e-6)
+
+
+class TestCovariance:
+    @pytest.mark.parametrize('n', [3, 4, 6])
+    def test_agrees_with_monte_carlo(self, n: int) -> None:
+        rng = np.random.default_rng(n)
+        landmarks, trials = LANDMARKS[:n], 1500
+        covariance = joint_map_covariance(n)
+        root = np.linalg.cholesky(covariance)
+        config = TriangulationConfig(fit_probability=1.0)
+        errors, claimed = [], []
+        for _ in range(trials):
+            believed = landmarks + (root @ rng.normal(size=2 * n)).reshape(-1, 2)
+            seen = bearings(POSE, landmarks) + rng.normal(0.0, SIGMA, n)
+            fix = expect_fix(triangulate(believed, seen, variances(n), covariance, config=config))
+            error = fix.pose - POSE
+            error[2] = wrap_rad(error[2])
+            errors.append(error)
+            claimed.append(fix.covariance)
+        ratio = np.cov(np.array(errors).T) / np.mean(claimed, axis=0)
+        # A variance of 1500 draws is known to 3.7 %.
+        np.testing.assert_allclose(np.diag(ratio), 1.0, atol=0.12)
+        nees = np.mean([e @ np.linalg.solve(c, e) for e, c in zip(errors, claimed, strict=True)])
+        assert nees == pytest.approx(3.0, abs=0.25)
+
+    def test_chi_square_of_good_bearings(self) -> None:
+        rng = np.random.default_rng(2)
+        values = []
+        for _ in range(300):
+            seen = bearings(POSE, LANDMARKS) + rng.normal(0.0, SIGMA, 6)
+            values.append(expect_fix(triangulate(LANDMARKS, seen, variances(6))).chi_square)
+        assert np.mean(values) == pytest.approx(3.0, abs=0.5)
+
+    def test_common_error_turns_the_heading_alone(self) -> None:
+        seen = bearings(POSE, LANDMARKS)
+        plain = expect_fix(triangulate(LANDMARKS, seen, variances(6)))
+        common = expect_fix(triangulate(LANDMARKS, seen, variances(6), common_variance=4e-6))
+        expected = plain.covariance.copy()
+        expected[2, 2] += 4e-6
+        np.testing.assert_allclose(common.covariance, expected, atol=1e-15)
+        turned = expect_fix(triangulate(LANDMARKS, seen + 0.01, variances(6)))
+        np.testing.assert_allclose(turned.pose - plain.pose, [0.0, 0.0, -0.01], atol=1e-9)
+
+    def test_more_bearings_never_hurt(self) -> None:
+        traces = []
+        for n in (3, 4, 5, 6):
+            seen = bearings(POSE, LANDMARKS[:n])
+            fix = expect_fix(triangulate(LANDMARKS[:n], seen, variances(n)))
+            traces.append(np.trace(fix.covariance[:2, :2]))
+        assert np.all(np.diff(traces) <= 0.0)
+
+
+class TestRefusal:
+    def test_fewer_than_three(self) -> None:
+        for n in (0, 1, 2):
+            found = triangulate(LANDMARKS[:n], np.zeros(n), variances(n))
+            expect_refusal(found, 'fewer than three')
+
+    def test_danger_circle(self) -> None:
+        angles = np.array([0.3, 1.5, 4.0])
+        landmarks = 2.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+        pose = np.array([2.0 * np.cos(2.6), 2.0 * np.sin(2.6), 0.4])
+        found = triangulate(landmarks, bearings(pose, landmarks), variances(3))
+        assert isinstance(found, Refusal)
+        near = pose * [0.96, 0.96, 1.0]
+        tight = np.full(3, 1e-10)
+        expect_refusal(triangulate(landmarks, bearings(near, landmarks), tight), 'danger circle')
+
+    def test_robot_in_one_line_with_all(self) -> None:
+        landmarks = np.array([[0.0, 0.0], [4.0, 0.0], [6.0, 0.0]])
+        pose = np.array([2.0, 0.0, 0.4])
+        assert isinstance(triangulate(landmarks, bearings(pose, landmarks), variances(3)), Refusal)
+
+    def test_one_landmark_thrice(self) -> None:
+        landmarks = np.tile(LANDMARKS[:1], (3, 1))
+        found = triangulate(landmarks, np.full(3, 0.3), variances(3))
+        expect_refusal(found, 'degenerate')
+
+    def test_bearings_that_do_not_meet(self) -> None:
+        seen = bearings(POSE, LANDMARKS[:4]) + np.array([0.0, 0.1, 0.0, -0.1])
+        expect_refusal(triangulate(LANDMARKS[:4], seen, variances(4)), 'do not meet')
+
+    def test_opposite_bearing(self) -> None:
+        seen = bearings(POSE, LANDMARKS[:3])
+        seen[1] += np.pi
+        assert isinstance(triangulate(LANDMARKS[:3], seen, variances(3)), Refusal)
+
+    def test_too_close_to_a_landmark(self) -> None:
+        pose = np.array([2.2, 3.8, 0.0])
+        found = triangulate(LANDMARKS, bearings(pose, LANDMARKS), variances(6))
+        expect_refusal(found, 'too close')
+
+    def test_too_uncertain(self) -> None:
+        bunch = np.array([[9.0, 0.0], [9.0, 0.2], [9.1, 0.4]])
+        pose = np.array([0.0, 0.0, 0.0])
+        found = triangulate(bunch, bearings(pose, bunch), np.full(3, 1e-4))
+        assert isinstance(found, Refusal)
+
+    def test_far_from_the_expected_place(self) -> None:
+        seen = bearings(POSE, LANDMARKS)
+        near = PoseEstimate(
+            0, POSE + np.array([0.05, 0.0, 0.02]), np.diag([0.05, 0.05, 0.02]) ** 2
+        )
+        expect_fix(triangulate(LANDMARKS, seen, variances(6), start=near))
+        far = PoseEstimate(0, POSE + np.array([1.0, 0.0, 0.0]), near.covariance)
+        found = triangulate(LANDMARKS, seen, variances(6), start=far)
+        expect_refusal(found, 'far from the expected place')
+
+
+class TestBadInput:
+    def test_shapes(self) -> None:
+        with pytest.raises(LandmarkNavError, match='5 bearings'):
+            triangulate(LANDMARKS, np.zeros(5), variances(5))
+
+    def test_not_a_number(self) -> None:
+        seen = bearings(POSE, LANDMARKS)
+        seen[0] = np.nan
+        with pytest.raises(LandmarkNavError, match='not a number'):
+            triangulate(LANDMARKS, seen, variances(6))
+
+    def test_variances(self) -> None:
+        with pytest.raises(LandmarkNavError, match='positive'):
+            triangulate(LANDMARKS, bearings(POSE, LANDMARKS), np.zeros(6))
+
+    def test_parameters(self) -> None:
+        with pytest.raises(LandmarkNavError, match='max_sigma_m'):
+            TriangulationConfig(max_sigma_m=-1.0)
+
+
+class TestModel:
+    def test_gradients_against_differences(self) -> None:
+        step = 1e-6
+        for axis in range(2):
+            offset = np.zeros(3)
+            offset[axis] = step
+            change = bearings(POSE + offset, LANDMARKS) - bearings(POSE - offset, LANDMARKS)
+            expected = wrap_rad(change) / (2.0 * step)
+            np.testing.assert_allclose(
+                bearing_gradients(POSE, LANDMARKS)[:, axis], expected, atol=1e-8
+            )
+
+    def test_map_share_against_the_full_product(self) -> None:
+        rng = np.random.default_rng(0)
+        root = rng.normal(size=(12, 12))
+        gradient = bearing_gradients(POSE, LANDMARKS)
+        full = np.zeros((6, 12))
+        for k in range(6):
+            full[k, 2 * k : 2 * k + 2] = -gradient[k]
+        np.testing.assert_allclose(
+            map_share(gradient, root @ root.T), full @ root @ root.T @ full.T
+        )
+
+    def test_residuals_wrap(self) -> None:
+        pose = np.array([0.0, 0.0, np.pi - 0.01])
+        residual = bearing_residuals(pose, [[-1.0, -0.001]], [0.0])
+        assert np.abs(residual).max() < 0.1
+
+    def test_lever_arm_there_and_back(self) -> None:
+        mount = PanTiltMount(axis_xyz=(0.3, -0.1, 1.0))
+        spread = np.array([[0.02, 0.001, 0.003], [0.001, 0.03, -0.002], [0.003, -0.002, 0.01]])
+        base = PoseEstimate(7, np.array([1.0, 2.0, np.pi / 2.0]), spread)
+        axis = axis_from_base(base, mount)
+        np.testing.assert_allclose(axis.pose, [1.1, 2.3, np.pi / 2.0])
+        back = base_from_axis(axis, mount)
+        np.testing.assert_allclose(back.pose, base.pose)
+        np.testing.assert_allclose(back.covariance, base.covariance, atol=1e-15)
+        draws = np.random.default_rng(0).multivariate_normal(base.pose, 1e-4 * spread, 20000)
+        moved = draws[:, :2] + np.column_stack(
+            [
+                0.3 * np.cos(draws[:, 2]) + 0.1 * np.sin(draws[:, 2]),
+                0.3 * np.sin(draws[:, 2]) - 0.1 * np.cos(draws[:, 2]),
+            ]
+        )
+        np.testing.assert_allclose(
+            np.cov(moved.T), 1e-4 * axis.covariance[:2, :2], atol=1e-7, rtol=0.05
+        )
