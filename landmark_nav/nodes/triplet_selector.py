@@ -58,6 +58,7 @@ class TripletSelectorNode(LandmarkNode):
         self._commander = PanCommander(self, self._mount, self._config.command)
         self._map: LandmarkMap | None = None
         self._fused: PoseEstimate | None = None
+        self._chosen: Triplet | None = None
         self._commanded_rad: float | None = None
         self._yield_until = 0.0
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
@@ -92,10 +93,12 @@ class TripletSelectorNode(LandmarkNode):
             self._mount,
             self._config.triplet,
             joint_limits=(self._config.pan_min_rad, self._config.pan_max_rad),
+            previous=self._chosen,
         )
         if isinstance(chosen, Refusal):
             self._health = Health(Level.DEGRADED, f'no triplet: {chosen}')
             return
+        self._chosen = chosen
         self._publisher.publish(encode.triplet(ros_factory, chosen, self._mount.base_frame))
         sigma_m = float(np.sqrt(np.trace(chosen.covariance[:2, :2])))
         names = ', '.join(str(k) for k in chosen.ids)

@@ -17,7 +17,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.ros.topics import RELIABLE
 
-__all__ = ['PanCommandParameters', 'PanCommander', 'listen_for_pan']
+__all__ = ['COMMAND_TYPES', 'PanCommandParameters', 'PanCommander', 'listen_for_pan']
 
 _TOPIC = 'pan_tilt/command'
 _CLASSES: dict[str, Any] = {
@@ -25,6 +25,7 @@ _CLASSES: dict[str, Any] = {
     'JointState': JointState,
     'Float64MultiArray': Float64MultiArray,
 }
+COMMAND_TYPES = tuple(_CLASSES)
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class PanCommandParameters:
     """How the pan-tilt unit is commanded."""
 
     type: str = parameter(
-        'JointTrajectory', 'message type of pan_tilt/command', choices=tuple(_CLASSES)
+        'JointTrajectory', 'message type of pan_tilt/command', choices=COMMAND_TYPES
     )
     with_tilt: bool = parameter(False, 'command the tilt joint too, to stay level')
     speed_rad_s: float = parameter(

@@ -1,0 +1,60 @@
+"""
+Everything that learns and localizes, for a robot that publishes its sensors.
+
+``ros2 launch landmark_nav bringup.launch.py robot_file:=robot.yaml room_file:=room.yaml``
+"""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+# Node -> the launch arguments that it takes as parameters.
+NODES = {
+    'sweep_capture': ('robot_file',),
+    'panorama_synthesizer': ('robot_file', 'room_file'),
+    'landmark_learner': ('room_file', 'map_folder', 'load_on_start'),
+    'triplet_selector': ('robot_file',),
+    'triangulation_localizer': ('robot_file',),
+    'odometry_fusion': ('robot_file',),
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the nodes, each with its file in config/ and what is given here."""
+    config = Path(get_package_share_directory('landmark_nav')) / 'config'
+    arguments = [
+        DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
+        DeclareLaunchArgument('room_file', description='room.yaml: walls and reference area'),
+        DeclareLaunchArgument('map_folder', default_value='map', description='folder of the map'),
+        DeclareLaunchArgument(
+            'load_on_start', default_value='false', description='load that map at once'
+        ),
+        DeclareLaunchArgument('namespace', default_value='', description='of all nodes'),
+        DeclareLaunchArgument(
+            'use_sim_time', default_value='false', description='take the time from /clock'
+        ),
+    ]
+    types = {'load_on_start': bool, 'use_sim_time': bool}
+    nodes = [
+        Node(
+            package='landmark_nav',
+            executable=name,
+            name=name,
+            namespace=LaunchConfiguration('namespace'),
+            output='screen',
+            parameters=[
+                str(config / f'{name}.yaml'),
+                {
+                    key: ParameterValue(LaunchConfiguration(key), value_type=types.get(key, str))
+                    for key in (*taken, 'use_sim_time')
+                },
+            ],
+        )
+        for name, taken in NODES.items()
+    ]
+    return LaunchDescription([*arguments, *nodes])

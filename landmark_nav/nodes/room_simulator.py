@@ -1,0 +1,157 @@
+"""A room and a robot in it, in the wall's time: sensors out, commands in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import time
+from typing import Any
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages import encode
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.pan_command import COMMAND_TYPES, listen_for_pan
+from landmark_nav.ros.run import run_node
+from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.storage.setup_files import load_robot, load_room
+
+__all__ = ['Parameters', 'RoomSimulatorNode', 'main']
+
+_STEP_S = 1.0 / 60.0
+# Odometry comes at half the rate of the joint states.
+_STEPS_PER_ODOMETRY = 2
+# Behind by more than this, time that nobody could follow is left out.
+_MAX_LAG_S = 20.0
+_OPTICAL_FRAME = 'camera_optical_frame'
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Of the node ``room_simulator``."""
+
+    seed: int = parameter(1, 'draws the room and all noise', minimum=0)
+    room_file: str = parameter('', 'room.yaml to furnish; empty draws the room too')
+    robot_file: str = parameter('', 'robot.yaml; empty takes the default robot')
+    image_rate_hz: float = parameter(
+        10.0, 'pictures a second, if there is time for them', minimum=0.1, maximum=60.0
+    )
+    jpeg_quality: int = parameter(92, 'of the compressed pictures', minimum=10, maximum=100)
+    command_timeout_s: float = parameter(
+        0.5, 'the robot stops if no cmd_vel came for so long, s', minimum=0.05
+    )
+    command_type: str = parameter(
+        'JointTrajectory', 'message type of pan_tilt/command', choices=COMMAND_TYPES
+    )
+    world: WorldConfig = field(default_factory=WorldConfig)
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+class RoomSimulatorNode(LandmarkNode):
+    """`simulation.world.RobotWorld` on topics."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('room_simulator', 'robot', **options)
+        self._config = config = self.configure(Parameters)
+        self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
+        self._began_s = time.monotonic()
+        self._world = _build(config, self._mount, self.get_clock().now().nanoseconds)
+        self._steps = self._pictures = self._image_due_ns = 0
+        self._last_command = 0.0
+        self._joints = self.advertise('joint_states')
+        self._odometry = self.advertise('odom')
+        self._truth = self.advertise('ground_truth/odom')
+        self._raw = self.advertise('camera/image_raw')
+        self._compressed = self.advertise('camera/image_raw/compressed')
+        self._info = self.advertise('camera/camera_info')
+        self.listen('cmd_vel', self._on_velocity)
+        listen_for_pan(self, self._mount, config.command_type, self._world.command_pan)
+        self.create_timer(_STEP_S, self._tick)
+
+    def health(self) -> Health:
+        """Whether it keeps up with the wall's time."""
+        pictures, self._pictures = self._pictures, 0
+        values = {'lag_s': f'{self._lag_s:.2f}', 'pictures_per_s': pictures}
+        if self._lag_s > 1.0:
+            return Health(Level.DEGRADED, 'too slow for the wall clock', values)
+        return Health(Level.OK, 'running', values)
+
+    @property
+    def _lag_s(self) -> float:
+        """How far the simulated time is behind."""
+        return time.monotonic() - self._began_s - self._steps * _STEP_S
+
+    def _on_velocity(self, message: Any) -> None:
+        self._last_command = time.monotonic()
+        self._world.command_velocity(float(message.linear.x), float(message.angular.z))
+
+    def _tick(self) -> None:
+        """Catch up with the wall's time, step by step, then take a picture if one is due."""
+        if time.monotonic() - self._last_command > self._config.command_timeout_s:
+            self._world.command_velocity(0.0, 0.0)
+        if self._lag_s > _MAX_LAG_S:
+            self._began_s += self._lag_s
+        for _ in range(int(self._lag_s / _STEP_S)):
+            self._step()
+        if self._world.stamp_ns >= self._image_due_ns:
+            self._image_due_ns = self._world.stamp_ns + int(1e9 / self._config.image_rate_hz)
+            self._take_picture()
+
+    def _step(self) -> None:
+        self._world.advance(_STEP_S)
+        self._steps += 1
+        world, mount = self._world, self._mount
+        self._joints.publish(encode.joint_state(ros_factory, world.joint_sample(), mount))
+        if self._steps % _STEPS_PER_ODOMETRY == 0:
+            base = mount.base_frame
+            for publisher, sample, frame in (
+                (self._odometry, world.odometry_sample(), 'odom'),
+                (self._truth, world.truth_sample(), 'map'),
+            ):
+                publisher.publish(
+                    encode.odometry(ros_factory, sample, frame_id=frame, child_frame_id=base)
+                )
+
+    def _take_picture(self) -> None:
+        """Render only what somebody looks at."""
+        stamp = self._world.stamp_ns
+        camera = self._world.camera
+        self._info.publish(encode.camera_info(ros_factory, camera, stamp, _OPTICAL_FRAME))
+        raw, jpeg = (p.get_subscription_count() > 0 for p in (self._raw, self._compressed))
+        if not (raw or jpeg):
+            return
+        picture = self._world.camera_frame().image
+        self._pictures += 1
+        if raw:
+            self._raw.publish(encode.image(ros_factory, picture, stamp, _OPTICAL_FRAME))
+        if jpeg:
+            given = (picture, stamp, _OPTICAL_FRAME, self._config.jpeg_quality)
+            self._compressed.publish(encode.compressed_image(ros_factory, *given))
+
+
+def _build(config: Parameters, mount: PanTiltMount, start_ns: int) -> RobotWorld:
+    room = load_room(config.room_file) if config.room_file else None
+    scene = generate_scene(config.seed, room)
+    places = choose_sweep_places(scene)
+    if places is None:
+        raise LandmarkNavError('the room has no place for a sweep: take another seed')
+    world = config.world
+    return RobotWorld(
+        scene, places.poses[0], config.seed, mount=mount, config=world, start_ns=start_ns
+    )
+
+
+def main() -> int:
+    """Entry point of the executable."""
+    return run_node(RoomSimulatorNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
