@@ -34,6 +34,7 @@ BELOW = {
     'demo': {*STAGES, *FILES, 'simulation', 'evaluation'},
     'cli': {*STAGES, *FILES, 'simulation', 'evaluation', 'demo', 'ros'},
     'launch': set[str](),
+    '__main__': {'cli'},
 }
 
 ROS_PARTS = {'ros', 'nodes', 'launch'}
