@@ -47,7 +47,7 @@ def relative_sampling(
     reference = np.asarray(viewpoints, dtype=np.float64)[:, :2] - point
     view = np.asarray(viewers, dtype=np.float64)[..., None, :2] - point
     range_reference = np.hypot(reference[:, 0], reference[:, 1])
-    cos_reference = np.sum(reference * normal, -1) / range_reference
+    cos_reference = np.abs(np.sum(reference * normal, -1)) / range_reference
     with np.errstate(divide='ignore', invalid='ignore'):
         range_view = np.hypot(view[..., 0], view[..., 1])
         vertical = range_reference / range_view

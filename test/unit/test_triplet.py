@@ -1,0 +1,315 @@
+from __future__ import annotations
+
+from itertools import combinations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.walls import Wall
+from landmark_nav.localization.triangulation import triangulate
+from landmark_nav.localization.triangulation_model import axis_from_base
+from landmark_nav.localization.triplet import select_triplet, TripletConfig, visible_landmarks
+from landmark_nav.localization.triplet_geometry import (
+    position_variance,
+    sightings,
+    triplets_in_one_view,
+)
+from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate, Refusal, Triplet
+
+FloatArray = npt.NDArray[np.float64]
+
+WIDTH, DEPTH = 6.6, 4.4
+CAMERA = CameraModel(512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.1, 0.02))
+MOUNT = PanTiltMount(axis_xyz=(0.08, 0.0, 1.1))
+CONFIG = TripletConfig()
+PRIOR = PoseEstimate(42, np.array([3.0, 2.0, 0.3]), np.diag([0.01, 0.01, 0.005]) ** 2)
+ROOM = tuple(
+    Wall(name, start, end, 2.6)
+    for name, start, end in (
+        ('south', (0.0, 0.0), (WIDTH, 0.0)),
+        ('east', (WIDTH, 0.0), (WIDTH, DEPTH)),
+        ('north', (WIDTH, DEPTH), (0.0, DEPTH)),
+        ('west', (0.0, DEPTH), (0.0, 0.0)),
+    )
+)
+
+
+def landmark(k: int, xy: tuple[float, float], normal: tuple[float, float], z: float) -> Landmark:
+    return Landmark(
+        id=100 + k,
+        position=np.array([*xy, z]),
+        covariance=np.diag([0.006, 0.006, 0.01]) ** 2,
+        shared_loading=np.vstack([0.004 * np.eye(2), np.zeros((1, 2))]),
+        normal=np.array([*normal, 0.0]),
+        width_m=0.25,
+        height_m=0.2,
+        patch=np.zeros((20, 25), np.uint8),
+        viewpoint=np.array([WIDTH / 2.0, DEPTH / 2.0, 1.1]),
+        threshold=0.7,
+    )
+
+
+def random_map(n: int, seed: int = 0) -> LandmarkMap:
+    """Landmarks all around a room of 6.6 m x 4.4 m."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for k in range(n):
+        wall = ROOM[rng.integers(4)]
+        share = rng.uniform(0.05, 0.95)
+        xy = (1.0 - share) * np.array(wall.start) + share * np.array(wall.end)
+        normal = (float(wall.normal[0]), float(wall.normal[1]))
+        made.append(landmark(k, (float(xy[0]), float(xy[1])), normal, rng.uniform(0.8, 1.5)))
+    return LandmarkMap(tuple(made), walls=ROOM)
+
+
+def chosen(found: Triplet | Refusal) -> Triplet:
+    assert isinstance(found, Triplet), str(found)
+    return found
+
+
+class TestSelection:
+    def test_promised_covariance_is_that_of_the_fix(self) -> None:
+        landmark_map = random_map(40)
+        triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
+        places = triplet.ids - 100
+        rows = np.stack([2 * places, 2 * places + 1], -1).reshape(-1)
+        fix = triangulate(
+            landmark_map.positions[places, :2],
+            triplet.bearing_rad,
+            np.full(3, CONFIG.bearing_sigma_rad**2),
+            landmark_map.joint_covariance_xy[np.ix_(rows, rows)],
+        )
+        assert not isinstance(fix, Refusal), str(fix)
+        axis = axis_from_base(PRIOR, MOUNT)
+        np.testing.assert_allclose(fix.pose, axis.pose, atol=1e-9)
+        promised = axis_from_base(
+            PoseEstimate(0, PRIOR.pose, triplet.covariance), MOUNT
+        ).covariance
+        np.testing.assert_allclose(promised, fix.covariance, rtol=1e-6, atol=1e-12)
+
+    def test_no_other_triplet_in_a_view_promises_much_more(self) -> None:
+        """Against every triple of visible landmarks, one pan after the other."""
+        landmark_map = random_map(25, seed=3)
+        triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
+        axis = axis_from_base(PRIOR, MOUNT)
+        everything = np.arange(25)
+        seen = sightings(axis.pose[:2], landmark_map, everything, CONFIG.bearing_sigma_rad)
+        best = np.inf
+        for pan in np.radians(np.arange(-180, 180, 2)):
+            view = visible_landmarks(PRIOR, landmark_map, CAMERA, MOUNT, float(pan), 0.0, CONFIG)
+            triples = np.array(list(combinations(view, 3)), dtype=np.intp).reshape(-1, 3)
+            best = min(best, *position_variance(seen, triples), np.inf)
+        mine = position_variance(seen, (triplet.ids - 100)[None])[0]
+        # Margins for the prior's spread keep the outermost out of the selection.
+        assert mine <= 1.35 * best
+
+    def test_the_view_holds_all_three(self) -> None:
+        for seed in range(8):
+            landmark_map = random_map(40, seed)
+            triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
+            view = visible_landmarks(
+                PRIOR, landmark_map, CAMERA, MOUNT, triplet.pan_rad, 0.0, CONFIG
+            )
+            assert set(triplet.ids) <= set(landmark_map.ids[view])
+            # The pan halves the span.
+            assert np.abs(wrap_rad(triplet.bearing_rad - triplet.pan_rad)).max() < 0.42
+            assert triplet.stamp_ns == PRIOR.stamp_ns
+
+    def test_joint_limits(self) -> None:
+        landmark_map = random_map(40)
+        limits = (0.4, 1.1)
+        triplet = chosen(
+            select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, joint_limits=limits)
+        )
+        assert limits[0] <= triplet.pan_rad <= limits[1]
+        wide = (2.0 * np.pi - 0.5, 2.0 * np.pi + 3.0)
+        turned = chosen(
+            select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, joint_limits=wide)
+        )
+        assert wide[0] <= turned.pan_rad <= wide[1]
+
+    def test_pan_across_the_seam(self) -> None:
+        prior = PoseEstimate(0, np.array([3.0, 2.0, np.pi]), PRIOR.covariance)
+        landmark_map = LandmarkMap(
+            tuple(landmark(k, (WIDTH, y), (-1.0, 0.0), 1.2) for k, y in enumerate((1.0, 2.1, 3.1)))
+        )
+        triplet = chosen(select_triplet(prior, landmark_map, CAMERA, MOUNT, CONFIG))
+        assert abs(wrap_rad(triplet.pan_rad - np.pi)) < 0.1
+        assert set(triplet.ids) == {100, 101, 102}
+
+    def test_fixed_pan(self) -> None:
+        landmark_map = random_map(40)
+        for pan in (-2.0, 0.0, 1.0):
+            found = select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, pan_rad=pan)
+            if isinstance(found, Triplet):
+                assert found.pan_rad == pan
+                view = visible_landmarks(PRIOR, landmark_map, CAMERA, MOUNT, pan, 0.0, CONFIG)
+                assert set(found.ids) <= set(landmark_map.ids[view])
+
+    def test_hysteresis(self) -> None:
+        landmark_map = random_map(40)
+        first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
+        moved = PoseEstimate(43, PRIOR.pose + np.array([0.02, 0.01, 0.01]), PRIOR.covariance)
+        stay = TripletConfig(hysteresis=100.0)
+        kept = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, stay, previous=first))
+        assert set(kept.ids) == set(first.ids)
+        fresh = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, CONFIG))
+        go = TripletConfig(hysteresis=0.0)
+        changed = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, go, previous=first))
+        assert set(changed.ids) == set(fresh.ids)
+
+    def test_landmarks_that_are_seldom_found_are_avoided(self) -> None:
+        landmark_map = random_map(40)
+        first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
+        rate = np.ones(40)
+        rate[first.ids[0] - 100] = 0.01
+        other = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, found_rate=rate))
+        assert first.ids[0] not in other.ids
+
+    def test_offset_camera_still_sees_all_three(self) -> None:
+        mount = PanTiltMount(
+            axis_xyz=(0.1, 0.05, 1.0),
+            axis_rpy=(0.0, 0.05, 0.4),
+            optical_center_offset=(0.06, 0.03, 0.1),
+        )
+        landmark_map = random_map(40)
+        triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, mount, CONFIG, tilt_rad=0.05))
+        view = visible_landmarks(PRIOR, landmark_map, CAMERA, mount, triplet.pan_rad, 0.05, CONFIG)
+        assert set(triplet.ids) <= set(landmark_map.ids[view])
+
+
+class TestRefusal:
+    def test_empty_map(self) -> None:
+        found = select_triplet(PRIOR, LandmarkMap(()), CAMERA, MOUNT, CONFIG)
+        assert isinstance(found, Refusal)
+        assert 'fewer than three' in found.reason
+        view = visible_landmarks(PRIOR, LandmarkMap(()), CAMERA, MOUNT, 0.0, 0.0, CONFIG)
+        assert len(view) == 0
+
+    def test_three_that_fit_no_view(self) -> None:
+        spread = LandmarkMap(
+            (
+                landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),
+                landmark(1, (3.0, DEPTH), (0.0, -1.0), 1.2),
+                landmark(2, (0.0, 2.0), (1.0, 0.0), 1.2),
+            )
+        )
+        found = select_triplet(PRIOR, spread, CAMERA, MOUNT, CONFIG)
+        assert isinstance(found, Refusal)
+        assert 'fit one view' in found.reason
+
+    def test_no_use_promising_what_is_useless(self) -> None:
+        strict = TripletConfig(max_sigma_m=1e-4)
+        found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
+        assert isinstance(found, Refusal)
+        assert 'accurate enough' in found.reason
+
+    def test_parameters(self) -> None:
+        with pytest.raises(LandmarkNavError, match='min_sampling'):
+            TripletConfig(min_sampling=0.0)
+
+
+class TestVisibility:
+    def test_wall_between(self) -> None:
+        behind = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
+        prior = PoseEstimate(0, np.array([2.0, 2.0, 0.0]), PRIOR.covariance)
+        view = (CAMERA, MOUNT, 0.0, 0.0, CONFIG)
+        assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=ROOM), *view)) == 1
+        corners = [
+            (0.0, 0.0), (4.0, 0.0), (4.0, 2.5), (4.2, 2.5), (4.2, 0.0), (WIDTH, 0.0),
+            (WIDTH, DEPTH), (0.0, DEPTH),
+        ]  # fmt: skip
+        walls = tuple(
+            Wall(str(k), corners[k], corners[(k + 1) % len(corners)], 2.6)
+            for k in range(len(corners))
+        )
+        assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=walls), *view)) == 0
+
+    def test_patch_must_be_whole_in_the_picture(self) -> None:
+        landmark_map = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),))
+        prior = PoseEstimate(0, np.array([3.0, 2.0, 0.0]), PRIOR.covariance)
+        seen = [
+            len(visible_landmarks(prior, landmark_map, CAMERA, MOUNT, pan, 0.0, CONFIG))
+            for pan in (0.0, 0.36, 0.41, np.pi)
+        ]
+        assert seen == [1, 1, 0, 0]
+        high = visible_landmarks(prior, landmark_map, CAMERA, MOUNT, 0.0, -0.5, CONFIG)
+        assert len(high) == 0
+
+    def test_facing_and_distance(self) -> None:
+        turned = LandmarkMap((landmark(0, (WIDTH, 2.0), (1.0, 0.0), 1.2),))
+        prior = PoseEstimate(0, np.array([3.0, 2.0, 0.0]), PRIOR.covariance)
+        assert not len(visible_landmarks(prior, turned, CAMERA, MOUNT, 0.0, 0.0, CONFIG))
+        facing = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),))
+        near = TripletConfig(max_range_m=2.0)
+        assert not len(visible_landmarks(prior, facing, CAMERA, MOUNT, 0.0, 0.0, near))
+
+
+class TestGeometry:
+    @settings(max_examples=60, deadline=None)
+    @given(st.integers(0, 10_000), st.integers(0, 9))
+    def test_triplets_in_one_view_against_all_triples(self, seed: int, n: int) -> None:
+        rng = np.random.default_rng(seed)
+        azimuth = rng.uniform(-np.pi, np.pi, n)
+        reach = rng.uniform(-0.1, 0.6, n)
+        limits = (-1.5, 2.0)
+        views = triplets_in_one_view(azimuth, reach, limits)
+        found = {frozenset(int(k) for k in triple) for triple in views.triplets}
+        assert len(found) == len(views.triplets)
+        pans = np.linspace(*limits, 20001)
+        inside = np.abs(wrap_rad(pans[:, None] - azimuth)) <= reach
+        expected = {
+            frozenset(triple)
+            for triple in combinations(range(n), 3)
+            if np.any(inside[:, list(triple)].all(axis=1))
+        }
+        # A grid of pans misses views that hardly exist.
+        assert expected <= found
+        for triple, pan in zip(views.triplets, views.pan_rad, strict=True):
+            assert limits[0] <= pan <= limits[1]
+            assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
+
+    def test_variance_against_the_inverse_matrix(self) -> None:
+        landmark_map = random_map(12)
+        axis = np.array([3.1, 2.2])
+        triples = np.array(list(combinations(range(12), 3)))
+        seen = sightings(axis, landmark_map, np.arange(12), 4e-4)
+        traces = position_variance(seen, triples)
+        for triple, trace in list(zip(triples, traces, strict=True))[::17]:
+            gradient = seen.gradient[triple]
+            rows = np.stack([2 * triple, 2 * triple + 1], -1).reshape(-1)
+            joint = landmark_map.joint_covariance_xy[np.ix_(rows, rows)]
+            derivative = np.zeros((3, 6))
+            for k in range(3):
+                derivative[k, 2 * k : 2 * k + 2] = -gradient[k]
+            noise = 4e-4**2 * np.eye(3) + derivative @ joint @ derivative.T
+            inverse = np.linalg.inv(np.column_stack([gradient, -np.ones(3)]))
+            covariance = inverse @ noise @ inverse.T
+            assert trace == pytest.approx(np.trace(covariance[:2, :2]), rel=1e-6)
+
+    def test_several_viewpoints_at_once(self) -> None:
+        landmark_map = random_map(6)
+        points = np.array([[3.0, 2.0], [2.5, 2.4]])
+        triples = np.array([[0, 1, 2], [3, 4, 5]])
+        both = position_variance(sightings(points, landmark_map, np.arange(6), 1e-3), triples)
+        one = position_variance(sightings(points[1], landmark_map, np.arange(6), 1e-3), triples)
+        assert both.shape == (2, 2)
+        np.testing.assert_allclose(both[1], one)
+
+    def test_danger_circle_promises_nothing(self) -> None:
+        angles = np.array([0.3, 1.5, 4.0])
+        circle = LandmarkMap(
+            tuple(
+                landmark(k, (2.0 * np.cos(a), 2.0 * np.sin(a)), (1.0, 0.0), 1.2)
+                for k, a in enumerate(angles)
+            )
+        )
+        there = 2.0 * np.array([np.cos(2.6), np.sin(2.6)])
+        seen = sightings(there, circle, np.arange(3), 1e-3)
+        assert position_variance(seen, np.array([[0, 1, 2]]))[0] > 1e6
