@@ -1,0 +1,129 @@
+"""A two-wheeled base and the odometry it believes in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.parameters import check_parameters, parameter
+
+__all__ = ['DifferentialDrive', 'DriveConfig']
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DriveConfig:
+    """What the base can do, and how wrong its odometry is."""
+
+    max_speed_m_s: float = parameter(0.8, 'Largest speed', minimum=0.0, maximum=10.0)
+    max_turn_rad_s: float = parameter(1.8, 'Largest turning rate', minimum=0.0, maximum=20.0)
+    max_acceleration_m_s2: float = parameter(1.0, 'Of the speed', minimum=0.01, maximum=50.0)
+    max_turn_acceleration_rad_s2: float = parameter(
+        4.0, 'Of the turning rate', minimum=0.01, maximum=100.0
+    )
+    track_m: float = parameter(0.36, 'Distance between the wheels', minimum=0.05, maximum=3.0)
+    scale_sigma: float = parameter(
+        0.003, 'Relative error of each wheel radius, drawn once', minimum=0.0, maximum=0.2
+    )
+    track_sigma: float = parameter(
+        0.01, 'Relative error of the track, drawn once', minimum=0.0, maximum=0.2
+    )
+    slip_sigma_m: float = parameter(
+        0.002, 'Slip of each wheel over 1 m, a random walk', minimum=0.0, maximum=0.2
+    )
+    encoder_step_m: float = parameter(
+        0.00002, 'Way of a wheel for one count', minimum=0.0, maximum=0.1
+    )
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+class DifferentialDrive:
+    """
+    Base with two driven wheels.
+
+    Parameters
+    ----------
+    config : DriveConfig
+        Limits and errors.
+    pose_map_base : ndarray, shape (3,)
+        Where it stands.
+    free : callable
+        Whether the base may stand at a place (2,); it stops before one where it may not.
+    rng : numpy.random.Generator
+        Errors.
+
+    """
+
+    def __init__(
+        self,
+        config: DriveConfig,
+        pose_map_base: npt.ArrayLike,
+        free: Callable[[FloatArray], bool],
+        rng: np.random.Generator,
+    ) -> None:
+        """Draw the systematic errors."""
+        self._config = config
+        self._free = free
+        self._rng = rng
+        self._scale = 1.0 + config.scale_sigma * rng.standard_normal(2)
+        self._track_m = config.track_m * (1.0 + config.track_sigma * rng.standard_normal())
+        self._command = np.zeros(2)
+        self._counted_m = np.zeros(2)
+        self._rolled_m = np.zeros(2)
+        self.place(pose_map_base)
+
+    def place(self, pose_map_base: npt.ArrayLike) -> None:
+        """Be carried to a pose (3,); odometry starts again from zero."""
+        self.pose_map_base: FloatArray = np.array(pose_map_base, dtype=np.float64)
+        self.pose_odom_base: FloatArray = np.zeros(3)
+        self.twist: FloatArray = np.zeros(2)
+        self.measured_twist: FloatArray = np.zeros(2)
+
+    def command(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """Aim at a speed and a turning rate; what is beyond the limits is cut to them."""
+        limit = np.array([self._config.max_speed_m_s, self._config.max_turn_rad_s])
+        self._command = np.clip([linear_m_s, angular_rad_s], -limit, limit)
+
+    def step(self, dt_s: float) -> None:
+        """Let time pass."""
+        config = self._config
+        most = dt_s * np.array([config.max_acceleration_m_s2, config.max_turn_acceleration_rad_s2])
+        self.twist = self.twist + np.clip(self._command - self.twist, -most, most)
+        moved = compose(self.pose_map_base, _arc(self.twist * dt_s))
+        if self.twist[0] != 0.0 and not self._free(moved[:2]):
+            self.twist = np.array([0.0, self.twist[1]])
+            moved = compose(self.pose_map_base, _arc(self.twist * dt_s))
+        self.pose_map_base = moved
+        self._measure(dt_s)
+
+    def _measure(self, dt_s: float) -> None:
+        """Odometry out of what the wheels counted."""
+        config = self._config
+        forward, turn = self.twist * dt_s
+        rolled = forward + turn * config.track_m * np.array([-0.5, 0.5])
+        slip = config.slip_sigma_m * np.sqrt(np.abs(rolled)) * self._rng.standard_normal(2)
+        self._rolled_m = self._rolled_m + rolled * self._scale + slip
+        counted = self._rolled_m
+        if config.encoder_step_m > 0.0:
+            counted = np.floor(counted / config.encoder_step_m) * config.encoder_step_m
+        left, right = counted - self._counted_m
+        self._counted_m = counted
+        step = np.array([0.5 * (left + right), (right - left) / self._track_m])
+        self.pose_odom_base = compose(self.pose_odom_base, _arc(step))
+        self.measured_twist = step / dt_s
+
+
+def _arc(step: FloatArray) -> FloatArray:
+    """Relative pose (3,) after a way and a turn (2,) along a circle."""
+    way, turn = step
+    # sinc is exact for a straight line too.
+    chord = way * np.sinc(0.5 * turn / np.pi)
+    return np.array([chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn])

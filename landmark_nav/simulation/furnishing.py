@@ -1,0 +1,251 @@
+"""What hangs on the walls of a room and stands in it, drawn by chance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
+
+__all__ = ['furnish', 'move_one_box']
+
+FloatArray = npt.NDArray[np.float64]
+Generator = np.random.Generator
+
+_TARGET_SIZE_M = 0.5
+
+# Free wall between things, and beside a corner.
+_GAP_M = 0.1
+_CORNER_M = 0.12
+
+# Chance of each kind, and the range of its width and height, metres.
+_KINDS: dict[str, tuple[float, tuple[float, float], tuple[float, float]]] = {
+    'photo': (0.45, (0.45, 0.85), (0.4, 0.7)),
+    'poster': (0.32, (0.5, 0.75), (0.7, 1.05)),
+    'shelf': (0.13, (0.7, 1.0), (0.8, 1.2)),
+    'blinds': (0.1, (1.1, 1.7), (0.9, 1.2)),
+}
+
+
+@dataclass
+class _Strip:
+    """A wall while things are hung on it: which parts of its length are taken."""
+
+    wall: Wall
+    taken: list[tuple[float, float]]
+
+    def find(self, width: float, margin: float, rng: Generator) -> float | None:
+        """Centre of a free part `width` long, or None; takes it."""
+        low, high = margin + width / 2, self.wall.length - margin - width / 2
+        if low > high:
+            return None
+        for along in rng.uniform(low, high, 80):
+            a, b = along - width / 2 - _GAP_M, along + width / 2 + _GAP_M
+            if all(b <= start or a >= end for start, end in self.taken):
+                self.taken.append((along - width / 2, along + width / 2))
+                return float(along)
+        return None
+
+
+def furnish(room: Room, rng: Generator, seed: int) -> Scene:
+    """
+    Hang and place things.
+
+    Parameters
+    ----------
+    room : Room
+        Walls and papers.
+    rng : numpy.random.Generator
+        Chance.
+    seed : int
+        Of the scene's surfaces.
+
+    Returns
+    -------
+    Scene
+        Nothing on a wall overlaps anything else there; furniture keeps clear of other furniture.
+
+    """
+    strips = [_Strip(wall, []) for wall in room.walls]
+    for paper in room.papers:
+        strip = strips[int(room.nearest_wall(paper.center[:2]))]
+        along = float(np.linalg.norm(np.array(paper.center[:2]) - strip.wall.start))
+        strip.taken.append((along - paper.width / 2, along + paper.width / 2))
+    bare = [k for k, strip in enumerate(strips) if not strip.taken]
+    items: list[WallItem] = []
+    _hang(items, strips, 'target', _longest(strips, bare, rng), rng)
+    if bare:
+        _hang(items, strips, 'door', int(rng.choice(bare)), rng)
+    boxes: list[Box] = []
+    if rng.random() < 0.5:
+        _place_at_wall(boxes, strips, room, rng, tall=True)
+    for index, strip in enumerate(strips):
+        for _ in range(max(2, round(strip.wall.length / 1.15)) + 1):
+            kinds, chances = list(_KINDS), np.array([v[0] for v in _KINDS.values()])
+            if sum(item.kind == 'blinds' for item in items) >= 2:
+                chances[kinds.index('blinds')] = 0.0
+            kind = str(rng.choice(kinds, p=chances / chances.sum()))
+            _hang(items, strips, kind, index, rng)
+    for _ in range(int(rng.integers(2, 5))):
+        _place_at_wall(boxes, strips, room, rng, tall=False)
+    if rng.random() < 0.6:
+        _place_free(boxes, room, rng)
+    lamps = _lamps(room, items, rng)
+    return Scene(seed, room, tuple(items), tuple(boxes), lamps)
+
+
+def move_one_box(scene: Scene, rng: Generator) -> tuple[Box, ...]:
+    """Furniture of `scene` with one piece put elsewhere; as it is if there is no place."""
+    if not scene.boxes:
+        return scene.boxes
+    index = int(rng.integers(len(scene.boxes)))
+    rest = [box for k, box in enumerate(scene.boxes) if k != index]
+    moved = scene.boxes[index]
+    for _ in range(200):
+        shift = rng.uniform(-0.8, 0.8, 2)
+        center = np.array(moved.center_xy) + shift
+        box = Box(
+            (float(center[0]), float(center[1])),
+            moved.yaw_rad + float(rng.uniform(-0.3, 0.3)),
+            moved.size_m,
+            moved.material,
+            moved.seed,
+        )
+        if np.linalg.norm(shift) > 0.3 and _fits(box, rest, scene.room, 0.0):
+            return (*rest, box)
+    return scene.boxes
+
+
+def _longest(strips: list[_Strip], bare: list[int], rng: Generator) -> int:
+    """A wall for the target: one without papers, longer ones rather."""
+    choice = bare or list(range(len(strips)))
+    lengths = np.array([strips[k].wall.length for k in choice])
+    return int(rng.choice(choice, p=lengths**2 / np.sum(lengths**2)))
+
+
+def _hang(
+    items: list[WallItem], strips: list[_Strip], kind: str, index: int, rng: Generator
+) -> None:
+    """Hang one thing on wall `index` if there is room for it."""
+    strip = strips[index]
+    margin = _CORNER_M
+    if kind == 'target':
+        width = height = _TARGET_SIZE_M
+        margin = min(0.6, 0.2 * strip.wall.length)
+    elif kind == 'door':
+        width, height = 0.86, 2.0
+    else:
+        _, widths, heights = _KINDS[kind]
+        width, height = float(rng.uniform(*widths)), float(rng.uniform(*heights))
+    along = strip.find(width, margin, rng)
+    if along is None:
+        return
+    top = strip.wall.height - 0.15 - height / 2
+    center = 1.0 if kind == 'door' else min(float(rng.uniform(1.4, 1.65)), top)
+    items.append(WallItem(kind, index, along, center, width, height, int(rng.integers(2**31))))
+
+
+def _place_at_wall(
+    boxes: list[Box], strips: list[_Strip], room: Room, rng: Generator, *, tall: bool
+) -> None:
+    """A cupboard or sideboard with its back to a wall; a tall one takes the wall behind it."""
+    for _ in range(30):
+        strip = strips[int(rng.integers(len(strips)))]
+        size = (float(rng.uniform(0.6, 1.5)), float(rng.uniform(0.3, 0.6)))
+        height = float(rng.uniform(1.6, 1.95) if tall else rng.uniform(0.45, 0.95))
+        wall = strip.wall
+        if wall.length < size[0] + 0.5:
+            continue
+        along = float(rng.uniform(size[0] / 2 + 0.02, wall.length - size[0] / 2 - 0.02))
+        start, end = np.array(wall.start), np.array(wall.end)
+        side = (end - start) / wall.length
+        center = start + side * along + wall.normal[:2] * (size[1] / 2 + 0.01)
+        box = Box(
+            (float(center[0]), float(center[1])),
+            float(np.arctan2(side[1], side[0])),
+            (*size, height),
+            str(rng.choice(['wood', 'books', 'wood', 'paint'])),
+            int(rng.integers(2**31)),
+        )
+        part = (along - size[0] / 2, along + size[0] / 2)
+        free = all(part[1] <= a or part[0] >= b for a, b in strip.taken)
+        if (free or not tall) and _fits(box, boxes, room, 0.0):
+            if tall:
+                strip.taken.append(part)
+            boxes.append(box)
+            return
+
+
+def _place_free(boxes: list[Box], room: Room, rng: Generator) -> None:
+    """A low piece that stands in the room, with space to pass."""
+    corners = np.array([wall.start for wall in room.walls])
+    for center in rng.uniform(corners.min(axis=0), corners.max(axis=0), (40, 2)):
+        size = (float(rng.uniform(0.35, 0.6)), float(rng.uniform(0.35, 0.6)))
+        box = Box(
+            (float(center[0]), float(center[1])),
+            float(rng.uniform(-np.pi, np.pi)),
+            (*size, float(rng.uniform(0.4, 0.75))),
+            str(rng.choice(['books', 'paint', 'wood'])),
+            int(rng.integers(2**31)),
+        )
+        if _fits(box, boxes, room, 0.75):
+            boxes.append(box)
+            return
+
+
+def _fits(box: Box, others: list[Box], room: Room, clearance_m: float) -> bool:
+    """Whether `box` stands inside the room and off the other furniture."""
+    step = np.linspace(0.0, 1.0, 9)[:, None]
+    corners = box.footprint
+    outline = np.concatenate(
+        [a + (b - a) * step for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    )
+    if not bool(np.all(room.contains(outline))):
+        return False
+    if clearance_m > 0.0 and Scene(0, room).distance_to_obstacles(outline).min() < clearance_m:
+        return False
+    if not others:
+        return True
+    rest = Scene(0, room, boxes=tuple(others))
+    apart = min(
+        float(np.linalg.norm(np.array(other.center_xy) - box.center_xy)) for other in others
+    )
+    edges = np.concatenate([other.footprint for other in others])
+    distance = np.linalg.norm(outline[:, None] - edges, axis=-1).min()
+    inside = rest.distance_to_obstacles(outline) == 0.0
+    return apart > 0.5 and distance > max(clearance_m, 0.1) and not bool(np.any(inside))
+
+
+def _lamps(room: Room, items: list[WallItem], rng: Generator) -> tuple[Lamp, ...]:
+    """Panels under the ceiling, and daylight at each window."""
+    corners = np.array([wall.start for wall in room.walls])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    height = max(wall.height for wall in room.walls)
+    long = int(np.argmax(high - low))
+    lamps = []
+    count = int(rng.integers(2, 4))
+    for k in range(count):
+        center = 0.5 * (low + high)
+        center[long] = low[long] + (high - low)[long] * (k + 0.5) / count
+        if not room.contains(center):
+            center = 0.5 * (center + corners[room.contains(corners * 0.9 + center * 0.1)].mean(0))
+        size = (0.6, 0.6) if rng.random() < 0.5 else (0.3, 1.2)
+        tint = 1.0 + rng.uniform(-0.05, 0.05) * np.array([1.0, 0.0, -1.0])
+        lamps.append(
+            Lamp(
+                (float(center[0]), float(center[1]), height),
+                size,
+                float(rng.uniform(0.8, 1.2)),
+                (float(tint[0]), float(tint[1]), float(tint[2])),
+            )
+        )
+    for item in items:
+        if item.kind == 'blinds':
+            at = item.center(room) + 0.15 * room.walls[item.wall].normal
+            position = (float(at[0]), float(at[1]), float(at[2]))
+            power = float(rng.uniform(0.15, 0.4))
+            lamps.append(Lamp(position, (0.0, 0.0), power, (1.1, 1.0, 0.92)))
+    return tuple(lamps)

@@ -1,0 +1,133 @@
+"""Where a simulated robot turns its camera: places that see the papers and the target well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.simulation.scene import Scene
+
+__all__ = ['EYE_HEIGHT_M', 'SweepPlaces', 'choose_sweep_places', 'item_points', 'view_quality']
+
+FloatArray = npt.NDArray[np.float64]
+
+# Height of the camera that decides what low furniture hides.
+EYE_HEIGHT_M = 1.1
+
+# Height over distance that fits into the picture of a usual camera, with some reserve.
+_STEEPEST_VIEW = 0.4
+
+_CLEARANCE_M = 0.5
+_BASELINE_M = (1.5, 2.5)
+_CANDIDATES = 140
+
+
+@dataclass(frozen=True, eq=False)
+class SweepPlaces:
+    """Poses (2, 3) of the base in map, and how many things both of them see well."""
+
+    poses: FloatArray
+    shared_items: int
+
+
+def choose_sweep_places(scene: Scene) -> SweepPlaces | None:
+    """
+    Find two places for sweeps.
+
+    Parameters
+    ----------
+    scene : Scene
+        The room; its seed decides which places are tried, and the headings.
+
+    Returns
+    -------
+    SweepPlaces or None
+        The pair, 1.5 to 2.5 m apart, that shares most; None if no pair sees every paper and
+        the target.
+
+    """
+    rng = np.random.default_rng([scene.seed, 10])
+    corners = np.array([wall.start for wall in scene.room.walls])
+    places = rng.uniform(corners.min(axis=0), corners.max(axis=0), (_CANDIDATES * 4, 2))
+    places = places[scene.room.contains(places)]
+    places = places[scene.distance_to_obstacles(places) > _CLEARANCE_M][:_CANDIDATES]
+    if len(places) < 2:
+        return None
+    papers = np.array([p.center for p in scene.room.papers]).reshape(-1, 3)
+    papers[:, 2] += [0.5 * p.height for p in scene.room.papers]
+    paper_walls = scene.room.nearest_wall(papers[:, :2]) if len(papers) else np.zeros(0, np.intp)
+    good = view_quality(scene, places, papers, paper_walls, 68.0) > 0.0
+    places = places[good.all(axis=1)]
+    items, walls = item_points(scene)
+    quality = view_quality(scene, places, items, walls, 62.0)
+    if scene.target is not None:
+        at = scene.items.index(scene.target)
+        keep = view_quality(scene, places, items[at : at + 1], walls[at : at + 1], 55.0)[:, 0] > 0
+        places, quality = places[keep], quality[keep]
+    if len(places) < 2:
+        return None
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    both = np.minimum(quality[:, None], quality[None])
+    offset = items[None, :, :2] - places[:, None]
+    azimuth = np.arctan2(offset[..., 1], offset[..., 0])
+    parallax = np.abs(np.angle(np.exp(1j * (azimuth[:, None] - azimuth[None]))))
+    shared = (both > 0.0) & (parallax > np.radians(12.0))
+    wide = np.minimum(parallax / np.radians(45.0), 1.0)
+    score = np.where(shared, 0.5 + both + wide, 0.0).sum(-1)
+    score[(apart < _BASELINE_M[0]) | (apart > _BASELINE_M[1])] = -1.0
+    i, j = np.unravel_index(int(np.argmax(score)), score.shape)
+    if score[i, j] < 0.0:
+        return None
+    headings = rng.uniform(-np.pi, np.pi, 2)
+    poses = np.column_stack([places[[i, j]], headings])
+    return SweepPlaces(poses, int(shared[i, j].sum()))
+
+
+def item_points(scene: Scene) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """Centres (n, 3) of what hangs on the walls, and which walls (n,)."""
+    points = np.array([item.center(scene.room) for item in scene.items]).reshape(-1, 3)
+    return points, np.array([item.wall for item in scene.items], dtype=np.intp)
+
+
+def view_quality(
+    scene: Scene,
+    places_xy: npt.ArrayLike,
+    points: npt.ArrayLike,
+    walls: npt.ArrayLike,
+    steepest_deg: float,
+) -> FloatArray:
+    """
+    How well points on walls are seen.
+
+    Parameters
+    ----------
+    scene : Scene
+        The room.
+    places_xy : array_like, shape (n, 2)
+        From where.
+    points : array_like, shape (m, 3)
+        Points on walls, map frame; too high over too short a way is outside the picture.
+    walls : array_like of int, shape (m,)
+        Which walls.
+    steepest_deg : float
+        Largest angle between the line of sight and the wall's normal.
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+        0 where it is hidden, too far, too near or too slanted, up to 1 straight before it.
+
+    """
+    places = np.asarray(places_xy, dtype=np.float64).reshape(-1, 1, 2)
+    ends = np.asarray(points, dtype=np.float64).reshape(1, -1, 3)
+    normals = scene.room.normals[np.asarray(walls, dtype=np.intp), :2]
+    way = places - ends[..., :2]
+    distance = np.linalg.norm(way, axis=-1)
+    facing = np.sum(way * normals, -1) / np.maximum(distance, 1e-9)
+    good = (distance > 1.0) & (distance < 5.5) & (facing > np.cos(np.radians(steepest_deg)))
+    good &= np.abs(ends[..., 2] - EYE_HEIGHT_M) < _STEEPEST_VIEW * distance
+    eyes, seen = np.broadcast_arrays(places, ends[..., :2])
+    good &= scene.sees(eyes, seen, EYE_HEIGHT_M)
+    return np.where(good, facing, 0.0)

@@ -1,0 +1,170 @@
+"""Pictures of a scene through a real lens: every pixel's ray against textured rectangles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.simulation.ray_tiles import coverage, RayTiles, TILE_PX
+from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.solids import background_surfaces, box_solid, Solid, wall_solids
+from landmark_nav.simulation.surfaces import ImageArray, Pyramid, Surface
+from landmark_nav.simulation.texture_sampling import sample_texture
+from landmark_nav.simulation.visibility import PainterOrder
+
+__all__ = ['Renderer']
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+
+
+class Renderer:
+    """
+    Draws a scene.
+
+    A pixel's ray meets a rectangle where three planes through the optical centre say so, exactly
+    and without an image in between; so a point of a wall appears where `CameraModel` projects
+    it. Rectangles are painted from the farthest to the nearest, with the share of each pixel
+    that they cover.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to draw.
+    camera : CameraModel
+        The lens.
+
+    """
+
+    def __init__(self, scene: Scene, camera: CameraModel) -> None:
+        """Draw the textures and light them; takes seconds."""
+        self.scene = scene
+        self.camera = camera
+        self._solids = wall_solids(scene) + [box_solid(box) for box in scene.boxes]
+        self._order = PainterOrder([solid.footprint for solid in self._solids])
+        self._ground = background_surfaces(scene)
+        self._pyramids: dict[int, tuple[ImageArray, Pyramid]] = {}
+        self._tiles = RayTiles(camera)
+        self._lamps = scene.lamps
+
+    def render(
+        self, rotation: FloatArray, center: FloatArray, people: Sequence[Solid] = ()
+    ) -> ImageArray:
+        """
+        Draw one picture.
+
+        Parameters
+        ----------
+        rotation : ndarray, shape (3, 3)
+            Optical frame -> map.
+        center : ndarray, shape (3,)
+            Optical centre in map, metres.
+        people : sequence of Solid
+            What else is in the room at this moment.
+
+        Returns
+        -------
+        ndarray of uint8, shape (height, width, 3)
+            BGR, without vignetting and noise.
+
+        """
+        solids = [*self._solids, *people]
+        surfaces = self._ground + [s for solid in solids for s in solid.surfaces]
+        group = np.repeat(
+            np.arange(-1, len(solids)),
+            [len(self._ground), *(len(solid.surfaces) for solid in solids)],
+        )
+        forms = _ray_forms(surfaces, rotation, center)
+        touched, _ = self._tiles.classify(forms, np.zeros((len(surfaces), 4)))
+        seen = np.flatnonzero(touched.any(axis=1))
+        visible = sorted({int(g) for g in group[seen] if g >= 0})
+        painter = self._order.extended([p.footprint for p in people]) if people else self._order
+        rank = np.full(len(solids) + 1, -1)
+        rank[painter.back_to_front(center[:2], visible)] = np.arange(len(visible))
+        order = seen[np.lexsort((seen, rank[group[seen]]))]
+        return self._paint(
+            [surfaces[k] for k in order], forms[order], _overlaps([surfaces[k] for k in order])
+        )
+
+    def _paint(
+        self, surfaces: list[Surface], forms: FloatArray, spread_px: FloatArray
+    ) -> ImageArray:
+        """Paint surfaces in order; `forms` (n, 3, 3) and `spread_px` (n, 4) belong to them."""
+        touched, covered = self._tiles.classify(forms, spread_px)
+        opaque = np.array([s.albedo.shape[2] == 3 for s in surfaces])
+        last = np.where(covered & opaque[:, None], np.arange(len(surfaces))[:, None], 0).max(0)
+        canvas = np.zeros((self._tiles.count, TILE_PX, TILE_PX, 3), np.uint8)
+        for k, surface in enumerate(surfaces):
+            tiles = np.flatnonzero(touched[k] & (last <= k))
+            if not len(tiles):
+                continue
+            rays = self._tiles.rays[tiles]
+            color = sample_texture(self._pyramid(surface), forms[k], rays, self.camera.fx)
+            partial = ~(covered[k, tiles] & opaque[k])
+            canvas[tiles[~partial]] = color[~partial, ..., :3]
+            if partial.any():
+                edge = tiles[partial]
+                share = coverage(forms[k], spread_px[k], rays[partial], self.camera.fx)
+                canvas[edge] = _blend(canvas[edge], color[partial], share)
+        return self._tiles.assemble(canvas)
+
+    def _pyramid(self, surface: Surface) -> Pyramid:
+        """Pyramid of a surface in the present light, made when it is first seen."""
+        key = id(surface.albedo)
+        if key not in self._pyramids:
+            # The texture is kept beside it, so that no other one gets its id.
+            self._pyramids[key] = (surface.albedo, surface.illuminated(self._lamps))
+        return self._pyramids[key][1]
+
+
+def _ray_forms(
+    surfaces: Sequence[Surface], rotation: FloatArray, center: FloatArray
+) -> FloatArray:
+    """
+    Linear forms (n, 3, 3) of a ray r in the optical frame.
+
+    With rows w, a, b the ray meets the plane at depth 1 / (w r), at texture coordinates
+    (a r) / (w r) and (b r) / (w r), which run from 0 to 1. NaN for what is seen from behind.
+    """
+    corner = np.array([s.corner for s in surfaces]) - center
+    across = np.array([s.across for s in surfaces])
+    down = np.array([s.down for s in surfaces])
+    inward = np.cross(across, down)
+    distance = np.sum(inward * corner, -1)[:, None]
+    distance[distance < 1e-6] = np.nan
+    w = inward / distance
+    a = across - np.sum(across * corner, -1)[:, None] * w
+    b = down - np.sum(down * corner, -1)[:, None] * w
+    a /= np.array([s.width_m for s in surfaces])[:, None]
+    b /= np.array([s.height_m for s in surfaces])[:, None]
+    return np.asarray(np.stack([w, a, b], axis=1) @ rotation)
+
+
+def _overlaps(surfaces: list[Surface]) -> FloatArray:
+    """
+    How far (n, 4) each edge is drawn out, pixels.
+
+    Where two surfaces share an edge the first is drawn under the second; otherwise what lies
+    behind both would shine through the seam.
+    """
+    corners = np.array([s.corners for s in surfaces])
+    middle = 0.5 * (corners + np.roll(corners, -1, axis=1))
+    gap = np.abs(middle[:, :, None, None] - middle[None, None]).max(-1)
+    shared = (gap < 2e-3).any(axis=-1)
+    later = np.arange(len(surfaces))[:, None] < np.arange(len(surfaces))[None]
+    return np.where((shared & later[:, None, :]).any(axis=-1), 1.0, 0.0)
+
+
+def _blend(under: ImageArray, color: ImageArray, share: Float32Array) -> ImageArray:
+    """Paint `color` over `under` where it covers; both (tiles, side, side, channels)."""
+    if color.shape[-1] == 4:
+        share = share * (color[..., 3] * np.float32(1.0 / 255.0))
+    flat = (-1, TILE_PX, 3)
+    weight = share.reshape(-1, TILE_PX)
+    top = np.ascontiguousarray(color[..., :3]).reshape(flat)
+    mixed = cv2.blendLinear(top, under.reshape(flat), weight, 1.0 - weight)
+    return np.asarray(mixed, dtype=np.uint8).reshape(under.shape)

@@ -1,0 +1,180 @@
+"""
+What stands and hangs in a simulated room: a description without pixels.
+
+A scene is a value: the room generator makes it out of a seed, a changed room is a changed copy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.se2 import transform_points
+from landmark_nav.geometry.walls import Room
+
+__all__ = ['Box', 'Lamp', 'Scene', 'WallItem']
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WallItem:
+    """
+    Something flat that hangs flush on a wall.
+
+    Parameters
+    ----------
+    kind : str
+        ``photo``, ``poster``, ``shelf``, ``blinds``, ``door`` or ``target``.
+    wall : int
+        Index of the wall that carries it.
+    along_m : float
+        Its centre along the wall, from the wall's start.
+    center_z_m, width_m, height_m : float
+        Height of its centre above the floor and its size.
+    seed : int
+        What it looks like.
+
+    """
+
+    kind: str
+    wall: int
+    along_m: float
+    center_z_m: float
+    width_m: float
+    height_m: float
+    seed: int
+
+    def center(self, room: Room) -> FloatArray:
+        """Centre in map, (3,)."""
+        wall = room.walls[self.wall]
+        start, end = np.asarray(wall.start), np.asarray(wall.end)
+        xy = start + (end - start) * (self.along_m / wall.length)
+        return np.array([xy[0], xy[1], self.center_z_m])
+
+
+@dataclass(frozen=True)
+class Box:
+    """
+    A piece of furniture: an upright box on the floor.
+
+    `center_xy` and `yaw_rad` place it in map; `size_m` is its length, depth and height;
+    `material` is ``wood``, ``books`` or ``paint``.
+    """
+
+    center_xy: tuple[float, float]
+    yaw_rad: float
+    size_m: tuple[float, float, float]
+    material: str
+    seed: int
+
+    @property
+    def footprint(self) -> FloatArray:
+        """Corners on the floor, counter-clockwise, (4, 2)."""
+        half = 0.5 * np.array(self.size_m[:2])
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+        return transform_points([*self.center_xy, self.yaw_rad], corners)
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """
+    A luminous panel under the ceiling, or daylight that comes in at a window.
+
+    `position` (x, y, z) in map; `size_m` of the panel, zero for daylight, which is not drawn;
+    `power` is relative to a usual lamp; `tint` is its colour, blue, green, red.
+    """
+
+    position: tuple[float, float, float]
+    size_m: tuple[float, float]
+    power: float = 1.0
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A room with everything in it; `seed` decides what its surfaces look like."""
+
+    seed: int
+    room: Room
+    items: tuple[WallItem, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    lamps: tuple[Lamp, ...] = ()
+
+    @property
+    def target(self) -> WallItem | None:
+        """The specialised target, if there is one."""
+        return next((item for item in self.items if item.kind == 'target'), None)
+
+    def sees(
+        self, eye_xy: npt.ArrayLike, points_xy: npt.ArrayLike, eye_height_m: float
+    ) -> npt.NDArray[np.bool_]:
+        """
+        Whether points on walls are seen past walls and furniture that is higher than the eye.
+
+        Parameters
+        ----------
+        eye_xy, points_xy : array_like, shape (..., 2)
+            From where to where, map frame.
+        eye_height_m : float
+            Furniture below it hides nothing that hangs on walls.
+
+        Returns
+        -------
+        ndarray of bool, shape (...)
+
+        """
+        seen = self.room.visible(eye_xy, points_xy)
+        eye = np.asarray(eye_xy, dtype=np.float64)
+        way = np.asarray(points_xy, dtype=np.float64) - eye
+        for box in self.boxes:
+            if box.size_m[2] < eye_height_m:
+                continue
+            # Sutherland's clipping: a convex outline is crossed if some of the way is inside.
+            enter, leave = np.zeros(way.shape[:-1]), np.ones(way.shape[:-1])
+            corners = box.footprint
+            for corner, side in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
+                normal = np.array([side[1], -side[0]])
+                outside, slope = (eye - corner) @ normal, way @ normal
+                with np.errstate(divide='ignore', invalid='ignore'):
+                    at = -outside / slope
+                enter = np.where(slope < 0.0, np.maximum(enter, at), enter)
+                leave = np.where(slope > 0.0, np.minimum(leave, at), leave)
+                leave = np.where((slope == 0.0) & (outside > 0.0), -1.0, leave)
+            seen &= enter >= leave - 1e-9
+        return np.asarray(seen)
+
+    def distance_to_obstacles(self, points_xy: npt.ArrayLike) -> FloatArray:
+        """
+        Clearance of points (..., 2) to walls and furniture, metres, (...).
+
+        Inside a piece of furniture it is 0; outside the room it is not meant to be asked.
+        """
+        points = np.asarray(points_xy, dtype=np.float64)
+        start, side = self._edges
+        offset = points[..., None, :] - start
+        t = np.clip(np.sum(offset * side, -1) / np.sum(side**2, -1), 0.0, 1.0)
+        distance = np.sqrt(np.sum((offset - t[..., None] * side) ** 2, -1).min(-1))
+        if self.boxes:
+            corner, inward = self._box_sides
+            depth = np.sum((points[..., None, None, :] - corner) * inward, -1).min(-1)
+            distance = np.where((depth > 0.0).any(-1), 0.0, distance)
+        return np.asarray(distance)
+
+    @cached_property
+    def _edges(self) -> tuple[FloatArray, FloatArray]:
+        """Starts and vectors (n, 2) of all walls and sides of furniture."""
+        outlines = [np.array([wall.start, wall.end]) for wall in self.room.walls]
+        outlines += [np.vstack([box.footprint, box.footprint[:1]]) for box in self.boxes]
+        start = np.concatenate([line[:-1] for line in outlines])
+        return start, np.concatenate([np.diff(line, axis=0) for line in outlines])
+
+    @cached_property
+    def _box_sides(self) -> tuple[FloatArray, FloatArray]:
+        """Corners and inward normals (boxes, 4, 2) of the furniture."""
+        corner = np.array([box.footprint for box in self.boxes])
+        edge = np.roll(corner, -1, axis=1) - corner
+        return corner, np.stack([-edge[..., 1], edge[..., 0]], -1)

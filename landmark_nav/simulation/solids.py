@@ -1,0 +1,178 @@
+"""The surfaces of a scene, grouped by what covers what: walls, furniture, people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.walls import Paper
+from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
+from landmark_nav.simulation.surfaces import ImageArray, Surface
+from landmark_nav.simulation.textures import plaster, random_color, wood
+from landmark_nav.simulation.wall_items import draw_item
+
+__all__ = ['Solid', 'background_surfaces', 'box_solid', 'wall_solids']
+
+FloatArray = npt.NDArray[np.float64]
+
+_WALL_TEXEL_M = 0.002
+_BOX_TEXEL_M = 0.0025
+_FLOOR_TEXEL_M = 0.004
+_CEILING_TEXEL_M = 0.008
+
+# Foreshortening of walls that their pyramids can follow: up to a factor of eight.
+_WALL_SLANTS = 4
+
+# Papers are matt and evenly coloured; blue, green, red.
+_PAPER_COLORS = {
+    'red': (38.0, 36.0, 196.0),
+    'green': (58.0, 150.0, 34.0),
+    'blue': (165.0, 62.0, 36.0),
+}
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """Surfaces that are painted together, in order, and the footprint that they stand on."""
+
+    footprint: FloatArray
+    surfaces: tuple[Surface, ...]
+
+
+def wall_solids(scene: Scene) -> list[Solid]:
+    """Every wall with what hangs on it."""
+    rng = np.random.default_rng([scene.seed, 1])
+    color = np.array([172.0, 186.0, 192.0]) * rng.uniform(0.88, 1.06) + rng.uniform(-10, 10, 3)
+    height = max(wall.height for wall in scene.room.walls)
+    solids = []
+    for index, wall in enumerate(scene.room.walls):
+        start, end = np.array(wall.start), np.array(wall.end)
+        across = np.append((start - end) / wall.length, 0.0)
+        shape = (round(height / _WALL_TEXEL_M), round(wall.length / _WALL_TEXEL_M))
+        tone = (float(color[0]), float(color[1]), float(color[2]))
+        texture = plaster(np.random.default_rng([scene.seed, 2, index]), shape, tone, 0.002)
+        for item in scene.items:
+            if item.wall == index:
+                left = wall.length - item.along_m - item.width_m / 2
+                top = height - item.center_z_m - item.height_m / 2
+                _hang(texture, item, (left / wall.length, top / height), wall.length, height)
+        corner = np.array([*end, height])
+        surfaces = [
+            Surface(corner, across, -_UP, wall.length, height, texture, slants=_WALL_SLANTS)
+        ]
+        surfaces += [
+            _paper_surface(paper, across)
+            for paper in scene.room.papers
+            if scene.room.nearest_wall(paper.center[:2]) == index
+        ]
+        solids.append(Solid(np.array([start, end]), tuple(surfaces)))
+    return solids
+
+
+def _hang(
+    texture: ImageArray, item: WallItem, corner: tuple[float, float], length: float, height: float
+) -> None:
+    """Draw `item` into a wall's texture, its `corner` (x, y) given as a share of the wall."""
+    # Its place is exact to a part of a texel; only its outline is rounded to texels.
+    texels = np.array(texture.shape[1::-1], dtype=np.float64)
+    low = np.array(corner) * texels
+    size = np.array([item.width_m / length, item.height_m / height]) * texels
+    picture = draw_item(item.kind, item.seed, (round(size[1]), round(size[0])))
+    a = np.clip(np.rint(low), 0, texels).astype(int)
+    b = np.clip(np.rint(low + size), 0, texels).astype(int)
+    scale = size / picture.shape[1::-1]
+    shift = low - a + 0.5 * scale - 0.5
+    warp = np.array([[scale[0], 0.0, shift[0]], [0.0, scale[1], shift[1]]])
+    texture[a[1] : b[1], a[0] : b[0]] = cv2.warpAffine(
+        picture, warp, (int(b[0] - a[0]), int(b[1] - a[1])), borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+def _paper_surface(paper: Paper, across: FloatArray) -> Surface:
+    corner = np.array(paper.center) - across * paper.width / 2 + _UP * paper.height / 2
+    color = np.array(_PAPER_COLORS.get(paper.color, (235.0, 235.0, 235.0)))
+    texture = np.tile(np.rint(color).astype(np.uint8), (64, 48, 1))
+    return Surface(corner, across, -_UP, paper.width, paper.height, texture)
+
+
+def box_solid(box: Box) -> Solid:
+    """Sides and top of a piece of furniture."""
+    rng = np.random.default_rng([box.seed, 3])
+    base = np.array([45.0, 75.0, 108.0]) * rng.uniform(0.8, 1.3)
+    color = (float(base[0]), float(base[1]), float(base[2]))
+    if box.material == 'paint':
+        color = random_color(rng, (0.1, 0.5), (0.4, 0.8))
+    corners, height = box.footprint, box.size_m[2]
+    surfaces = []
+    for k in range(4):
+        # Seen from outside, a side of a counter-clockwise outline runs to the right.
+        side = corners[(k + 1) % 4] - corners[k]
+        width = float(np.linalg.norm(side))
+        texture = _box_texture(box, color, k, (width, height))
+        corner = np.array([*corners[k], height])
+        across = np.append(side / width, 0.0)
+        surfaces.append(Surface(corner, across, -_UP, width, height, texture, slants=3))
+    long, deep = corners[1] - corners[0], corners[0] - corners[3]
+    size = (float(np.linalg.norm(long)), float(np.linalg.norm(deep)))
+    texture = _box_texture(box, color, 4, size)
+    corner = np.array([*corners[3], height])
+    surfaces.append(
+        Surface(corner, np.append(long / size[0], 0), np.append(deep / size[1], 0), *size, texture)
+    )
+    return Solid(corners, tuple(surfaces))
+
+
+def _box_texture(
+    box: Box, color: tuple[float, ...], side: int, size: tuple[float, float]
+) -> ImageArray:
+    shape = (max(8, round(size[1] / _BOX_TEXEL_M)), max(8, round(size[0] / _BOX_TEXEL_M)))
+    rng = np.random.default_rng([box.seed, 4, side])
+    tone = (color[0], color[1], color[2])
+    if box.material == 'books' and side < 4:
+        return draw_item('books', int(rng.integers(2**31)), shape)
+    if box.material == 'paint':
+        texture = plaster(rng, shape, tone, _BOX_TEXEL_M)
+    else:
+        texture = wood(rng, shape, tone, _BOX_TEXEL_M)
+    dark = tuple(0.55 * c for c in tone)
+    cv2.rectangle(texture, (0, 0), (shape[1] - 1, shape[0] - 1), dark, 4)
+    return texture
+
+
+def background_surfaces(scene: Scene) -> list[Surface]:
+    """Floor and ceiling: the outline's bounding box with a margin, all walls stand before it."""
+    outline = np.array([wall.start for wall in scene.room.walls])
+    low, high = outline.min(axis=0) - 0.5, outline.max(axis=0) + 0.5
+    width, depth = (float(size) for size in high - low)
+    height = max(wall.height for wall in scene.room.walls)
+    rng = np.random.default_rng([scene.seed, 5])
+    base = np.array([58.0, 88.0, 122.0]) * rng.uniform(0.7, 1.25)
+    shape = (round(depth / _FLOOR_TEXEL_M), round(width / _FLOOR_TEXEL_M))
+    floor = wood(
+        rng, shape, (float(base[0]), float(base[1]), float(base[2])), _FLOOR_TEXEL_M, 0.13
+    )
+    east, north = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    shape = (round(depth / _CEILING_TEXEL_M), round(width / _CEILING_TEXEL_M))
+    ceiling = plaster(rng, shape, (168.0, 172.0, 174.0), _CEILING_TEXEL_M)
+    for lamp in scene.lamps:
+        _paint_panel(ceiling, lamp, low)
+    return [
+        Surface(np.array([low[0], high[1], 0.0]), east, -north, width, depth, floor),
+        Surface(np.array([*low, height]), east, north, width, depth, ceiling, lit=False),
+    ]
+
+
+def _paint_panel(ceiling: ImageArray, lamp: Lamp, low: FloatArray) -> None:
+    """A lamp's panel in the ceiling's texture."""
+    if min(lamp.size_m) <= 0.0:
+        return
+    half = 0.5 * np.array(lamp.size_m)
+    center = np.array(lamp.position[:2]) - low
+    a, b = (np.rint((center + s * half) / _CEILING_TEXEL_M).astype(int) for s in (-1, 1))
+    glow = 120.0 + 135.0 * min(lamp.power, 1.0)
+    cv2.rectangle(ceiling, a.tolist(), b.tolist(), (glow, glow, glow), -1)

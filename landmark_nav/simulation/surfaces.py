@@ -1,0 +1,162 @@
+"""Textured rectangles and their pyramids of averaged copies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.simulation.lighting import irradiance
+from landmark_nav.simulation.scene import Lamp
+
+__all__ = ['Pyramid', 'Surface']
+
+FloatArray = npt.NDArray[np.float64]
+ImageArray = npt.NDArray[np.uint8]
+
+# Border around each level, so that interpolation at its edge does not meet the next level.
+_BORDER_PX = 3
+
+# The light varies slowly: it is evaluated on a grid of this step and interpolated.
+_LIGHT_STEP_M = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Pyramid:
+    """
+    A texture averaged down by powers of two, across and down independently, in one image.
+
+    Walls are seen at a slant: across they need coarser texels than down, which square averages
+    would blur. Level (i, j) is averaged by about 2**(j + i) across and 2**j down.
+
+    Parameters
+    ----------
+    atlas : ndarray of uint8, shape (rows, columns, channels)
+        All levels.
+    scale, offset : ndarray of float32, shape (i, j, 2)
+        Place (x, y) of texture coordinate c, in units of the whole texture, for pixel centres
+        at integers: ``c * scale[i, j] + offset[i, j]``.
+    size_texels : (int, int)
+        Columns and rows of the finest level.
+
+    """
+
+    atlas: ImageArray
+    scale: npt.NDArray[np.float32]
+    offset: npt.NDArray[np.float32]
+    size_texels: tuple[int, int]
+
+    @classmethod
+    def build(cls, texture: ImageArray, slants: int, levels: int) -> Pyramid:
+        """Average `texture` for `slants` values of i and `levels` of j."""
+        rows, columns = texture.shape[:2]
+        scale = np.empty((slants, levels, 2), np.float32)
+        offset = np.empty((slants, levels, 2), np.float32)
+        pieces: list[tuple[int, int, ImageArray]] = []
+        first, y = texture, 0
+        for j in range(levels):
+            # Each level out of the next finer one: averages of averages are averages.
+            first = level = _average(first, columns >> j, rows >> j)
+            x = 0
+            for i in range(slants):
+                level = _average(level, columns >> (i + j), rows >> j)
+                scale[i, j] = level.shape[1::-1]
+                offset[i, j] = (x + _BORDER_PX - 0.5, y + _BORDER_PX - 0.5)
+                pieces.append((x, y, _with_border(level)))
+                x += pieces[-1][2].shape[1]
+            y += pieces[-1][2].shape[0]
+        width = max(x + piece.shape[1] for x, _, piece in pieces)
+        atlas = np.zeros((y, width, texture.shape[2]), np.uint8)
+        for x, top, piece in pieces:
+            atlas[top : top + piece.shape[0], x : x + piece.shape[1]] = piece
+        return cls(atlas, scale, offset, (columns, rows))
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """
+    A rectangle with a texture, seen from one side.
+
+    Parameters
+    ----------
+    corner : ndarray, shape (3,)
+        Its top left corner as seen from its front, map frame, metres.
+    across, down : ndarray, shape (3,)
+        Unit vectors along its rows and columns of texels.
+    width_m, height_m : float
+        Its size.
+    albedo : ndarray of uint8, shape (rows, columns, 3 or 4)
+        Its colours in usual light; a fourth channel is opacity.
+    slants : int
+        How many steps of foreshortening across its pyramid holds; 1 for none.
+    lit : bool
+        False for things that are shown as they are.
+
+    """
+
+    corner: FloatArray
+    across: FloatArray
+    down: FloatArray
+    width_m: float
+    height_m: float
+    albedo: ImageArray
+    slants: int = 1
+    lit: bool = True
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal towards its front, (3,)."""
+        return np.asarray(np.cross(self.down, self.across))
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners, clockwise as seen from the front, from the top left one; (4, 3)."""
+        right, foot = self.width_m * self.across, self.height_m * self.down
+        return np.asarray(self.corner + np.array([0 * right, right, right + foot, foot]))
+
+    def illuminated(self, lamps: Sequence[Lamp], levels: int = 5) -> Pyramid:
+        """Pyramid of the texture in the light of `lamps`."""
+        texture = self.albedo
+        if self.lit:
+            texture = _shade(texture, self._light(lamps))
+        return Pyramid.build(texture, self.slants, levels)
+
+    def _light(self, lamps: Sequence[Lamp]) -> npt.NDArray[np.float32]:
+        """Light on a coarse grid of cells (rows, columns, 3)."""
+        shape = [max(2, round(size / _LIGHT_STEP_M)) for size in (self.height_m, self.width_m)]
+        v = (np.arange(shape[0]) + 0.5) / shape[0] * self.height_m
+        u = (np.arange(shape[1]) + 0.5) / shape[1] * self.width_m
+        points = self.corner + v[:, None, None] * self.down + u[None, :, None] * self.across
+        return irradiance(points, self.normal, lamps).astype(np.float32)
+
+
+def _average(texture: ImageArray, columns: int, rows: int) -> ImageArray:
+    """`texture` in fewer texels, each the mean of what it covers."""
+    size = (max(1, columns), max(1, rows))
+    if size == texture.shape[1::-1]:
+        return texture
+    return np.asarray(cv2.resize(texture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _with_border(texture: ImageArray) -> ImageArray:
+    border = [(_BORDER_PX, _BORDER_PX)] * 2 + [(0, 0)]
+    return np.pad(texture, border, mode='edge')
+
+
+def _shade(texture: ImageArray, light: npt.NDArray[np.float32]) -> ImageArray:
+    """Texture times light, in strips so that no large float image is made."""
+    shaded = np.empty_like(texture)
+    rows, columns = texture.shape[:2]
+    across = cv2.resize(light, (columns, len(light)), interpolation=cv2.INTER_LINEAR)
+    place = np.clip((np.arange(rows) + 0.5) / rows * len(light) - 0.5, 0.0, len(light) - 1.0)
+    low = np.minimum(place.astype(int), len(light) - 2)
+    share = (place - low).astype(np.float32)
+    for start in range(0, rows, 64):
+        part = slice(start, start + 64)
+        weight = share[part, None, None]
+        factor = across[low[part]] * (1 - weight) + across[low[part] + 1] * weight
+        shaded[part] = cv2.multiply(np.ascontiguousarray(texture[part]), factor, dtype=cv2.CV_8U)
+    return shaded

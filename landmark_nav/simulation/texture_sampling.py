@@ -1,0 +1,84 @@
+"""Colours that rays see on a textured rectangle, averaged over what a pixel covers."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.simulation.ray_tiles import TILE_PX
+from landmark_nav.simulation.surfaces import ImageArray, Pyramid
+
+__all__ = ['sample_texture']
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+
+# The level of detail is chosen once for each cell of this many pixels a side.
+_CELL_PX = 4
+
+# Levels of detail a little finer than one texel a pixel: as sharp as a good lens.
+_SHARPNESS = -0.35
+
+
+def sample_texture(
+    pyramid: Pyramid, form: FloatArray, rays: Float32Array, focal_px: float
+) -> ImageArray:
+    """Colours (tiles, side, side, channels) that a surface shows to `rays` (tiles, 3, n)."""
+    n, cells = len(rays), TILE_PX // _CELL_PX
+    projected = form.astype(np.float32) @ rays
+    with np.errstate(divide='ignore', invalid='ignore'):
+        inverse = np.float32(1.0) / np.maximum(projected[:, 0], np.float32(1e-6))
+    place = projected[:, 1:] * inverse[:, None]
+    grid = place.reshape(n, 2, TILE_PX, TILE_PX)
+    half = _CELL_PX // 2
+    depth = inverse.reshape(n, TILE_PX, TILE_PX)[:, half::_CELL_PX, half::_CELL_PX]
+    slant, level, share = _level_of_detail(
+        pyramid, form, grid[:, :, half::_CELL_PX, half::_CELL_PX], depth / focal_px
+    )
+    split = place.reshape(n, 2, cells, _CELL_PX, cells, _CELL_PX)
+    fine, coarse = (
+        _look_up(pyramid, split, slant, np.minimum(level + k, pyramid.scale.shape[1] - 1))
+        for k in (0, 1)
+    )
+    weight = np.repeat(np.repeat(share, _CELL_PX, axis=1), _CELL_PX, axis=2)
+    weight = weight.reshape(-1, TILE_PX)
+    mixed = cv2.blendLinear(fine, coarse, 1.0 - weight, weight)
+    return np.asarray(mixed, dtype=np.uint8).reshape(n, TILE_PX, TILE_PX, -1)
+
+
+def _level_of_detail(
+    pyramid: Pyramid, form: FloatArray, place: Float32Array, depth_per_px: Float32Array
+) -> tuple[IntArray, IntArray, Float32Array]:
+    """
+    Levels of the pyramid for cells, each (tiles, cells, cells), from how texels spread.
+
+    The derivative of (a r) / (w r) along x is (a_x - u w_x) / (w r).
+    """
+    w, a, b = form.astype(np.float32)
+    octaves = []
+    for k, row in enumerate((a, b)):
+        spread = np.hypot(row[0] - place[:, k] * w[0], row[1] - place[:, k] * w[1])
+        texels = spread * depth_per_px * pyramid.size_texels[k]
+        octaves.append(np.log2(np.maximum(texels, 1e-3)))
+    across, down = octaves
+    slants, levels = pyramid.scale.shape[:2]
+    slant = np.clip(np.rint(across - down), 0, slants - 1)
+    octave = np.clip(0.5 * (across - slant + down) + _SHARPNESS, 0.0, levels - 1.0)
+    level = np.minimum(np.floor(octave), levels - 2)
+    return slant.astype(np.intp), level.astype(np.intp), (octave - level).astype(np.float32)
+
+
+def _look_up(
+    pyramid: Pyramid, place: Float32Array, slant: IntArray, level: IntArray
+) -> ImageArray:
+    """Texture at `place` (tiles, 2, cells, cell, cells, cell) in the levels of its cells."""
+    scale = np.moveaxis(pyramid.scale[slant, level], -1, 1)[:, :, :, None, :, None]
+    offset = np.moveaxis(pyramid.offset[slant, level], -1, 1)[:, :, :, None, :, None]
+    # Outside the rectangle, where coverage ends: one border texel of its own level.
+    inside = np.clip(place, -1.0 / scale, 1.0 + 1.0 / scale)
+    xy = inside * scale + offset
+    map_x = xy[:, 0].reshape(-1, TILE_PX)
+    map_y = xy[:, 1].reshape(-1, TILE_PX)
+    return np.asarray(cv2.remap(pyramid.atlas, map_x, map_y, cv2.INTER_LINEAR), dtype=np.uint8)

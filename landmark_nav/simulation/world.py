@@ -1,0 +1,189 @@
+"""The robot in its room, stepped through time: what a driver program talks to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.se2 import rotation
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.simulation.camera_effects import CameraEffects, CameraEffectsConfig
+from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
+from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
+from landmark_nav.simulation.people import WalkingPeople
+from landmark_nav.simulation.renderer import Renderer
+from landmark_nav.simulation.scene import Scene
+from landmark_nav.types import CameraFrame, FloatArray, JointSample, OdometrySample
+
+__all__ = ['DEFAULT_CAMERA', 'DEFAULT_MOUNT', 'RobotWorld', 'WorldConfig']
+
+# Physics runs at this rate, whatever the steps that are asked for.
+_RATE_HZ = 60
+_SECOND_NS = 1_000_000_000
+
+DEFAULT_CAMERA = CameraModel(
+    512, 512, 555.0, 555.0, 256.7, 254.1, 'plumb_bob', (-0.19, 0.06, 0.0005, -0.0003, 0.0)
+)
+DEFAULT_MOUNT = PanTiltMount((0.08, 0.0, 1.1))
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """The robot's parts, and who else is there."""
+
+    pan_tilt: PanTiltConfig = field(default_factory=PanTiltConfig)
+    drive: DriveConfig = field(default_factory=DriveConfig)
+    camera: CameraEffectsConfig = field(default_factory=CameraEffectsConfig)
+    robot_radius_m: float = parameter(
+        0.22, 'The base keeps this far from walls and furniture', minimum=0.01, maximum=2.0
+    )
+    people: int = parameter(0, 'How many people walk about', minimum=0, maximum=50)
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+class RobotWorld:
+    """
+    A simulated robot with a turning camera.
+
+    Parameters
+    ----------
+    scene : Scene
+        The room.
+    pose_map_base : array_like, shape (3,)
+        Where the robot starts.
+    seed : int
+        Noise of wheels and sensor, and what people do.
+    camera : CameraModel
+        Its lens.
+    mount : PanTiltMount
+        Where the camera sits.
+    config : WorldConfig
+        Everything else.
+    start_ns : int
+        Time at the start.
+
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        pose_map_base: npt.ArrayLike,
+        seed: int,
+        *,
+        camera: CameraModel = DEFAULT_CAMERA,
+        mount: PanTiltMount = DEFAULT_MOUNT,
+        config: WorldConfig | None = None,
+        start_ns: int = 0,
+    ) -> None:
+        """Build the room; takes seconds for its textures."""
+        config = config or WorldConfig()
+        wheels, noise, company = np.random.default_rng([seed, 20]).spawn(3)
+        self.scene = scene
+        self.camera = camera
+        self.mount = mount
+        self._config = config
+        self._start_ns = start_ns
+        self._steps = 0
+        self._owed_s = 0.0
+        self._unit = PanTiltUnit(config.pan_tilt)
+        self._drive = DifferentialDrive(config.drive, pose_map_base, self._free, wheels)
+        self._people = WalkingPeople(scene, config.people, self.true_pose[:2], company)
+        self._renderer = Renderer(scene, camera)
+        self._effects = CameraEffects(camera, config.camera, noise)
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the present state."""
+        return self._start_ns + self._steps * _SECOND_NS // _RATE_HZ
+
+    @property
+    def true_pose(self) -> FloatArray:
+        """Pose of the base in map, (3,)."""
+        return np.array(self._drive.pose_map_base)
+
+    @property
+    def true_twist(self) -> FloatArray:
+        """Speed [m/s] and turning rate [rad/s] of the base, (2,)."""
+        return np.array(self._drive.twist)
+
+    @property
+    def camera_settled(self) -> bool:
+        """Whether the camera rests where it was last told to look."""
+        return self._unit.settled
+
+    def advance(self, dt_s: float) -> None:
+        """Let time pass, in whole steps of 1/60 s; what is left over counts the next time."""
+        self._owed_s += dt_s
+        dt = 1.0 / _RATE_HZ
+        # Half a nanosecond of mercy: sums of decimal fractions fall short of whole steps.
+        while self._owed_s >= dt - 1e-9:
+            self._owed_s -= dt
+            self._steps += 1
+            self._drive.step(dt)
+            self._unit.step(dt)
+            self._people.step(dt, self._drive.pose_map_base[:2])
+
+    def command_pan(self, pan_rad: float, tilt_rad: float = 0.0) -> None:
+        """Turn the camera as quickly as the unit can."""
+        self._unit.command(pan_rad, tilt_rad)
+
+    def command_velocity(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """Drive until told otherwise."""
+        self._drive.command(linear_m_s, angular_rad_s)
+
+    def place(
+        self, pose_map_base: npt.ArrayLike, pan_rad: float = 0.0, tilt_rad: float = 0.0
+    ) -> None:
+        """Carry the robot to a pose (3,), its camera at rest; odometry starts anew there."""
+        self._drive.place(pose_map_base)
+        self._unit.jump(pan_rad, tilt_rad)
+
+    def joint_sample(self) -> JointSample:
+        """Pan and tilt as the encoders measure them now."""
+        pan, tilt = self._unit.measured_rad
+        return JointSample(self.stamp_ns, float(pan), float(tilt))
+
+    def odometry_sample(self) -> OdometrySample:
+        """What the wheels tell now."""
+        drive = self._drive
+        linear, angular = (float(value) for value in drive.measured_twist)
+        return OdometrySample(self.stamp_ns, drive.pose_odom_base.copy(), linear, angular)
+
+    def truth_sample(self) -> OdometrySample:
+        """True pose, in map, and speeds: for ``ground_truth/odom``."""
+        linear, angular = (float(value) for value in self.true_twist)
+        return OdometrySample(self.stamp_ns, self.true_pose, linear, angular)
+
+    def camera_frame(self) -> CameraFrame:
+        """Take a picture now."""
+        pan, tilt = self._unit.angles_rad
+        turn, center = self.camera_pose_map(float(pan), float(tilt))
+        image = self._renderer.render(turn, center, self._people.solids(center[:2]))
+        sample = self.joint_sample()
+        return CameraFrame(
+            sample.stamp_ns,
+            self._effects.apply(image),
+            self.camera,
+            sample.pan_rad,
+            sample.tilt_rad,
+        )
+
+    def camera_pose_map(self, pan_rad: float, tilt_rad: float) -> tuple[FloatArray, FloatArray]:
+        """Rotation (3, 3) optical frame -> map and optical centre (3,), at the present pose."""
+        turn, center = self.mount.camera_pose_base(pan_rad, tilt_rad)
+        x, y, heading = self._drive.pose_map_base
+        upright = np.eye(3)
+        upright[:2, :2] = rotation(heading)
+        return upright @ turn, upright @ center + [x, y, 0.0]
+
+    def _free(self, position_xy: FloatArray) -> bool:
+        """Whether the base may stand there: inside, and off walls and furniture."""
+        inside = bool(self.scene.room.contains(position_xy))
+        clearance = float(self.scene.distance_to_obstacles(position_xy))
+        return inside and clearance >= self._config.robot_radius_m
