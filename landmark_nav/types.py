@@ -94,7 +94,8 @@ class CameraFrame:
     """
     One picture with the joint angles it was taken at.
 
-    `image` is BGR (height, width, 3) or grey (height, width), uint8.
+    `image` is BGR (height, width, 3) or grey (height, width), uint8. `roll_rad` turns the camera
+    about its optical axis: 0 on a pan-tilt unit, unless calibration finds otherwise.
     """
 
     stamp_ns: int
@@ -102,6 +103,7 @@ class CameraFrame:
     camera: CameraModel
     pan_rad: float
     tilt_rad: float = 0.0
+    roll_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

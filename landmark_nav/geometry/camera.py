@@ -218,7 +218,10 @@ class PanTiltMount:
     tilt_joint: str = 'tilt_joint'
 
     def camera_pose_base(
-        self, pan_rad: npt.ArrayLike, tilt_rad: npt.ArrayLike = 0.0
+        self,
+        pan_rad: npt.ArrayLike,
+        tilt_rad: npt.ArrayLike = 0.0,
+        roll_rad: npt.ArrayLike = 0.0,
     ) -> tuple[FloatArray, FloatArray]:
         """
         Pose of the optical frame in ``base_link``.
@@ -227,6 +230,8 @@ class PanTiltMount:
         ----------
         pan_rad, tilt_rad : array_like, shape (...)
             Joint angles; pan positive to the left, tilt positive upwards.
+        roll_rad : array_like, shape (...)
+            Turn of the camera about its optical axis, clockwise as it looks.
 
         Returns
         -------
@@ -236,12 +241,12 @@ class PanTiltMount:
             Optical centre in base, metres.
 
         """
-        pan, tilt = np.broadcast_arrays(
-            np.asarray(pan_rad, dtype=np.float64), np.asarray(tilt_rad, dtype=np.float64)
+        pan, tilt, roll = np.broadcast_arrays(
+            *(np.asarray(a, dtype=np.float64) for a in (pan_rad, tilt_rad, roll_rad))
         )
         turned = rotation_rpy(self.axis_rpy) @ _rot_z(pan) @ _rot_y(-tilt)
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)
-        return turned @ _BODY_FROM_OPTICAL, center
+        return turned @ _BODY_FROM_OPTICAL @ _rot_z(roll), center
 
 
 def _rot_x(angle: Any) -> FloatArray:

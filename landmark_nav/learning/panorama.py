@@ -20,7 +20,14 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
 
-__all__ = ['CylinderImage', 'PanoramaConfig', 'synthesize_cylinder']
+__all__ = [
+    'CylinderImage',
+    'FrameSlab',
+    'PanoramaConfig',
+    'frame_slab',
+    'sweep_cylinder',
+    'synthesize_cylinder',
+]
 
 # Spacing of the exact projections; the map between them is interpolated, within 0.02 px.
 _GRID_PX = 8
@@ -59,7 +66,7 @@ class CylinderImage:
 
 
 @dataclass(frozen=True, eq=False)
-class _Slab:
+class FrameSlab:
     """What one frame contributes: `image` and `weight` from unwrapped column `start` on."""
 
     start: int
@@ -93,8 +100,8 @@ def synthesize_cylinder(
     CylinderImage
 
     """
-    cylinder = _cylinder_of(sweep, mount, config)
-    slabs = [_slab(frame, mount, cylinder, config, range_m) for frame in sweep.frames]
+    cylinder = sweep_cylinder(sweep, mount, config)
+    slabs = [frame_slab(frame, mount, cylinder, config, range_m) for frame in sweep.frames]
     total = np.zeros((cylinder.height, cylinder.width, 3), np.float32)
     weight = np.zeros((cylinder.height, cylinder.width), np.float32)
     for slab in slabs:
@@ -110,7 +117,7 @@ def synthesize_cylinder(
     return CylinderImage(image, mask, cylinder)
 
 
-def _cylinder_of(sweep: Sweep, mount: PanTiltMount, config: PanoramaConfig) -> Cylinder:
+def sweep_cylinder(sweep: Sweep, mount: PanTiltMount, config: PanoramaConfig) -> Cylinder:
     """Cylinder as high as the middle columns of the frames see."""
     camera = sweep.frames[0].camera
     half = _half_window(sweep.frames[0], config)[1]
@@ -136,15 +143,16 @@ def _half_window(frame: CameraFrame, config: PanoramaConfig) -> tuple[float, flo
     return float(frame.camera.width), float(frame.camera.height)
 
 
-def _slab(
+def frame_slab(
     frame: CameraFrame,
     mount: PanTiltMount,
     cylinder: Cylinder,
     config: PanoramaConfig,
     range_m: RangeOfAzimuth | None,
-) -> _Slab:
+) -> FrameSlab:
+    """Project one frame on the cylinder; arguments as of `synthesize_cylinder`."""
     camera = frame.camera
-    rotation, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+    rotation, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
     half_u, half_v = _half_window(frame, config)
     left = max(camera.cx - half_u, 0.0)
     right = min(camera.cx + half_u, camera.width - 1.0)
@@ -194,7 +202,7 @@ def _slab(
         weight = np.where(inside, window, 0.0).astype(np.float32)
     else:
         weight = inside.astype(np.float32)
-    return _Slab(start, warped.astype(np.uint8, copy=False), weight)
+    return FrameSlab(start, warped.astype(np.uint8, copy=False), weight)
 
 
 def _wrapped(start: int, count: int, width: int) -> list[tuple[slice, slice]]:
@@ -209,7 +217,7 @@ def _wrapped(start: int, count: int, width: int) -> list[tuple[slice, slice]]:
     return pieces
 
 
-def _median(slabs: list[_Slab], mean: ImageArray, cylinder: Cylinder) -> ImageArray:
+def _median(slabs: list[FrameSlab], mean: ImageArray, cylinder: Cylinder) -> ImageArray:
     """Median over the frames of each pixel; where a frame sees nothing, the mean stands in."""
     cuts = sorted(
         {c % cylinder.width for s in slabs for c in (s.start, s.start + s.weight.shape[1])}
