@@ -162,12 +162,11 @@ def _track(
     one: ImageArray, other: ImageArray, here: npt.NDArray[np.float32]
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
     """Follow points (n, 1, 2) there and back; which came back to where they were."""
-    there, found, _ = cv2.calcOpticalFlowPyrLK(one, other, here, here.copy())
-    there = np.asarray(there, dtype=np.float32)
+    tracked, found, _ = cv2.calcOpticalFlowPyrLK(one, other, here, here.copy())
+    there = np.asarray(tracked, dtype=np.float32)
     back, returned, _ = cv2.calcOpticalFlowPyrLK(other, one, there, here.copy())
-    good = (np.ravel(found) == 1) & (np.ravel(returned) == 1)
-    good &= np.linalg.norm(np.asarray(back) - here, axis=2)[:, 0] < 0.3
-    return there, good
+    away = np.linalg.norm(np.asarray(back) - here, axis=2)[:, 0]
+    return there, (np.ravel(found) == 1) & (np.ravel(returned) == 1) & (away < 0.3)
 
 
 def _to_frame(rays: FloatArray, frame: CameraFrame, mount: PanTiltMount) -> FloatArray:
