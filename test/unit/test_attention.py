@@ -86,22 +86,23 @@ def away_px(candidate: Candidate, column, row, width=WIDTH):
     return max(abs(across), abs(candidate.row - row))
 
 
-@pytest.mark.parametrize('diameter', [30, 45, 60, 90])
-@pytest.mark.parametrize('slant_deg', [0, 50])
-def test_concentric_target_is_always_selected(diameter, slant_deg):
-    for rings in (5, 7):
-        rng = np.random.default_rng(diameter + slant_deg + rings)
-        gray = clutter(rng)
-        board = target(diameter, slant_deg, rings)
-        column = int(rng.integers(WIDTH))
-        row = int(rng.integers(5, HEIGHT - board.shape[0] - 5))
-        paste(gray, board, column, row)
-        gray = cv2.GaussianBlur(gray, (0, 0), 0.7) + rng.normal(0.0, 2.0, gray.shape)
-        center = column + (board.shape[1] - 1) / 2, row + (board.shape[0] - 1) / 2
-        found = select_candidates(panorama(gray), AttentionConfig())
-        rank = int(np.argmin([away_px(c, *center) for c in found]))
-        assert away_px(found[rank], *center) <= 8.0
-        assert rank < 12
+@pytest.mark.parametrize(
+    ('diameter', 'slant_deg', 'rings'),
+    [(30, 0, 5), (30, 50, 5), (30, 50, 7), (45, 30, 9), (60, 50, 7), (90, 0, 9), (90, 50, 5)],
+)
+def test_concentric_target_is_always_selected(diameter, slant_deg, rings):
+    rng = np.random.default_rng(diameter + slant_deg + rings)
+    gray = clutter(rng)
+    board = target(diameter, slant_deg, rings)
+    column = int(rng.integers(WIDTH))
+    row = int(rng.integers(5, HEIGHT - board.shape[0] - 5))
+    paste(gray, board, column, row)
+    gray = cv2.GaussianBlur(gray, (0, 0), 0.7) + rng.normal(0.0, 2.0, gray.shape)
+    center = column + (board.shape[1] - 1) / 2, row + (board.shape[0] - 1) / 2
+    found = select_candidates(panorama(gray), AttentionConfig())
+    rank = int(np.argmin([away_px(c, *center) for c in found]))
+    assert away_px(found[rank], *center) <= 6.0
+    assert rank < 12
 
 
 def test_each_of_several_equal_targets_is_selected():

@@ -168,7 +168,12 @@ class _Units:
     def _respond(
         self, rows: _Index, columns: _Index
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
-        """Largest response over the sizes of units at rows x columns, and which size it was."""
+        """
+        Largest response over the sizes of units at rows x columns, and which size it was.
+
+        A unit sees the mean of its field and that of the middle quarter, in equal parts: so the
+        winner is centred on what made it win.
+        """
         top, left = int(rows.min()) - self._reach, int(columns.min()) - self._reach
         across = np.arange(left, int(columns.max()) + self._reach + 1) % self._width
         down = slice(self._border + top, self._border + int(rows.max()) + self._reach + 1)
@@ -176,12 +181,21 @@ class _Units:
         best = np.full((len(rows), len(columns)), -np.inf)
         field = np.zeros(best.shape, dtype=np.intp)
         for k, ((width, height), gain) in enumerate(zip(self._fields, self._gains, strict=True)):
-            above, before = rows - top - height // 2, columns - left - width // 2
-            upper, lower = table[above], table[above + height]
-            response = gain * (
-                (lower[:, before + width] - lower[:, before])
-                - (upper[:, before + width] - upper[:, before])
-            )
+            whole = _sums(table, rows - top, columns - left, width, height)
+            middle = _sums(table, rows - top, columns - left, width // 2, height // 2)
+            response = gain * (0.5 * whole + 2.0 * middle)
             stronger = response > best
             best[stronger], field[stronger] = response[stronger], k
         return best, field
+
+
+def _sums(
+    table: npt.NDArray[np.float64], rows: _Index, columns: _Index, width: int, height: int
+) -> npt.NDArray[np.float64]:
+    """Sums over fields centred at rows x columns, out of an integral image."""
+    above, before = rows - height // 2, columns - width // 2
+    upper, lower = table[above], table[above + height]
+    return np.asarray(
+        (lower[:, before + width] - lower[:, before])
+        - (upper[:, before + width] - upper[:, before])
+    )
