@@ -30,9 +30,11 @@ DISTRIBUTIONS = {
 }
 # Come with the wheels that the extra `ros` names, or are not there as wheels (launch, tf2).
 NOT_IN_EXTRA = {
+    'ament_index_python',
     'builtin_interfaces',
     'launch',
     'launch_ros',
+    'rcl_interfaces',
     'rosgraph_msgs',
     'std_msgs',
     'tf2_msgs',
