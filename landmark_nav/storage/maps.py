@@ -24,7 +24,7 @@ from landmark_nav.storage.fields import (
     number_field,
 )
 from landmark_nav.storage.setup_files import read_yaml_mapping
-from landmark_nav.storage.whole_folder import whole_folder
+from landmark_nav.storage.whole import whole_folder
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap, PoseEstimate
 
 __all__ = ['MAP_FILES', 'SCHEMA_VERSION', 'load_map', 'save_map', 'write_map']

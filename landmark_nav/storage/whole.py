@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all."""
+"""Files and folders that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import shutil
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['whole_folder']
+__all__ = ['whole_folder', 'write_whole']
 
 
 @contextmanager
@@ -55,6 +55,27 @@ def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
         raise LandmarkNavError(f'{folder}: cannot be written: {error}') from error
     finally:
         shutil.rmtree(growing, ignore_errors=True)
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """
+    Write a file, in place of the one that is there, and the folders above it.
+
+    Raises
+    ------
+    LandmarkNavError
+        It cannot be written.
+
+    """
+    data = content.encode('utf-8') if isinstance(content, str) else content
+    growing = path.with_name(f'.{path.name}.part-{os.getpid()}')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        growing.write_bytes(data)
+        growing.replace(path)
+    except OSError as error:
+        growing.unlink(missing_ok=True)
+        raise LandmarkNavError(f'{path}: cannot be written: {error}') from error
 
 
 def _swap(growing: Path, target: Path, own: Sequence[str]) -> None:

@@ -1,0 +1,146 @@
+"""`landmark-nav evaluate`: a drive through the localizer, measured against its truth."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+import json
+from pathlib import Path
+import tempfile
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.cli.progress import progress
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
+from landmark_nav.evaluation.html_report import html_report
+from landmark_nav.evaluation.replay import replay
+from landmark_nav.evaluation.run_report import run_errors, run_report
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.whole import write_whole
+
+__all__ = ['add_parser', 'run']
+
+# Contract's names of what `sensor_events` passes on, for the length of the bar.
+_EVENTS = ('camera/image_raw', 'odom', 'joint_states', 'ground_truth/odom')
+
+_FIGURES = {'Trajectory': 'trajectory.png', 'Errors': 'errors.png'}
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the arguments."""
+    parser = subparsers.add_parser(
+        'evaluate',
+        help='run a drive bag through the localizer and measure its errors',
+        description='Localize along a recorded drive with the same stages as the nodes, compare '
+        'with ground_truth/odom at the stamps of the pictures, and draw trajectory.png and '
+        'errors.png.',
+    )
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file of a drive')
+    parser.add_argument('--map', required=True, metavar='MAP', help='map folder')
+    parser.add_argument('--robot', required=True, metavar='F', help='robot.yaml: the mount')
+    parser.add_argument(
+        '--start',
+        nargs=3,
+        type=float,
+        metavar=('X', 'Y', 'THETA'),
+        help='pose of base_link in map at the start: m, m, rad',
+    )
+    parser.add_argument(
+        '--start-sigma',
+        nargs=2,
+        type=float,
+        default=(0.05, 0.035),
+        metavar=('M', 'RAD'),
+        help='how sure the start is: sigma of x and y, of the heading (default %(default)s)',
+    )
+    parser.add_argument('--json', metavar='F', type=Path, help='write the figures to F')
+    parser.add_argument('--report', metavar='F.html', type=Path, help='write one page to F.html')
+    parser.add_argument(
+        '--out',
+        metavar='DIR',
+        type=Path,
+        help='where the pictures go (default: beside the file of --json, else of --report, else '
+        'the current folder)',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay, measure, draw; nothing is written unless all went well."""
+    mount, landmarks = load_robot(args.robot), load_map(args.map)
+    start, covariance = _start(args)
+    if not landmarks.landmarks:
+        raise LandmarkNavError(f'{args.map}: the map holds no landmark: learn it again')
+    bag = Bag(args.bag)
+    topics = {bag.find(name) for name in _EVENTS} - {None}
+    total = sum(bag.counts[topic] for topic in topics if topic)
+    events = progress(sensor_events(bag, mount), 'localizing', total)
+    config = LocalizationConfig()
+    done = replay(events, landmarks, mount, config, start, covariance)
+    if not len(done.truth):
+        bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
+    errors = run_errors(done)
+    report = run_report(done, errors, landmarks, mount, config)
+    folder = args.out or (args.json or args.report or Path('x')).parent
+    with tempfile.TemporaryDirectory() as drawn:
+        paths = {caption: Path(drawn) / name for caption, name in _FIGURES.items()}
+        draw_trajectory(done, landmarks, paths['Trajectory'])
+        draw_errors(done, errors, paths['Errors'])
+        for path in paths.values():
+            write_whole(folder / path.name, path.read_bytes())
+        if args.report:
+            title = f'{bag.path.name} on the map {Path(args.map).name}'
+            write_whole(args.report, html_report(title, report, paths))
+    if args.json:
+        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+    print(_summary(report))
+    print(f'{" and ".join(_FIGURES.values())} in {folder.resolve()}')
+    return 0
+
+
+def _start(args: argparse.Namespace) -> tuple[Any, Any]:
+    """Pose (3,) at the start and its covariance (3, 3)."""
+    if args.start is None:
+        raise LandmarkNavError(
+            '--start X Y THETA is needed: this version cannot find its place from nothing yet'
+        )
+    start, (position, heading) = np.array(args.start), args.start_sigma
+    if not np.all(np.isfinite(start)):
+        raise LandmarkNavError(f'--start {args.start} holds something that is not a number')
+    if not (0.0 < position < np.inf and 0.0 < heading < np.inf):
+        raise LandmarkNavError(f'--start-sigma {position:g} {heading:g}: both must be positive')
+    return start, np.diag([position**2, position**2, heading**2])
+
+
+def _summary(report: Mapping[str, Any]) -> str:
+    """Tell how the run went, for a person."""
+    lines = [
+        f'{"":<14}{"RMSE cm":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE deg":>11}{"95 %":>9}'
+    ]
+    keys = ('rmse', 'median', 'p95', 'max')
+    for name in ('fused', 'triangulation', 'odometry'):
+        figures = report[name]
+        cells = [_cell(figures[f'position_{key}_m'], 100.0, 2, 9) for key in keys]
+        cells.append(_cell(figures['heading_rmse_deg'], 1.0, 3, 11))
+        cells.append(_cell(figures['heading_p95_deg'], 1.0, 3, 9))
+        lines.append(f'{name:<14}' + ''.join(cells))
+    nees = report['nees']
+    lines += [
+        f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
+        f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',
+        f'NEES mean{_cell(nees["mean"], 1.0, 2, 6)} (3 is ideal), inside 95 %'
+        f'{_cell(nees["inside_95"], 1.0, 3, 6)}; RMSE over Cramer-Rao bound'
+        f'{_cell(report["crlb_ratio"], 1.0, 2, 6)}',
+        f'update {report["update_ms"]["median"]:.1f} ms (95 %: {report["update_ms"]["p95"]:.1f}), '
+        f'{report["realtime_factor"]:.1f} times faster than real time; '
+        f'result {report["result_hash"][:16]}',
+    ]
+    return '\n'.join(lines)
+
+
+def _cell(value: float | None, factor: float, digits: int, width: int) -> str:
+    return f'{"-" if value is None else f"{factor * value:.{digits}f}":>{width}}'

@@ -1,0 +1,172 @@
+"""`landmark-nav learn`: a map out of a bag of sweeps."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+import json
+from pathlib import Path
+import time
+from typing import Any
+
+from landmark_nav.cli.progress import progress
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.figures import draw_map, draw_panorama
+from landmark_nav.evaluation.learning_report import learning_report
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.pipeline import (
+    learn_from_panoramas,
+    LearningConfig,
+    LearningResult,
+    panorama_from_sweep,
+    PanoramaStages,
+)
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag, read_sweeps
+from landmark_nav.storage.maps import MAP_FILES, write_map
+from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.whole import whole_folder, write_whole
+from landmark_nav.types import Panorama
+
+__all__ = ['add_parser', 'run']
+
+# Stages of `learn_from_panoramas`, for the bar.
+_LEARNING_STAGES = 4
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the arguments."""
+    parser = subparsers.add_parser(
+        'learn',
+        help='make a map out of a bag of sweeps',
+        description='Make panoramas of the sweeps in a bag, find where they were taken, and learn '
+        'the landmarks that two of them or more agree on. The map folder also gets '
+        'panorama_K.png with candidates and elected landmarks, and map.png.',
+    )
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file with sweep/...')
+    parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')
+    parser.add_argument('--robot', required=True, metavar='F', help='robot.yaml: the mount')
+    parser.add_argument('--out', required=True, metavar='MAP', type=Path, help='map folder')
+    parser.add_argument('--json', metavar='F', type=Path, help='write the figures to F')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Learn, draw, write; nothing is written unless all went well."""
+    begin = time.perf_counter()
+    room, mount = load_room(args.room), load_robot(args.robot)
+    bag = Bag(args.bag)
+    log = StageLog()
+    with whole_folder(args.out, MAP_FILES) as folder:
+        panoramas, frames = _panoramas(bag, room, mount, log)
+        shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
+        result = learn_from_panoramas(panoramas, room, LearningConfig(), shown)
+        result.map.provenance.update(_provenance(args))
+        with log.measure('drawing'):
+            _draw(result, room, folder)
+        write_map(result.map, folder)
+    truth = _truth(bag)
+    report = learning_report(result, frames, truth, mount, log, time.perf_counter() - begin)
+    if args.json:
+        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+    print(_summary(report, args.out))
+    return 0
+
+
+class _ShownStages(StageLog):
+    """A log of stages that also moves a bar on."""
+
+    def __init__(self, steps: Iterator[int], log: StageLog) -> None:
+        super().__init__(log.seconds, log.peak_memory_mb)
+        self._steps = steps
+
+    @contextmanager
+    def measure(self, stage: str) -> Iterator[None]:
+        """Add the time of the block to a stage; its end moves the bar."""
+        next(self._steps, None)
+        with super().measure(stage):
+            yield
+
+
+def _panoramas(
+    bag: Bag, room: Room, mount: PanTiltMount, log: StageLog
+) -> tuple[list[Panorama], list[int]]:
+    """Make the panoramas of a bag, and count the frames of each."""
+    trajectory = bag.find('sweep/trajectory')
+    total = bag.counts[trajectory] if trajectory else None
+    panoramas: list[Panorama] = []
+    frames: list[int] = []
+    sweeps = progress(read_sweeps(bag, mount), 'panoramas', total)
+    while True:
+        with log.measure('reading'):
+            sweep = next(sweeps, None)
+        if sweep is None:
+            return panoramas, frames
+        try:
+            panoramas.append(panorama_from_sweep(sweep, room, mount, PanoramaStages(), log))
+        except LandmarkNavError as error:
+            raise LandmarkNavError(
+                f'{bag.path}: sweep {len(frames) + 1} (of {sweep.stamp_ns * 1e-9:.1f} s): {error}'
+            ) from error
+        frames.append(len(sweep.frames))
+
+
+def _draw(result: LearningResult, room: Room, folder: Path) -> None:
+    draw_map(result.map, folder / 'map.png', room.papers)
+    for k, panorama in enumerate(result.panoramas):
+        path = folder / f'panorama_{k + 1}.png'
+        draw_panorama(panorama, result.candidates[k], result.outcomes[k], k + 1, path)
+
+
+def _truth(bag: Bag) -> PoseTrack:
+    """Ground truth of a bag; empty where it has none."""
+    topic = bag.find('ground_truth/odom')
+    entries = bag.messages([topic]) if topic else iter(())
+    poses = (decode.pose_estimate(entry.message) for entry in entries)
+    return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses)
+
+
+def _provenance(args: argparse.Namespace) -> dict[str, str]:
+    try:
+        release = version('landmark_nav')
+    except PackageNotFoundError:
+        release = 'not installed'
+    return {
+        'learned_from': Path(args.bag).name,
+        'room': Path(args.room).name,
+        'robot': Path(args.robot).name,
+        'landmark_nav': release,
+    }
+
+
+def _summary(report: dict[str, Any], folder: Path) -> str:
+    """Tell what was learned, for a person."""
+    lines = []
+    for number, sweep in enumerate(report['sweeps'], 1):
+        x, y, heading = sweep['pose']
+        line = (
+            f'sweep {number}: {sweep["frames"]} frames at ({x:.3f}, {y:.3f}) m, '
+            f'{57.29578 * heading:.2f} deg; {sweep["candidates"]} candidates, '
+            f'{sweep["elected"]} elected'
+        )
+        if 'error' in sweep:
+            line += (
+                f'; error {100 * sweep["error_position_m"]:.2f} cm, '
+                f'{sweep["error_heading_deg"]:.3f} deg'
+            )
+        lines.append(line)
+    walls = ', '.join(f'{wall} {count}' for wall, count in report['landmarks_per_wall'].items())
+    lines.append(
+        f'{report["elected"]} landmarks of {report["candidates"]} candidates '
+        f'({report["reconstructed"]} reconstructed): {walls}'
+    )
+    lines.extend(f'  {count:4d} refused: {why}' for why, count in report['refused'].items())
+    stages = ', '.join(f'{name} {s["seconds"]:.1f}' for name, s in report['stages'].items())
+    peak = max(stage['peak_memory_mb'] for stage in report['stages'].values())
+    lines.append(f'{report["seconds"]:.1f} s ({stages}), peak memory {peak:.0f} MB')
+    lines.append(f'map, map.png and panorama_K.png in {folder}')
+    return '\n'.join(lines)

@@ -1,0 +1,97 @@
+"""The posterior Cramer-Rao bound of a run: what no estimator can be better than."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+)
+
+__all__ = ['posterior_bound']
+
+
+def posterior_bound(
+    truth: PoseTrack,
+    sightings: Sequence[Detections],
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: LocalizationConfig,
+    start: PoseEstimate,
+) -> FloatArray:
+    """
+    Bound of the covariance of the pose at each picture.
+
+    For a nonlinear system with Gaussian noise the bound obeys the covariance recursion of the
+    extended Kalman filter linearised along the true trajectory (Taylor, IEEE Trans. Automatic
+    Control 24(2), 1979; Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5),
+    1998). So a filter is told the truth without noise, with the noise models, the landmarks'
+    joint covariance and the sightings of the run; it refines the landmarks, as an optimal
+    estimator would.
+
+    Parameters
+    ----------
+    truth : PoseTrack
+        Base in map.
+    sightings : sequence of Detections
+        What was used of each picture: landmarks and variances count, bearings do not.
+    landmark_map : LandmarkMap
+        Positions and joint covariance.
+    mount : PanTiltMount
+        Lever arm of the camera.
+    config : LocalizationConfig
+        Noise of the odometry and the pan.
+    start : PoseEstimate
+        Its covariance is what was known at the start.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
+        NaN where the truth is not known.
+
+    """
+    told = replace(config.fusion, mode='bearings', landmarks='refine', bearing_probability=1.0)
+    ideal = PoseFilter(landmark_map, mount, told, config.odometry, config.health)
+    bound = np.full((len(sightings), 3, 3), np.nan)
+    begin = max(start.stamp_ns, int(truth.stamps_ns[0])) if len(truth) else 0
+    poses = truth.at([begin, *(seen.stamp_ns for seen in sightings)])
+    if np.isnan(poses[0]).any():
+        return bound
+    ideal.initialize(PoseEstimate(begin, poses[0], start.covariance))
+    moved = 0
+    for k, (seen, pose) in enumerate(zip(sightings, poses[1:], strict=True)):
+        if np.isnan(pose).any() or seen.stamp_ns < begin:
+            continue
+        while moved < len(truth) and truth.stamps_ns[moved] <= seen.stamp_ns:
+            ideal.add_odometry(OdometrySample(int(truth.stamps_ns[moved]), truth.poses[moved]))
+            moved += 1
+        ideal.add_odometry(OdometrySample(seen.stamp_ns, pose))
+        if len(seen):
+            ideal.add_detections(_without_noise(seen, pose, landmark_map, mount))
+        estimate = ideal.estimate(seen.stamp_ns)
+        assert estimate is not None, 'it was initialized'
+        bound[k] = estimate.covariance
+    return bound
+
+
+def _without_noise(
+    seen: Detections, pose: FloatArray, landmark_map: LandmarkMap, mount: PanTiltMount
+) -> Detections:
+    """Give a sighting the bearings that the true pose would have shown."""
+    axis = se2.compose(pose, [*mount.axis_xyz[:2], 0.0])
+    delta = landmark_map.positions[landmark_map.indices(seen.ids), :2] - axis[:2]
+    bearing = wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - axis[2])
+    return replace(seen, bearing_rad=bearing)

@@ -1,0 +1,99 @@
+"""``panorama_K.png``: what attention proposed and what was elected, on the panorama itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+import numpy as np
+
+from landmark_nav.evaluation.figures.style import CANDIDATE, LANDMARK, new_figure, save
+from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
+
+__all__ = ['draw_panorama']
+
+_WIDTH_IN = 24.0
+
+
+def draw_panorama(
+    panorama: Panorama,
+    candidates: Sequence[Candidate],
+    outcomes: Sequence[Landmark | Refusal],
+    number: int,
+    path: Path,
+) -> None:
+    """
+    Draw a panorama with its candidates thin and its elected landmarks bold, with their ids.
+
+    Parameters
+    ----------
+    panorama : Panorama
+        Picture and geometry.
+    candidates : sequence of Candidate
+        What attention proposed in it.
+    outcomes : sequence of Landmark or Refusal
+        What became of each.
+    number : int
+        Of the panorama, for the title.
+    path : Path
+        PNG to write.
+
+    """
+    rows, columns = panorama.image.shape[:2]
+    figure = new_figure(_WIDTH_IN, _WIDTH_IN * rows / columns + 1.1)
+    axes = figure.add_subplot()
+    rgb = np.where(panorama.mask[..., None], panorama.image[..., ::-1], 255)
+    axes.imshow(rgb, aspect='equal')
+    elected = 0
+    for candidate, outcome in zip(candidates, outcomes, strict=True):
+        found = isinstance(outcome, Landmark)
+        elected += found
+        _frame(axes, candidate, str(outcome.id) if isinstance(outcome, Landmark) else '')
+    azimuths = np.arange(-165, 181, 15)
+    axes.set_xticks(panorama.cylinder.column_of(np.radians(azimuths)), [f'{a}' for a in azimuths])
+    tangents = np.arange(-0.8, 0.81, 0.2)
+    ticks = panorama.cylinder.row_of(tangents)
+    inside = (ticks >= 0) & (ticks < rows)
+    axes.set_yticks(ticks[inside], [f'{t:+.1f}' for t in tangents[inside]])
+    axes.set_xlim(-0.5, columns - 0.5)
+    axes.set_ylim(rows - 0.5, -0.5)
+    axes.set_xlabel('azimuth from base_link +x [deg]')
+    axes.set_ylabel('tangent of elevation')
+    axes.set_title(
+        f'Panorama {number}: {len(candidates)} candidates (thin), '
+        f'{elected} of them elected (bold, with id)'
+    )
+    save(figure, path)
+
+
+def _frame(axes: Axes, candidate: Candidate, label: str) -> None:
+    """Outline of a candidate; bold and labelled if it was elected."""
+    corner = (
+        candidate.column - 0.5 * candidate.width_px,
+        candidate.row - 0.5 * candidate.height_px,
+    )
+    axes.add_patch(
+        Rectangle(
+            corner,
+            candidate.width_px,
+            candidate.height_px,
+            fill=False,
+            edgecolor=LANDMARK if label else CANDIDATE,
+            linewidth=2.2 if label else 0.9,
+        )
+    )
+    if label:
+        axes.text(
+            candidate.column,
+            corner[1] - 3.0,
+            label,
+            ha='center',
+            va='bottom',
+            fontsize=9,
+            fontweight='bold',
+            color='white',
+            bbox={'boxstyle': 'round,pad=0.15', 'facecolor': LANDMARK, 'linewidth': 0.0},
+            clip_on=True,
+        )

@@ -1,0 +1,120 @@
+"""``trajectory.png`` and ``errors.png``: a run against its truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.evaluation.figures.map_figure import draw_landmarks
+from landmark_nav.evaluation.figures.style import (
+    draw_walls,
+    FIX,
+    FUSED,
+    LANDMARK,
+    legend_beside,
+    new_figure,
+    ODOMETRY,
+    plain,
+    save,
+    TRUTH,
+)
+from landmark_nav.evaluation.replay import Replay
+from landmark_nav.evaluation.run_report import RunErrors
+from landmark_nav.types import FloatArray, LandmarkMap
+
+__all__ = ['draw_errors', 'draw_trajectory']
+
+
+def draw_trajectory(run: Replay, landmark_map: LandmarkMap, path: Path) -> None:
+    """Draw where the robot was, where odometry alone and fusion say it was, in the room."""
+    figure = new_figure(9.0, 6.6)
+    axes = figure.add_subplot()
+    draw_walls(axes, landmark_map.walls, 0.3)
+    draw_landmarks(axes, landmark_map, detailed=False)
+    fixes = run.fixes
+    axes.plot(*fixes[:, :2].T, '.', color=FIX, markersize=4, label='triangulated', zorder=3)
+    axes.plot(*run.odometry.poses[:, :2].T, color=ODOMETRY, label='odometry alone', zorder=4)
+    if len(run.truth):
+        axes.plot(*run.truth.poses[:, :2].T, color=TRUTH, linewidth=3.0, label='truth', zorder=4)
+    axes.plot(*run.fused[:, :2].T, color=FUSED, linewidth=1.4, label='fused', zorder=5)
+    axes.plot(*run.start.pose[:2], 'o', color=TRUTH, markersize=7, label='start', zorder=6)
+    axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
+    _keep_in_view(axes, run.odometry.poses[:, :2], run.fused[:, :2])
+    plain(axes)
+    legend_beside(axes, 'below', 6)
+    save(figure, path)
+
+
+def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
+    """
+    Draw the errors along and across the way and in heading, with the claimed +-3 sigma.
+
+    Below lies a strip of which pictures gave a fix and when the state was lost.
+    """
+    figure = new_figure(10.0, 7.6)
+    rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
+    seconds = 1e-9 * (run.stamps_ns - run.stamps_ns[0])
+    turned = _body_frame(run)
+    fused = np.einsum('nij,nj->ni', turned, errors.fused)
+    covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
+    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    fixes = np.einsum('nij,nj->ni', turned, errors.triangulation)
+    units = ((100.0, 'along [cm]'), (100.0, 'across [cm]'), (180.0 / np.pi, 'heading [deg]'))
+    for k, (factor, label) in enumerate(units):
+        axes: Axes = rows[k]
+        band = 3.0 * factor * sigmas[:, k]
+        axes.fill_between(
+            seconds, -band, band, color=FUSED, alpha=0.18, linewidth=0, label='±3 sigma'
+        )
+        axes.plot(seconds, factor * fixes[:, k], '.', color=FIX, markersize=3, label='fix')
+        axes.plot(seconds, factor * fused[:, k], color=FUSED, linewidth=1.3, label='fused')
+        axes.axhline(0.0, color=TRUTH, linewidth=0.6)
+        shown = np.concatenate([band, np.abs(factor * fused[:, k])])
+        limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
+        axes.set_ylim(-limit, limit)
+        axes.set_ylabel(label)
+        plain(axes)
+    _strip(rows[3], run, seconds)
+    rows[3].set_xlabel('time [s]')
+    figure.suptitle('Error of the pose of base_link in map' if len(run.truth) else 'No truth')
+    legend_beside(rows[0], 'above', 3)
+    save(figure, path)
+
+
+def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
+    """Tell for each picture whether it gave a fix, whether fusion used it, whether it was lost."""
+    fixed = np.isfinite(run.fixes[:, 0])
+    used = np.array([update.fusion.refusal is None for update in run.updates])
+    marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (
+        ('fix', fixed, FIX),
+        ('used', used, FUSED),
+        ('lost', run.lost, ODOMETRY),
+    )
+    for height, (_, where, color) in enumerate(reversed(marks)):
+        axes.plot(seconds[where], np.full(int(where.sum()), height), '|', color=color, ms=9)
+    axes.set_yticks(range(3), [f'{name} {int(where.sum())}' for name, where, _ in reversed(marks)])
+    axes.set_ylim(-0.6, 2.6)
+    plain(axes)
+
+
+def _body_frame(run: Replay) -> FloatArray:
+    """Rotations (n, 3, 3) of errors in map into along, across and heading."""
+    heading = run.fused[:, 2]
+    turned = np.zeros((len(heading), 3, 3))
+    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(heading)
+    turned[:, 0, 1] = np.sin(heading)
+    turned[:, 1, 0] = -np.sin(heading)
+    turned[:, 2, 2] = 1.0
+    return turned
+
+
+def _keep_in_view(axes: Axes, *tracks: FloatArray) -> None:
+    """Widen the limits so far that no track leaves them."""
+    points = np.concatenate(tracks)
+    low, high = points.min(axis=0) - 0.2, points.max(axis=0) + 0.2
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    axes.set_xlim(min(left, low[0]), max(right, high[0]))
+    axes.set_ylim(min(bottom, low[1]), max(top, high[1]))

@@ -1,0 +1,126 @@
+"""What all figures share: colours, plans of the room, saving."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+import numpy as np
+
+from landmark_nav.geometry.walls import Paper, Wall
+from landmark_nav.types import FloatArray
+
+__all__ = [
+    'CANDIDATE',
+    'FIX',
+    'FUSED',
+    'LANDMARK',
+    'ODOMETRY',
+    'TRUTH',
+    'add_ellipse',
+    'draw_papers',
+    'draw_walls',
+    'legend_beside',
+    'new_figure',
+    'plain',
+    'save',
+]
+
+# Distinguishable also without colour vision (Okabe and Ito, Color Universal Design, 2008).
+TRUTH = '#222222'
+FUSED = '#0072b2'
+ODOMETRY = '#d55e00'
+FIX = '#56b4e9'
+LANDMARK = '#009e73'
+CANDIDATE = '#e69f00'
+WALL = '#555555'
+GRID = '#dddddd'
+
+_PAPERS = {'red': '#c0392b', 'green': '#2e9e48', 'blue': '#2b5fc0'}
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Empty figure that no window system and no global state knows of."""
+    figure = Figure(figsize=(width_in, height_in), dpi=130, layout='constrained')
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a PNG without date or version in it, so that the same figure is the same file."""
+    figure.savefig(path, metadata={'Software': None})
+
+
+def plain(axes: Axes) -> None:
+    """Quiet grid, no frame above and right."""
+    axes.grid(color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ('top', 'right'):
+        axes.spines[side].set_visible(False)
+
+
+def legend_beside(
+    axes: Axes, where: str, columns: int, handles: Sequence[Artist] | None = None
+) -> None:
+    """Legend above or below the axes, where it covers no data."""
+    chosen = axes.get_legend_handles_labels()[0] if handles is None else handles
+    above = where == 'above'
+    axes.legend(
+        handles=chosen,
+        loc='lower center' if above else 'upper center',
+        bbox_to_anchor=(0.5, 1.0 if above else -0.1),
+        ncols=columns,
+        frameon=False,
+    )
+
+
+def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
+    """Plan of the walls with equal axes in metres, `margin_m` around it."""
+    drawn = list(walls)
+    for wall in drawn:
+        axes.plot(*zip(wall.start, wall.end, strict=True), color=WALL, linewidth=2.5, zorder=2)
+    axes.set_aspect('equal')
+    axes.set_xlabel('x in map [m]')
+    axes.set_ylabel('y in map [m]')
+    if drawn:
+        corners = np.array([wall.start for wall in drawn])
+        (left, bottom), (right, top) = corners.min(0) - margin_m, corners.max(0) + margin_m
+        axes.set_xlim(left, right)
+        axes.set_ylim(bottom, top)
+
+
+def draw_papers(axes: Axes, papers: Iterable[Paper]) -> None:
+    """Reference papers as squares of their colour."""
+    for paper in papers:
+        color = _PAPERS.get(paper.color, '#888888')
+        axes.plot(*paper.center[:2], 's', color=color, markersize=7, zorder=5)
+
+
+def add_ellipse(
+    axes: Axes, center: FloatArray, covariance: FloatArray, sigmas: float, color: str, scale: float
+) -> None:
+    """
+    Ellipse of `sigmas` standard deviations of a planar covariance (2, 2).
+
+    `scale` enlarges it, so that centimetres can be seen in a room.
+    """
+    variances, axes_2d = np.linalg.eigh(covariance)
+    width, height = 2.0 * sigmas * scale * np.sqrt(np.maximum(variances[::-1], 0.0))
+    angle = np.degrees(np.arctan2(axes_2d[1, 1], axes_2d[0, 1]))
+    ellipse = Ellipse(
+        (float(center[0]), float(center[1])),
+        float(width),
+        float(height),
+        angle=float(angle),
+        facecolor=color,
+        edgecolor=color,
+        alpha=0.35,
+        linewidth=0.8,
+        zorder=4,
+    )
+    axes.add_patch(ellipse)

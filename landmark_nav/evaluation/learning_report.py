@@ -1,0 +1,106 @@
+"""The figures of learning, as ``landmark-nav learn --json`` writes them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.learning.pipeline import LearningResult
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
+
+__all__ = ['base_pose', 'learning_report']
+
+SCHEMA = 1
+
+
+def base_pose(panorama: Panorama, mount: PanTiltMount) -> tuple[FloatArray, FloatArray]:
+    """Pose (3,) of ``base_link`` in map at a panorama, and its covariance (3, 3)."""
+    lever = np.array([*mount.axis_xyz[:2], 0.0])
+    axis = np.array([*panorama.center_map[:2], panorama.heading_rad])
+    plane = np.ix_([0, 1, 3], [0, 1, 3])
+    by_axis, _ = se2.compose_jacobians(axis, -lever)
+    return se2.compose(axis, -lever), by_axis @ panorama.covariance[plane] @ by_axis.T
+
+
+def learning_report(
+    result: LearningResult,
+    frames: Sequence[int],
+    truth: PoseTrack,
+    mount: PanTiltMount,
+    log: StageLog,
+    seconds: float,
+) -> dict[str, Any]:
+    """
+    Figures of learning.
+
+    Parameters
+    ----------
+    result : LearningResult
+        What was learned.
+    frames : sequence of int
+        How many frames each sweep had.
+    truth : PoseTrack
+        Ground truth of ``base_link``, for the errors alone; may be empty.
+    mount : PanTiltMount
+        Where the camera turns.
+    log : StageLog
+        Times and memory.
+    seconds : float
+        Of all, reading included.
+
+    """
+    outcomes = [outcome for group in result.outcomes for outcome in group]
+    refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))
+    walls = Counter(landmark.wall_id for landmark in result.map.landmarks)
+    return {
+        'schema': SCHEMA,
+        'sweeps': [
+            _sweep(panorama, count, group, truth, mount)
+            for panorama, count, group in zip(
+                result.panoramas, frames, result.outcomes, strict=True
+            )
+        ],
+        'candidates': len(outcomes),
+        'reconstructed': result.reconstructed,
+        'elected': len(result.map.landmarks),
+        'refused': dict(refused.most_common()),
+        'landmarks_per_wall': dict(sorted(walls.items())),
+        'stages': {
+            stage: {'seconds': took, 'peak_memory_mb': log.peak_memory_mb[stage]}
+            for stage, took in log.seconds.items()
+        },
+        'seconds': seconds,
+    }
+
+
+def _sweep(
+    panorama: Panorama,
+    frames: int,
+    outcomes: Sequence[Landmark | Refusal],
+    truth: PoseTrack,
+    mount: PanTiltMount,
+) -> dict[str, Any]:
+    """Tell of one sweep: x [m], y [m] and heading [rad] of the base, and what it led to."""
+    pose, covariance = base_pose(panorama, mount)
+    told: dict[str, Any] = {
+        'stamp_ns': panorama.stamp_ns,
+        'frames': frames,
+        'pose': pose.tolist(),
+        'sigma': np.sqrt(np.diag(covariance)).tolist(),
+        'candidates': len(outcomes),
+        'elected': sum(isinstance(outcome, Landmark) for outcome in outcomes),
+    }
+    error = pose_errors(pose[None], truth.at([panorama.stamp_ns]))[0]
+    if np.all(np.isfinite(error)):
+        told['error'] = error.tolist()
+        told['error_position_m'] = float(np.hypot(error[0], error[1]))
+        told['error_heading_deg'] = float(np.degrees(abs(error[2])))
+    return told

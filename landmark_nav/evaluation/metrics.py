@@ -1,0 +1,144 @@
+"""
+How good a run was.
+
+Errors are absolute in ``map``: never aligned, so that a map or a start that is off shows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.types import FloatArray
+
+__all__ = [
+    'Consistency',
+    'consistency',
+    'crlb_ratio',
+    'error_summary',
+    'pose_errors',
+    'result_hash',
+]
+
+# Of the errors x, y and heading.
+_DEGREES_OF_FREEDOM = 3
+
+
+class Consistency(NamedTuple):
+    """Normalised estimation errors squared: mean (3 is ideal) and share below the 95 % bound."""
+
+    mean: float
+    inside_95: float
+
+
+def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
+    """
+    Estimated minus true x, y [m] and heading [rad], wrapped.
+
+    Parameters
+    ----------
+    poses, truth : array_like, shape (n, 3)
+        NaN where there is no pose.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        NaN where either is.
+
+    """
+    errors = np.asarray(poses, dtype=np.float64) - np.asarray(truth, dtype=np.float64)
+    errors[:, 2] = wrap_rad(errors[:, 2])
+    return errors
+
+
+def error_summary(errors: FloatArray) -> dict[str, float | None]:
+    """Figures of the contract out of errors (n, 3); None where there are none."""
+    known = errors[np.all(np.isfinite(errors), axis=1)]
+    keys = (
+        'position_rmse_m',
+        'position_median_m',
+        'position_p95_m',
+        'position_max_m',
+        'heading_rmse_deg',
+        'heading_p95_deg',
+    )
+    if not len(known):
+        return dict.fromkeys(keys)
+    position = np.hypot(known[:, 0], known[:, 1])
+    heading = np.degrees(np.abs(known[:, 2]))
+    values = (
+        np.sqrt(np.mean(position**2)),
+        np.median(position),
+        np.percentile(position, 95),
+        position.max(),
+        np.sqrt(np.mean(heading**2)),
+        np.percentile(heading, 95),
+    )
+    return {key: float(value) for key, value in zip(keys, values, strict=True)}
+
+
+def consistency(errors: FloatArray, covariances: FloatArray) -> Consistency | None:
+    """
+    Compare errors (n, 3) with the covariances (n, 3, 3) that were claimed for them.
+
+    Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
+    section 5.4. None without a single known error.
+    """
+    known = np.all(np.isfinite(errors), axis=1)
+    if not np.any(known):
+        return None
+    weighted = np.linalg.solve(covariances[known], errors[known][..., None])[..., 0]
+    nees = np.sum(errors[known] * weighted, axis=1)
+    bound = chi2.ppf(0.95, _DEGREES_OF_FREEDOM)
+    return Consistency(float(np.mean(nees)), float(np.mean(nees < bound)))
+
+
+def crlb_ratio(errors: FloatArray, bound: FloatArray) -> float | None:
+    """
+    Position RMSE over the root of the mean posterior Cramer-Rao bound.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n, 3)
+        NaN where unknown.
+    bound : ndarray, shape (n, 3, 3)
+        Least covariance of x, y, heading that any estimator can have.
+
+    """
+    known = np.all(np.isfinite(errors), axis=1) & np.all(np.isfinite(bound), axis=(1, 2))
+    if not np.any(known):
+        return None
+    mean_square = np.mean(np.sum(errors[known, :2] ** 2, axis=1))
+    least = np.mean(np.trace(bound[known, :2, :2], axis1=1, axis2=2))
+    return float(np.sqrt(mean_square / least))
+
+
+def result_hash(
+    stamps_ns: npt.NDArray[np.int64],
+    fused: FloatArray,
+    fixes: FloatArray,
+    resolution: float = 1e-6,
+) -> str:
+    """
+    SHA-256 of what a run gave, rounded, so that it is the same run after run.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (n,)
+        Stamps of the pictures.
+    fused, fixes : ndarray, shape (n, 3)
+        Fused and triangulated poses; NaN where there is none.
+    resolution : float
+        Metres and radians that are told apart.
+
+    """
+    digest = hashlib.sha256(np.ascontiguousarray(stamps_ns, dtype='<i8').tobytes())
+    for poses in (fused, fixes):
+        steps = np.where(np.isfinite(poses), np.rint(poses / resolution), np.iinfo(np.int64).min)
+        digest.update(np.ascontiguousarray(steps.astype('<i8')).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,162 @@
+"""A drive's bag through the localization pipeline, as the nodes would have run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+import time
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.storage.bags import SensorEvent
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+)
+
+__all__ = ['Replay', 'replay']
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """
+    What came of a run.
+
+    Parameters
+    ----------
+    start : PoseEstimate
+        Where it began.
+    updates : tuple of LocalizationUpdate
+        One a picture.
+    update_seconds : ndarray, shape (n,)
+        What each took.
+    odometry : PoseTrack
+        The odometry alone, from the start.
+    truth : PoseTrack
+        Ground truth; empty where there is none.
+    seconds : float
+        Computing time of the whole run, reading and decoding included.
+
+    """
+
+    start: PoseEstimate
+    updates: tuple[LocalizationUpdate, ...]
+    update_seconds: FloatArray
+    odometry: PoseTrack
+    truth: PoseTrack
+    seconds: float
+
+    @property
+    def stamps_ns(self) -> npt.NDArray[np.int64]:
+        """Stamps of the pictures, (n,)."""
+        return np.array([update.stamp_ns for update in self.updates], dtype=np.int64)
+
+    @property
+    def fused(self) -> FloatArray:
+        """Fused poses, (n, 3)."""
+        return np.array([update.fused.pose for update in self.updates]).reshape(-1, 3)
+
+    @property
+    def fused_covariances(self) -> FloatArray:
+        """Their covariances, (n, 3, 3)."""
+        return np.array([update.fused.covariance for update in self.updates]).reshape(-1, 3, 3)
+
+    @property
+    def fixes(self) -> FloatArray:
+        """Triangulated poses that passed the gates, (n, 3); NaN where there is none."""
+        none = np.full(3, np.nan)
+        fixes = [update.observation.fix for update in self.updates]
+        poses = [fix.pose if isinstance(fix, PoseEstimate) else none for fix in fixes]
+        return np.array(poses).reshape(-1, 3)
+
+    @property
+    def lost(self) -> npt.NDArray[np.bool_]:
+        """Where the fused state was lost, (n,)."""
+        return np.array([update.status == 'lost' for update in self.updates], dtype=np.bool_)
+
+
+def replay(
+    events: Iterable[SensorEvent],
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: LocalizationConfig,
+    start_pose: FloatArray,
+    start_covariance: FloatArray,
+) -> Replay:
+    """
+    Localize along a recorded drive.
+
+    Parameters
+    ----------
+    events : iterable of SensorEvent
+        What was sensed, in the order of its arrival. Ground truth is kept aside.
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : LocalizationConfig
+        Parameters.
+    start_pose : ndarray, shape (3,)
+        Pose of the base in map at the first picture or odometry.
+    start_covariance : ndarray, shape (3, 3)
+        How sure that is.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    LandmarkNavError
+        No picture or no odometry in it.
+
+    """
+    localizer = Localizer(landmark_map, mount, config)
+    start: PoseEstimate | None = None
+    updates: list[LocalizationUpdate] = []
+    took: list[float] = []
+    odometry: list[tuple[int, FloatArray]] = []
+    truth: list[tuple[int, FloatArray]] = []
+    begin = time.perf_counter()
+    for event in events:
+        if isinstance(event, PoseEstimate):
+            truth.append((event.stamp_ns, event.pose))
+            continue
+        if start is None and isinstance(event, CameraFrame | OdometrySample):
+            start = PoseEstimate(event.stamp_ns, start_pose, start_covariance)
+            localizer.initialize(start)
+        if isinstance(event, OdometrySample):
+            odometry.append((event.stamp_ns, event.pose_odom_base))
+            localizer.add_odometry(event)
+        elif isinstance(event, CameraFrame):
+            before = time.perf_counter()
+            update = localizer.add_frame(event)
+            took.append(time.perf_counter() - before)
+            assert isinstance(update, LocalizationUpdate), 'it was initialized'
+            updates.append(update)
+    if start is None or not updates or not odometry:
+        raise LandmarkNavError('the drive holds no picture or no odometry: nothing to evaluate')
+    return Replay(
+        start,
+        tuple(updates),
+        np.array(took),
+        _dead_reckoning(PoseTrack.of(odometry), start),
+        PoseTrack.of(truth),
+        time.perf_counter() - begin,
+    )
+
+
+def _dead_reckoning(odometry: PoseTrack, start: PoseEstimate) -> PoseTrack:
+    """Odometry alone, moved so that it passes through the start."""
+    first = max(start.stamp_ns, int(odometry.stamps_ns[0]))
+    increments = se2.relative(odometry.at([first]), odometry.poses)
+    return PoseTrack(odometry.stamps_ns, se2.compose(start.pose, increments))

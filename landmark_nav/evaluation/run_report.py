@@ -1,0 +1,107 @@
+"""The figures of a run, as ``landmark-nav evaluate --json`` writes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.evaluation.bound import posterior_bound
+from landmark_nav.evaluation.metrics import (
+    consistency,
+    crlb_ratio,
+    error_summary,
+    pose_errors,
+    result_hash,
+)
+from landmark_nav.evaluation.replay import Replay
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
+from landmark_nav.types import Detections, FloatArray, LandmarkMap
+
+__all__ = ['RunErrors', 'run_errors', 'run_report']
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class RunErrors:
+    """Errors (n, 3) at the pictures against the truth; NaN where one of both is missing."""
+
+    fused: FloatArray
+    triangulation: FloatArray
+    odometry: FloatArray
+
+
+def run_errors(run: Replay) -> RunErrors:
+    """Errors of the fused, the triangulated and the merely reckoned poses."""
+    truth = run.truth.at(run.stamps_ns)
+    return RunErrors(
+        pose_errors(run.fused, truth),
+        pose_errors(run.fixes, truth),
+        pose_errors(run.odometry.at(run.stamps_ns), truth),
+    )
+
+
+def run_report(
+    run: Replay,
+    errors: RunErrors,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: LocalizationConfig,
+) -> dict[str, Any]:
+    """
+    Figures of a run, by the keys of the contract.
+
+    Those that need ground truth are None where the bag has none.
+    """
+    bound = posterior_bound(
+        run.truth, [_used(u) for u in run.updates], landmark_map, mount, config, run.start
+    )
+    nees = consistency(errors.fused, run.fused_covariances)
+    took_ms = 1e3 * run.update_seconds
+    stamps = run.stamps_ns
+    span_s = 1e-9 * float(
+        max(stamps[-1], run.odometry.stamps_ns[-1]) - min(stamps[0], run.odometry.stamps_ns[0])
+    )
+    return {
+        'schema': SCHEMA,
+        'frames': len(run.updates),
+        'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
+        'availability': float(np.mean(~run.lost)),
+        'landmarks': len(landmark_map.landmarks),
+        'fused': error_summary(errors.fused),
+        'triangulation': error_summary(errors.triangulation),
+        'odometry': error_summary(errors.odometry),
+        'nees': {
+            'mean': nees.mean if nees else None,
+            'inside_95': nees.inside_95 if nees else None,
+        },
+        'crlb_ratio': crlb_ratio(errors.fused, bound),
+        'update_ms': {
+            'median': float(np.median(took_ms)),
+            'p95': float(np.percentile(took_ms, 95)),
+        },
+        'realtime_factor': span_s / run.seconds,
+        'result_hash': result_hash(stamps, run.fused, run.fixes),
+    }
+
+
+def _used(update: LocalizationUpdate) -> Detections:
+    """Return the detections of a picture that the filter took; a pose is made of all."""
+    found = update.observation.detections
+    if update.fusion.refusal is not None:
+        keep = np.zeros(len(found), dtype=np.bool_)
+    elif len(update.fusion.accepted_ids):
+        keep = np.isin(found.ids, update.fusion.accepted_ids)
+    else:
+        keep = np.ones(len(found), dtype=np.bool_)
+    return Detections(
+        found.stamp_ns,
+        found.ids[keep],
+        found.bearing_rad[keep],
+        found.variance_rad2[keep],
+        found.score[keep],
+        found.uv_px[keep],
+    )
