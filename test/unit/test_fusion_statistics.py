@@ -1,0 +1,148 @@
+"""Whether the filter's covariance tells the truth: NEES over drives that follow its model."""
+
+from __future__ import annotations
+
+from fusion_drives import (
+    as_surveyed,
+    detections,
+    drive,
+    error_of,
+    landmark_map,
+    MOUNT,
+    start_estimate,
+    START_SIGMA,
+)
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.localization.fusion import FusionConfig, PoseFilter
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.triangulation import triangulate
+from landmark_nav.localization.triangulation_model import base_from_axis
+from landmark_nav.types import Refusal
+
+NOISE = OdometryNoiseConfig()
+SIGMA = 1e-3
+RUNS = 40
+
+
+def one_run(seed: int, config: FusionConfig, steps: int = 100) -> tuple[float, float, float]:
+    """NEES at the end, mean squared position error and mean NIS per degree of freedom."""
+    rng = np.random.default_rng(seed)
+    true_map = landmark_map(14, seed=seed)
+    surveyed = as_surveyed(true_map, rng)
+    fused = PoseFilter(surveyed, MOUNT, config, NOISE)
+    fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
+    biases = tuple(float(b) for b in rng.normal(0.0, NOISE.bias_sigmas))
+    squares, nis, degrees = [], 0.0, 0
+    truth = np.zeros(3)
+    for k, moment in enumerate(drive(steps, rng, NOISE, (biases[0], biases[1], biases[2]))):
+        fused.add_odometry(moment.odometry)
+        truth = moment.pose
+        if k % 4 == 0:
+            first = int(rng.integers(14))
+            places = (first + np.arange(4)) % 14
+            noise = rng.normal(0.0, SIGMA, 4) + rng.normal(0.0, config.pan_sigma_rad)
+            update = fused.add_detections(
+                detections(true_map, truth, moment.odometry.stamp_ns, places, SIGMA, noise)
+            )
+            nis, degrees = nis + update.nis, degrees + update.degrees
+            squares.append(np.sum(error_of(fused.estimate(), truth)[:2] ** 2))
+    final = fused.estimate()
+    error = error_of(final, truth)
+    assert final is not None
+    nees = float(error @ np.linalg.solve(final.covariance, error))
+    return nees, float(np.mean(squares)), nis / degrees
+
+
+@pytest.mark.parametrize('landmarks', ['consider', 'refine'])
+def test_nees_lies_in_its_interval(landmarks: str) -> None:
+    config = FusionConfig(landmarks=landmarks, pan_sigma_rad=5e-4, bearing_probability=0.99999)
+    results = np.array([one_run(seed, config) for seed in range(RUNS)])
+    low, high = chi2.ppf([0.025, 0.975], 3 * RUNS) / RUNS
+    assert low < results[:, 0].mean() < high
+    assert results[:, 2].mean() == pytest.approx(1.0, abs=0.2)
+
+
+def test_refining_the_map_is_worth_it() -> None:
+    squares = [
+        np.mean([one_run(seed, FusionConfig(landmarks=k))[1] for seed in range(12)])
+        for k in ('consider', 'refine')
+    ]
+    assert squares[1] < squares[0]
+
+
+def test_poses_of_frames_far_apart_are_fused_consistently() -> None:
+    """Loose coupling can't know what two fixes share, so here the map is exact."""
+    nees = []
+    for seed in range(RUNS):
+        rng = np.random.default_rng(seed)
+        true_map = landmark_map(14, shared=1e-6, own=1e-6, seed=seed)
+        fused = PoseFilter(true_map, MOUNT, FusionConfig(mode='poses'), NOISE)
+        fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
+        for k, moment in enumerate(drive(60, rng, NOISE)):
+            fused.add_odometry(moment.odometry)
+            if k % 6 == 0:
+                noise = rng.normal(0.0, SIGMA, 14)
+                seen = detections(
+                    true_map, moment.pose, moment.odometry.stamp_ns, range(14), SIGMA, noise
+                )
+                fix = triangulate(true_map.positions[:, :2], seen.bearing_rad, seen.variance_rad2)
+                assert not isinstance(fix, Refusal)
+                fused.add_pose(base_from_axis(fix.at(seen.stamp_ns), MOUNT))
+        final = fused.estimate()
+        assert final is not None
+        error = error_of(final, moment.pose)
+        nees.append(error @ np.linalg.solve(final.covariance, error))
+    low, high = chi2.ppf([0.025, 0.975], 3 * RUNS) / RUNS
+    # The biases are drawn as zero here, so the filter is a little cautious.
+    assert low * 0.8 < np.mean(nees) < high
+
+
+def test_dead_reckoning_covariance_is_that_of_many_drives() -> None:
+    ends = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        biases = rng.normal(0.0, NOISE.bias_sigmas)
+        *_, last = drive(60, rng, NOISE, (biases[0], biases[1], biases[2]))
+        ends.append(last.pose)
+    fused = PoseFilter(landmark_map(3), MOUNT, odometry=NOISE)
+    fused.initialize(start_estimate(sigmas=np.full(3, 1e-6)))
+    for moment in drive(60):
+        fused.add_odometry(moment.odometry)
+    claimed = fused.estimate()
+    assert claimed is not None
+    spread = np.cov(np.array(ends).T)
+    # The biases wander a little on the way, which the drives above do not.
+    np.testing.assert_allclose(np.diag(spread), np.diag(claimed.covariance), rtol=0.25)
+
+
+def test_repeated_sightings_never_claim_more_than_the_map() -> None:
+    """What any number of perfect bearings from one place leaves open is the map's error."""
+    true_map = landmark_map(6)
+    still = OdometryNoiseConfig(floor_m_per_sqrt_s=0.0, floor_rad_per_sqrt_s=0.0)
+    fused = PoseFilter(true_map, MOUNT, FusionConfig(pan_sigma_rad=0.0), still)
+    fused.initialize(start_estimate(sigmas=np.array([0.3, 0.3, 0.2])))
+    for moment in drive(0):
+        fused.add_odometry(moment.odometry)
+    for k in range(200):
+        fused.add_detections(detections(true_map, moment.pose, k, [0, 2, 3, 5], 1e-4))
+    estimate = fused.estimate()
+    assert estimate is not None
+    used = np.array([0, 2, 3, 5])
+    rows = np.stack([2 * used, 2 * used + 1], -1).reshape(-1)
+    axis = compose(moment.pose, [*MOUNT.axis_xyz[:2], 0.0])
+    fix = triangulate(
+        true_map.positions[used, :2],
+        detections(true_map, moment.pose, 0, used, 1e-6).bearing_rad,
+        np.full(4, 1e-12),
+        true_map.joint_covariance_xy[np.ix_(rows, rows)],
+    )
+    assert not isinstance(fix, Refusal)
+    np.testing.assert_allclose(fix.pose, axis, atol=1e-6)
+    bound = base_from_axis(fix.at(0), MOUNT).covariance
+    # 200 sightings of 1e-4 rad and the start pose change the bound by less than that.
+    assert np.linalg.eigvalsh(estimate.covariance - 0.99 * bound)[0] > 0.0
+    assert np.trace(estimate.covariance[:2, :2]) < 1.2 * np.trace(bound[:2, :2])

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from landmark_nav.geometry.se2 import compose, relative
+from landmark_nav.localization.odometry_noise import (
+    fraction_of_motion,
+    Motion,
+    motion_variances,
+    OdometryNoiseConfig,
+    twist_motion,
+)
+from landmark_nav.localization.odometry_track import OdometryTrack
+from landmark_nav.types import OdometrySample
+
+CONFIG = OdometryNoiseConfig()
+SPEED, RATE = 0.4, 0.9
+
+
+def sample(seconds: float, pose: npt.ArrayLike | None = None) -> OdometrySample:
+    """Of a robot on a circle."""
+    where = twist_motion(SPEED, RATE, seconds) if pose is None else pose
+    return OdometrySample(round(seconds * 1e9), np.asarray(where, dtype=float), SPEED, RATE)
+
+
+def circle_track(until: float = 1.0) -> OdometryTrack:
+    track = OdometryTrack(CONFIG)
+    for k in range(round(until / 0.05) + 1):
+        assert track.add(sample(0.05 * k)) is None
+    return track
+
+
+@given(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.floats(0.0, 1.0))
+def test_fraction_of_an_arc_is_the_shorter_arc(speed: float, rate: float, share: float) -> None:
+    whole = twist_motion(speed, rate, 1.0)
+    part = fraction_of_motion(whole, share)
+    np.testing.assert_allclose(part, twist_motion(speed, rate, share), atol=1e-9)
+
+
+def test_variances_add_up_over_parts() -> None:
+    straight = Motion(np.array([1.0, 0.0, 0.3]), 2.0, 0.5)
+    part = Motion(straight.increment / 4.0, 0.5, 0.125)
+    np.testing.assert_allclose(
+        motion_variances(straight, CONFIG), 4.0 * motion_variances(part, CONFIG)
+    )
+    assert np.all(motion_variances(Motion(np.zeros(3), 1.0), CONFIG) > 0.0)
+
+
+class TestTrack:
+    def test_motion_between_samples_is_on_the_arc(self) -> None:
+        motion = circle_track().motion(333_000_000, 871_000_000)
+        expected = relative(twist_motion(SPEED, RATE, 0.333), twist_motion(SPEED, RATE, 0.871))
+        np.testing.assert_allclose(motion.increment, expected, atol=1e-9)
+        assert motion.seconds == pytest.approx(0.538)
+        assert motion.blind_seconds == 0.0
+
+    def test_predicts_by_the_last_twist_for_a_while(self) -> None:
+        track = circle_track()
+        motion = track.motion(1_000_000_000, 1_100_000_000)
+        np.testing.assert_allclose(motion.increment, twist_motion(SPEED, RATE, 0.1), atol=1e-9)
+        later = track.motion(1_000_000_000, 4_000_000_000)
+        np.testing.assert_allclose(
+            later.increment, twist_motion(SPEED, RATE, CONFIG.horizon_s), atol=1e-9
+        )
+        assert later.blind_seconds == pytest.approx(3.0 - CONFIG.horizon_s)
+
+    def test_stands_before_the_first_sample(self) -> None:
+        track = OdometryTrack(CONFIG)
+        track.add(sample(1.0))
+        motion = track.motion(0, 1_000_000_000)
+        np.testing.assert_allclose(motion.increment, 0.0, atol=1e-12)
+        assert motion.blind_seconds == 0.0
+
+    def test_nothing_is_known_without_odometry(self) -> None:
+        assert OdometryTrack(CONFIG).motion(0, 10**9).blind_seconds == 1.0
+
+    def test_jump_is_bridged_by_the_twist(self) -> None:
+        track = circle_track()
+        jump = np.array([5.0, -3.0, 1.0])
+        refusal = track.add(sample(1.05, compose(jump, twist_motion(SPEED, RATE, 1.05))))
+        assert refusal is not None
+        assert refusal.reason == 'odometry jumped'
+        assert track.add(sample(1.1, compose(jump, twist_motion(SPEED, RATE, 1.1)))) is None
+        motion = track.motion(1_000_000_000, 1_100_000_000)
+        np.testing.assert_allclose(motion.increment, twist_motion(SPEED, RATE, 0.1), atol=1e-9)
+        assert motion.blind_seconds == pytest.approx(0.05)
+
+    def test_long_pause_is_blind(self) -> None:
+        track = circle_track()
+        assert track.add(sample(3.0)) is None
+        assert track.motion(10**9, 3 * 10**9).blind_seconds == pytest.approx(2.0)
+
+    @pytest.mark.parametrize(
+        ('seconds', 'x', 'reason'),
+        [(1.0, 0.0, 'repeated'), (0.9, 0.0, 'back in time'), (1.05, np.nan, 'not a number')],
+    )
+    def test_drops_what_it_cannot_use(self, seconds: float, x: float, reason: str) -> None:
+        track = circle_track()
+        refusal = track.add(sample(seconds, [x, 0.0, 0.0]))
+        assert refusal is not None
+        assert reason in str(refusal)
+        assert track.stamps_ns == (0, 10**9)
+
+    def test_trims_but_keeps_what_later_motions_need(self) -> None:
+        track = circle_track()
+        before = track.motion(620_000_000, 910_000_000)
+        track.trim(620_000_000)
+        assert track.stamps_ns == (600_000_000, 10**9)
+        np.testing.assert_array_equal(
+            track.motion(620_000_000, 910_000_000).increment, before.increment
+        )
