@@ -117,6 +117,11 @@ class RobotWorld:
         """Whether the camera rests where it was last told to look."""
         return self._unit.settled
 
+    @property
+    def pan_limit_rad(self) -> float:
+        """How far the camera turns to both sides."""
+        return self._config.pan_tilt.pan_limit_rad
+
     def advance(self, dt_s: float) -> None:
         """Let time pass, in whole steps of 1/60 s; what is left over counts the next time."""
         self._owed_s += dt_s

@@ -1,0 +1,204 @@
+"""`landmark-nav simulate`: bags of simulated sweeps and of a drive."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.cli.progress import progress
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.simulation.drive_path import plan_tour
+from landmark_nav.simulation.furnishing import move_one_box
+from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.recording import drive_messages, Recorded, sweep_messages
+from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.setup_documents import (
+    robot_document,
+    room_document,
+    scene_document,
+    start_document,
+)
+from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.storage.bags import BagWriter
+from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.whole import whole_folder
+
+__all__ = ['add_parser', 'run']
+
+_FILES = ('start.json', 'room.yaml', 'robot.yaml', 'scene.json', 'learn', 'drive')
+
+_LEARN_START_NS = 1_000_000_000_000
+_DRIVE_START_NS = 5_000_000_000_000
+
+# Carrying the robot from one place to the next, seconds.
+_MOVE_S = 5.0
+
+_SWEEP_FRAMES = 72
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the arguments."""
+    parser = subparsers.add_parser(
+        'simulate',
+        help='write bags of simulated sweeps and drives',
+        description='Furnish a room, let a robot with a turning camera make sweeps and drive in '
+        'it, and write what it would have recorded: DIR/learn, DIR/drive, DIR/room.yaml, '
+        'DIR/robot.yaml, DIR/start.json, and DIR/scene.json with what really hangs where.',
+    )
+    parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
+    parser.add_argument(
+        '--room', metavar='F', help='room.yaml to furnish; without it the room is drawn too'
+    )
+    parser.add_argument('--robot', metavar='F', help='robot.yaml; without it a default robot')
+    parser.add_argument(
+        '--seed', type=_at_least(0, int), default=1, metavar='N', help='draws everything'
+    )
+    parser.add_argument(
+        '--sweeps', type=_at_least(1, int), default=2, metavar='N', help='sweeps (2)'
+    )
+    parser.add_argument(
+        '--drive-seconds', type=_at_least(0.5, float), default=40.0, metavar='S', help='(40)'
+    )
+    parser.add_argument(
+        '--camera-rate',
+        type=_at_least(0.5, float),
+        default=5.0,
+        metavar='HZ',
+        help='pictures a second in the drive, a whole part of 20 (5)',
+    )
+    parser.add_argument(
+        '--speed', type=_at_least(0.05, float), default=0.35, metavar='M/S', help='(0.35)'
+    )
+    parser.add_argument(
+        '--jpeg-quality', type=int, choices=range(1, 101), default=90, metavar='Q', help='(90)'
+    )
+    parser.add_argument(
+        '--people', type=_at_least(0, int), default=0, metavar='N', help='who walk about (0)'
+    )
+    parser.add_argument(
+        '--light-change',
+        action='store_true',
+        help='dim one lamp and move one piece of furniture between sweeps and drive',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate; nothing is written unless all of it is."""
+    room = load_room(args.room) if args.room else None
+    mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
+    scene = generate_scene(args.seed, room)
+    rng = np.random.default_rng([args.seed, 30])
+    poses = _sweep_poses(scene, args.sweeps, rng)
+    later = _changed(scene, rng) if args.light_change else scene
+    config = WorldConfig(people=args.people)
+    with whole_folder(args.out, _FILES) as folder:
+        with BagWriter(folder / 'learn') as bag:
+            frames = _SWEEP_FRAMES * len(poses)
+            world = _world(scene, poses[0], args.seed, mount, config, _LEARN_START_NS)
+            _write(bag, _learn(world, poses, args), 'sweeps', frames)
+        path = plan_tour(later, poses[-1][:2], 1.2 * args.speed * args.drive_seconds + 2.0, rng)
+        ahead = path[min(8, len(path) - 1)] - path[0]
+        start = np.array([*path[0], np.arctan2(ahead[1], ahead[0])])
+        with BagWriter(folder / 'drive') as bag:
+            world = _world(later, start, args.seed + 1, mount, config, _DRIVE_START_NS)
+            frames = round(args.drive_seconds * args.camera_rate)
+            _write(bag, _drive(world, path, rng, args), 'drive', frames)
+        for name, text in (
+            ('room.yaml', room_document(scene.room)),
+            ('robot.yaml', robot_document(mount)),
+            ('start.json', start_document(start)),
+            ('scene.json', scene_document(scene)),
+        ):
+            (folder / name).write_text(text, encoding='utf-8')
+    print(
+        f'{args.out}: {len(poses)} sweeps of {_SWEEP_FRAMES} frames in learn, '
+        f'{args.drive_seconds:g} s in drive, room of {len(scene.room.walls)} walls'
+    )
+    return 0
+
+
+def _at_least(lowest: float, kind: type[int] | type[float]) -> Any:
+    """Argument type: a number that is not below `lowest`."""
+
+    def number(text: str) -> float:
+        value = kind(text)
+        if not lowest <= value < 1e9:
+            raise argparse.ArgumentTypeError(f'{text} is not {lowest} or more')
+        return value
+
+    return number
+
+
+def _sweep_poses(
+    scene: Scene, count: int, rng: np.random.Generator
+) -> list[np.ndarray[Any, np.dtype[np.float64]]]:
+    """The two best places, then others on the way between and around them."""
+    places = choose_sweep_places(scene)
+    if places is None:
+        raise LandmarkNavError('the room has no place that sees all papers and the target')
+    poses = [np.asarray(pose) for pose in places.poses[:count]]
+    while len(poses) < count:
+        middle = places.poses[:, :2].mean(axis=0) + rng.uniform(-0.8, 0.8, 2)
+        if scene.room.contains(middle) and scene.distance_to_obstacles(middle) > 0.45:
+            poses.append(np.array([*middle, rng.uniform(-np.pi, np.pi)]))
+    return poses
+
+
+def _changed(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The room on another day."""
+    lamps = list(scene.lamps)
+    if lamps:
+        k = int(rng.integers(len(lamps)))
+        lamps[k] = replace(lamps[k], power=0.35 * lamps[k].power)
+    return replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
+
+
+def _world(
+    scene: Scene, pose: Any, seed: int, mount: PanTiltMount, config: WorldConfig, start_ns: int
+) -> RobotWorld:
+    return RobotWorld(scene, pose, seed, mount=mount, config=config, start_ns=start_ns)
+
+
+def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Iterator[Recorded]:
+    factory = rosbag_factory()
+    for pose in poses:
+        world.place(pose, -np.pi)
+        yield from sweep_messages(
+            world, factory, frames=_SWEEP_FRAMES, jpeg_quality=args.jpeg_quality
+        )
+        world.advance(_MOVE_S)
+
+
+def _drive(
+    world: RobotWorld, path: Any, rng: np.random.Generator, args: argparse.Namespace
+) -> Iterator[Recorded]:
+    return drive_messages(
+        world,
+        rosbag_factory(),
+        path,
+        rng,
+        seconds=args.drive_seconds,
+        speed_m_s=args.speed,
+        camera_rate_hz=args.camera_rate,
+        jpeg_quality=args.jpeg_quality,
+    )
+
+
+def _write(bag: BagWriter, messages: Iterator[Recorded], what: str, frames: int) -> None:
+    """Write messages; the bar counts pictures."""
+    bar = iter(progress(range(frames), what, frames))
+    for recorded in messages:
+        bag.write(recorded.topic, recorded.message, recorded.stamp_ns)
+        if recorded.topic.endswith('image/compressed') or recorded.topic.endswith(
+            'raw/compressed'
+        ):
+            next(bar, None)
+    next(bar, None)

@@ -1,0 +1,173 @@
+"""A way to drive through a room, and a driver that keeps to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.simulation.scene import Scene
+
+__all__ = ['PathFollower', 'plan_tour']
+
+FloatArray = npt.NDArray[np.float64]
+
+_CELL_M = 0.1
+_CLEARANCE_M = 0.42
+_LOOK_AHEAD_M = 0.45
+
+# The next goal of a tour is at least this far away.
+_LEAST_LEG_M = 1.5
+
+
+class _FreeGrid:
+    """Places where the robot may drive, and shortest ways between them."""
+
+    def __init__(self, scene: Scene) -> None:
+        corners = np.array([wall.start for wall in scene.room.walls])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        axes = [np.arange(a + _CELL_M / 2, b, _CELL_M) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing='ij'), -1)
+        clearance = scene.distance_to_obstacles(grid)
+        free = scene.room.contains(grid) & (clearance > _CLEARANCE_M)
+        number = np.full(free.shape, -1)
+        number[free] = np.arange(int(free.sum()))
+        self.places: FloatArray = grid[free]
+        if not len(self.places):
+            raise LandmarkNavError('the room is so full that the robot cannot drive in it')
+        rows, columns, costs = [], [], []
+        for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
+            a = number[: free.shape[0] - dx, max(0, -dy) : free.shape[1] - max(0, dy)]
+            b = number[dx:, max(0, dy) : free.shape[1] - max(0, -dy)]
+            linked = (a >= 0) & (b >= 0)
+            rows.append(a[linked])
+            columns.append(b[linked])
+            # Ways that keep off the walls are worth a detour.
+            near = clearance[free][a[linked]]
+            costs.append(_CELL_M * np.hypot(dx, dy) * (1.0 + 0.3 / near))
+        index = (np.concatenate(rows), np.concatenate(columns))
+        size = (len(self.places), len(self.places))
+        self._graph = coo_matrix((np.concatenate(costs), index), shape=size).tocsr()
+
+    def nearest(self, place_xy: npt.ArrayLike) -> int:
+        """Number of the free place nearest to (2,)."""
+        return int(np.argmin(np.linalg.norm(self.places - np.asarray(place_xy), axis=1)))
+
+    def ways_from(self, start: int) -> tuple[FloatArray, npt.NDArray[np.int32]]:
+        """Cost (n,) of the way to each place, and the place before it (n,)."""
+        cost, before = dijkstra(
+            self._graph, directed=False, indices=start, return_predecessors=True
+        )
+        return np.asarray(cost), np.asarray(before)
+
+
+def plan_tour(
+    scene: Scene, start_xy: npt.ArrayLike, length_m: float, rng: np.random.Generator
+) -> FloatArray:
+    """
+    Plan a way through the room, from one random place to the next.
+
+    Parameters
+    ----------
+    scene : Scene
+        Walls and furniture to keep off.
+    start_xy : array_like, shape (2,)
+        Where it begins.
+    length_m : float
+        It is at least this long.
+    rng : numpy.random.Generator
+        Where it leads.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Points of the way, about 5 cm apart, corners rounded.
+
+    Raises
+    ------
+    LandmarkNavError
+        There is no space to drive.
+
+    """
+    grid = _FreeGrid(scene)
+    at = grid.nearest(start_xy)
+    path = [np.asarray(start_xy, dtype=np.float64), grid.places[at]]
+    length = 0.0
+    while length < length_m:
+        cost, before = grid.ways_from(at)
+        reach = np.flatnonzero(np.isfinite(cost))
+        goals = reach[cost[reach] > min(_LEAST_LEG_M, 0.6 * float(cost[reach].max()))]
+        if not len(goals):
+            raise LandmarkNavError('the robot is shut in: there is nowhere to drive')
+        goal = int(rng.choice(goals))
+        leg = [goal]
+        while leg[-1] != at:
+            leg.append(int(before[leg[-1]]))
+        points = grid.places[leg[::-1]]
+        length += float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        path.extend(points[1:])
+        at = goal
+    return _rounded(np.array(path))
+
+
+def _rounded(path: FloatArray) -> FloatArray:
+    """Path with its corners smoothed over about half a metre, resampled evenly."""
+    step = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(np.maximum(step, 1e-9))])
+    even = np.arange(0.0, along[-1], 0.05)
+    points = np.stack([np.interp(even, along, path[:, k]) for k in (0, 1)], -1)
+    window = np.hanning(11)[1:-1]
+    half = len(window) // 2
+    padded = np.pad(points, [(half, half), (0, 0)], mode='edge')
+    return np.stack(
+        [np.convolve(padded[:, k], window / window.sum(), 'valid') for k in (0, 1)], -1
+    )
+
+
+class PathFollower:
+    """
+    Steers a base along a path.
+
+    It aims at a point ahead on the path: Coulter, Implementation of the pure pursuit path
+    tracking algorithm, 1992; where that point lies far to the side it slows down and turns.
+
+    Parameters
+    ----------
+    path_xy : ndarray, shape (n, 2)
+        The way, map frame, metres.
+    speed_m_s : float
+        On straight parts.
+
+    """
+
+    def __init__(self, path_xy: FloatArray, speed_m_s: float) -> None:
+        """Begin at the start of the path."""
+        self._path = np.asarray(path_xy, dtype=np.float64)
+        self._speed_m_s = speed_m_s
+        self._at = 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end has been reached."""
+        return self._at >= len(self._path) - 1
+
+    def command(self, pose_map_base: FloatArray) -> tuple[float, float]:
+        """Speed [m/s] and turning rate [rad/s] for a pose (3,)."""
+        ahead = self._path[self._at : self._at + 60] - pose_map_base[:2]
+        distance = np.linalg.norm(ahead, axis=1)
+        self._at += int(np.argmin(distance[:25]))
+        if self.finished:
+            return 0.0, 0.0
+        distance = np.linalg.norm(self._path[self._at :] - pose_map_base[:2], axis=1)
+        beyond = np.flatnonzero(distance > _LOOK_AHEAD_M)
+        goal = self._path[self._at + (int(beyond[0]) if len(beyond) else len(distance) - 1)]
+        offset = goal - pose_map_base[:2]
+        error = float(wrap_rad(np.arctan2(offset[1], offset[0]) - pose_map_base[2]))
+        reach = max(float(np.linalg.norm(offset)), 0.2)
+        if abs(error) > 1.0:
+            return 0.0, float(np.clip(1.5 * error, -1.0, 1.0))
+        speed = self._speed_m_s * max(np.cos(1.3 * error), 0.15)
+        return float(speed), float(2.0 * speed * np.sin(error) / reach)

@@ -1,0 +1,82 @@
+"""Where a driving robot looks: at what hangs on the walls, one thing after the other."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import transform_points
+from landmark_nav.simulation.places import item_points, view_quality
+from landmark_nav.simulation.scene import Scene
+
+__all__ = ['Gaze']
+
+FloatArray = npt.NDArray[np.float64]
+
+# The camera stays this far inside its limits, so that it can follow while the base turns.
+_RESERVE_RAD = 0.4
+
+_STEEPEST_DEG = 58.0
+
+# What lies within this angle of a thing is seen together with it.
+_TOGETHER_RAD = 0.35
+
+
+class Gaze:
+    """
+    Holds the camera on one thing for a while, then chooses another.
+
+    Parameters
+    ----------
+    scene : Scene
+        What there is to see.
+    mount : PanTiltMount
+        Where the camera is.
+    pan_limit_rad : float
+        How far it turns to both sides.
+    rng : numpy.random.Generator
+        Which thing is next, and for how long.
+
+    """
+
+    def __init__(
+        self, scene: Scene, mount: PanTiltMount, pan_limit_rad: float, rng: np.random.Generator
+    ) -> None:
+        """Look ahead until told where the robot is."""
+        self._scene = scene
+        self._mount = mount
+        self._limit_rad = pan_limit_rad
+        self._rng = rng
+        self._points, self._walls = item_points(scene)
+        self._chosen = -1
+        self._until_s = 0.0
+
+    def pan(self, time_s: float, pose_map_base: FloatArray) -> float:
+        """Pan that looks at the thing of the moment from a pose (3,); 0 if there is none."""
+        axis = transform_points(pose_map_base, self._mount.axis_xyz[:2])
+        offset = self._points[:, :2] - axis
+        yaw = self._mount.axis_rpy[2]
+        pan = wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - pose_map_base[2] - yaw)
+        usable = np.abs(pan) < self._limit_rad - _RESERVE_RAD
+        quality = np.where(usable, self._quality(axis), 0.0)
+        lost = self._chosen >= 0 and quality[self._chosen] == 0.0
+        if self._chosen < 0 or lost or time_s >= self._until_s:
+            self._choose(time_s, pan, quality)
+        return float(pan[self._chosen]) if self._chosen >= 0 else 0.0
+
+    def _quality(self, axis_xy: FloatArray) -> FloatArray:
+        seen = view_quality(self._scene, axis_xy, self._points, self._walls, _STEEPEST_DEG)
+        return np.asarray(seen[0])
+
+    def _choose(self, time_s: float, pan: npt.NDArray[np.float64], quality: FloatArray) -> None:
+        """Rather a thing with others around it that are seen well too."""
+        together = np.abs(wrap_rad(pan[:, None] - pan)) < _TOGETHER_RAD
+        weight = np.where(quality > 0.0, together @ quality, 0.0) ** 2
+        if self._chosen >= 0:
+            weight[self._chosen] = 0.0
+        self._until_s = time_s + float(self._rng.uniform(1.8, 3.2))
+        if weight.sum() <= 0.0:
+            return
+        self._chosen = int(self._rng.choice(len(weight), p=weight / weight.sum()))

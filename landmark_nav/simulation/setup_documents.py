@@ -1,0 +1,92 @@
+"""`room.yaml`, `robot.yaml` and `start.json` of a simulated robot, as text."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import yaml
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.simulation.scene import Scene
+from landmark_nav.types import FloatArray
+
+__all__ = ['robot_document', 'room_document', 'scene_document', 'start_document']
+
+
+def room_document(room: Room) -> str:
+    """Text of ``room.yaml``: walls and papers."""
+    document = {
+        'frame_id': room.frame_id,
+        'walls': [
+            {
+                'id': wall.id,
+                'start': list(wall.start),
+                'end': list(wall.end),
+                'height': wall.height,
+            }
+            for wall in room.walls
+        ],
+        'reference_area': {
+            'papers': [
+                {
+                    'color': paper.color,
+                    'center': list(paper.center),
+                    'width': paper.width,
+                    'height': paper.height,
+                }
+                for paper in room.papers
+            ]
+        },
+    }
+    return _yaml(
+        'metres, in the map frame; the inside of the room lies to the left of start -> end',
+        document,
+    )
+
+
+def robot_document(mount: PanTiltMount) -> str:
+    """Text of ``robot.yaml``: where the turning camera sits."""
+    document = {
+        'base_frame': mount.base_frame,
+        'pan_joint': mount.pan_joint,
+        'tilt_joint': mount.tilt_joint,
+        'pan_axis': {'xyz': list(mount.axis_xyz), 'rpy': list(mount.axis_rpy)},
+        'optical_center_offset': list(mount.optical_center_offset),
+    }
+    return _yaml(
+        'pose of the pan axis in base_link at pan 0 (the camera then looks along +x), and of the\n'
+        '# optical centre from the axis, in metres and radians',
+        document,
+    )
+
+
+def start_document(pose_map_base: FloatArray) -> str:
+    """Text of ``start.json``: where a drive begins."""
+    note = 'pose of base_link in map at the start of drive (m, m, rad)'
+    pose = [float(value) for value in pose_map_base]
+    return json.dumps({'note': note, 'pose': pose}, indent=1) + '\n'
+
+
+def scene_document(scene: Scene) -> str:
+    """
+    Text of ``scene.json``: what hangs where, which no robot is told.
+
+    For checks of what was learned, above all whether the specialised target was.
+    """
+    items = [
+        {
+            'kind': item.kind,
+            'wall': scene.room.walls[item.wall].id,
+            'center': [round(float(value), 4) for value in item.center(scene.room)],
+            'size': [round(item.width_m, 4), round(item.height_m, 4)],
+        }
+        for item in scene.items
+    ]
+    return json.dumps({'seed': scene.seed, 'items': items}, indent=1) + '\n'
+
+
+def _yaml(comment: str, document: dict[str, Any]) -> str:
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
+    return f'# {comment}\n{text}'
