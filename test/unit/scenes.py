@@ -1,0 +1,321 @@
+"""
+Small scenes with known truth: flat boards with continuous textures, met by rays.
+
+Written apart from `landmark_nav.simulation`, so that the one checks the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.localization.detection import camera_in_map
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    ImageArray,
+    Landmark,
+    Panorama,
+    PoseEstimate,
+    Sweep,
+)
+
+Color = tuple[float, float, float]
+
+GREY: Color = (150.0, 150.0, 150.0)
+COLORS: dict[str, Color] = {
+    'red': (40.0, 40.0, 200.0),
+    'green': (50.0, 170.0, 50.0),
+    'blue': (190.0, 70.0, 40.0),
+    'yellow': (40.0, 200.0, 210.0),
+}
+
+_SUBPIXELS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """A vertical rectangle seen from the side of `normal`; its texture fills it."""
+
+    center: FloatArray
+    normal: FloatArray
+    width_m: float
+    height_m: float
+    texture: npt.NDArray[np.float32]
+
+    @property
+    def right(self) -> FloatArray:
+        """To the right for someone who looks at it."""
+        return np.array([-self.normal[1], self.normal[0], 0.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Boards in front of a uniform background (floor and ceiling)."""
+
+    boards: tuple[Board, ...]
+    background: Color = (90.0, 90.0, 90.0)
+
+    def look(
+        self, origin: FloatArray, directions: FloatArray
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int16]]:
+        """BGR of what rays (rows, columns, 3) from an origin meet, and the board's number."""
+        nearest = np.full(directions.shape[:2], np.inf)
+        number = np.full(directions.shape[:2], -1, np.int16)
+        seen = np.empty(directions.shape, np.float32)
+        seen[:] = self.background
+        for k, board in enumerate(self.boards):
+            with np.errstate(divide='ignore', invalid='ignore'):
+                facing = directions @ board.normal
+                offset = board.center - origin
+                reach = (offset @ board.normal) / facing
+                across = reach * (directions @ board.right) - offset @ board.right
+                up = reach * directions[..., 2] - offset[..., 2]
+                hit = (reach > 1e-6) & (reach < nearest) & (facing < 0.0)
+                hit &= np.abs(across) <= board.width_m / 2.0
+                hit &= np.abs(up) <= board.height_m / 2.0
+            if not hit.any():
+                continue
+            rows, columns = board.texture.shape[:2]
+            at_column = (across / board.width_m + 0.5) * columns - 0.5
+            at_row = (0.5 - up / board.height_m) * rows - 0.5
+            texture = cv2.remap(
+                board.texture,
+                np.where(hit, at_column, 0.0).astype(np.float32),
+                np.where(hit, at_row, 0.0).astype(np.float32),
+                cv2.INTER_CUBIC,
+                borderMode=cv2.BORDER_REPLICATE,
+            )
+            seen[hit] = texture[hit]
+            nearest[hit] = reach[hit]
+            number[hit] = k
+        return seen, number
+
+
+def draw(
+    scene: Scene,
+    origin: FloatArray,
+    rays: FloatArray,
+    rays_of: Callable[[FloatArray], FloatArray],
+) -> npt.NDArray[np.float32]:
+    """
+    BGR (rows, columns, 3) of a picture whose pixels look along `rays`.
+
+    Pixels at the edge of a board are averaged over many rays, `rays_of` parts of pixels (..., 2).
+    """
+    image, board = scene.look(origin, rays)
+    ring = np.ones((3, 3), np.uint8)
+    edge = cv2.dilate(board, ring) != cv2.erode(board, ring)
+    part = (np.arange(_SUBPIXELS) + 0.5) / _SUBPIXELS - 0.5
+    offsets = np.stack(np.meshgrid(part, part), -1).reshape(-1, 2)
+    where = np.argwhere(edge)
+    for start in range(0, len(where), 20000):
+        chunk = where[start : start + 20000]
+        pixels = chunk[:, None, ::-1] + offsets
+        image[chunk[:, 0], chunk[:, 1]] = scene.look(origin, rays_of(pixels))[0].mean(axis=1)
+    return image
+
+
+def with_noise(
+    image: FloatArray, rng: np.random.Generator | None, sigma: float = 3.0
+) -> ImageArray:
+    """Round to uint8 with noise of `sigma` grey levels; none without `rng`."""
+    noise = 0.0 if rng is None else rng.normal(0.0, sigma, image.shape)
+    return np.asarray(np.clip(np.rint(image + noise), 0, 255), dtype=np.uint8)
+
+
+def smooth_texture(
+    rng: np.random.Generator, width_m: float, height_m: float, feature_m: float = 0.035
+) -> npt.NDArray[np.float32]:
+    """Grey texture of blots of about `feature_m`, smooth enough to be sampled anywhere."""
+    texel = feature_m / 4.0
+    size = (round(height_m / texel), round(width_m / texel))
+    grey = sum(
+        weight * _standard(cv2.GaussianBlur(rng.normal(size=size), (0, 0), scale))
+        for weight, scale in ((20.0, 4.0), (20.0, 10.0))
+    )
+    return cv2.merge([np.clip(128.0 + np.asarray(grey), 5, 250).astype(np.float32)] * 3)
+
+
+def _standard(image: npt.NDArray[np.float64]) -> FloatArray:
+    return np.asarray((image - image.mean()) / image.std())
+
+
+def flat_texture(color: Color) -> npt.NDArray[np.float32]:
+    """Texture of one colour."""
+    return np.full((4, 4, 3), color, np.float32)
+
+
+def rectangle_room(
+    width: float = 6.0, depth: float = 5.0, papers: Sequence[Paper] = (), height: float = 2.5
+) -> Room:
+    """Walls s, e, n, w of a room from (0, 0) to (width, depth)."""
+    corners = [(0.0, 0.0), (width, 0.0), (width, depth), (0.0, depth)]
+    ends = corners[1:] + corners[:1]
+    walls = tuple(
+        Wall(name, start, end, height)
+        for name, start, end in zip('senw', corners, ends, strict=True)
+    )
+    return Room(walls, tuple(papers))
+
+
+def wall_board(wall: Wall, texture: npt.NDArray[np.float32]) -> Board:
+    """The whole wall as a board."""
+    middle = (np.array(wall.start) + np.array(wall.end)) / 2.0
+    center = np.array([*middle, wall.height / 2.0])
+    return Board(center, wall.normal, wall.length, wall.height, texture)
+
+
+def paper_board(paper: Paper, room: Room) -> Board:
+    """A coloured paper, a millimetre before its wall."""
+    normal = room.normals[int(room.nearest_wall(np.array(paper.center[:2])))]
+    center = np.array(paper.center) + 1e-3 * normal
+    texture = flat_texture(COLORS[paper.color])
+    return Board(center, normal, paper.width, paper.height, texture)
+
+
+def textured_room(room: Room, seed: int, feature_m: float = 0.035) -> Scene:
+    """Random texture on every wall, and the papers."""
+    rng = np.random.default_rng(seed)
+    walls = [
+        wall_board(wall, smooth_texture(rng, wall.length, wall.height, feature_m))
+        for wall in room.walls
+    ]
+    return Scene((*walls, *(paper_board(paper, room) for paper in room.papers)))
+
+
+def draw_cylinder(
+    scene: Scene, cylinder: Cylinder, center_map: FloatArray, heading_rad: float
+) -> FloatArray:
+    """What a perfect panorama shows, BGR (rows, columns, 3)."""
+    turn = np.eye(3)
+    turn[:2, :2] = [
+        [np.cos(heading_rad), -np.sin(heading_rad)],
+        [np.sin(heading_rad), np.cos(heading_rad)],
+    ]
+
+    def rays_of(pixels: FloatArray) -> FloatArray:
+        return np.asarray(cylinder.rays(pixels) @ turn.T)
+
+    grid = np.stack(np.meshgrid(np.arange(cylinder.width), np.arange(cylinder.height)), -1)
+    return draw(scene, center_map, rays_of(grid), rays_of)
+
+
+def draw_panorama(
+    scene: Scene,
+    center_map: FloatArray,
+    heading_rad: float,
+    *,
+    px_per_rad: float = 250.0,
+    tan_limit: float = 0.4,
+    covariance: FloatArray | None = None,
+    rng: np.random.Generator | None = None,
+    stamp_ns: int = 0,
+) -> Panorama:
+    """Panorama with its true pose."""
+    cylinder = Cylinder.with_resolution(px_per_rad, -tan_limit, tan_limit)
+    image = with_noise(draw_cylinder(scene, cylinder, center_map, heading_rad), rng, 2.0)
+    return Panorama(
+        stamp_ns,
+        image,
+        np.ones(image.shape[:2], bool),
+        cylinder,
+        np.asarray(center_map, dtype=np.float64),
+        heading_rad,
+        np.diag([0.01, 0.01, 0.01, 0.003]) ** 2 if covariance is None else covariance,
+    )
+
+
+def draw_frame(
+    scene: Scene,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    pose_map_base: FloatArray,
+    pan_rad: float = 0.0,
+    tilt_rad: float = 0.0,
+    *,
+    stamp_ns: int = 0,
+    rng: np.random.Generator | None = None,
+    sigma: float = 3.0,
+) -> CameraFrame:
+    """Picture of the scene through a lens, with noise if there is `rng`."""
+    rotation, center = camera_in_map(pose_map_base, mount, pan_rad, tilt_rad)
+
+    def rays_of(pixels: FloatArray) -> FloatArray:
+        column, row = np.moveaxis(pixels.astype(np.float32), -1, 0)
+        rays = cv2.remap(camera.ray_grid, column, row, cv2.INTER_LINEAR)
+        return _turned(rays, rotation)
+
+    rays = _turned(camera.ray_grid, rotation)
+    picture = draw(scene, center, rays, rays_of)
+    return CameraFrame(stamp_ns, with_noise(picture, rng, sigma), camera, pan_rad, tilt_rad)
+
+
+def _turned(rays: npt.NDArray[np.float32], rotation: FloatArray) -> FloatArray:
+    return np.concatenate([rays, np.ones_like(rays[..., :1])], -1).astype(np.float64) @ rotation.T
+
+
+def draw_sweep(
+    scene: Scene,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    pose_map_base: FloatArray,
+    pans_rad: FloatArray,
+    *,
+    rng: np.random.Generator | None = None,
+    known: PoseEstimate | None = None,
+) -> Sweep:
+    """Frames at pans (n,), a tenth of a second apart."""
+    frames = tuple(
+        draw_frame(
+            scene, camera, mount, pose_map_base, float(pan), stamp_ns=k * 10**8, rng=rng, sigma=2.0
+        )
+        for k, pan in enumerate(pans_rad)
+    )
+    return Sweep(0, frames, known)
+
+
+def true_landmark(
+    scene: Scene,
+    number: int,
+    board: Board,
+    across_m: float,
+    up_m: float,
+    viewpoint: FloatArray,
+    *,
+    size_m: float = 0.32,
+    texel_m: float = 0.008,
+    sigma_m: float = 0.002,
+    threshold: float = 0.7,
+) -> Landmark:
+    """
+    Landmark cut out of a board, `across_m` and `up_m` from its centre, as if perfectly learned.
+
+    Its own error is of `sigma_m`; nothing is shared.
+    """
+    count = round(size_m / texel_m)
+    step = (np.arange(count) - (count - 1) / 2.0) * texel_m
+    position = board.center + across_m * board.right + np.array([0.0, 0.0, up_m])
+    columns, rows = np.meshgrid(step, step)
+    points = position + columns[..., None] * board.right - rows[..., None] * [0.0, 0.0, 1.0]
+    offset = 0.05 * board.normal
+    grey = scene.look(points + offset, np.broadcast_to(-board.normal, points.shape))[0][..., 0]
+    return Landmark(
+        id=number,
+        position=position,
+        covariance=np.eye(3) * sigma_m**2,
+        shared_loading=np.zeros((3, 1)),
+        normal=board.normal,
+        width_m=count * texel_m,
+        height_m=count * texel_m,
+        patch=with_noise(grey, None),
+        viewpoint=viewpoint,
+        threshold=threshold,
+    )

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from landmark_nav.matching import blur_to, Match, match_template
+from landmark_nav.types import FloatArray, Refusal
+
+Float32Image = npt.NDArray[np.float32]
+
+
+class Texture:
+    """A random continuous texture: waves, so that it can be sampled exactly anywhere."""
+
+    def __init__(self, seed: int, deviation: float = 40.0, shortest_px: float = 5.0) -> None:
+        rng = np.random.default_rng(seed)
+        length = rng.uniform(shortest_px, 6 * shortest_px, 60)
+        angle = rng.uniform(0.0, 2.0 * np.pi, 60)
+        turn = 2.0 * np.pi / length
+        self._kx, self._ky = turn * np.cos(angle), turn * np.sin(angle)
+        self._phase = rng.uniform(0.0, 2.0 * np.pi, 60)
+        self._amplitude = deviation * np.sqrt(2.0 / 60)
+
+    def sample(self, columns: int, rows: int, x0: float = 0.0, y0: float = 0.0) -> Float32Image:
+        # Each wave is a product of one along x and one along y.
+        x = np.exp(1j * np.outer(self._kx, x0 + np.arange(columns)))
+        y = np.exp(1j * (np.outer(self._ky, y0 + np.arange(rows)) + self._phase[:, None]))
+        return (128.0 + self._amplitude * np.einsum('ky,kx->yx', y, x).real).astype(np.float32)
+
+
+def match_shifted(seed: int, noise: float) -> tuple[FloatArray, Match | Refusal]:
+    """Error of a match at a random shift; the search picture has noise, gain and offset."""
+    rng = np.random.default_rng([seed, 1])
+    texture = Texture(seed)
+    shift = rng.uniform(8.0, 16.0, 2)
+    template = texture.sample(32, 28, *shift)
+    search = 0.8 * texture.sample(56, 52) + 12.0
+    search = (search + noise * rng.standard_normal(search.shape)).astype(np.float32)
+    found = match_template(search, template)
+    truth = shift + np.array([15.5, 13.5])
+    return found.xy - truth if isinstance(found, Match) else truth * np.nan, found
+
+
+def test_a_sub_pixel_shift_is_recovered_without_noise() -> None:
+    errors = np.array([match_shifted(seed, 0.0)[0] for seed in range(60)])
+    assert np.abs(errors).max() < 0.03
+    assert np.abs(errors.mean(axis=0)).max() < 0.01
+
+
+@pytest.mark.parametrize('noise', [6.0, 12.0])
+def test_noise_moves_matches_as_far_as_their_covariance_says(noise: float) -> None:
+    trials = [match_shifted(seed, noise) for seed in range(150)]
+    errors = np.array([error for error, _ in trials])
+    assert np.isfinite(errors).all()
+    assert np.abs(errors.mean(axis=0)).max() < 3.0 * errors.std() / np.sqrt(len(errors)) + 0.005
+    nees = [
+        error @ np.linalg.solve(found.covariance, error)
+        for error, found in trials
+        if isinstance(found, Match)
+    ]
+    assert 0.5 < np.mean(nees) / 2.0 < 1.5
+
+
+def test_gain_and_offset_change_neither_place_nor_score() -> None:
+    texture = Texture(3)
+    template, search = texture.sample(30, 30, 9.3, 11.6), texture.sample(60, 60)
+    plain = match_template(search, template)
+    changed = match_template(0.4 * search + 70.0, template)
+    assert isinstance(plain, Match)
+    assert isinstance(changed, Match)
+    np.testing.assert_allclose(changed.xy, plain.xy, atol=2e-3)
+    assert changed.score == pytest.approx(plain.score, abs=1e-3)
+    assert plain.score > 0.99
+
+
+def test_a_blank_template_is_refused() -> None:
+    texture = Texture(4)
+    blank = np.full((30, 30), 99.0, np.float32)
+    found = match_template(texture.sample(60, 60), blank)
+    assert isinstance(found, Refusal)
+    assert found.reason == 'blank template'
+
+
+def test_a_blank_search_picture_is_refused() -> None:
+    found = match_template(np.full((60, 60), 99.0, np.float32), Texture(4).sample(30, 30))
+    assert isinstance(found, Refusal)
+
+
+def test_another_texture_is_refused() -> None:
+    found = match_template(Texture(5).sample(60, 60), Texture(6).sample(30, 30))
+    assert isinstance(found, Refusal)
+    assert found.reason == 'low correlation'
+    assert '<' in found.detail
+
+
+@pytest.mark.parametrize('x0', [-0.4, 30.0])
+def test_a_match_at_the_border_of_the_search_is_refused(x0: float) -> None:
+    texture = Texture(7)
+    found = match_template(texture.sample(60, 60), texture.sample(30, 30, x0, 14.0))
+    assert isinstance(found, Refusal)
+    assert 'border' in found.reason
+
+
+def test_a_texture_that_repeats_is_refused() -> None:
+    tile = Texture(8).sample(24, 30)
+    search = np.tile(tile, (1, 3))
+    found = match_template(search, search[2:28, 12:40].copy(), min_score=0.6)
+    assert isinstance(found, Refusal)
+    assert found.reason == 'ambiguous'
+    # Who accepts a second peak as high as the first gets the match.
+    assert isinstance(
+        match_template(search, search[2:28, 12:40].copy(), min_score=0.6, max_second_ratio=1.01),
+        Match,
+    )
+
+
+def test_stripes_fix_a_shift_across_but_not_along() -> None:
+    # Vertical stripes with a little texture: sharp across, loose along.
+    wave = Texture(9, deviation=50.0).sample(70, 1)
+    picture = np.repeat(wave, 60, axis=0) + 0.12 * (Texture(10).sample(70, 60) - 128.0)
+    rng = np.random.default_rng(0)
+    noisy = (picture + 3.0 * rng.standard_normal(picture.shape)).astype(np.float32)
+    found = match_template(noisy, picture[15:45, 20:50].astype(np.float32), max_second_ratio=1.01)
+    assert isinstance(found, Match)
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert sigma[1] > 1.5 * sigma[0]
+
+
+def test_blurring_keeps_fine_texture_from_aliasing() -> None:
+    # Pixels three times as wide average what the fine picture resolves.
+    fine = Texture(11, shortest_px=2.0).sample(180, 180)
+    coarse = cv2.resize(fine, (60, 60), interpolation=cv2.INTER_AREA)[4:-4, 4:-4]
+    blurred = blur_to(fine, np.array([3.0, 3.0]))[1::3, 1::3][4:-4, 4:-4]
+    sampled = fine[1::3, 1::3][4:-4, 4:-4]
+    aliased = np.corrcoef(sampled.ravel(), coarse.ravel())[0, 1]
+    assert aliased < 0.92
+    assert np.corrcoef(blurred.ravel(), coarse.ravel())[0, 1] > 0.97
+
+
+def test_blurring_works_across_and_down_apart() -> None:
+    picture = Texture(12).sample(60, 60)
+    across = blur_to(picture, np.array([4.0, 1.0]))
+    assert np.abs(np.diff(across, axis=1)).mean() < 0.6 * np.abs(np.diff(picture, axis=1)).mean()
+    column = np.zeros((40, 40), np.float32)
+    column[:, 20:] = 100.0
+    np.testing.assert_allclose(blur_to(column, np.array([1.0, 4.0])), column, atol=1e-3)
+
+
+@pytest.mark.parametrize('step', [[1.0, 1.0], [0.3, 0.7]])
+def test_nothing_is_blurred_that_is_coarse_already(step: list[float]) -> None:
+    picture = Texture(13).sample(30, 30)
+    np.testing.assert_array_equal(blur_to(picture, np.array(step)), picture)

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import draw_cylinder, draw_sweep, rectangle_room, textured_room
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
+from landmark_nav.types import CameraFrame, FloatArray, Sweep
+
+LENS = CameraModel(
+    200, 160, 180.0, 181.0, 101.5, 77.0, distortion=(-0.24, 0.07, 0.002, -0.001, 0.0)
+)
+FISHEYE = CameraModel(200, 160, 120.0, 120.0, 99.0, 80.0, 'equidistant', (0.02, -0.01, 0.0, 0.0))
+MOUNT = PanTiltMount(axis_xyz=(0.1, -0.02, 1.0))
+TURN = np.radians(np.arange(0, 360, 20))
+
+
+def sky(directions: FloatArray) -> FloatArray:
+    """BGR (..., 3) of far things: smooth waves over azimuth and elevation."""
+    azimuth = np.arctan2(directions[..., 1], directions[..., 0])
+    tangent = directions[..., 2] / np.hypot(directions[..., 0], directions[..., 1])
+    blue = 128.0 + 60.0 * np.sin(17.0 * azimuth + 1.0) * np.cos(11.0 * tangent)
+    green = 120.0 + 60.0 * np.sin(9.0 * azimuth - 14.0 * tangent)
+    red = 110.0 + 50.0 * np.cos(5.0 * azimuth) + 40.0 * np.sin(23.0 * tangent + 3.0 * azimuth)
+    return np.stack([blue, green, red], -1)
+
+
+def sky_frame(camera: CameraModel, pan: float, tilt: float = 0.0) -> CameraFrame:
+    rotation, _ = MOUNT.camera_pose_base(pan, tilt)
+    rays = np.concatenate([camera.ray_grid, np.ones((camera.height, camera.width, 1))], -1)
+    image = np.clip(np.rint(sky(rays @ rotation.T)), 0, 255).astype(np.uint8)
+    return CameraFrame(0, image, camera, float(pan), tilt)
+
+
+def sky_sweep(camera: CameraModel, pans: FloatArray, tilt: float = 0.0) -> Sweep:
+    return Sweep(0, tuple(sky_frame(camera, pan, tilt) for pan in pans))
+
+
+def errors(view: CylinderImage) -> FloatArray:
+    """Absolute differences (n,) from the sky, of covered pixels, worst of their channels."""
+    columns, rows = np.meshgrid(np.arange(view.cylinder.width), np.arange(view.cylinder.height))
+    expected = sky(view.cylinder.rays(np.stack([columns, rows], -1)))
+    return np.asarray(np.abs(view.image - expected).max(axis=-1)[view.mask])
+
+
+@pytest.mark.parametrize('blend', ['mean', 'median', 'feather'])
+@pytest.mark.parametrize(
+    ('camera', 'tilt', 'crop', 'start'),
+    [
+        (LENS, 0.0, 0, 0.0),
+        (LENS, 0.12, 0, 2.9),
+        (LENS, -0.2, 90, -40.0),
+        (FISHEYE, 0.05, 0, 1.0),
+    ],
+)
+def test_a_cylinder_shows_what_the_frames_saw(
+    blend: str, camera: CameraModel, tilt: float, crop: int, start: float
+) -> None:
+    view = synthesize_cylinder(
+        sky_sweep(camera, start + TURN, tilt), MOUNT, PanoramaConfig(blend, crop)
+    )
+    middle = slice(view.mask.shape[0] // 4, -view.mask.shape[0] // 4)
+    assert view.mask[middle].all()
+    # No frame is continued past its border, no seam is left: the worst pixel is right too.
+    error = errors(view)
+    assert error.mean() < 1.0
+    assert error.max() < 8.0
+
+
+@pytest.mark.parametrize('blend', ['mean', 'median', 'feather'])
+def test_what_no_frame_looked_at_is_not_in_the_mask(blend: str) -> None:
+    pans = np.radians([60.0, 80.0, 100.0, 120.0])
+    view = synthesize_cylinder(sky_sweep(LENS, pans), MOUNT, PanoramaConfig(blend))
+    azimuth = view.cylinder.azimuth_rad(np.arange(view.cylinder.width))
+    row = round(view.cylinder.cy)
+    off = np.abs(np.degrees(azimuth) - 90.0)
+    assert view.mask[row, off < 50.0].all()
+    assert not view.mask[:, off > 65.0].any()
+    assert errors(view).max() < 8.0
+
+
+@pytest.mark.parametrize('count', [1, 2])
+def test_few_frames_make_a_panorama_too(count: int) -> None:
+    view = synthesize_cylinder(
+        sky_sweep(LENS, np.array([3.1, -2.9])[:count]), MOUNT, PanoramaConfig()
+    )
+    assert 0.1 < view.mask.mean() < 0.3
+    assert errors(view).max() < 8.0
+
+
+def test_a_tilted_camera_raises_the_cylinder() -> None:
+    level = synthesize_cylinder(sky_sweep(LENS, TURN), MOUNT, PanoramaConfig())
+    raised = synthesize_cylinder(sky_sweep(LENS, TURN, 0.3), MOUNT, PanoramaConfig())
+    assert raised.cylinder.tangent(0) > level.cylinder.tangent(0) + 0.2
+    assert raised.cylinder.tangent(raised.cylinder.height - 1) > level.cylinder.tangent(
+        level.cylinder.height - 1
+    )
+
+
+def test_resolution_is_the_focal_length_unless_given() -> None:
+    sweep = sky_sweep(LENS, TURN)
+    own = synthesize_cylinder(sweep, MOUNT, PanoramaConfig())
+    assert own.cylinder.fx == pytest.approx(LENS.fx, abs=0.2)
+    fine = synthesize_cylinder(sweep, MOUNT, PanoramaConfig(px_per_rad=300.0))
+    assert fine.cylinder.fx == pytest.approx(300.0, abs=0.2)
+    assert errors(fine).mean() < 1.5
+
+
+def test_grey_frames_give_a_grey_panorama() -> None:
+    sweep = sky_sweep(LENS, TURN)
+    grey = tuple(replace(f, image=f.image[..., 1].copy()) for f in sweep.frames)
+    view = synthesize_cylinder(replace(sweep, frames=grey), MOUNT, PanoramaConfig())
+    color = synthesize_cylinder(sweep, MOUNT, PanoramaConfig())
+    np.testing.assert_array_equal(view.image, color.image[..., 1:2].repeat(3, axis=-1))
+
+
+def test_the_median_forgets_who_walks_through_two_of_ten_frames() -> None:
+    pans = np.radians(np.linspace(-12.0, 12.0, 10))
+    frames = list(sky_sweep(LENS, pans).frames)
+    for k, left in ((3, 60), (4, 75)):
+        image = frames[k].image.copy()
+        image[20:150, left : left + 40] = (250, 250, 0)
+        frames[k] = replace(frames[k], image=image)
+    sweep = Sweep(0, tuple(frames))
+    worst = {}
+    for blend in ('median', 'mean'):
+        view = synthesize_cylinder(sweep, MOUNT, PanoramaConfig(blend))
+        azimuth = view.cylinder.azimuth_rad(np.arange(view.cylinder.width))
+        # At least five frames look there.
+        shared = np.broadcast_to(np.abs(azimuth) < np.radians(12.0), view.mask.shape)
+        seen = replace(view, mask=view.mask & shared)
+        seen.mask[:20], seen.mask[-20:] = False, False
+        worst[blend] = errors(seen).max()
+    assert worst['median'] < 12.0
+    assert worst['mean'] > 20.0
+
+
+@pytest.mark.parametrize('offset', [(0.08, 0.0, 0.0), (0.03, -0.06, 0.05)])
+def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(
+    offset: tuple[float, float, float],
+) -> None:
+    room = rectangle_room(4.0, 3.0)
+    scene = textured_room(room, seed=1, feature_m=0.05)
+    mount = PanTiltMount((0.0, 0.0, 1.2), optical_center_offset=offset)
+    camera = CameraModel(160, 120, 140.0, 140.0, 80.0, 60.0)
+    pose = np.array([1.6, 1.4, 0.5])
+    sweep = draw_sweep(scene, camera, mount, pose, TURN)
+
+    def range_m(azimuth_rad: FloatArray) -> FloatArray:
+        return room.raycast(pose[:2], azimuth_rad + pose[2])[0]
+
+    error = {}
+    for known in (True, False):
+        view = synthesize_cylinder(sweep, mount, PanoramaConfig(), range_m if known else None)
+        center = np.array([pose[0], pose[1], 1.2 + offset[2]])
+        expected = draw_cylinder(scene, view.cylinder, center, pose[2])
+        height = room.walls[0].height
+        columns = np.arange(view.cylinder.width)
+        reach = range_m(view.cylinder.azimuth_rad(columns))
+        rows = np.arange(view.cylinder.height)[:, None]
+        up = center[2] + reach * view.cylinder.tangent(rows)
+        wall = view.mask & (up > 0.1) & (up < height - 0.1)
+        error[known] = np.abs(view.image.astype(float) - expected)[wall].mean()
+    assert error[True] < 2.0
+    assert error[False] > 3.0 * error[True]
+
+
+def test_an_unknown_blend_is_refused() -> None:
+    with pytest.raises(LandmarkNavError, match=r"blend .*'average'.* mean, median, feather"):
+        PanoramaConfig(blend='average')

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from landmark_nav.geometry.camera import rotation_rpy
+from landmark_nav.geometry.patches import patch_axes, patch_points, rays_to_patch
+
+BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ('normal', 'right'),
+    [
+        # Who looks east has south to the right, and so on round the room.
+        ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+        ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0)),
+        ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)),
+    ],
+)
+def test_right_and_down_are_those_of_somebody_inside(
+    normal: tuple[float, ...], right: tuple[float, ...]
+) -> None:
+    found_right, found_down = patch_axes(normal)
+    np.testing.assert_allclose(found_right, right)
+    np.testing.assert_allclose(found_down, [0.0, 0.0, -1.0])
+
+
+@given(st.floats(-np.pi, np.pi), st.integers(1, 9), st.integers(1, 9))
+def test_texels_are_square_and_centred(azimuth: float, rows: int, columns: int) -> None:
+    normal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    center = np.array([1.0, -2.0, 0.5])
+    points = patch_points(center, normal, (rows, columns), 0.01)
+    assert points.shape == (rows, columns, 3)
+    np.testing.assert_allclose(points.mean(axis=(0, 1)), center, atol=1e-12)
+    np.testing.assert_allclose((points - center) @ normal, 0.0, atol=1e-12)
+    for axis in range(2):
+        step = np.linalg.norm(np.diff(points, axis=axis), axis=-1)
+        np.testing.assert_allclose(step, 0.01, atol=1e-12)
+
+
+@given(
+    azimuth=st.floats(-np.pi, np.pi),
+    off=st.floats(-1.2, 1.2),
+    reach=st.floats(0.4, 9.0),
+    rpy=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.5, 0.5)),
+    ray=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
+)
+def test_rays_meet_the_patch_where_the_plane_says(
+    azimuth: float,
+    off: float,
+    reach: float,
+    rpy: tuple[float, float, float],
+    ray: tuple[float, float],
+) -> None:
+    normal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    position = np.array([2.0, -3.0, 1.4])
+    direction = np.array([np.cos(azimuth + off), np.sin(azimuth + off), 0.05])
+    center = position + reach * direction
+    facing = rotation_rpy([0.0, 0.0, azimuth + off + np.pi]) @ rotation_rpy(rpy)
+    rotation = facing @ BODY_FROM_OPTICAL
+    # Metres on the patch, by meeting of ray and plane.
+    out = rotation @ np.array([*ray, 1.0])
+    if out @ normal > -0.05:
+        return  # along the wall, or away from it
+    point = center + ((position - center) @ normal) / (out @ normal) * out
+    right, down = patch_axes(normal)
+    expected = np.array([(point - position) @ right, (point - position) @ down])
+
+    homography = rays_to_patch(position[None], normal[None], rotation, center)[0]
+    found = homography @ np.array([*ray, 1.0])
+    np.testing.assert_allclose(found[:2] / found[2], expected, rtol=1e-8, atol=1e-9)
+    # In front of the camera the scale is positive: what lies behind is told apart by its sign.
+    assert found[2] > 0.0
+
+
+def test_patches_are_worked_on_together() -> None:
+    normal = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
+    position = np.array([[0.0, 1.0, 1.0], [2.0, 4.0, 1.2], [6.0, 2.0, 0.8]])
+    center = np.array([3.0, 2.0, 1.0])
+    rotation = rotation_rpy([0.0, 0.0, 0.4]) @ BODY_FROM_OPTICAL
+    together = rays_to_patch(position, normal, rotation, center)
+    for k in range(3):
+        alone = rays_to_patch(position[k : k + 1], normal[k : k + 1], rotation, center)
+        np.testing.assert_allclose(together[k], alone[0])
