@@ -19,7 +19,6 @@ __all__ = ['HUES', 'EdgeSamples', 'PaperBlobs', 'find_blobs', 'locate_edges', 'o
 HUES = {'red': 0, 'orange': 12, 'yellow': 30, 'green': 60, 'cyan': 90, 'blue': 120, 'magenta': 150}
 
 _HUE_TOLERANCE = 14
-_MAX_BLOBS = 12
 _SEARCH_PX = 7.0
 _STEP_PX = 0.25
 
@@ -79,7 +78,7 @@ def find_blobs(view: CylinderImage, color: str) -> PaperBlobs:
         if whole and solid and 0.15 < width / height < 6.0:
             found.append((float(area), float(center[0]), top - 0.5, top + height - 0.5))
     found.sort(reverse=True)
-    rows = np.array(found[:_MAX_BLOBS]).reshape(-1, 4)
+    rows = np.array(found).reshape(-1, 4)
     return PaperBlobs(cylinder.azimuth_rad(rows[:, 1]), cylinder.tangent(rows[:, 2:]))
 
 

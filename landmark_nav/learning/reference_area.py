@@ -30,6 +30,9 @@ from landmark_nav.types import FloatArray
 __all__ = ['ReferenceAreaConfig', 'SweepPlace', 'locate_sweep']
 
 _SAMPLES_PER_EDGE = 15
+# Blobs of a colour that are tried, those of the most fitting height first.
+_MAX_BLOBS = 14
+_MAX_STARTS = 6
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,7 @@ def locate_sweep(
             f'the room names {len(room.papers)} reference papers: hang three and list them in '
             'room.yaml, or give the pose of each sweep (sweep/pose)'
         )
-    blobs = [find_blobs(view, paper.color) for paper in room.papers]
+    blobs = [_plausible(find_blobs(view, paper.color), paper, mount) for paper in room.papers]
     missing = [p.color for p, b in zip(room.papers, blobs, strict=True) if not len(b.azimuth_rad)]
     if missing:
         raise LandmarkNavError(
@@ -133,14 +136,40 @@ class _Fit:
     support: float
 
 
+def _reach(blobs: PaperBlobs, paper: Paper) -> FloatArray:
+    """Horizontal distance at which a paper has the height of each blob, metres."""
+    return np.asarray(paper.height / np.maximum(blobs.tangent[:, 0] - blobs.tangent[:, 1], 1e-6))
+
+
+def _rise(blobs: PaperBlobs, paper: Paper, mount: PanTiltMount) -> FloatArray:
+    """How much higher than the paper each blob would hang at its reach, in its uncertainty."""
+    reach = _reach(blobs, paper)
+    rise = mount.axis_xyz[2] + reach * blobs.tangent.mean(1) - paper.center[2]
+    return np.asarray(rise / _blob_sigma(reach))
+
+
+def _blob_sigma(reach: FloatArray) -> FloatArray:
+    """Rough standard deviation of a blob's place, metres: its outline is a pixel or two off."""
+    return 0.03 + 0.04 * reach
+
+
+def _plausible(blobs: PaperBlobs, paper: Paper, mount: PanTiltMount) -> PaperBlobs:
+    """Blobs that hang as high as the paper does, whatever their distance."""
+    rise = np.abs(_rise(blobs, paper, mount))
+    order = np.argsort(rise)[:_MAX_BLOBS]
+    order = order[rise[order] < 5.0]
+    return PaperBlobs(blobs.azimuth_rad[order], blobs.tangent[order])
+
+
 def _hypotheses(blobs: list[PaperBlobs], room: Room, mount: PanTiltMount) -> list[FloatArray]:
     """Base poses (3,) that explain one blob a paper, the most consistent first."""
     paper_xyz = np.array([paper.center for paper in room.papers])
-    paper_height = np.array([paper.height for paper in room.papers])
+    pairs = list(zip(blobs, room.papers, strict=True))
     picks = np.array(list(product(*(range(len(b.azimuth_rad)) for b in blobs))))
     azimuth = np.stack([b.azimuth_rad[picks[:, k]] for k, b in enumerate(blobs)], 1)
     tangent = np.stack([b.tangent[picks[:, k]] for k, b in enumerate(blobs)], 1)
-    reach = paper_height / np.maximum(tangent[..., 0] - tangent[..., 1], 1e-6)
+    reach = np.stack([_reach(b, p)[picks[:, k]] for k, (b, p) in enumerate(pairs)], 1)
+    rise = np.stack([_rise(b, p, mount)[picks[:, k]] for k, (b, p) in enumerate(pairs)], 1)
     seen = reach[..., None] * np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
 
     # Rigid alignment of what is seen from the axis with where the papers hang (Kabsch, in 2-D).
@@ -152,11 +181,9 @@ def _hypotheses(blobs: list[PaperBlobs], room: Room, mount: PanTiltMount) -> lis
     turn = se2.rotation(heading)
     axis = map_xy.mean(0) - np.einsum('nij,nj->ni', turn, seen_mean[:, 0])
     miss = np.einsum('nij,nkj->nki', turn, seen) + axis[:, None] - map_xy
-    rise = mount.axis_xyz[2] + reach * tangent.mean(-1) - paper_xyz[:, 2]
-    scale = 0.03 + 0.04 * reach
-    cost = np.sum((miss**2).sum(-1) / scale**2 + (rise / scale) ** 2, 1)
+    cost = np.sum((miss**2).sum(-1) / _blob_sigma(reach) ** 2 + rise**2, 1)
     fine = (cost < 60.0 * len(blobs)) & room.contains(axis)
-    order = np.flatnonzero(fine)[np.argsort(cost[fine])][:6]
+    order = np.flatnonzero(fine)[np.argsort(cost[fine])][:_MAX_STARTS]
     lever = np.array([*mount.axis_xyz[:2], 0.0])
     starts = []
     for k in order:
