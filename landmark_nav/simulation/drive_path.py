@@ -11,7 +11,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.simulation.scene import Scene
 
-__all__ = ['PathFollower', 'plan_tour']
+__all__ = ['PathFollower', 'plan_tour', 'plan_way']
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -21,6 +21,10 @@ _LOOK_AHEAD_M = 0.45
 
 # The next goal of a tour is at least this far away.
 _LEAST_LEG_M = 1.5
+
+# Of so many goals the one is taken that asks for the least turn, judged over so many cells.
+_GOALS_TRIED = 12
+_DIRECTION_CELLS = 6
 
 
 class _FreeGrid:
@@ -63,6 +67,13 @@ class _FreeGrid:
         )
         return np.asarray(cost), np.asarray(before)
 
+    def way(self, before: npt.NDArray[np.int32], start: int, goal: int) -> FloatArray:
+        """Places (n, 2) from `start` to `goal`, given what `ways_from(start)` found."""
+        leg = [goal]
+        while leg[-1] != start:
+            leg.append(int(before[leg[-1]]))
+        return self.places[leg[::-1]]
+
 
 def plan_tour(
     scene: Scene, start_xy: npt.ArrayLike, length_m: float, rng: np.random.Generator
@@ -103,14 +114,58 @@ def plan_tour(
         if not len(goals):
             raise LandmarkNavError('the robot is shut in: there is nowhere to drive')
         goal = int(rng.choice(goals))
-        leg = [goal]
-        while leg[-1] != at:
-            leg.append(int(before[leg[-1]]))
-        points = grid.places[leg[::-1]]
+        points = grid.way(before, at, goal)
         length += float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         path.extend(points[1:])
-        at = goal
+        at = grid.nearest(points[-1])
     return _rounded(np.array(path))
+
+
+def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> FloatArray:
+    """
+    Plan the way from one place to another.
+
+    Parameters
+    ----------
+    scene : Scene
+        Walls and furniture to keep off.
+    start_xy, goal_xy : array_like, shape (2,)
+        From where to where.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Points of the way, about 5 cm apart, corners rounded.
+
+    Raises
+    ------
+    LandmarkNavError
+        There is no way between them.
+
+    """
+    grid = _FreeGrid(scene)
+    start, goal = grid.nearest(start_xy), grid.nearest(goal_xy)
+    cost, before = grid.ways_from(start)
+    if not np.isfinite(cost[goal]):
+        raise LandmarkNavError(f'there is no way from {start_xy} to {goal_xy} for the robot')
+    way = grid.way(before, start, goal)
+    return _rounded(np.vstack([np.asarray(start_xy)[None], way, np.asarray(goal_xy)[None]]))
+
+
+def _leg(start: int, goal: int, before: npt.NDArray[np.int32]) -> list[int]:
+    """Places on the shortest way from `start` to `goal`."""
+    leg = [goal]
+    while leg[-1] != start:
+        leg.append(int(before[leg[-1]]))
+    return leg[::-1]
+
+
+def _turn(path: list[FloatArray], leg: FloatArray) -> float:
+    """Angle by which `leg` (n, 2) turns off the direction in which `path` arrives."""
+    arrival = path[-1] - path[max(len(path) - _DIRECTION_CELLS, 0)]
+    departure = leg[min(_DIRECTION_CELLS, len(leg) - 1)] - leg[0]
+    angles = np.arctan2([arrival[1], departure[1]], [arrival[0], departure[0]])
+    return abs(float(wrap_rad(angles[1] - angles[0])))
 
 
 def _rounded(path: FloatArray) -> FloatArray:

@@ -23,6 +23,9 @@ _STEEPEST_DEG = 58.0
 # What lies within this angle of a thing is seen together with it.
 _TOGETHER_RAD = 0.35
 
+# The next thing to look at is rather at least this far aside.
+_ELSEWHERE_RAD = 0.6
+
 
 class Gaze:
     """
@@ -75,6 +78,10 @@ class Gaze:
         together = np.abs(wrap_rad(pan[:, None] - pan)) < _TOGETHER_RAD
         weight = np.where(quality > 0.0, together @ quality, 0.0) ** 2
         if self._chosen >= 0:
+            # Look elsewhere, if there is anything.
+            weight = weight * np.where(
+                np.abs(wrap_rad(pan - pan[self._chosen])) < _ELSEWHERE_RAD, 0.02, 1.0
+            )
             weight[self._chosen] = 0.0
         self._until_s = time_s + float(self._rng.uniform(1.8, 3.2))
         if weight.sum() <= 0.0:
