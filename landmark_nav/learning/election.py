@@ -15,9 +15,9 @@ import numpy as np
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
-from landmark_nav.learning.stereo import Sighting, wall_texture, WallPatch
+from landmark_nav.learning.stereo import Float32Image, Sighting, wall_texture, WallPatch
 from landmark_nav.parameters import check_parameters, parameter
-from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
+from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
 
 __all__ = ['ElectionConfig', 'elect']
 
@@ -60,7 +60,7 @@ def elect(
     sightings: Sequence[Sequence[Sighting]],
     adjustment: Adjustment,
     panoramas: Sequence[Panorama],
-    greys: Sequence[ImageArray],
+    greys: Sequence[Float32Image],
     room: Room,
     config: ElectionConfig,
 ) -> list[Landmark | Refusal]:
@@ -76,7 +76,7 @@ def elect(
     panoramas : sequence of Panorama
         With adjusted poses.
     greys : sequence of ndarray, shape (height, width)
-        Their images in grey.
+        Their images in grey, float32.
     room : Room
         The walls.
     config : ElectionConfig
@@ -161,7 +161,7 @@ def _landmark(
     patch: WallPatch,
     position: FloatArray,
     panorama: Panorama,
-    grey: ImageArray,
+    grey: Float32Image,
     room: Room,
     *,
     covariance: FloatArray,

@@ -211,7 +211,7 @@ def learn_from_panoramas(
     _check(panoramas)
     log = log or StageLog()
     greys = [
-        np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.uint8) for p in panoramas
+        np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for p in panoramas
     ]
     with log.measure('attention'):
         candidates = tuple(select_candidates(p, config.attention) for p in panoramas)

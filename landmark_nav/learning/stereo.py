@@ -10,7 +10,7 @@ and Bishop, SIGGRAPH 1995, give the curve; on the wall it is a short straight li
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,9 +21,15 @@ from landmark_nav.geometry.patches import patch_axes, patch_points
 from landmark_nav.geometry.walls import Room
 from landmark_nav.matching import blur_to, match_template
 from landmark_nav.parameters import check_parameters, parameter
-from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
+from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
 __all__ = ['Sighting', 'StereoConfig', 'WallPatch', 'hypothesize', 'match_in', 'wall_texture']
+
+Float32Image = npt.NDArray[np.float32]
+
+# Depths before the wall that scale must rule out, and by how much correlation.
+_OTHER_DEPTHS_M = (0.2, 0.4)
+_SCALE_MARGIN = 0.03
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,9 @@ class StereoConfig:
     )
     min_parallax_rad: float = parameter(
         0.10, 'least angle between two views of a landmark', minimum=0, maximum=1.5
+    )
+    min_scale_ratio: float = parameter(
+        1.25, 'least ratio of distances that shows a depth by scale', minimum=1, maximum=10
     )
     behind_wall_m: float = parameter(
         0.15, 'how far behind the wall a match is searched', minimum=0, maximum=2
@@ -133,12 +142,12 @@ def own_sighting(patch: WallPatch, panorama: Panorama) -> Sighting:
 
 def wall_texture(
     panorama: Panorama,
-    grey: ImageArray,
+    grey: Float32Image,
     position: FloatArray,
     normal: FloatArray,
     shape: tuple[int, int],
     texel_m: float,
-) -> npt.NDArray[np.float32] | None:
+) -> Float32Image | None:
     """
     What a panorama shows of a patch of wall.
 
@@ -147,7 +156,7 @@ def wall_texture(
     panorama : Panorama
         The view.
     grey : ndarray, shape (height, width)
-        Its image in grey.
+        Its image in grey, float32.
     position, normal : ndarray, shape (3,)
         Centre and normal of the patch in map.
     shape : tuple of int
@@ -173,9 +182,8 @@ def wall_texture(
         return None
     maps = pixels.astype(np.float32)
     found = cv2.remap(
-        grey.astype(np.float32), maps[..., 0], maps[..., 1], cv2.INTER_CUBIC,
-        borderMode=cv2.BORDER_WRAP,
-    )  # fmt: skip
+        grey, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP
+    )
     return np.asarray(found, dtype=np.float32)
 
 
@@ -183,38 +191,59 @@ def match_in(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[ImageArray],
+    greys: Sequence[Float32Image],
     room: Room,
     config: StereoConfig,
 ) -> Sighting | Refusal:
-    """Find a patch of one panorama in another, number `other`."""
+    """
+    Find a patch of one panorama in another, number `other`.
+
+    That it lies on the wall shows in its parallax or, seen from nearly the same side, in its
+    scale; where neither can tell it is refused.
+    """
     here, there = panoramas[patch.source], panoramas[other]
     if not room.visible(there.center_map[:2], patch.position[:2]):
         return Refusal('hidden from the other place')
-    to_here = here.center_map - patch.position
-    to_there = there.center_map - patch.position
-    cosine = float(to_there[:2] @ patch.normal[:2]) / float(np.hypot(*to_there[:2]))
-    if cosine < np.cos(config.max_incidence_rad):
+    to_here = (here.center_map - patch.position)[:2]
+    to_there = (there.center_map - patch.position)[:2]
+    if to_there @ patch.normal[:2] < np.cos(config.max_incidence_rad) * np.hypot(*to_there):
         return Refusal('too oblique from the other place')
-    parallax = abs(np.arctan2(*_cross_dot(to_here[:2], to_there[:2])))
-    if parallax < config.min_parallax_rad:
+    turn = float(to_here[0] * to_there[1] - to_here[1] * to_there[0])
+    parallax = abs(float(np.arctan2(turn, to_here @ to_there)))
+    ratio = float(np.hypot(*to_here) / np.hypot(*to_there))
+    if parallax >= config.min_parallax_rad:
+        return _compare(patch, other, panoramas, greys, config)
+    if max(ratio, 1.0 / ratio) < config.min_scale_ratio:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
+    found = _compare(patch, other, panoramas, greys, config)
+    if isinstance(found, Sighting):
+        for before in _OTHER_DEPTHS_M:
+            nearer = _moved(patch, before, here)
+            rival = _compare(nearer, other, panoramas, greys, config)
+            if isinstance(rival, Sighting) and rival.score > found.score - _SCALE_MARGIN:
+                return Refusal('too little parallax', 'its scale does not tell its distance')
+    return found
 
-    # Depth along the source's ray moves the match along a line on the wall.
-    cosine_here = float(to_here[:2] @ patch.normal[:2]) / float(np.hypot(*to_here[:2]))
-    ends = np.array([-config.behind_wall_m, config.before_wall_m]) / cosine_here
-    away = to_here / np.hypot(*to_here[:2])
-    shifts = np.array(
-        [_on_wall(patch, patch.position + depth * away, there.center_map) for depth in ends]
+
+def _moved(patch: WallPatch, before_m: float, panorama: Panorama) -> WallPatch:
+    """The patch as it would be if it hung so far before its wall; it looks the same."""
+    ray = panorama.center_map - patch.position
+    share = before_m / float(ray @ patch.normal)
+    return replace(
+        patch, position=patch.position + share * ray, texel_m=patch.texel_m * (1.0 - share)
     )
-    margin = config.margin_m / patch.texel_m + 3.0
-    low = np.floor(np.minimum(shifts.min(0), 0.0) / patch.texel_m - margin).astype(int)
-    high = np.ceil(np.maximum(shifts.max(0), 0.0) / patch.texel_m + margin).astype(int)
-    right, down = patch_axes(patch.normal)
-    middle = (low + high) / 2.0 * patch.texel_m
-    span = high - low
-    shape = (patch.shape[0] + int(span[1]), patch.shape[1] + int(span[0]))
-    center = patch.position + middle[0] * right + middle[1] * down
+
+
+def _compare(
+    patch: WallPatch,
+    other: int,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[Float32Image],
+    config: StereoConfig,
+) -> Sighting | Refusal:
+    """Match the two views resampled on the patch's plane."""
+    here, there = panoramas[patch.source], panoramas[other]
+    center, shape = _search_area(patch, here, there, config)
     search = wall_texture(there, greys[other], center, patch.normal, shape, patch.texel_m)
     template = wall_texture(
         here, greys[patch.source], patch.position, patch.normal, patch.shape, patch.texel_m
@@ -223,31 +252,51 @@ def match_in(
         return Refusal('not covered by both panoramas')
     # The sharper view is blurred to what the other can show, or the peak would suffer.
     own, seen = (_texels_per_pixel(patch, p) for p in (here, there))
-    template = blur_to(template, seen, own)
-    search = blur_to(search, own, seen)
     match = match_template(
-        search, template, min_score=config.min_score, max_second_ratio=config.max_second_ratio
+        blur_to(search, own, seen),
+        blur_to(template, seen, own),
+        min_score=config.min_score,
+        max_second_ratio=config.max_second_ratio,
     )
     if isinstance(match, Refusal):
         return match
-    from_center = (match.xy - (np.array(shape[::-1]) - 1) / 2.0) * patch.texel_m
-    point = center + from_center[0] * right + from_center[1] * down
-    ray = point - there.center_map
+    right, down = patch_axes(patch.normal)
+    across, below = (match.xy - (np.array(shape[::-1]) - 1) / 2.0) * patch.texel_m
+    ray = center + across * right + below * down - there.center_map
     reach = float(np.hypot(ray[0], ray[1]))
-    azimuth = np.arctan2(ray[1], ray[0]) - there.heading_rad
-    sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m
+    cosine = -float(ray[:2] @ patch.normal[:2]) / reach
+    sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
     return Sighting(
         other,
-        float(azimuth),
+        float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
         float(ray[2]) / reach,
-        float(sigma[0]) * cosine / reach,
-        float(sigma[1]) / reach,
+        float(sigma[0]) * cosine,
+        float(sigma[1]),
         match.score,
     )
 
 
-def _cross_dot(a: FloatArray, b: FloatArray) -> tuple[float, float]:
-    return float(a[0] * b[1] - a[1] * b[0]), float(a @ b)
+def _search_area(
+    patch: WallPatch, here: Panorama, there: Panorama, config: StereoConfig
+) -> tuple[FloatArray, tuple[int, int]]:
+    """Centre (3,) and rows, columns of the wall where `there` may show the patch."""
+    # Depth along the source's ray moves the match along a line on the wall.
+    to_here = here.center_map - patch.position
+    per_depth = to_here / float(to_here @ patch.normal)
+    shifts = [
+        _on_wall(patch, patch.position + depth * per_depth, there.center_map)
+        for depth in (-config.behind_wall_m, 0.0, config.before_wall_m)
+    ]
+    margin = config.margin_m / patch.texel_m + 3.0
+    low = np.floor(np.min(shifts, 0) / patch.texel_m - margin).astype(int)
+    high = np.ceil(np.max(shifts, 0) / patch.texel_m + margin).astype(int)
+    right, down = patch_axes(patch.normal)
+    across, below = (low + high) / 2.0 * patch.texel_m
+    columns, rows = (high - low).tolist()
+    return (
+        patch.position + across * right + below * down,
+        (patch.shape[0] + rows, patch.shape[1] + columns),
+    )
 
 
 def _on_wall(patch: WallPatch, point: FloatArray, center: FloatArray) -> FloatArray:
