@@ -44,10 +44,10 @@ class OdometryNoiseConfig:
     """How far wheel odometry is to be trusted."""
 
     along_m_per_sqrt_m: float = parameter(
-        0.005, 'Sigma along the way after one metre, m.', minimum=0.0, maximum=1.0
+        0.004, 'Sigma along the way after one metre, m.', minimum=0.0, maximum=1.0
     )
     across_m_per_sqrt_m: float = parameter(
-        0.005, 'Sigma across the way after one metre, m.', minimum=0.0, maximum=1.0
+        0.004, 'Sigma across the way after one metre, m.', minimum=0.0, maximum=1.0
     )
     turn_rad_per_sqrt_m: float = parameter(
         0.008, 'Sigma of the heading after one metre, rad.', minimum=0.0, maximum=1.0
@@ -86,7 +86,7 @@ class OdometryNoiseConfig:
         maximum=1.0,
     )
     slip_sigma: float = parameter(
-        0.03,
+        0.04,
         'Sigma of the side slip, metres to the left per metre ahead.',
         minimum=0.0,
         maximum=1.0,

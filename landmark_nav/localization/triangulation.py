@@ -35,7 +35,7 @@ class TriangulationConfig:
         0.9999, 'Chi-square level of the distance from the prior.', minimum=0.5, maximum=1.0
     )
     max_sigma_m: float = parameter(
-        0.5, 'Largest predicted position sigma (root of the trace), m.', minimum=0.0, maximum=100.0
+        0.3, 'Largest predicted position sigma (root of the trace), m.', minimum=0.0, maximum=100.0
     )
     min_range_m: float = parameter(
         0.5, 'Least distance from a landmark, m.', minimum=0.0, maximum=100.0
