@@ -48,9 +48,13 @@ def draw_panorama(
     axes.imshow(rgb, aspect='equal')
     elected = 0
     for candidate, outcome in zip(candidates, outcomes, strict=True):
-        found = isinstance(outcome, Landmark)
-        elected += found
-        _frame(axes, candidate, str(outcome.id) if isinstance(outcome, Landmark) else '')
+        elected += isinstance(outcome, Landmark)
+        label = str(outcome.id) if isinstance(outcome, Landmark) else ''
+        # What lies across the seam is drawn at both of its ends.
+        for turn in (-columns, 0, columns):
+            column = candidate.column + turn
+            if -candidate.width_px < column < columns + candidate.width_px:
+                _frame(axes, candidate, column, label)
     azimuths = np.arange(-165, 181, 15)
     axes.set_xticks(panorama.cylinder.column_of(np.radians(azimuths)), [f'{a}' for a in azimuths])
     tangents = np.arange(-0.8, 0.81, 0.2)
@@ -68,10 +72,10 @@ def draw_panorama(
     save(figure, path)
 
 
-def _frame(axes: Axes, candidate: Candidate, label: str) -> None:
+def _frame(axes: Axes, candidate: Candidate, column: float, label: str) -> None:
     """Outline of a candidate; bold and labelled if it was elected."""
     corner = (
-        candidate.column - 0.5 * candidate.width_px,
+        column - 0.5 * candidate.width_px,
         candidate.row - 0.5 * candidate.height_px,
     )
     axes.add_patch(
@@ -86,7 +90,7 @@ def _frame(axes: Axes, candidate: Candidate, label: str) -> None:
     )
     if label:
         axes.text(
-            candidate.column,
+            column,
             corner[1] - 3.0,
             label,
             ha='center',

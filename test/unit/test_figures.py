@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
+from landmark_nav.evaluation.figures.map_figure import _places_of_numbers
+from landmark_nav.evaluation.replay import Replay
+from landmark_nav.evaluation.run_report import run_errors
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.walls import Paper, Wall
+from landmark_nav.localization.fusion import FusionUpdate
+from landmark_nav.localization.pipeline import LocalizationUpdate, Observation
+from landmark_nav.types import (
+    Candidate,
+    Detections,
+    Landmark,
+    LandmarkMap,
+    Panorama,
+    PoseEstimate,
+    Refusal,
+)
+
+WALLS = (
+    Wall('south', (0.0, 0.0), (5.0, 0.0), 2.5),
+    Wall('east', (5.0, 0.0), (5.0, 4.0), 2.5),
+    Wall('north', (5.0, 4.0), (0.0, 4.0), 2.5),
+    Wall('west', (0.0, 4.0), (0.0, 0.0), 2.5),
+)
+
+# How the figures draw landmarks, as OpenCV reads it back.
+LANDMARK_BGR = (0x73, 0x9E, 0x00)
+
+
+def landmark(identity, x):
+    return Landmark(
+        id=identity,
+        position=np.array([x, 0.0, 1.2]),
+        covariance=1e-4 * np.eye(3),
+        shared_loading=np.zeros((3, 1)),
+        normal=np.array([0.0, 1.0, 0.0]),
+        width_m=0.2,
+        height_m=0.2,
+        patch=np.zeros((8, 8), np.uint8),
+        viewpoint=np.array([2.0, 2.0, 1.0]),
+        threshold=0.7,
+        wall_id='south',
+    )
+
+
+def a_map(count=3):
+    places = (PoseEstimate(0, np.array([2.0, 2.0, 0.3]), 1e-5 * np.eye(3)),)
+    members = tuple(landmark(k, 0.5 + 0.4 * k) for k in range(count))
+    return LandmarkMap(members, 'map', WALLS, places)
+
+
+def share_of(path, color):
+    """Share of a picture that has a colour; fails if it is no picture."""
+    picture = cv2.imread(str(path))
+    assert picture is not None
+    return float(np.mean(np.all(np.abs(picture.astype(int) - color) < 30, axis=-1)))
+
+
+def test_map_shows_its_landmarks(tmp_path):
+    papers = [Paper('red', (1.0, 0.02, 1.7), 0.2, 0.3), Paper('mauve', (2, 0.02, 1.7), 0.2, 0.3)]
+    draw_map(a_map(), tmp_path / 'map.png', papers)
+    draw_map(a_map(), tmp_path / 'again.png', papers)
+    draw_map(a_map(0), tmp_path / 'empty.png')
+    assert share_of(tmp_path / 'map.png', LANDMARK_BGR) > share_of(
+        tmp_path / 'empty.png', LANDMARK_BGR
+    )
+    assert (tmp_path / 'map.png').read_bytes() == (tmp_path / 'again.png').read_bytes()
+
+
+def test_numbers_of_neighbours_do_not_lie_on_each_other():
+    along = np.cumsum(np.random.default_rng(0).uniform(0.06, 0.3, 12))
+    positions = np.column_stack([along, np.zeros(12)])
+    normals = np.tile([0.0, 1.0], (12, 1))
+    places = _places_of_numbers(positions, normals)
+    assert np.all(places[:, 1] < 0.0)
+    apart = np.abs(places[:, None] - places[None])
+    clear = (apart[..., 0] > 0.16) | (apart[..., 1] > 0.09) | np.eye(12, dtype=bool)
+    assert clear.all()
+
+
+@pytest.mark.parametrize('column', [100.0, 1.0, 399.0])
+def test_panorama_marks_what_was_elected(tmp_path, column):
+    view = Panorama(
+        0,
+        np.full((80, 400, 3), 200, np.uint8),
+        np.ones((80, 400), np.bool_),
+        Cylinder(400, 80, 64.0, 199.5, 40.0),
+        np.zeros(3),
+        0.0,
+        np.eye(4),
+    )
+    candidates = [Candidate(column, 40.0, 20, 20, 1.0)]
+    draw_panorama(view, candidates, [landmark(7, 1.0)], 1, tmp_path / 'elected.png')
+    draw_panorama(view, candidates, [Refusal('too far')], 1, tmp_path / 'refused.png')
+    assert share_of(tmp_path / 'elected.png', LANDMARK_BGR) > 0.0005
+    assert share_of(tmp_path / 'refused.png', LANDMARK_BGR) == 0.0
+
+
+def a_run(truth=True, fixed=True):
+    updates = []
+    for k in range(30):
+        pose = np.array([1.0 + 0.05 * k, 1.0, 0.1])
+        fused = PoseEstimate(k * 10**8, pose + 0.01, np.diag([4e-4, 1e-4, 1e-5]))
+        none = np.empty(0)
+        seen = Detections(fused.stamp_ns, np.empty(0, int), none, none, none, np.empty((0, 2)))
+        updates.append(
+            LocalizationUpdate(
+                fused.stamp_ns,
+                Refusal('too few'),
+                Observation(seen, {}, fused if fixed and k % 3 else Refusal('too few')),
+                FusionUpdate(fused.stamp_ns, refusal=None if k % 3 else Refusal('none')),
+                fused,
+                'lost' if k > 25 else 'tracking',
+                '',
+            )
+        )
+    stamps = np.arange(30) * 10**8
+    poses = np.array([[1.0 + 0.05 * k, 1.0, 0.1] for k in range(30)])
+    known = PoseTrack(stamps, poses) if truth else PoseTrack.of([])
+    odometry = PoseTrack(stamps, poses + 0.03)
+    start = PoseEstimate(0, poses[0], np.eye(3))
+    return Replay(start, tuple(updates), np.full(30, 0.01), odometry, known, 1.0)
+
+
+@pytest.mark.parametrize(('truth', 'fixed'), [(True, True), (False, True), (True, False)])
+def test_runs_are_drawn_whatever_is_missing(tmp_path, truth, fixed, recwarn):
+    run = a_run(truth, fixed)
+    draw_trajectory(run, a_map(), tmp_path / 'trajectory.png')
+    draw_errors(run, run_errors(run), tmp_path / 'errors.png')
+    assert share_of(tmp_path / 'trajectory.png', LANDMARK_BGR) > 0.0
+    assert cv2.imread(str(tmp_path / 'errors.png')) is not None
+    assert not list(recwarn)

@@ -1,0 +1,207 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from landmark_nav.evaluation.bound import posterior_bound
+from landmark_nav.evaluation.metrics import (
+    consistency,
+    crlb_ratio,
+    error_summary,
+    pose_errors,
+    result_hash,
+)
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.fusion import FusionConfig
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.types import Detections, Landmark, LandmarkMap, PoseEstimate
+
+SECOND = 1_000_000_000
+
+# Tracks
+
+
+@given(
+    start=st.tuples(*[st.floats(-5, 5)] * 3),
+    forward=st.floats(-2, 2),
+    turn=st.floats(-3, 3),
+    share=st.floats(0, 1),
+)
+def test_interpolation_follows_the_arc_of_a_constant_twist(start, forward, turn, share):
+    def along(part):
+        angle = part * turn
+        if abs(turn) < 1e-9:
+            return [part * forward, 0.0, angle]
+        radius = forward / turn
+        return [radius * np.sin(angle), radius * (1 - np.cos(angle)), angle]
+
+    ends = [se2.compose(start, along(0.0)), se2.compose(start, along(1.0))]
+    track = PoseTrack(np.array([10, 10 + 2**40]), np.array(ends))
+    stamp = 10 + int(share * 2**40)
+    error = se2.relative(se2.compose(start, along(share)), track.at([stamp])[0])
+    np.testing.assert_allclose(error, 0.0, atol=1e-7)
+
+
+def test_interpolation_wraps_and_knows_its_ends():
+    track = PoseTrack.of([(SECOND, [0.0, 0.0, 3.1]), (0, [0.0, 0.0, 3.0]), (SECOND, [1, 0, -3.1])])
+    assert len(track) == 2
+    found = track.at([-1, 0, SECOND // 2, SECOND, SECOND + 1])
+    assert np.isnan(found[[0, 4]]).all()
+    np.testing.assert_allclose(found[1], [0.0, 0.0, 3.0])
+    np.testing.assert_allclose(found[3], [1.0, 0.0, -3.1])
+    assert abs(found[2, 2]) > 3.0
+    assert np.isnan(PoseTrack.of([]).at([1])).all()
+    np.testing.assert_allclose(PoseTrack.of([(5, np.ones(3))]).at([5, 6])[0], 1.0)
+
+
+# Figures of errors
+
+
+def test_errors_are_absolute_and_the_heading_is_wrapped():
+    errors = pose_errors([[1.0, 2.0, 3.1], [np.nan] * 3], [[0.5, 2.5, -3.1], [0, 0, 0]])
+    np.testing.assert_allclose(errors[0], [0.5, -0.5, 6.2 - 2 * np.pi])
+    assert np.isnan(errors[1]).all()
+
+
+def test_summary_has_the_keys_of_the_contract():
+    errors = np.zeros((101, 3))
+    errors[:, 0] = np.arange(101) * 0.01
+    errors[:, 2] = np.radians(2.0)
+    errors[0] = np.nan
+    summary = error_summary(errors)
+    assert summary['position_median_m'] == pytest.approx(0.505)
+    assert summary['position_max_m'] == pytest.approx(1.0)
+    assert summary['position_p95_m'] == pytest.approx(0.9505)
+    assert summary['position_rmse_m'] == pytest.approx(np.sqrt(np.mean(errors[1:, 0] ** 2)))
+    assert summary['heading_rmse_deg'] == pytest.approx(2.0)
+    assert summary['heading_p95_deg'] == pytest.approx(2.0)
+    assert error_summary(np.full((4, 3), np.nan)) == dict.fromkeys(summary)
+
+
+def test_errors_of_the_claimed_size_are_consistent():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(3, 3)) * 0.1
+    errors = rng.normal(size=(20000, 3)) @ root.T
+    covariances = np.broadcast_to(root @ root.T, (20000, 3, 3))
+    mean, inside = consistency(errors, covariances)
+    assert mean == pytest.approx(3.0, abs=0.08)
+    assert inside == pytest.approx(0.95, abs=0.005)
+    assert crlb_ratio(errors, covariances) == pytest.approx(1.0, abs=0.02)
+    assert consistency(2 * errors, covariances).mean == pytest.approx(12.0, abs=0.4)
+    nothing = np.full((3, 3), np.nan)
+    assert consistency(nothing, covariances[:3]) is None
+    assert crlb_ratio(nothing, covariances[:3]) is None
+
+
+def test_hash_tells_results_apart_but_not_rounding():
+    stamps = np.arange(5, dtype=np.int64)
+    fused = np.random.default_rng(1).integers(-9, 9, (5, 3)) * 0.123456
+    fixes = fused.copy()
+    fixes[2] = np.nan
+    first = result_hash(stamps, fused, fixes)
+    assert first == result_hash(stamps, fused + 1e-9, fixes)
+    assert first != result_hash(stamps, fused + 1e-5, fixes)
+    assert first != result_hash(stamps + 1, fused, fixes)
+    assert first != result_hash(stamps, fused, fused)
+
+
+# The bound
+
+PLACES = np.array([[3.0, 0.0], [0.0, 4.0], [-2.0, -1.0], [2.0, 2.0]])
+
+
+def landmarks(covariance, loading):
+    return LandmarkMap(
+        tuple(
+            Landmark(
+                id=10 * k,
+                position=np.array([x, y, 1.0]),
+                covariance=covariance + loading @ loading.T,
+                shared_loading=loading,
+                normal=np.array([1.0, 0.0, 0.0]),
+                width_m=0.2,
+                height_m=0.2,
+                patch=np.zeros((8, 8), np.uint8),
+                viewpoint=np.array([1.0, 1.0, 1.0]),
+                threshold=0.7,
+            )
+            for k, (x, y) in enumerate(PLACES)
+        )
+    )
+
+
+def silent_odometry():
+    return OdometryNoiseConfig(
+        along_m_per_sqrt_m=0.0,
+        across_m_per_sqrt_m=0.0,
+        turn_rad_per_sqrt_m=0.0,
+        turn_rad_per_sqrt_rad=0.0,
+        floor_m_per_sqrt_s=0.0,
+        floor_rad_per_sqrt_s=0.0,
+        estimate_odometry_bias=False,
+        slip_sigma=0.0,
+    )
+
+
+def sighting(stamp, variance):
+    count = len(PLACES)
+    return Detections(
+        stamp,
+        10 * np.arange(count),
+        np.full(count, 99.0),  # what was measured must not matter
+        np.full(count, variance),
+        np.ones(count),
+        np.zeros((count, 2)),
+    )
+
+
+def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
+    config = LocalizationConfig(fusion=FusionConfig(pan_sigma_rad=0.0), odometry=silent_odometry())
+    pose = np.array([0.3, -0.2, 0.5])
+    truth = PoseTrack.of([(k * SECOND // 10, pose) for k in range(times * 10)])
+    prior = np.diag([0.1**2, 0.2**2, 0.1**2])
+    sightings = [sighting(k * SECOND, 1e-6) for k in range(times)]
+    mount = PanTiltMount(axis_xyz=(lever, 0.0, 1.0))
+    start = PoseEstimate(0, pose + 0.1, prior)
+    return (
+        pose,
+        prior,
+        posterior_bound(truth, sightings, landmarks(covariance, loading), mount, config, start),
+    )
+
+
+@pytest.mark.parametrize('lever', [0.0, 0.25])
+def test_bound_of_a_standing_robot_is_the_inverse_of_its_information(lever):
+    pose, prior, bound = bound_of_standing_robot(1e-14 * np.eye(3), np.zeros((3, 1)), lever)
+    offset = se2.rotation(pose[2]) @ [lever, 0.0]
+    delta = PLACES - pose[:2] - offset
+    square = np.sum(delta**2, axis=1)
+    by_position = np.stack([delta[:, 1], -delta[:, 0]], -1) / square[:, None]
+    by_heading = by_position @ np.array([-offset[1], offset[0]]) - 1.0
+    jacobian = np.column_stack([by_position, by_heading])
+    for k, found in enumerate(bound):
+        information = np.linalg.inv(prior) + (k + 1) * jacobian.T @ jacobian / 1e-6
+        np.testing.assert_allclose(found, np.linalg.inv(information), rtol=1e-3, atol=1e-10)
+
+
+def test_what_all_landmarks_share_bounds_the_pose_for_ever():
+    shift = np.zeros((3, 2))
+    shift[0, 0] = shift[1, 1] = 0.01
+    _, _, bound = bound_of_standing_robot(1e-12 * np.eye(3), shift, times=12)
+    np.testing.assert_allclose(np.diag(bound[-1])[:2], 1e-4, rtol=0.02)
+
+
+def test_bound_is_unknown_without_truth():
+    config = LocalizationConfig()
+    start = PoseEstimate(0, np.zeros(3), np.eye(3))
+    world = landmarks(1e-6 * np.eye(3), np.zeros((3, 1)))
+    for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
+        bound = posterior_bound(
+            truth, [sighting(SECOND, 1e-6)], world, PanTiltMount(), config, start
+        )
+        assert np.isnan(bound).all()

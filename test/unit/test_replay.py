@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.html_report import html_report
+from landmark_nav.evaluation.replay import replay
+from landmark_nav.evaluation.run_report import run_errors, run_report
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.types import (
+    CameraFrame,
+    JointSample,
+    Landmark,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+)
+
+SECOND = 1_000_000_000
+START = 5000 * SECOND
+MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.0))
+CAMERA = CameraModel(160, 120, 150.0, 150.0, 79.5, 59.5)
+CONFIG = LocalizationConfig()
+PRIOR = np.diag([0.05**2, 0.05**2, 0.03**2])
+
+
+def a_map():
+    rng = np.random.default_rng(0)
+    return LandmarkMap(
+        tuple(
+            Landmark(
+                id=k,
+                position=np.array([4.0, 0.5 * k, 1.0]),
+                covariance=1e-6 * np.eye(3),
+                shared_loading=np.full((3, 1), 1e-4),
+                normal=np.array([-1.0, 0.0, 0.0]),
+                width_m=0.2,
+                height_m=0.2,
+                patch=rng.integers(0, 256, (40, 40)).astype(np.uint8),
+                viewpoint=np.array([2.0, 0.5, 1.0]),
+                threshold=0.7,
+            )
+            for k in range(4)
+        )
+    )
+
+
+def drive(seconds=3, truth=True, scale=1.05):
+    """A straight drive past an empty wall; the odometry has its own origin and a wrong scale."""
+    begin = np.array([1.0, 0.5, 0.2])
+    origin = np.array([-3.0, 7.0, 2.0])
+    for k in range(seconds * 20 + 1):
+        stamp = START + k * SECOND // 20
+        way = 0.02 * k
+        yield JointSample(stamp, 0.0)
+        odometry = se2.compose(origin, [scale * way, 0.0, 0.0])
+        yield OdometrySample(stamp, odometry, 0.4 * scale, 0.0)
+        if truth:
+            pose = se2.compose(begin, [way, 0.0, 0.0])
+            yield PoseEstimate(stamp, pose, np.zeros((3, 3)))
+        if k % 4 == 0:
+            yield CameraFrame(stamp, np.full((120, 160), 128, np.uint8), CAMERA, 0.0)
+
+
+def run(events, pose=(1.0, 0.5, 0.2)):
+    return replay(events, a_map(), MOUNT, CONFIG, np.array(pose), PRIOR)
+
+
+def test_without_a_landmark_in_view_odometry_is_all_there_is():
+    done = run(drive())
+    assert len(done.updates) == 16
+    assert len(done.truth) == 61
+    assert np.isnan(done.fixes).all()
+    errors = run_errors(done)
+    expected = 0.05 * 0.02 * 4 * np.arange(16)
+    np.testing.assert_allclose(np.hypot(*errors.odometry[:, :2].T), expected, atol=1e-9)
+    np.testing.assert_allclose(errors.fused, errors.odometry, atol=1e-6)
+    assert done.fused_covariances.shape == (16, 3, 3)
+
+
+def test_the_odometry_alone_starts_where_the_run_starts():
+    done = run(drive(), pose=(2.0, 2.0, -3.0))
+    np.testing.assert_allclose(done.odometry.poses[0], [2.0, 2.0, -3.0])
+    expected = se2.compose([2.0, 2.0, -3.0], [1.26, 0.0, 0.0])
+    np.testing.assert_allclose(done.odometry.poses[-1], expected)
+
+
+def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
+    reports = []
+    for _ in range(2):
+        done = run(drive())
+        reports.append(run_report(done, run_errors(done), a_map(), MOUNT, CONFIG))
+    first, second = reports
+    assert first['result_hash'] == second['result_hash']
+    assert list(first) == [
+        'schema',
+        'frames',
+        'fixes',
+        'availability',
+        'landmarks',
+        'fused',
+        'triangulation',
+        'odometry',
+        'nees',
+        'crlb_ratio',
+        'update_ms',
+        'realtime_factor',
+        'result_hash',
+    ]
+    assert (first['frames'], first['fixes'], first['landmarks']) == (16, 0, 4)
+    assert 0.0 <= first['availability'] <= 1.0
+    assert first['crlb_ratio'] > 0.0
+    assert first['triangulation']['position_rmse_m'] is None
+
+
+def test_without_truth_the_errors_stay_empty(tmp_path):
+    done = run(drive(truth=False))
+    report = run_report(done, run_errors(done), a_map(), MOUNT, CONFIG)
+    assert report['fused']['position_rmse_m'] is None
+    assert report['nees'] == {'mean': None, 'inside_95': None}
+    assert report['crlb_ratio'] is None
+    page = html_report('a <run>', report, {})
+    assert 'a &lt;run&gt;' in page
+    assert '<td>-</td>' in page
+
+
+def test_a_drive_without_pictures_or_odometry_is_refused():
+    for left_out in (CameraFrame, OdometrySample):
+        events = [event for event in drive() if not isinstance(event, left_out)]
+        with pytest.raises(LandmarkNavError, match='no picture or no odometry'):
+            run(events)
+
+
+def test_truth_is_never_told_to_the_localizer():
+    shifted = [
+        replace(event, pose=event.pose + 5.0) if isinstance(event, PoseEstimate) else event
+        for event in drive()
+    ]
+    np.testing.assert_array_equal(run(shifted).fused, run(drive()).fused)
