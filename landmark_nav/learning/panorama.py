@@ -41,7 +41,8 @@ class PanoramaConfig:
 
     blend: str = parameter(
         'median',
-        'mean and median weigh all frames alike, feather favours the centre of each',
+        'mean weighs all frames alike, feather favours the centre of each, median takes the '
+        'middle where three frames or more cover a pixel, else it feathers',
         choices=('mean', 'median', 'feather'),
     )
     crop_px: int = parameter(
@@ -197,7 +198,7 @@ def frame_slab(
     warped = cv2.remap(image, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     inside = (map_u >= left) & (map_u <= right) & (map_v >= top) & (map_v <= bottom)
     inside &= seen > 0.999
-    if config.blend == 'feather':
+    if config.blend != 'mean':
         window = np.cos(np.pi * (map_u - (left + right) / 2.0) / (right - left)) ** 4 + 1e-3
         weight = np.where(inside, window, 0.0).astype(np.float32)
     else:
@@ -218,7 +219,7 @@ def _wrapped(start: int, count: int, width: int) -> list[tuple[slice, slice]]:
 
 
 def _median(slabs: list[FrameSlab], mean: ImageArray, cylinder: Cylinder) -> ImageArray:
-    """Median over the frames of each pixel; where a frame sees nothing, the mean stands in."""
+    """Median over the frames of each pixel; where one sees nothing, their mean stands in."""
     cuts = sorted(
         {c % cylinder.width for s in slabs for c in (s.start, s.start + s.weight.shape[1])}
     )
