@@ -113,8 +113,8 @@ def plan_tour(
         goals = reach[cost[reach] > min(_LEAST_LEG_M, 0.6 * float(cost[reach].max()))]
         if not len(goals):
             raise LandmarkNavError('the robot is shut in: there is nowhere to drive')
-        goal = int(rng.choice(goals))
-        points = grid.way(before, at, goal)
+        ways = [grid.way(before, at, int(goal)) for goal in rng.choice(goals, _GOALS_TRIED)]
+        points = min(ways, key=lambda way: _turn(path, way))
         length += float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         path.extend(points[1:])
         at = grid.nearest(points[-1])
@@ -147,23 +147,22 @@ def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> F
     start, goal = grid.nearest(start_xy), grid.nearest(goal_xy)
     cost, before = grid.ways_from(start)
     if not np.isfinite(cost[goal]):
-        raise LandmarkNavError(f'there is no way from {start_xy} to {goal_xy} for the robot')
+        raise LandmarkNavError(
+            f'there is no way from {_place(start_xy)} to {_place(goal_xy)} for the robot'
+        )
     way = grid.way(before, start, goal)
     return _rounded(np.vstack([np.asarray(start_xy)[None], way, np.asarray(goal_xy)[None]]))
 
 
-def _leg(start: int, goal: int, before: npt.NDArray[np.int32]) -> list[int]:
-    """Places on the shortest way from `start` to `goal`."""
-    leg = [goal]
-    while leg[-1] != start:
-        leg.append(int(before[leg[-1]]))
-    return leg[::-1]
+def _place(xy: npt.ArrayLike) -> str:
+    x, y = np.asarray(xy, dtype=np.float64)
+    return f'({x:.2f}, {y:.2f})'
 
 
-def _turn(path: list[FloatArray], leg: FloatArray) -> float:
-    """Angle by which `leg` (n, 2) turns off the direction in which `path` arrives."""
+def _turn(path: list[FloatArray], way: FloatArray) -> float:
+    """Angle by which `way` (n, 2) turns off the direction in which `path` arrives."""
     arrival = path[-1] - path[max(len(path) - _DIRECTION_CELLS, 0)]
-    departure = leg[min(_DIRECTION_CELLS, len(leg) - 1)] - leg[0]
+    departure = way[min(_DIRECTION_CELLS, len(way) - 1)] - way[0]
     angles = np.arctan2([arrival[1], departure[1]], [arrival[0], departure[0]])
     return abs(float(wrap_rad(angles[1] - angles[0])))
 
