@@ -37,7 +37,8 @@ COLORS: dict[str, Color] = {
     'yellow': (40.0, 200.0, 210.0),
 }
 
-_SUBPIXELS = 6
+# Rays of a pixel at an edge: no two share a column or a row, so that coverage has 48 levels.
+_SUBPIXELS = 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +84,13 @@ class Scene:
                 hit &= np.abs(up) <= board.height_m / 2.0
             if not hit.any():
                 continue
-            rows, columns = board.texture.shape[:2]
-            at_column = (across / board.width_m + 0.5) * columns - 0.5
-            at_row = (0.5 - up / board.height_m) * rows - 0.5
+            # Only the rows and columns that the board reaches are looked up.
+            rows, columns = np.flatnonzero(hit.any(axis=1)), np.flatnonzero(hit.any(axis=0))
+            box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+            hit = hit[box]
+            size = board.texture.shape
+            at_column = (across[box] / board.width_m + 0.5) * size[1] - 0.5
+            at_row = (0.5 - up[box] / board.height_m) * size[0] - 0.5
             texture = cv2.remap(
                 board.texture,
                 np.where(hit, at_column, 0.0).astype(np.float32),
@@ -93,9 +98,9 @@ class Scene:
                 cv2.INTER_CUBIC,
                 borderMode=cv2.BORDER_REPLICATE,
             )
-            seen[hit] = texture[hit]
-            nearest[hit] = reach[hit]
-            number[hit] = k
+            seen[box][hit] = texture[hit]
+            nearest[box][hit] = reach[box][hit]
+            number[box][hit] = k
         return seen, number
 
 
@@ -113,8 +118,8 @@ def draw(
     image, board = scene.look(origin, rays)
     ring = np.ones((3, 3), np.uint8)
     edge = cv2.dilate(board, ring) != cv2.erode(board, ring)
-    part = (np.arange(_SUBPIXELS) + 0.5) / _SUBPIXELS - 0.5
-    offsets = np.stack(np.meshgrid(part, part), -1).reshape(-1, 2)
+    part = (np.arange(_SUBPIXELS) + 0.5) / _SUBPIXELS
+    offsets = np.stack([part, np.mod(0.618034 * np.arange(_SUBPIXELS), 1.0)], -1) - 0.5
     where = np.argwhere(edge)
     for start in range(0, len(where), 20000):
         chunk = where[start : start + 20000]
@@ -174,9 +179,9 @@ def wall_board(wall: Wall, texture: npt.NDArray[np.float32]) -> Board:
 
 
 def paper_board(paper: Paper, room: Room) -> Board:
-    """A coloured paper, a millimetre before its wall."""
+    """A coloured paper, as flat on its wall as can be told apart."""
     normal = room.normals[int(room.nearest_wall(np.array(paper.center[:2])))]
-    center = np.array(paper.center) + 1e-3 * normal
+    center = np.array(paper.center) + 1e-5 * normal
     texture = flat_texture(COLORS[paper.color])
     return Board(center, normal, paper.width, paper.height, texture)
 
