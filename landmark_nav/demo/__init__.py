@@ -1,1 +1,1 @@
-"""What `landmark-nav demo` is made of, without ROS: processes, path, story."""
+"""What `landmark-nav demo` is made of, without ROS: the room, the processes, the story."""

@@ -78,9 +78,11 @@ class SweepCaptureNode(LandmarkNode):
 
     def _capture(self) -> str:
         """Take one sweep; blocks its caller while the other callbacks drive it."""
-        if self._pan_rad is None or self._camera_info is None:
-            raise LandmarkNavError(f'no sweep: {self.health().reason}; start the robot')
         start = time.monotonic()
+        while self._pan_rad is None or self._camera_info is None:
+            if time.monotonic() - start > self._config.capture.step_timeout_s:
+                raise LandmarkNavError(f'no sweep: {self.health().reason}; start the robot')
+            time.sleep(_POLL_S)
         images = ImageSource(
             self, 'camera/image_raw', self._on_image, self._config.image_transport, depth=2
         )

@@ -19,7 +19,6 @@ from std_srvs.srv import Trigger
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
-from landmark_nav.ros.logs import forward_logs
 from landmark_nav.ros.parameters import declare
 from landmark_nav.ros.topics import TOPICS, with_depth
 
@@ -51,7 +50,6 @@ class LandmarkNode(Node):
 
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:
         super().__init__(name, **options)
-        forward_logs(self.get_logger())
         self._warned: set[str] = set()
         self._last_problem = ''
         publish_health(self, subcomponent, self._checked_health)

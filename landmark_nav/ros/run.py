@@ -18,6 +18,7 @@ from rclpy.executors import (
 from rclpy.node import Node
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.ros.logs import forward_logs
 
 __all__ = ['run_node']
 
@@ -44,6 +45,7 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
     rclpy.init(args=sys.argv)
     try:
         node = make_node()
+        forward_logs(node.get_logger())
         executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
         executor.add_node(node)
         executor.spin()

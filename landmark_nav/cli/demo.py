@@ -1,0 +1,131 @@
+"""`landmark-nav demo`: the main job on the real ROS graph, with a simulated robot."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+import shutil
+import signal
+from typing import Any
+
+from landmark_nav.demo.graph import node_commands, node_environment
+from landmark_nav.demo.narrator import Narrator
+from landmark_nav.demo.recorded_run import recorded_run
+from landmark_nav.demo.room import prepare_room
+from landmark_nav.demo.story import tell
+from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.verdict import figures, judge, table
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
+from landmark_nav.evaluation.run_report import run_errors
+from landmark_nav.ros import require_ros
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.setup_files import load_room
+from landmark_nav.types import Panorama
+
+__all__ = ['add_parser', 'run']
+
+_TOUR_M = 14.0
+
+# What a demo leaves; a folder with other things in it is not touched.
+_OWN = (
+    *('room.yaml', 'robot.yaml', 'logs', 'map', 'recording', 'demo.json'),
+    *('map.png', 'panorama_1.png', 'panorama_2.png', 'trajectory.png', 'errors.png'),
+)
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the arguments."""
+    parser = subparsers.add_parser(
+        'demo',
+        help='learn, drive and localize a simulated robot on a ROS graph (ROS)',
+        description='Start the nodes with a simulated robot, let it take two sweeps, learn its '
+        'landmarks by a service call and drive; record, measure and draw that. Exit status 0 '
+        'only if the map and the error are as they should be.',
+    )
+    parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
+    parser.add_argument('--seed', type=int, default=1, metavar='N', help='draws the room (1)')
+    parser.add_argument(
+        '--domain-id',
+        type=int,
+        default=10 + os.getpid() % 90,
+        metavar='N',
+        help='ROS domain of the nodes, to look at them meanwhile (default: one of its own)',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Conduct the demo, then measure what it recorded."""
+    require_ros('landmark-nav demo')
+    if args.seed < 0:
+        raise LandmarkNavError(f'--seed {args.seed}: take 0 or more')
+    if not 0 <= args.domain_id <= 232:
+        raise LandmarkNavError(f'--domain-id {args.domain_id}: take 0 to 232')
+    folder = _emptied(args.out)
+    # A supervisor that is told to end must end its nodes too.
+    signal.signal(signal.SIGTERM, _interrupt)
+    narrator = Narrator()
+    room = prepare_room(folder, args.seed, _TOUR_M)
+    commands = node_commands(room, folder / 'map')
+    environment = node_environment(args.domain_id)
+    os.environ.update(environment)
+    from landmark_nav.ros.robot_client import RobotClient
+
+    with Supervisor(folder / 'logs', environment) as supervisor:
+        for name, command in commands.items():
+            supervisor.start(name, command)
+        with RobotClient(args.domain_id, supervisor.check) as robot:
+            tell(robot, room, commands, folder, narrator)
+            panoramas = robot.panoramas
+    return _report(folder, panoramas, narrator)
+
+
+def _emptied(folder: Path) -> Path:
+    """Take away what an earlier demo left in the folder."""
+    if folder.exists() and not folder.is_dir():
+        raise LandmarkNavError(f'{folder}: is a file: take another name')
+    folder.mkdir(parents=True, exist_ok=True)
+    foreign = sorted(path.name for path in folder.iterdir() if path.name not in _OWN)
+    if foreign:
+        raise LandmarkNavError(
+            f'{folder}: holds {", ".join(foreign[:3])}, not of a demo: take another folder'
+        )
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+    return folder.resolve()
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _report(folder: Path, panoramas: list[Panorama], narrator: Narrator) -> int:
+    """Measure the recording, draw it, and judge."""
+    narrator.title('Measuring the recording against the ground truth')
+    landmarks = load_map(folder / 'map')
+    run = recorded_run(Bag(folder / 'recording'))
+    measured = figures(run, landmarks)
+    draw_map(landmarks, folder / 'map.png', load_room(folder / 'room.yaml').papers)
+    for number, view in enumerate(panoramas, 1):
+        draw_panorama(view, (), (), number, folder / f'panorama_{number}.png')
+    draw_trajectory(run, landmarks, folder / 'trajectory.png')
+    draw_errors(run, run_errors(run), folder / 'errors.png')
+    (folder / 'demo.json').write_text(json.dumps(measured, indent=2) + '\n', encoding='utf-8')
+    for line in table(measured):
+        narrator.say(line)
+    checks = judge(measured)
+    narrator.title('Result')
+    for check in checks:
+        narrator.say(f'{"ok    " if check.passed else "FAILED"}  {check.text}')
+    narrator.say(f'{narrator.seconds:.0f} s; all of it is in {folder}:')
+    narrator.say(
+        'map/ and map.png, recording/ (MCAP), trajectory.png, errors.png, panorama_*.png,'
+    )
+    narrator.say('demo.json, logs/ of the nodes')
+    return 0 if all(check.passed for check in checks) else 1

@@ -1,0 +1,76 @@
+"""The nodes of the demo as processes: their command lines and their environment."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+import sys
+
+import landmark_nav
+from landmark_nav.demo.room import DemoRoom
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['config_folder', 'node_commands', 'node_environment']
+
+
+def node_commands(room: DemoRoom, map_folder: Path) -> dict[str, list[str]]:
+    """Command line of each node of the demo, by its name."""
+    robot, walls = str(room.robot_file), str(room.room_file)
+    # Raw pictures do not fit into the shared memory of common ROS middleware.
+    pictures: dict[str, object] = {'robot_file': robot, 'image_transport': 'compressed'}
+    given: dict[str, dict[str, object]] = {
+        'room_simulator': {'seed': room.seed, 'robot_file': robot},
+        'sweep_capture': pictures,
+        'panorama_synthesizer': {'robot_file': robot, 'room_file': walls},
+        'landmark_learner': {'room_file': walls, 'map_folder': str(map_folder)},
+        'triplet_selector': {'robot_file': robot},
+        'triangulation_localizer': pictures,
+        'odometry_fusion': {'robot_file': robot},
+    }
+    return {name: _command(name, parameters) for name, parameters in given.items()}
+
+
+def node_environment(domain_id: int) -> dict[str, str]:
+    """
+    Whole environment of this process, in a ROS domain of its own on this machine.
+
+    Whole, because the ROS wheels start Python anew with variables of their own. One thread each:
+    seven processes share few cores.
+    """
+    return {
+        **os.environ,
+        'ROS_DOMAIN_ID': str(domain_id),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'OPENBLAS_NUM_THREADS': '1',
+        'OMP_NUM_THREADS': '1',
+    }
+
+
+def config_folder() -> Path:
+    """
+    Where the nodes' parameter files are: in the source tree, or in the installed prefix.
+
+    Raises
+    ------
+    LandmarkNavError
+        Neither has them.
+
+    """
+    source = Path(landmark_nav.__file__).resolve().parents[1]
+    prefixes = [Path(sys.prefix), *map(Path, os.environ.get('AMENT_PREFIX_PATH', '').split(':'))]
+    places = [source / 'config', *(p / 'share' / 'landmark_nav' / 'config' for p in prefixes)]
+    for place in places:
+        if (place / 'odometry_fusion.yaml').is_file():
+            return place
+    raise LandmarkNavError(f'no parameter files in {", ".join(map(str, places))}: install again')
+
+
+def _command(name: str, parameters: dict[str, object]) -> list[str]:
+    # JSON is YAML, which is how ROS reads values: names stay names.
+    settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
+    return [
+        *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
+        *('--params-file', str(config_folder() / f'{name}.yaml')),
+        *(word for setting in settings for word in ('-p', setting)),
+    ]

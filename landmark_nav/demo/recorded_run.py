@@ -1,0 +1,115 @@
+"""A recording of the nodes as a run that can be measured and drawn like an offline one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.replay import Replay
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry import se2
+from landmark_nav.localization.fusion import FusionUpdate
+from landmark_nav.localization.pipeline import LocalizationUpdate, Observation
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag
+from landmark_nav.types import Detections, PoseEstimate, Refusal
+
+__all__ = ['RECORDED_TOPICS', 'recorded_run']
+
+RECORDED_TOPICS = (
+    'camera/image_raw/compressed',
+    'camera/camera_info',
+    'joint_states',
+    'odom',
+    'ground_truth/odom',
+    'detections',
+    'triangulation/pose',
+    'odometry/fused',
+    '/diagnostics',
+)
+
+T = TypeVar('T')
+
+_NOT_RECORDED = Refusal('not recorded')
+# DiagnosticStatus.ERROR, which rosbags reads as a number.
+_ERROR = 2
+
+
+def recorded_run(bag: Bag) -> Replay:
+    """
+    Read what the nodes published, one update a picture.
+
+    The fused pose at a picture is the one that was published around its stamp: before anything
+    of that picture could have gone into it.
+
+    Raises
+    ------
+    LandmarkNavError
+        Topics are missing, or nothing was fused.
+
+    """
+    pictures = _read(bag, 'camera/image_raw/compressed', lambda m: decode.stamp_ns(m.header))
+    fused = {e.stamp_ns: e for e in _read(bag, 'odometry/fused', decode.pose_estimate)}
+    odometry = {e.stamp_ns: e.pose_odom_base for e in _read(bag, 'odom', decode.odometry)}
+    truth = _read(bag, 'ground_truth/odom', decode.pose_estimate)
+    fixes = {e.stamp_ns: e for e in _read(bag, 'triangulation/pose', decode.pose_estimate)}
+    found = {e.stamp_ns: e for e in _read(bag, 'detections', decode.detections)}
+    started = [stamp for stamp in sorted(fused) if stamp in odometry]
+    if not started:
+        raise LandmarkNavError(f"{bag.path}: odometry/fused never came: see the nodes' logs")
+    start = fused[started[0]]
+    fused_track = PoseTrack.of((stamp, estimate.pose) for stamp, estimate in fused.items())
+    stamps = [s for s in pictures if started[0] <= s <= fused_track.stamps_ns[-1]]
+    if not stamps:
+        raise LandmarkNavError(f'{bag.path}: no picture was recorded while driving')
+    lost = _lost_at(bag, np.array(stamps, dtype=np.int64))
+    updates = []
+    for stamp, pose, is_lost in zip(stamps, fused_track.at(stamps), lost, strict=True):
+        nearest = min(fused, key=lambda other: abs(other - stamp))
+        seen = found.get(stamp, _nothing(stamp))
+        updates.append(
+            LocalizationUpdate(
+                stamp,
+                _NOT_RECORDED,
+                Observation(seen, {}, fixes.get(stamp, _NOT_RECORDED)),
+                FusionUpdate(stamp, refusal=None if len(seen) else Refusal('nothing found')),
+                PoseEstimate(stamp, pose, fused[nearest].covariance),
+                'lost' if is_lost else 'tracking',
+                '',
+            )
+        )
+    track = PoseTrack.of(odometry.items())
+    way = se2.relative(odometry[started[0]], track.poses)
+    return Replay(
+        start,
+        tuple(updates),
+        np.zeros(len(updates)),
+        PoseTrack(track.stamps_ns, se2.compose(start.pose, way)),
+        PoseTrack.of((estimate.stamp_ns, estimate.pose) for estimate in truth),
+        bag.duration_s,
+    )
+
+
+def _read(bag: Bag, name: str, decoder: Callable[[Any], T]) -> list[T]:
+    topic = bag.find(name)
+    return [decoder(entry.message) for entry in bag.messages([topic])] if topic else []
+
+
+def _lost_at(bag: Bag, stamps_ns: Any) -> list[bool]:
+    """What the fusion last said of itself at each picture; not lost before its first word."""
+    told: list[tuple[int, bool]] = [(0, False)]
+    for entry in bag.messages(['/diagnostics']):
+        for status in entry.message.status:
+            if status.name.startswith('odometry_fusion:'):
+                stamp = decode.stamp_ns(entry.message.header)
+                told.append((stamp, int(status.level) == _ERROR))
+    last = np.searchsorted([stamp for stamp, _ in told], stamps_ns, side='right') - 1
+    return [told[k][1] for k in last]
+
+
+def _nothing(stamp_ns: int) -> Detections:
+    none = np.empty(0)
+    return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))

@@ -1,0 +1,78 @@
+"""The room of the demo, what its robot is told of it, and the ways that are driven."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.simulation.drive_path import plan_tour, plan_way
+from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.setup_documents import robot_document, room_document
+from landmark_nav.simulation.world import DEFAULT_MOUNT
+from landmark_nav.types import FloatArray
+
+__all__ = ['DemoRoom', 'prepare_room']
+
+
+@dataclass(frozen=True, eq=False)
+class DemoRoom:
+    """
+    A room and what happens in it.
+
+    Parameters
+    ----------
+    seed : int
+        Draws everything.
+    room_file, robot_file : Path
+        What the nodes are told.
+    mount : PanTiltMount
+        The same as `robot_file`.
+    to_second_place, tour : ndarray, shape (n, 2)
+        The way from the first to the second sweep, and that of the drive, in map.
+    size_m : tuple of float
+        Extent of the room.
+
+    """
+
+    seed: int
+    room_file: Path
+    robot_file: Path
+    mount: PanTiltMount
+    to_second_place: FloatArray
+    tour: FloatArray
+    size_m: tuple[float, float]
+
+
+def prepare_room(folder: Path, seed: int, tour_m: float) -> DemoRoom:
+    """
+    Draw a room and write ``room.yaml`` and ``robot.yaml`` into `folder`.
+
+    Raises
+    ------
+    LandmarkNavError
+        A room of this seed has no places for sweeps, or no space to drive.
+
+    """
+    scene = generate_scene(seed)
+    places = choose_sweep_places(scene)
+    if places is None:
+        raise LandmarkNavError(f'the room of seed {seed} has no places for sweeps: take another')
+    first, second = places.poses[:, :2]
+    room_file, robot_file = folder / 'room.yaml', folder / 'robot.yaml'
+    room_file.write_text(room_document(scene.room), encoding='utf-8')
+    robot_file.write_text(robot_document(DEFAULT_MOUNT), encoding='utf-8')
+    extent = np.ptp([wall.start for wall in scene.room.walls], axis=0)
+    return DemoRoom(
+        seed,
+        room_file,
+        robot_file,
+        DEFAULT_MOUNT,
+        plan_way(scene, first, second),
+        plan_tour(scene, second, tour_m, np.random.default_rng([seed, 40])),
+        (float(extent[0]), float(extent[1])),
+    )

@@ -1,0 +1,157 @@
+"""The demo, act by act."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from landmark_nav.demo.narrator import Narrator
+from landmark_nav.demo.recorded_run import RECORDED_TOPICS
+from landmark_nav.demo.room import DemoRoom
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.localization.triangulation_model import base_from_axis
+from landmark_nav.simulation.drive_path import PathFollower
+from landmark_nav.types import FloatArray, OdometrySample, Panorama, PoseEstimate
+
+__all__ = ['Robot', 'tell']
+
+_SPEED_M_S = 0.3
+_CONTROL_NS = 50_000_000
+
+
+class Robot(Protocol):
+    """What the story needs of the robot and its nodes (`landmark_nav.ros.robot_client`)."""
+
+    status: dict[str, tuple[bool, str]]
+    odometry: OdometrySample | None
+    fused: PoseEstimate | None
+    panoramas: list[Panorama]
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+        """Let time pass until something holds."""
+
+    def call(self, service: str, timeout_s: float, meanwhile: Callable[[], None] = ...) -> str:
+        """Call a service and return what it says."""
+
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """Set the speeds."""
+
+    def start_at(self, estimate: PoseEstimate) -> None:
+        """Tell the fusion where the robot is."""
+
+    def recording(self, path: Path, topics: Sequence[str]) -> AbstractContextManager[None]:
+        """Record topics while in the block."""
+
+
+def tell(
+    robot: Robot, room: DemoRoom, nodes: Collection[str], folder: Path, narrator: Narrator
+) -> None:
+    """
+    Conduct the robot from knowing nothing to a recorded drive.
+
+    Leaves ``map`` and ``recording`` in `folder`.
+
+    Raises
+    ------
+    LandmarkNavError
+        Something does not work out; says what.
+
+    """
+    narrator.title(f'Starting {len(nodes)} nodes')
+    robot.wait(lambda: set(nodes) <= robot.status.keys(), 60.0, _missing(robot, nodes))
+    robot.wait(lambda: robot.odometry is not None, 20.0, 'odom of the simulated robot')
+    length, width = room.size_m
+    narrator.say(f'a robot that knows nothing, in a room of {length:.1f} m x {width:.1f} m')
+
+    first = _sweep(robot, room, narrator, 'first')
+    narrator.title('Driving to the second place, by odometry alone')
+    anchor = se2.compose(first.pose, se2.inverse(_odometry(robot)))
+    _follow(robot, room.to_second_place, lambda: se2.compose(anchor, _odometry(robot)), narrator)
+    second = _sweep(robot, room, narrator, 'second')
+
+    narrator.title('Learning landmarks from the two panoramas: service learn_landmarks')
+    narrator.say(robot.call('learn_landmarks', 120.0))
+    narrator.say(robot.call('save_map', 20.0))
+
+    way_m = float(np.linalg.norm(np.diff(room.tour, axis=0), axis=1).sum())
+    narrator.title(f'Driving {way_m:.0f} m, steered by the fused pose')
+    with robot.recording(folder / 'recording', RECORDED_TOPICS):
+        robot.start_at(second)
+        robot.wait(lambda: robot.fused is not None, 10.0, 'odometry/fused')
+        _follow(robot, room.tour, lambda: _fused(robot), narrator)
+
+
+def _missing(robot: Robot, nodes: Collection[str]) -> str:
+    return f'the first word of {", ".join(sorted(set(nodes) - robot.status.keys()))}'
+
+
+def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
+    """Take a sweep and wait for its panorama; where the base stands by it."""
+    narrator.title(f'Taking the {which} sweep: service capture_sweep')
+    before = len(robot.panoramas)
+    said = robot.call(
+        'capture_sweep', 240.0, lambda: narrator.status(robot.status['sweep_capture'][1])
+    )
+    narrator.say(said)
+
+    def made() -> bool:
+        lost, reason = robot.status['panorama_synthesizer']
+        if lost:
+            raise LandmarkNavError(f'panorama_synthesizer: {reason}')
+        narrator.status(reason)
+        return len(robot.panoramas) > before
+
+    robot.wait(made, 90.0, 'the panorama')
+    view = robot.panoramas[-1]
+    plane = np.ix_([0, 1, 3], [0, 1, 3])
+    axis = np.array([*view.center_map[:2], view.heading_rad])
+    place = base_from_axis(PoseEstimate(view.stamp_ns, axis, view.covariance[plane]), room.mount)
+    x, y, heading = place.pose
+    sigma_mm = 1e3 * float(np.sqrt(np.trace(place.covariance[:2, :2])))
+    narrator.say(
+        f'the papers say: base at ({x:.3f}, {y:.3f}) m, {np.degrees(heading):.2f} deg '
+        f'(sigma {sigma_mm:.0f} mm)'
+    )
+    return place
+
+
+def _follow(
+    robot: Robot, path: FloatArray, pose: Callable[[], FloatArray], narrator: Narrator
+) -> None:
+    """Drive along a path with feedback of `pose`, until its end."""
+    follower = PathFollower(path, _SPEED_M_S)
+    told_ns = 0
+
+    def arrived() -> bool:
+        nonlocal told_ns
+        now = pose()
+        stamp = robot.odometry.stamp_ns if robot.odometry is not None else 0
+        if stamp - told_ns >= _CONTROL_NS:
+            told_ns = stamp
+            robot.drive(*follower.command(now))
+        x, y, heading = now
+        narrator.status(f'at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg')
+        return follower.finished
+
+    way_m = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    try:
+        robot.wait(arrived, 30.0 + 4.0 * way_m / _SPEED_M_S, 'the end of the way')
+    finally:
+        robot.drive(0.0, 0.0)
+    x, y, _ = pose()
+    narrator.say(f'arrived after {way_m:.1f} m, at ({x:.2f}, {y:.2f}) m by its own account')
+
+
+def _odometry(robot: Robot) -> FloatArray:
+    assert robot.odometry is not None
+    return robot.odometry.pose_odom_base
+
+
+def _fused(robot: Robot) -> FloatArray:
+    assert robot.fused is not None
+    return robot.fused.pose

@@ -1,0 +1,89 @@
+"""Whether the demo went as it should."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.evaluation.metrics import error_summary
+from landmark_nav.evaluation.replay import Replay
+from landmark_nav.evaluation.run_report import run_errors
+from landmark_nav.types import LandmarkMap
+
+__all__ = ['Check', 'figures', 'judge', 'table']
+
+_MIN_LANDMARKS = 20
+_MIN_WALLS = 3
+_MAX_RMSE_M = 0.03
+_MAX_RMSE_DEG = 0.4
+_MIN_AVAILABILITY = 0.95
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was asked for, what was measured, and whether that is enough."""
+
+    passed: bool
+    text: str
+
+
+def figures(run: Replay, landmarks: LandmarkMap) -> dict[str, Any]:
+    """Figures of the drive, by the keys of ``landmark-nav evaluate --json``."""
+    errors = run_errors(run)
+    return {
+        'frames': len(run.updates),
+        'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
+        'availability': float(np.mean(~run.lost)),
+        'landmarks': len(landmarks.landmarks),
+        'walls': len({landmark.wall_id for landmark in landmarks.landmarks}),
+        'fused': error_summary(errors.fused),
+        'triangulation': error_summary(errors.triangulation),
+        'odometry': error_summary(errors.odometry),
+    }
+
+
+def judge(measured: dict[str, Any]) -> list[Check]:
+    """Hold the figures against what the demo must reach."""
+    fused, odometry = measured['fused'], measured['odometry']
+    meters, degrees = fused['position_rmse_m'], fused['heading_rmse_deg']
+    alone = odometry['position_rmse_m']
+    if meters is None or alone is None:
+        return [Check(False, 'no fused pose that could be compared with the truth')]
+    landmarks, walls = measured['landmarks'], measured['walls']
+    available = measured['availability']
+    return [
+        Check(
+            landmarks >= _MIN_LANDMARKS and walls >= _MIN_WALLS,
+            f'{landmarks} landmarks on {walls} walls (at least {_MIN_LANDMARKS} on {_MIN_WALLS})',
+        ),
+        Check(
+            meters <= _MAX_RMSE_M and degrees <= _MAX_RMSE_DEG,
+            f'fused RMSE {100 * meters:.2f} cm and {degrees:.2f} deg '
+            f'(at most {100 * _MAX_RMSE_M:g} cm and {_MAX_RMSE_DEG:g} deg)',
+        ),
+        Check(
+            available >= _MIN_AVAILABILITY,
+            f'availability {available:.3f} (at least {_MIN_AVAILABILITY:g})',
+        ),
+        Check(
+            meters < alone,
+            f'better than odometry alone, which is off by {100 * alone:.1f} cm',
+        ),
+    ]
+
+
+def table(measured: dict[str, Any]) -> list[str]:
+    """Lines of a short table of errors."""
+    lines = [f'{"error against the truth":<24}{"RMSE":>9}{"largest":>11}{"heading RMSE":>16}']
+    for name in ('odometry', 'triangulation', 'fused'):
+        row = measured[name]
+        if row['position_rmse_m'] is None:
+            lines.append(f'{name:<24}{"none":>9}')
+            continue
+        lines.append(
+            f'{name:<24}{100 * row["position_rmse_m"]:6.2f} cm'
+            f'{100 * row["position_max_m"]:8.1f} cm{row["heading_rmse_deg"]:12.2f} deg'
+        )
+    return lines

@@ -1,0 +1,188 @@
+"""What a program that conducts the nodes needs of ROS: call, listen, drive, record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+import time
+from types import TracebackType
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import Trigger
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.messages import decode, encode
+from landmark_nav.ros.factory import message_class, ros_factory
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.same_stamp import listen_together
+from landmark_nav.ros.topics import TOPICS, with_depth
+from landmark_nav.storage.bags import BagWriter
+from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
+
+__all__ = ['RobotClient']
+
+_POLL_S = 0.02
+_RECORDED_DEPTH = 200
+
+
+class _ClientNode(LandmarkNode):
+    def health(self) -> Health:
+        """Always well: it would be gone otherwise."""
+        return Health(Level.OK, 'conducting')
+
+
+class RobotClient:
+    """
+    Context manager over a node; nothing runs in the background, `wait` lets messages in.
+
+    Parameters
+    ----------
+    domain_id : int
+        ROS domain of the nodes.
+    watch : callable
+        Called all the time while waiting; raises to end that.
+
+    Attributes
+    ----------
+    status : dict
+        Node -> whether it is lost, and what it says of itself.
+    odometry : OdometrySample or None
+        The last one.
+    fused : PoseEstimate or None
+        The last one.
+    panoramas : list of Panorama
+        As they came.
+
+    """
+
+    def __init__(self, domain_id: int, watch: Callable[[], None]) -> None:
+        self._watch = watch
+        self._context = Context()
+        # Signals stay with the caller, who has processes to end.
+        self._context.init(domain_id=domain_id)
+        self._node = _ClientNode('conductor', 'script', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self.status: dict[str, tuple[bool, str]] = {}
+        self.odometry: OdometrySample | None = None
+        self.fused: PoseEstimate | None = None
+        self.panoramas: list[Panorama] = []
+        self._velocity = self._node.advertise('cmd_vel')
+        self._initial_pose = self._node.advertise('initialpose')
+        self._node.listen('/diagnostics', self._on_diagnostics)
+        self._node.listen('odom', self._on_odometry)
+        self._node.listen('odometry/fused', self._on_fused)
+        panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
+        listen_together(self._node, panorama, self._on_panorama)
+
+    def __enter__(self) -> RobotClient:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+        """
+        Let messages in until `condition` holds; `LandmarkNavError` if it takes too long.
+
+        `what` completes "waited 10 s in vain for".
+        """
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                raise LandmarkNavError(f'waited {timeout_s:g} s in vain for {what}')
+            self._executor.spin_once(timeout_sec=_POLL_S)
+            self._watch()
+
+    def call(
+        self, service: str, timeout_s: float, meanwhile: Callable[[], None] = lambda: None
+    ) -> str:
+        """
+        Call a Trigger service and return what it says.
+
+        `meanwhile` is called while waiting for the answer.
+
+        Raises
+        ------
+        LandmarkNavError
+            It is not there, does not answer in time, or refuses; then with its reason.
+
+        """
+        client: Any = self._node.create_client(Trigger, service)
+        self.wait(client.service_is_ready, timeout_s, f'the service {service}')
+        future = client.call_async(Trigger.Request())
+
+        def answered() -> bool:
+            meanwhile()
+            return bool(future.done())
+
+        self.wait(answered, timeout_s, f'an answer of {service}')
+        self._node.destroy_client(client)
+        response = future.result()
+        assert response is not None
+        if not response.success:
+            raise LandmarkNavError(f'{service} refused: {response.message}')
+        return str(response.message)
+
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """Publish ``cmd_vel``."""
+        message = ros_factory('geometry_msgs/msg/Twist')
+        message.linear.x, message.angular.z = float(linear_m_s), float(angular_rad_s)
+        self._velocity.publish(message)
+
+    def start_at(self, estimate: PoseEstimate) -> None:
+        """Publish ``initialpose``."""
+        self._initial_pose.publish(encode.pose(ros_factory, estimate))
+
+    @contextmanager
+    def recording(self, path: Path, topics: Sequence[str]) -> Iterator[None]:
+        """Record public topics, as serialised, while in the block."""
+        with BagWriter(path) as bag:
+
+            def writer(topic: str) -> Callable[[Any], None]:
+                kind = TOPICS[topic].type_name
+                return lambda data: bag.write_serialized(topic, kind, data, time.time_ns())
+
+            subscriptions = [
+                self._node.create_subscription(
+                    message_class(TOPICS[topic].type_name),
+                    topic,
+                    writer(topic),
+                    with_depth(TOPICS[topic].qos, _RECORDED_DEPTH),
+                    raw=True,
+                )
+                for topic in topics
+            ]
+            try:
+                yield
+            finally:
+                for subscription in subscriptions:
+                    self._node.destroy_subscription(subscription)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            name = status.name.partition(':')[0]
+            self.status[name] = (status.level == DiagnosticStatus.ERROR, status.message)
+
+    def _on_odometry(self, message: Any) -> None:
+        self.odometry = decode.odometry(message)
+
+    def _on_fused(self, message: Any) -> None:
+        self.fused = decode.pose_estimate(message)
+
+    def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
+        self.panoramas.append(decode.panorama(image, info, pose))
