@@ -6,8 +6,8 @@ The same dataclass configures a stage offline and is declared as ROS parameters 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
+import dataclasses
 from typing import Any, TypeVar
 
 import numpy as np

@@ -56,7 +56,7 @@ def _panorama(world: World) -> Comparison:
 
 
 def _attention(world: World) -> Comparison:
-    panorama, grey = world.panoramas[0], world.greys[0]
+    panorama, grey = world.panoramas[0], world.greys[0].astype(np.uint8)
     return Comparison(
         'attention in a panorama',
         lambda: select_candidates(panorama, AttentionConfig()),

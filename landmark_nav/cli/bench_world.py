@@ -29,7 +29,6 @@ from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
-    ImageArray,
     Panorama,
     PoseEstimate,
     Sweep,
@@ -87,10 +86,10 @@ class World:
         return tuple(panorama_from_sweep(s, room, MOUNT, PanoramaStages()) for s in self.sweeps)
 
     @cached_property
-    def greys(self) -> list[ImageArray]:
+    def greys(self) -> list[npt.NDArray[np.float32]]:
         """The panoramas in grey."""
         images = [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY) for p in self.panoramas]
-        return [np.asarray(image, dtype=np.uint8) for image in images]
+        return [image.astype(np.float32) for image in images]
 
     @cached_property
     def learned(self) -> LearningResult:
