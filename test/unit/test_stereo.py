@@ -1,0 +1,281 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.patches import patch_points
+from landmark_nav.learning.stereo import (
+    hypothesize,
+    match_in,
+    own_sighting,
+    Sighting,
+    StereoConfig,
+    wall_texture,
+    WallPatch,
+)
+from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
+
+ROOM = rectangle_room(6.0, 5.0)
+CONFIG = StereoConfig()
+CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.6, 2.9, 1.1]))
+HEADINGS = (0.4, -2.0)
+EAST = 1
+
+
+def views_of(scene: Scene, seed: int | None = 0) -> list[Panorama]:
+    rng = None if seed is None else np.random.default_rng(seed)
+    return [
+        draw_panorama(scene, center, heading, rng=rng)
+        for center, heading in zip(CENTERS, HEADINGS, strict=True)
+    ]
+
+
+@pytest.fixture(scope='module')
+def scene() -> Scene:
+    return textured_room(ROOM, seed=2, feature_m=0.05)
+
+
+@pytest.fixture(scope='module')
+def panoramas(scene: Scene) -> list[Panorama]:
+    return views_of(scene)
+
+
+def greys_of(panoramas: list[Panorama]) -> list[ImageArray]:
+    return [np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), np.uint8) for p in panoramas]
+
+
+def candidate_at(panorama: Panorama, point: FloatArray, size: int = 32) -> Candidate:
+    """Candidate at the pixel nearest to where a panorama shows a point."""
+    turned = (point - panorama.center_map)[:2] @ se2.rotation(panorama.heading_rad)
+    column, row = panorama.cylinder.project([*turned, point[2] - panorama.center_map[2]])
+    return Candidate(float(np.rint(column)), float(np.rint(row)), size, size, 1.0)
+
+
+def patch_at(panorama: Panorama, point: FloatArray, size: int = 32) -> WallPatch | Refusal:
+    return hypothesize(candidate_at(panorama, point, size), 0, panorama, ROOM, CONFIG)
+
+
+def match_at(
+    panoramas: list[Panorama], point: FloatArray, config: StereoConfig = CONFIG
+) -> tuple[WallPatch, Sighting | Refusal]:
+    patch = patch_at(panoramas[0], point)
+    assert isinstance(patch, WallPatch)
+    return patch, match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, config)
+
+
+def direction_to(panorama: Panorama, point: FloatArray) -> FloatArray:
+    """Azimuth in the base frame, and tangent, of a point."""
+    d = point - panorama.center_map
+    return np.array([np.arctan2(d[1], d[0]) - panorama.heading_rad, d[2] / np.hypot(d[0], d[1])])
+
+
+@pytest.mark.parametrize(
+    ('point', 'wall'),
+    [
+        ((6.0, 2.5, 1.2), 1),
+        ((3.0, 5.0, 1.0), 2),
+        ((0.0, 1.5, 0.9), 3),
+        ((2.5, 0.0, 1.3), 0),
+    ],
+)
+def test_a_candidate_lies_where_its_ray_meets_the_wall(
+    panoramas: list[Panorama], point: tuple[float, ...], wall: int
+) -> None:
+    patch = patch_at(panoramas[0], np.array(point))
+    assert isinstance(patch, WallPatch)
+    assert patch.wall == wall
+    np.testing.assert_allclose(patch.normal, ROOM.normals[wall])
+    # Within half a pixel, which is 1 to 2 cm here.
+    np.testing.assert_allclose(patch.position, point, atol=0.02)
+    seen = own_sighting(patch, panoramas[0])
+    expected = direction_to(panoramas[0], patch.position)
+    expected[0] += 2.0 * np.pi * np.round((seen.azimuth_rad - expected[0]) / (2.0 * np.pi))
+    np.testing.assert_allclose([seen.azimuth_rad, seen.tangent], expected, atol=1e-9)
+
+
+def test_a_slanted_patch_is_wide_on_the_wall(panoramas: list[Panorama]) -> None:
+    ahead = patch_at(panoramas[0], np.array([6.0, 2.0, 1.1]))
+    aside = patch_at(panoramas[0], np.array([5.2, 0.0, 1.1]))
+    assert isinstance(ahead, WallPatch)
+    assert isinstance(aside, WallPatch)
+    assert ahead.shape == (32, 32)
+    slant = np.hypot(3.0, 2.0) / 2.0
+    assert aside.shape[1] == pytest.approx(32 * slant, abs=1.5)
+
+
+@pytest.mark.parametrize(
+    ('point', 'reason'),
+    [
+        ((6.0, 2.5, 0.0), 'floor or ceiling'),
+        ((6.0, 2.5, 2.49), 'floor or ceiling'),
+        ((6.0, 0.1, 1.1), 'across the corner'),
+    ],
+)
+def test_what_is_no_patch_of_wall_is_refused(
+    panoramas: list[Panorama], point: tuple[float, ...], reason: str
+) -> None:
+    found = patch_at(panoramas[0], np.array(point))
+    assert isinstance(found, Refusal)
+    assert reason in found.reason
+
+
+def test_a_wall_seen_along_is_refused() -> None:
+    long = rectangle_room(12.0, 3.0)
+    panorama = replace(
+        draw_panorama(Scene(()), np.array([1.0, 1.0, 1.1]), 0.0), center_map=CENTERS[0] * 0.5
+    )
+    candidate = candidate_at(panorama, np.array([9.0, 0.0, 1.1]))
+    found = hypothesize(candidate, 0, panorama, long, CONFIG)
+    assert isinstance(found, Refusal)
+    assert found.reason == 'too oblique'
+
+
+def test_a_wall_looks_the_same_from_both_places(panoramas: list[Panorama], scene: Scene) -> None:
+    point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
+    first, second = (
+        wall_texture(panorama, grey, point, normal, (40, 60), 0.014)
+        for panorama, grey in zip(panoramas, greys_of(panoramas), strict=True)
+    )
+    points = patch_points(point, normal, (40, 60), 0.014)
+    truth, _ = scene.look(points + 0.1 * normal, np.broadcast_to(-normal, points.shape))
+    for texture in (first, second):
+        assert texture is not None
+        assert np.abs(texture - truth[..., 0]).mean() < 4.0
+
+
+def test_a_patch_out_of_the_picture_has_no_texture(panoramas: list[Panorama]) -> None:
+    grey = greys_of(panoramas)[0]
+    high = np.array([6.0, 2.0, 2.6])
+    assert wall_texture(panoramas[0], grey, high, ROOM.normals[EAST], (40, 40), 0.014) is None
+    blind = replace(panoramas[0], mask=np.zeros_like(panoramas[0].mask))
+    point = np.array([6.0, 2.4, 1.15])
+    assert wall_texture(blind, grey, point, ROOM.normals[EAST], (40, 40), 0.014) is None
+
+
+def points_on_walls(count: int = 24) -> FloatArray:
+    rng = np.random.default_rng(5)
+    return np.array(
+        [
+            ((6.0, rng.uniform(0.8, 4.2)), (rng.uniform(1.5, 5.0), 5.0))[k % 2]
+            + (rng.uniform(0.8, 1.4),)
+            for k in range(count)
+        ]
+    )
+
+
+def sightings_and_errors(
+    panoramas: list[Panorama], moved: Panorama | None = None
+) -> tuple[list[Sighting], FloatArray]:
+    """Sightings in the second view, believed to be where `moved` is, and their errors (n, 2)."""
+    found, errors = [], []
+    for point in points_on_walls():
+        patch, seen = match_at([panoramas[0], moved or panoramas[1]], point)
+        if isinstance(seen, Sighting):
+            truth = direction_to(panoramas[1], patch.position)
+            error = np.array([seen.azimuth_rad, seen.tangent]) - truth
+            error[0] = np.angle(np.exp(1j * error[0]))
+            found.append(seen)
+            errors.append(error)
+    return found, np.array(errors)
+
+
+def test_patches_are_found_again_from_the_other_place(panoramas: list[Panorama]) -> None:
+    found, errors = sightings_and_errors(panoramas)
+    assert len(found) > 15
+    assert {s.panorama for s in found} == {1}
+    assert min(s.score for s in found) > CONFIG.min_score
+    # A pixel is 4 mrad: a tenth of it, and as far as the covariance says.
+    assert np.abs(errors).max() < 8e-4
+    sigma = np.array([(s.sigma_azimuth_rad, s.sigma_tangent) for s in found])
+    assert np.mean((errors / sigma) ** 2) < 3.0
+
+
+def test_a_pose_that_is_a_little_wrong_changes_nothing(panoramas: list[Panorama]) -> None:
+    moved = replace(
+        panoramas[1],
+        center_map=CENTERS[1] + np.array([0.015, -0.01, 0.005]),
+        heading_rad=HEADINGS[1] + 0.004,
+    )
+    found, errors = sightings_and_errors(panoramas, moved)
+    assert len(found) > 15
+    # What is measured is the direction in the picture, which knows nothing of the pose.
+    assert np.abs(errors).max() < 1e-3
+
+
+def hanging(scene: Scene, before_wall_m: float, size_m: float = 0.7) -> tuple[Scene, FloatArray]:
+    """Scene with a textured board before the east wall, and the board's centre."""
+    center = np.array([6.0 - before_wall_m, 2.6, 1.15])
+    rng = np.random.default_rng(9)
+    board = Board(
+        center, ROOM.normals[EAST], size_m, size_m, smooth_texture(rng, size_m, size_m, 0.05)
+    )
+    return replace(scene, boards=(*scene.boards, board)), center
+
+
+@pytest.mark.parametrize('before_wall_m', [0.05, 0.4])
+def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(
+    scene: Scene, before_wall_m: float
+) -> None:
+    changed, center = hanging(scene, before_wall_m)
+    panoramas = views_of(changed)
+    patch, seen = match_at(panoramas, center)
+    assert isinstance(seen, Sighting)
+    # Where the two rays meet, in plan, is the board, not the wall.
+    own = own_sighting(patch, panoramas[0])
+    azimuth = np.array([own.azimuth_rad + HEADINGS[0], seen.azimuth_rad + HEADINGS[1]])
+    rays = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    reach = np.linalg.solve(np.stack([rays[0], -rays[1]], -1), CENTERS[1][:2] - CENTERS[0][:2])
+    met = CENTERS[0][:2] + reach[0] * rays[0]
+    assert met[0] == pytest.approx(center[0], abs=0.015)
+
+
+def test_what_only_one_place_sees_is_refused(scene: Scene) -> None:
+    changed, center = hanging(scene, 0.8)
+    panoramas = [views_of(changed)[0], views_of(scene)[1]]
+    _, seen = match_at(panoramas, center)
+    assert isinstance(seen, Refusal)
+    assert seen.reason in (
+        'low correlation',
+        'ambiguous',
+        'peak at the border of the search window',
+    )
+
+
+def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:
+    beside = replace(panoramas[1], center_map=CENTERS[0] + [0.05, 0.0, 0.0])
+    _, seen = match_at([panoramas[0], beside], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'too little parallax'
+
+
+def test_a_wall_between_hides(panoramas: list[Panorama]) -> None:
+    patch = patch_at(panoramas[0], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(patch, WallPatch)
+    outside = replace(panoramas[1], center_map=np.array([2.0, -1.0, 1.1]))
+    seen = match_in(patch, 1, [panoramas[0], outside], greys_of(panoramas), ROOM, CONFIG)
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'hidden from the other place'
+
+
+def test_a_wall_seen_along_from_the_other_place_is_refused(panoramas: list[Panorama]) -> None:
+    patch = patch_at(panoramas[0], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(patch, WallPatch)
+    along = replace(panoramas[1], center_map=np.array([5.8, 4.5, 1.1]))
+    seen = match_in(patch, 1, [panoramas[0], along], greys_of(panoramas), ROOM, CONFIG)
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'too oblique from the other place'
+
+
+def test_a_patch_that_the_other_panorama_does_not_cover_is_refused(
+    panoramas: list[Panorama],
+) -> None:
+    mask: npt.NDArray[np.bool_] = np.zeros_like(panoramas[1].mask)
+    _, seen = match_at([panoramas[0], replace(panoramas[1], mask=mask)], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(seen, Refusal)
+    assert 'not covered' in seen.reason
