@@ -84,7 +84,8 @@ class Renderer:
         visible = sorted({int(g) for g in group[seen] if g >= 0})
         painter = self._order.extended([p.footprint for p in people]) if people else self._order
         rank = np.full(len(solids) + 1, -1)
-        rank[painter.back_to_front(center[:2], visible)] = np.arange(len(visible))
+        heading = float(np.arctan2(rotation[1, 2], rotation[0, 2]))
+        rank[painter.back_to_front(center[:2], heading, visible)] = np.arange(len(visible))
         order = seen[np.lexsort((seen, rank[group[seen]]))]
         return self._paint(
             [surfaces[k] for k in order], forms[order], _overlaps([surfaces[k] for k in order])

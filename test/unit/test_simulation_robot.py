@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.simulation.camera_effects import CameraEffects, CameraEffectsConfig
+from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
+from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
+from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
+from landmark_nav.simulation.room_generator import generate_scene
+
+DT = 1.0 / 60.0
+CAMERA = CameraModel(128, 96, 100.0, 100.0, 63.5, 47.5)
+EXACT = DriveConfig(scale_sigma=0.0, track_sigma=0.0, slip_sigma_m=0.0, encoder_step_m=0.0)
+
+
+def run_unit(unit: PanTiltUnit, seconds: float) -> np.ndarray:
+    angles = []
+    for _ in range(round(seconds / DT)):
+        unit.step(DT)
+        angles.append(unit.angles_rad)
+    return np.array(angles)
+
+
+class TestPanTiltUnit:
+    def test_arrives_and_settles_after_some_swinging(self):
+        unit = PanTiltUnit(PanTiltConfig())
+        unit.command(1.5, -0.2)
+        angles = run_unit(unit, 3.0)
+        assert unit.settled
+        assert angles[-1] == pytest.approx([1.5, -0.2], abs=1e-3)
+        # The head swings past its goal, by little.
+        assert 1.501 < angles[:, 0].max() < 1.6
+
+    def test_keeps_its_limits(self):
+        config = PanTiltConfig(max_rate_rad_s=0.8, max_acceleration_rad_s2=2.0)
+        unit = PanTiltUnit(config)
+        unit.command(9.0, 9.0)
+        angles = run_unit(unit, 8.0)
+        rate = np.gradient(angles[:, 0], DT)
+        assert angles[-1] == pytest.approx([config.pan_limit_rad, config.tilt_limit_rad], abs=1e-3)
+        assert rate.max() < 1.15 * config.max_rate_rad_s
+        # From rest to full rate takes rate / acceleration.
+        assert rate[: int(0.2 / DT)].max() < 0.75 * config.max_rate_rad_s
+
+    def test_measures_in_steps(self):
+        unit = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.01))
+        unit.jump(0.5037)
+        assert unit.measured_rad[0] == pytest.approx(0.50)
+        assert unit.angles_rad[0] == pytest.approx(0.5037)
+        assert unit.settled
+
+    def test_refuses_nonsense(self):
+        with pytest.raises(LandmarkNavError, match='max_rate_rad_s'):
+            PanTiltConfig(max_rate_rad_s=-1.0)
+
+
+def drive(config: DriveConfig, seed: int = 0, free=lambda xy: True) -> DifferentialDrive:
+    return DifferentialDrive(config, (1.0, 2.0, 0.5), free, np.random.default_rng(seed))
+
+
+class TestDifferentialDrive:
+    def test_odometry_without_errors_is_the_truth(self):
+        base = drive(EXACT)
+        start = base.pose_map_base
+        for k in range(600):
+            base.command(0.5 * np.sin(0.02 * k), np.cos(0.013 * k))
+            base.step(DT)
+        believed = compose(start, base.pose_odom_base)
+        assert believed[:2] == pytest.approx(base.pose_map_base[:2], abs=1e-9)
+        assert wrap_rad(believed[2] - base.pose_map_base[2]) == pytest.approx(0.0, abs=1e-9)
+        assert base.measured_twist == pytest.approx(base.twist, abs=1e-9)
+
+    def test_goes_in_circles(self):
+        base = drive(EXACT)
+        base.command(0.5, 1.0)
+        places = []
+        for _ in range(900):
+            base.step(DT)
+            places.append(base.pose_map_base[:2])
+        late = np.array(places[120:])
+        middle = 0.5 * (late.min(axis=0) + late.max(axis=0))
+        assert np.linalg.norm(late - middle, axis=1) == pytest.approx(0.5, abs=2e-3)
+
+    def test_errors_have_the_size_that_was_asked_for(self):
+        # Wheels of one size and no slip: over 4 m straight on, the scale error alone remains.
+        config = DriveConfig(scale_sigma=0.01, track_sigma=0.0, slip_sigma_m=0.0)
+        ways = []
+        for seed in range(300):
+            base = drive(config, seed)
+            base.command(0.8, 0.0)
+            for _ in range(25):
+                base.step(0.2)
+            x, y, turn = base.pose_odom_base
+            chord = np.hypot(x, y) / np.sinc(0.5 * turn / np.pi)
+            ways.append(chord / np.linalg.norm(base.pose_map_base[:2] - [1.0, 2.0]) - 1.0)
+        assert np.std(ways) == pytest.approx(0.01 / np.sqrt(2.0), rel=0.15)
+
+    def test_slip_grows_with_the_root_of_the_way(self):
+        config = DriveConfig(
+            scale_sigma=0.0, track_sigma=0.0, slip_sigma_m=0.01, encoder_step_m=0.0
+        )
+        turns = {1: [], 4: []}
+        for seed in range(150):
+            base = drive(config, seed)
+            base.command(0.8, 0.0)
+            while base.pose_odom_base[0] < 4.0:
+                base.step(0.1)
+                if len(turns[1]) <= seed and base.pose_odom_base[0] >= 1.0:
+                    turns[1].append(base.pose_odom_base[2])
+            turns[4].append(base.pose_odom_base[2])
+        expected = 0.01 * np.sqrt(2.0) / config.track_m
+        assert np.std(turns[1]) == pytest.approx(expected, rel=0.25)
+        assert np.std(turns[4]) == pytest.approx(2.0 * expected, rel=0.25)
+
+    def test_stops_before_obstacles_but_can_turn_there(self):
+        base = drive(EXACT, free=lambda xy: xy[0] < 1.5)
+        base.command(0.5, 0.0)
+        for _ in range(300):
+            base.step(DT)
+        assert 1.4 < base.pose_map_base[0] < 1.5
+        base.command(0.5, 1.0)
+        for _ in range(240):
+            base.step(DT)
+        assert base.pose_map_base[2] != pytest.approx(0.5, abs=0.5)
+        assert base.pose_map_base[0] < 1.5
+
+
+class TestCameraEffects:
+    def test_noise_grows_with_brightness(self):
+        config = CameraEffectsConfig(
+            vignetting=0.0, auto_exposure=0.0, blur_sigma_px=0.0, read_noise=3.0, shot_noise=0.2
+        )
+        effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
+        for level in (40, 180):
+            flat = np.full((96, 128, 3), level, np.uint8)
+            pictures = np.array([effects.apply(flat) for _ in range(4)], dtype=np.float64)
+            assert pictures.mean() == pytest.approx(level, abs=0.3)
+            # A twelfth: rounding to whole grey levels.
+            assert pictures.var() == pytest.approx(9.0 + 0.2 * level + 1.0 / 12.0, rel=0.05)
+            assert not np.array_equal(pictures[0], pictures[1])
+
+    def test_corners_are_darker_and_gain_follows(self):
+        config = CameraEffectsConfig(
+            vignetting=0.4,
+            auto_exposure=1.0,
+            target_brightness=100.0,
+            read_noise=0.0,
+            shot_noise=0.0,
+        )
+        effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
+        picture = effects.apply(np.full((96, 128, 3), 50, np.uint8))
+        assert picture[48, 64] == pytest.approx(100, abs=1)
+        assert picture[0, 0] == pytest.approx(60, abs=1)
+
+    def test_leaves_clean_pictures_alone_if_told_so(self):
+        config = CameraEffectsConfig(
+            vignetting=0.0, auto_exposure=0.0, blur_sigma_px=0.0, read_noise=0.0, shot_noise=0.0
+        )
+        effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
+        picture = np.random.default_rng(1).integers(0, 256, (96, 128, 3)).astype(np.uint8)
+        assert np.array_equal(effects.apply(picture), picture)
+
+
+class TestDrivePath:
+    scene = generate_scene(4)
+
+    def test_tour_keeps_clear_and_is_long_enough(self):
+        start = np.array([3.5, 2.5])
+        path = plan_tour(self.scene, start, 12.0, np.random.default_rng(0))
+        assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > 10.0
+        assert self.scene.distance_to_obstacles(path[20:]).min() > 0.3
+
+    def test_follower_keeps_to_the_path(self):
+        path = plan_tour(self.scene, (3.5, 2.5), 8.0, np.random.default_rng(1))
+        base = DifferentialDrive(EXACT, (*path[0], 0.0), lambda xy: True, np.random.default_rng(0))
+        follower = PathFollower(path, 0.4)
+        off = []
+        for _ in range(60 * 90):
+            if follower.finished:
+                break
+            base.command(*follower.command(base.pose_map_base))
+            base.step(DT)
+            off.append(np.linalg.norm(path - base.pose_map_base[:2], axis=1).min())
+        assert follower.finished
+        assert max(off) < 0.25
+        assert np.linalg.norm(base.pose_map_base[:2] - path[-1]) < 0.2
+
+    def test_way_leads_from_place_to_place(self):
+        way = plan_way(self.scene, (3.5, 2.5), (5.5, 3.5))
+        assert way[0] == pytest.approx([3.5, 2.5], abs=0.1)
+        assert way[-1] == pytest.approx([5.5, 3.5], abs=0.1)

@@ -1,0 +1,237 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+import json
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.simulation.furnishing import move_one_box
+from landmark_nav.simulation.lighting import irradiance
+from landmark_nav.simulation.people import WalkingPeople
+from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
+from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.scene import Box, Lamp, Scene
+from landmark_nav.simulation.setup_documents import (
+    robot_document,
+    room_document,
+    scene_document,
+    start_document,
+)
+from landmark_nav.simulation.surfaces import Pyramid
+from landmark_nav.simulation.visibility import PainterOrder
+from landmark_nav.simulation.wall_items import draw_item
+from landmark_nav.storage.setup_files import load_robot, load_room
+
+SEEDS = range(30)
+
+
+@pytest.fixture(scope='module')
+def scenes() -> list[Scene]:
+    return [generate_scene(seed) for seed in SEEDS]
+
+
+class TestRooms:
+    def test_same_seed_same_room(self, scenes):
+        assert generate_scene(5) == scenes[5]
+
+    def test_no_two_are_alike(self, scenes):
+        assert len({str(scene.room) for scene in scenes}) == len(scenes)
+        pictures = [item.seed for scene in scenes for item in scene.items]
+        assert len(set(pictures)) > 0.99 * len(pictures)
+
+    def test_some_are_l_shaped(self, scenes):
+        corners = [len(scene.room.walls) for scene in scenes]
+        assert {4, 6} == set(corners)
+        for scene in scenes:
+            ends = np.array([wall.start for wall in scene.room.walls])
+            length, width = sorted(np.ptp(ends, axis=0))[::-1]
+            assert 5.0 <= length <= 9.0
+            assert 4.0 <= width <= 6.0
+
+    def test_papers_hang_wide_apart(self, scenes):
+        for scene in scenes:
+            papers = np.array([paper.center for paper in scene.room.papers])
+            assert {paper.color for paper in scene.room.papers} == {'red', 'green', 'blue'}
+            steps = np.linalg.norm(papers[:, None] - papers, axis=-1)[np.triu_indices(3, 1)]
+            assert steps.min() > 1.0
+
+    def test_nothing_overlaps_on_a_wall(self, scenes):
+        for scene in scenes:
+            for index, wall in enumerate(scene.room.walls):
+                things = [
+                    (item.along_m - item.width_m / 2, item.along_m + item.width_m / 2)
+                    for item in scene.items
+                    if item.wall == index
+                ]
+                for paper in scene.room.papers:
+                    if scene.room.nearest_wall(paper.center[:2]) == index:
+                        at = np.linalg.norm(np.array(paper.center[:2]) - wall.start)
+                        things.append((at - paper.width / 2, at + paper.width / 2))
+                things.sort()
+                assert things[0][0] > 0.0
+                assert things[-1][1] < wall.length
+                assert all(a[1] < b[0] for a, b in pairwise(things))
+
+    def test_every_room_shows_papers_and_target_to_two_places(self, scenes):
+        for scene in scenes:
+            places = choose_sweep_places(scene)
+            assert places is not None
+            assert places.shared_items >= 8
+            a, b = places.poses[:, :2]
+            assert 1.5 <= np.linalg.norm(a - b) <= 2.5
+            marks = [paper.center[:2] for paper in scene.room.papers]
+            marks.append(scene.target.center(scene.room)[:2])
+            for place in (a, b):
+                assert scene.room.contains(place)
+                assert scene.distance_to_obstacles(place) > 0.4
+                eyes = np.tile(place, (len(marks), 1))
+                assert scene.sees(eyes, np.array(marks), EYE_HEIGHT_M).all()
+
+    def test_given_walls_are_kept(self, scenes):
+        room = scenes[3].room
+        assert generate_scene(99, room).room == room
+        assert generate_scene(99, room).items != scenes[3].items
+
+    def test_refuses_a_room_without_space(self):
+        ends = [(0.0, 0.0), (1.2, 0.0), (1.2, 1.2), (0.0, 1.2)]
+        walls = tuple(
+            Wall(str(k), a, b, 2.5)
+            for k, (a, b) in enumerate(zip(ends, [*ends[1:], ends[0]], strict=True))
+        )
+        with pytest.raises(LandmarkNavError, match='no two places'):
+            generate_scene(0, Room(walls, (Paper('red', (0.5, 0.0, 1.5), 0.2, 0.3),)))
+
+    def test_one_box_moves(self, scenes):
+        scene = next(scene for scene in scenes if len(scene.boxes) > 2)
+        boxes = move_one_box(scene, np.random.default_rng(0))
+        assert len(boxes) == len(scene.boxes)
+        assert len(set(boxes) - set(scene.boxes)) == 1
+
+
+class TestScene:
+    room = generate_scene(4).room
+
+    def test_tall_furniture_hides_and_low_does_not(self):
+        for height, seen in ((0.8, True), (1.8, False)):
+            box = Box((3.0, 2.0), 0.4, (0.5, 0.5, height), 'wood', 0)
+            scene = replace(Scene(0, self.room), boxes=(box,))
+            assert scene.sees([3.0, 4.0], [3.0, 0.0], EYE_HEIGHT_M) == seen
+            assert scene.sees([5.0, 4.0], [5.0, 0.0], EYE_HEIGHT_M)
+
+    def test_clearance_is_the_distance_to_the_nearest_thing(self):
+        box = Box((3.0, 2.0), 0.0, (0.6, 0.4, 0.5), 'wood', 0)
+        scene = Scene(0, self.room, boxes=(box,))
+        places = [[3.0, 2.7], [3.8, 2.0], [3.0, 2.0], [0.25, 2.0]]
+        assert scene.distance_to_obstacles(places) == pytest.approx([0.5, 0.5, 0.0, 0.25])
+
+
+class TestPainterOrder:
+    @settings(max_examples=40, deadline=None)
+    @given(st.integers(0, 10_000))
+    def test_nothing_near_is_painted_before_what_it_covers(self, seed):
+        rng = np.random.default_rng(seed)
+        boxes = []
+        for center in rng.uniform(-4.0, 4.0, (60, 2)):
+            box = Box(
+                (center[0], center[1]), rng.uniform(0, 3), (*rng.uniform(0.2, 1.2, 2), 1), '', 0
+            )
+            gap = [np.linalg.norm(center - b.center_xy) for b in boxes]
+            if np.linalg.norm(center) > 1.2 and (not gap or min(gap) > 1.75):
+                boxes.append(box)
+        order = PainterOrder([box.footprint for box in boxes])
+        heading = rng.uniform(-np.pi, np.pi)
+        ahead = [
+            k
+            for k, box in enumerate(boxes)
+            if np.cos(np.arctan2(*box.center_xy[::-1]) - heading) > 0.4
+        ]
+        rank = {k: n for n, k in enumerate(order.back_to_front(np.zeros(2), heading, ahead))}
+        for angle in heading + np.linspace(-1.0, 1.0, 60):
+            ray = np.array([np.cos(angle), np.sin(angle)])
+            hits = []
+            for k in ahead:
+                start = boxes[k].footprint
+                side = np.roll(start, -1, axis=0) - start
+                det = ray[0] * side[:, 1] - ray[1] * side[:, 0]
+                t = (start[:, 0] * side[:, 1] - start[:, 1] * side[:, 0]) / det
+                s = (start[:, 0] * ray[1] - start[:, 1] * ray[0]) / det
+                good = (t > 0) & (s >= 0) & (s <= 1)
+                if good.any():
+                    hits.append((t[good].min(), rank[k]))
+            ranks = [r for _, r in sorted(hits)]
+            assert ranks == sorted(ranks, reverse=True)
+
+    def test_people_join_an_order(self):
+        walls = [np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[4.0, 0.0], [4.0, 3.0]])]
+        person = np.array([[1.5, 1.0], [1.0, 1.0]])
+        order = PainterOrder(walls).extended([person])
+        assert order.back_to_front(np.array([1.2, 2.5]), -np.pi / 2, [0, 2]) == [0, 2]
+
+
+class TestPyramid:
+    def test_levels_average_and_keep_their_place(self):
+        # A ramp across and down: its value at a place says where that place is.
+        v, u = np.mgrid[:130, :200]
+        ramp = np.stack([u, v, 0 * u], -1).astype(np.uint8)
+        pyramid = Pyramid.build(ramp, 3, 4)
+        for i in range(3):
+            for j in range(4):
+                for place in ((0.5, 0.5), (0.3, 0.71)):
+                    x, y = np.array(place) * pyramid.scale[i, j] + pyramid.offset[i, j]
+                    x0, y0 = int(x), int(y)
+                    part = pyramid.atlas[y0 : y0 + 2, x0 : x0 + 2, :2].astype(float)
+                    wx, wy = np.array([1 - x + x0, x - x0]), np.array([1 - y + y0, y - y0])
+                    found = np.einsum('i,j,ijc->c', wy, wx, part)
+                    expected = np.array(place) * [200, 130] - 0.5
+                    assert found == pytest.approx(expected, abs=0.8)
+
+
+class TestLightAndPictures:
+    def test_light_falls_off(self):
+        lamp = Lamp((0.0, 0.0, 2.5), (0.6, 0.6))
+        near, far = irradiance([[0.0, 0, 0], [3.0, 0, 0]], [0.0, 0.0, 1.0], [lamp])
+        assert (near > far).all()
+        dark = irradiance([[0.0, 0, 0]], [0.0, 0.0, 1.0], [replace(lamp, power=0.0)])
+        assert (dark < near).all()
+
+    @pytest.mark.parametrize('kind', ['photo', 'poster', 'shelf', 'blinds', 'door', 'target'])
+    def test_pictures_have_texture_and_come_out_of_their_seed(self, kind):
+        first = draw_item(kind, 1, (160, 120))
+        assert first.shape == (160, 120, 3)
+        assert first.dtype == np.uint8
+        assert first.std() > 12.0
+        assert np.array_equal(first, draw_item(kind, 1, (160, 120)))
+        assert (kind == 'target') == np.array_equal(first, draw_item(kind, 2, (160, 120)))
+
+    def test_people_walk_where_there_is_space(self, scenes):
+        scene = scenes[2]
+        robot = choose_sweep_places(scene).poses[0, :2]
+        people = WalkingPeople(scene, 3, robot, np.random.default_rng(0))
+        seen = []
+        for _ in range(300):
+            people.step(0.1, robot)
+            middles = [solid.footprint.mean(axis=0) for solid in people.solids(robot)]
+            seen.append(middles)
+        seen = np.array(seen)
+        assert np.ptp(seen, axis=0).max(axis=-1).min() > 0.5
+        assert scene.distance_to_obstacles(seen).min() > 0.1
+        assert np.linalg.norm(seen - robot, axis=-1).min() > 0.6
+
+
+def test_documents_are_read_back(tmp_path, scenes):
+    scene = scenes[1]
+    (tmp_path / 'room.yaml').write_text(room_document(scene.room))
+    assert load_room(tmp_path / 'room.yaml') == scene.room
+    mount = PanTiltMount((0.1, 0.0, 1.2), (0.0, 0.01, 0.0), (0.03, 0.0, 0.0))
+    (tmp_path / 'robot.yaml').write_text(robot_document(mount))
+    assert load_robot(tmp_path / 'robot.yaml') == mount
+    assert json.loads(start_document(np.array([1.0, 2.0, 0.5])))['pose'] == [1.0, 2.0, 0.5]
+    items = json.loads(scene_document(scene))['items']
+    assert [item['kind'] for item in items].count('target') == 1
