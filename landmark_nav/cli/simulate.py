@@ -12,7 +12,6 @@ import numpy as np
 
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.furnishing import move_one_box
@@ -41,8 +40,6 @@ _DRIVE_START_NS = 5_000_000_000_000
 # Carrying the robot from one place to the next, seconds.
 _MOVE_S = 5.0
 
-_SWEEP_FRAMES = 72
-
 
 def add_parser(subparsers: Any) -> None:
     """Declare the arguments."""
@@ -63,6 +60,9 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--sweeps', type=_at_least(1, int), default=2, metavar='N', help='sweeps (2)'
+    )
+    parser.add_argument(
+        '--frames', type=_at_least(8, int), default=72, metavar='N', help='of each sweep (72)'
     )
     parser.add_argument(
         '--drive-seconds', type=_at_least(0.5, float), default=40.0, metavar='S', help='(40)'
@@ -101,14 +101,29 @@ def run(args: argparse.Namespace) -> int:
     config = WorldConfig(people=args.people)
     with whole_folder(args.out, _FILES) as folder:
         with BagWriter(folder / 'learn') as bag:
-            frames = _SWEEP_FRAMES * len(poses)
-            world = _world(scene, poses[0], args.seed, mount, config, _LEARN_START_NS)
+            frames = args.frames * len(poses)
+            world = RobotWorld(
+                scene,
+                poses[0],
+                args.seed,
+                mount=mount,
+                config=config,
+                start_ns=_LEARN_START_NS,
+            )
             _write(bag, _learn(world, poses, args), 'sweeps', frames)
         path = plan_tour(later, poses[-1][:2], 1.2 * args.speed * args.drive_seconds + 2.0, rng)
         ahead = path[min(8, len(path) - 1)] - path[0]
         start = np.array([*path[0], np.arctan2(ahead[1], ahead[0])])
         with BagWriter(folder / 'drive') as bag:
-            world = _world(later, start, args.seed + 1, mount, config, _DRIVE_START_NS)
+            world = RobotWorld(
+                later,
+                start,
+                args.seed + 1,
+                mount=mount,
+                config=config,
+                start_ns=_DRIVE_START_NS,
+                renderer=world.renderer if later is scene else None,
+            )
             frames = round(args.drive_seconds * args.camera_rate)
             _write(bag, _drive(world, path, rng, args), 'drive', frames)
         for name, text in (
@@ -119,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
         ):
             (folder / name).write_text(text, encoding='utf-8')
     print(
-        f'{args.out}: {len(poses)} sweeps of {_SWEEP_FRAMES} frames in learn, '
+        f'{args.out}: {len(poses)} sweeps of {args.frames} frames in learn, '
         f'{args.drive_seconds:g} s in drive, room of {len(scene.room.walls)} walls'
     )
     return 0
@@ -161,18 +176,12 @@ def _changed(scene: Scene, rng: np.random.Generator) -> Scene:
     return replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
 
 
-def _world(
-    scene: Scene, pose: Any, seed: int, mount: PanTiltMount, config: WorldConfig, start_ns: int
-) -> RobotWorld:
-    return RobotWorld(scene, pose, seed, mount=mount, config=config, start_ns=start_ns)
-
-
 def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Iterator[Recorded]:
     factory = rosbag_factory()
     for pose in poses:
         world.place(pose, -np.pi)
         yield from sweep_messages(
-            world, factory, frames=_SWEEP_FRAMES, jpeg_quality=args.jpeg_quality
+            world, factory, frames=args.frames, jpeg_quality=args.jpeg_quality
         )
         world.advance(_MOVE_S)
 

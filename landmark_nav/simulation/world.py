@@ -67,6 +67,8 @@ class RobotWorld:
         Everything else.
     start_ns : int
         Time at the start.
+    renderer : Renderer, optional
+        Of another world with the same scene and camera: saves drawing its textures again.
 
     """
 
@@ -80,6 +82,7 @@ class RobotWorld:
         mount: PanTiltMount = DEFAULT_MOUNT,
         config: WorldConfig | None = None,
         start_ns: int = 0,
+        renderer: Renderer | None = None,
     ) -> None:
         """Build the room; takes seconds for its textures."""
         config = config or WorldConfig()
@@ -94,7 +97,7 @@ class RobotWorld:
         self._unit = PanTiltUnit(config.pan_tilt)
         self._drive = DifferentialDrive(config.drive, pose_map_base, self._free, wheels)
         self._people = WalkingPeople(scene, config.people, self.true_pose[:2], company)
-        self._renderer = Renderer(scene, camera)
+        self.renderer = renderer or Renderer(scene, camera)
         self._effects = CameraEffects(camera, config.camera, noise)
 
     @property
@@ -169,7 +172,7 @@ class RobotWorld:
         """Take a picture now."""
         pan, tilt = self._unit.angles_rad
         turn, center = self.camera_pose_map(float(pan), float(tilt))
-        image = self._renderer.render(turn, center, self._people.solids(center[:2]))
+        image = self.renderer.render(turn, center, self._people.solids(center[:2]))
         sample = self.joint_sample()
         return CameraFrame(
             sample.stamp_ns,

@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+from collections import Counter
+import json
+
+import numpy as np
+import pytest
+
+from landmark_nav.cli.main import main
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.messages import decode
+from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.simulation.drive_path import plan_tour
+from landmark_nav.simulation.gaze import Gaze
+from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.recording import drive_messages, sweep_messages
+from landmark_nav.simulation.renderer import Renderer
+from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.world import RobotWorld, WorldConfig
+from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
+from landmark_nav.storage.setup_files import load_robot, load_room
+
+SCENE = generate_scene(11)
+POSE = choose_sweep_places(SCENE).poses[0]
+CAMERA = CameraModel(
+    160, 120, 160.0, 160.0, 80.0, 60.0, 'plumb_bob', (-0.1, 0.01, 1e-3, 1e-3, 1e-3)
+)
+MOUNT = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.04, 0.01, 0.02))
+
+
+def make_world(seed: int = 3, people: int = 0, renderer: Renderer | None = None) -> RobotWorld:
+    return RobotWorld(
+        SCENE,
+        POSE,
+        seed,
+        camera=CAMERA,
+        mount=MOUNT,
+        config=WorldConfig(people=people),
+        start_ns=5_000_000_000_000,
+        renderer=renderer,
+    )
+
+
+@pytest.fixture(scope='module')
+def world() -> RobotWorld:
+    return make_world()
+
+
+def test_time_passes_in_whole_steps(world):
+    start = world.stamp_ns
+    for _ in range(100):
+        world.advance(0.007)
+    assert world.stamp_ns - start == pytest.approx(0.7e9, abs=1e9 / 60)
+    for _ in range(100):
+        world.advance(0.003)
+    assert world.stamp_ns - start == pytest.approx(1e9, abs=2)
+
+
+def test_camera_pose_is_that_of_the_mount(world):
+    world.place(POSE, 0.7, 0.1)
+    turn, center = world.camera_pose_map(0.7, 0.1)
+    base_turn, base_center = MOUNT.camera_pose_base(0.7, 0.1)
+    cos, sin = np.cos(POSE[2]), np.sin(POSE[2])
+    heading = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    assert turn == pytest.approx(heading @ base_turn)
+    assert center == pytest.approx(heading @ base_center + [POSE[0], POSE[1], 0.0])
+    frame = world.camera_frame()
+    assert frame.image.shape == (120, 160, 3)
+    assert (frame.pan_rad, frame.tilt_rad) == pytest.approx((0.7, 0.1), abs=2e-4)
+    assert frame.stamp_ns == world.stamp_ns
+
+
+def test_same_seed_same_run_also_with_people(world):
+    pictures = []
+    for _ in range(2):
+        other = make_world(seed=8, people=2, renderer=world.renderer)
+        other.command_velocity(0.3, 0.4)
+        other.command_pan(1.0)
+        other.advance(1.0)
+        pictures.append(other.camera_frame().image)
+        pose = other.odometry_sample().pose_odom_base
+    assert np.array_equal(*pictures)
+    assert pose[0] > 0.1
+
+
+def test_robot_does_not_drive_through_walls(world):
+    world.place(POSE)
+    world.command_velocity(0.8, 0.0)
+    world.advance(15.0)
+    assert SCENE.room.contains(world.true_pose[:2])
+    assert SCENE.distance_to_obstacles(world.true_pose[:2]) >= 0.22
+    assert world.true_twist[0] == 0.0
+    world.command_velocity(0.0, 0.0)
+
+
+def test_sweep_and_drive_are_recorded_as_a_robot_would(world, tmp_path):
+    factory = rosbag_factory()
+    world.place(POSE, -np.pi)
+    with BagWriter(tmp_path / 'learn') as bag:
+        for topic, message, stamp in sweep_messages(world, factory, frames=24):
+            bag.write(topic, message, stamp)
+    (sweep,) = read_sweeps(Bag(tmp_path / 'learn'), MOUNT)
+    pans = np.array([frame.pan_rad for frame in sweep.frames])
+    assert pans == pytest.approx(-np.pi + np.arange(24) * np.radians(15.0), abs=2e-3)
+    assert sweep.frames[0].camera == CAMERA
+
+    path = plan_tour(SCENE, POSE[:2], 4.0, np.random.default_rng(0))
+    world.place([*path[0], 0.0])
+    recorded = list(drive_messages(world, factory, path, np.random.default_rng(0), seconds=4.0))
+    assert Counter(entry.topic for entry in recorded) == {
+        'joint_states': 80,
+        'odom': 80,
+        'ground_truth/odom': 80,
+        'camera/image_raw/compressed': 20,
+        'camera/camera_info': 20,
+    }
+    stamps = np.array([entry.stamp_ns for entry in recorded])
+    assert (np.diff(stamps) >= 0).all()
+    truth = [
+        decode.odometry(entry.message).pose_odom_base
+        for entry in recorded
+        if entry.topic == 'ground_truth/odom'
+    ]
+    assert np.linalg.norm(truth[-1][:2] - truth[0][:2]) > 0.3
+
+
+def test_gaze_looks_at_things_on_walls_within_its_limits():
+    gaze = Gaze(SCENE, MOUNT, np.pi, np.random.default_rng(0))
+    pans = np.array([gaze.pan(0.1 * k, POSE) for k in range(200)])
+    assert np.abs(pans).max() < np.pi - 0.3
+    held = np.diff(np.flatnonzero(np.diff(pans) != 0.0))
+    assert len(held) >= 4
+    assert held.min() >= 17
+
+
+class TestCommand:
+    def test_writes_bags_and_setup(self, tmp_path, capsys):
+        out = tmp_path / 'run'
+        words = ['--seed', '11', '--sweeps', '1', '--frames', '8', '--drive-seconds', '1']
+        assert main(['simulate', '--out', str(out), *words]) == 0
+        assert 'room of 4 walls' in capsys.readouterr().out
+        assert sorted(path.name for path in out.iterdir()) == [
+            'drive',
+            'learn',
+            'robot.yaml',
+            'room.yaml',
+            'scene.json',
+            'start.json',
+        ]
+        assert load_room(out / 'room.yaml') == SCENE.room
+        mount = load_robot(out / 'robot.yaml')
+        assert mount.pan_joint == 'pan_joint'
+        drive = Bag(out / 'drive')
+        truth = next(iter(drive.messages(['/ground_truth/odom']))).message
+        start = json.loads((out / 'start.json').read_text())['pose']
+        assert decode.odometry(truth).pose_odom_base == pytest.approx(start)
+
+    def test_bad_input_is_one_line_and_nothing_is_written(self, tmp_path, capsys):
+        bad = tmp_path / 'room.yaml'
+        bad.write_text('walls: []\n')
+        out = tmp_path / 'run'
+        assert main(['simulate', '--out', str(out), '--room', str(bad)]) == 1
+        assert capsys.readouterr().err.count('\n') == 1
+        assert not out.exists()
+        assert main(['simulate', '--out', str(out), '--seed', '-3']) == 2
