@@ -19,7 +19,9 @@ from landmark_nav.learning.stereo import (
     wall_texture,
     WallPatch,
 )
-from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
+from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
+
+Float32Image = npt.NDArray[np.float32]
 
 ROOM = rectangle_room(6.0, 5.0)
 CONFIG = StereoConfig()
@@ -46,8 +48,8 @@ def panoramas(scene: Scene) -> list[Panorama]:
     return views_of(scene)
 
 
-def greys_of(panoramas: list[Panorama]) -> list[ImageArray]:
-    return [np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), np.uint8) for p in panoramas]
+def greys_of(panoramas: list[Panorama]) -> list[Float32Image]:
+    return [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY).astype(np.float32) for p in panoramas]
 
 
 def candidate_at(panorama: Panorama, point: FloatArray, size: int = 32) -> Candidate:
@@ -208,13 +210,13 @@ def test_a_pose_that_is_a_little_wrong_changes_nothing(panoramas: list[Panorama]
     assert np.abs(errors).max() < 1e-3
 
 
-def hanging(scene: Scene, before_wall_m: float, size_m: float = 0.7) -> tuple[Scene, FloatArray]:
+def hanging(
+    scene: Scene, before_wall_m: float, at_m: float = 2.6, feature_m: float = 0.05
+) -> tuple[Scene, FloatArray]:
     """Scene with a textured board before the east wall, and the board's centre."""
-    center = np.array([6.0 - before_wall_m, 2.6, 1.15])
-    rng = np.random.default_rng(9)
-    board = Board(
-        center, ROOM.normals[EAST], size_m, size_m, smooth_texture(rng, size_m, size_m, 0.05)
-    )
+    center = np.array([6.0 - before_wall_m, at_m, 1.15])
+    texture = smooth_texture(np.random.default_rng(9), 1.2, 1.2, feature_m)
+    board = Board(center, ROOM.normals[EAST], 1.2, 1.2, texture)
     return replace(scene, boards=(*scene.boards, board)), center
 
 
@@ -252,6 +254,22 @@ def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:
     _, seen = match_at([panoramas[0], beside], np.array([6.0, 2.2, 1.1]))
     assert isinstance(seen, Refusal)
     assert seen.reason == 'too little parallax'
+
+
+@pytest.mark.parametrize('before_wall_m', [0.0, 0.4])
+def test_from_one_side_it_is_the_scale_that_tells_what_is_on_the_wall(
+    scene: Scene, before_wall_m: float
+) -> None:
+    # Both places and the picture lie nearly on a line, one place half as far away.
+    changed, center = hanging(scene, before_wall_m + 1e-4, at_m=4.0, feature_m=0.025)
+    panoramas = views_of(changed)
+    patch = patch_at(panoramas[0], center, size=56)
+    assert isinstance(patch, WallPatch)
+    seen = match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, CONFIG)
+    if before_wall_m:
+        assert isinstance(seen, Refusal)
+    else:
+        assert isinstance(seen, Sighting)
 
 
 def test_a_wall_between_hides(panoramas: list[Panorama]) -> None:

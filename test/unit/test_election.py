@@ -1,0 +1,275 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.patches import patch_points
+from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
+from landmark_nav.learning.election import elect, ElectionConfig
+from landmark_nav.learning.stereo import (
+    hypothesize,
+    match_in,
+    own_sighting,
+    Sighting,
+    StereoConfig,
+    WallPatch,
+)
+from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusal
+
+Float32Image = npt.NDArray[np.float32]
+
+ROOM = rectangle_room(6.0, 5.0)
+CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.6, 2.9, 1.1]))
+HEADINGS = (0.4, -2.0)
+SCENE = textured_room(ROOM, seed=3, feature_m=0.05)
+EAST, NORTH = 1, 2
+
+
+@pytest.fixture(scope='module')
+def panoramas() -> list[Panorama]:
+    return views_of(SCENE)
+
+
+def views_of(scene: Scene) -> list[Panorama]:
+    return [draw_panorama(scene, c, h) for c, h in zip(CENTERS, HEADINGS, strict=True)]
+
+
+def greys_of(panoramas: Sequence[Panorama]) -> list[Float32Image]:
+    return [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY).astype(np.float32) for p in panoramas]
+
+
+def patch_at(
+    position: tuple[float, float, float],
+    *,
+    saliency: float = 0.5,
+    size_px: int = 30,
+    wall: int = EAST,
+) -> WallPatch:
+    candidate = Candidate(0.0, 0.0, size_px, size_px, saliency)
+    normal = ROOM.normals[wall]
+    return WallPatch(candidate, 0, wall, np.array(position), normal, (30, 30), 0.015)
+
+
+def perfect(patches: Sequence[WallPatch], **changes: Any) -> Adjustment:
+    """Adjustment that left the patches where they are, each known to 5 mm and on its wall."""
+    n = len(patches)
+    found = Adjustment(
+        np.array([p.position for p in patches]),
+        np.tile(np.eye(3) * 0.004**2, (n, 1, 1)),
+        np.tile(np.eye(3) * 0.003, (n, 1, 1)),
+        np.array([[*c, h] for c, h in zip(CENTERS, HEADINGS, strict=True)]),
+        np.tile(np.eye(4) * 1e-4, (2, 1, 1)),
+        np.zeros(n),
+        np.ones(n),
+    )
+    return replace(found, **changes)
+
+
+def elect_from(
+    panoramas: list[Panorama],
+    patches: Sequence[WallPatch],
+    adjustment: Adjustment | None = None,
+    config: ElectionConfig | None = None,
+    scores: Sequence[float] | None = None,
+) -> list[Landmark | Refusal]:
+    scores = scores or [0.9] * len(patches)
+    sightings = [
+        [Sighting(0, 0.0, 0.0, 0.0, 0.0, 1.0), Sighting(1, 0.0, 0.0, 1e-4, 1e-4, score)]
+        for score in scores
+    ]
+    return elect(
+        patches,
+        sightings,
+        adjustment or perfect(patches),
+        panoramas,
+        greys_of(panoramas),
+        ROOM,
+        config or ElectionConfig(),
+    )
+
+
+def test_a_good_patch_becomes_a_landmark(panoramas: list[Panorama]) -> None:
+    patch = patch_at((6.0, 2.4, 1.2), saliency=0.8)
+    (landmark,) = elect_from(panoramas, [patch])
+    assert isinstance(landmark, Landmark)
+    assert (landmark.id, landmark.wall_id, landmark.saliency) == (1, 'e', 0.8)
+    assert (landmark.width_m, landmark.height_m) == (pytest.approx(0.45), pytest.approx(0.45))
+    np.testing.assert_allclose(landmark.covariance, np.eye(3) * (0.004**2 + 0.003**2))
+    np.testing.assert_allclose(landmark.shared_loading, np.eye(3) * 0.003)
+    np.testing.assert_array_equal(landmark.viewpoint, CENTERS[0])
+    # Its texture is the wall's.
+    points = patch_points(patch.position, patch.normal, (30, 30), 0.015)
+    inwards = np.broadcast_to(-patch.normal, points.shape)
+    truth = SCENE.look(points + 0.1 * patch.normal, inwards)[0][..., 0]
+    assert np.abs(landmark.patch - truth).mean() < 3.0
+
+
+def test_ids_count_from_the_most_salient(panoramas: list[Panorama]) -> None:
+    patches = [
+        patch_at((6.0, 1.0 + 0.8 * k, 1.2), saliency=s) for k, s in enumerate((0.3, 0.9, 0.6))
+    ]
+    elected = elect_from(panoramas, patches)
+    assert [e.id for e in elected if isinstance(e, Landmark)] == [3, 1, 2]
+
+
+@pytest.mark.parametrize(('score', 'threshold'), [(1.0, 0.75), (0.8, 0.6), (0.5, 0.55)])
+def test_the_threshold_follows_how_alike_its_own_views_are(
+    panoramas: list[Panorama], score: float, threshold: float
+) -> None:
+    (landmark,) = elect_from(panoramas, [patch_at((6.0, 2.4, 1.2))], scores=[score])
+    assert isinstance(landmark, Landmark)
+    assert landmark.threshold == pytest.approx(threshold)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'reason', 'detail'),
+    [
+        ({'off_wall_m': np.array([0.2])}, 'not on a wall', '20 cm off'),
+        ({'off_wall_m': np.array([-0.1])}, 'not on a wall', '-10 cm off'),
+        ({'chi_square': np.array([50.0])}, 'not on a wall', 'misfit 50'),
+        (
+            {'own_covariance': np.diag([0.05, 0.001, 0.001])[None] ** 2},
+            'place too uncertain',
+            '5.0 cm',
+        ),
+        # What all share makes a place uncertain as well.
+        (
+            {'shared_loading': np.eye(3)[None] * 0.04},
+            'place too uncertain',
+            '4.0 cm',
+        ),
+    ],
+)
+def test_what_is_badly_reconstructed_is_refused(
+    panoramas: list[Panorama], changes: dict[str, FloatArray], reason: str, detail: str
+) -> None:
+    patches = [patch_at((6.0, 2.4, 1.2))]
+    (outcome,) = elect_from(panoramas, patches, perfect(patches, **changes))
+    assert isinstance(outcome, Refusal)
+    assert outcome.reason == reason
+    assert detail in outcome.detail
+
+
+def test_what_is_seen_along_the_wall_is_refused(panoramas: list[Panorama]) -> None:
+    (outcome,) = elect_from(panoramas, [patch_at((5.8, 0.0, 1.2), wall=0)])
+    assert isinstance(outcome, Refusal)
+    assert outcome.reason == 'seen too obliquely'
+    assert outcome.detail == '61 deg'
+
+
+def test_small_patches_are_refused(panoramas: list[Panorama]) -> None:
+    (outcome,) = elect_from(panoramas, [patch_at((6.0, 2.4, 1.2), size_px=12)])
+    assert isinstance(outcome, Refusal)
+    assert outcome.reason == 'too small'
+
+
+def test_a_patch_that_its_panorama_cuts_off_is_refused(panoramas: list[Panorama]) -> None:
+    (outcome,) = elect_from(panoramas, [patch_at((6.0, 2.4, 2.45))])
+    assert isinstance(outcome, Refusal)
+    assert outcome.reason == 'runs out of its panorama'
+
+
+@pytest.mark.parametrize(('apart_m', 'elected'), [(0.1, 1), (0.24, 1), (0.3, 2), (0.6, 2)])
+def test_what_a_stronger_landmark_covers_is_refused(
+    panoramas: list[Panorama], apart_m: float, elected: int
+) -> None:
+    # Patches of 0.45 m: 0.27 m apart leave 40 % common.
+    patches = [
+        patch_at((6.0, 2.4, 1.2), saliency=0.3),
+        patch_at((6.0, 2.4 + apart_m, 1.2), saliency=0.9),
+    ]
+    outcomes = elect_from(panoramas, patches)
+    assert isinstance(outcomes[1], Landmark)
+    assert sum(isinstance(o, Landmark) for o in outcomes) == elected
+    if elected == 1:
+        assert isinstance(outcomes[0], Refusal)
+        assert outcomes[0].reason == 'covered by a stronger landmark'
+
+
+def test_walls_that_meet_do_not_cover_each_other(panoramas: list[Panorama]) -> None:
+    patches = [patch_at((6.0, 4.7, 1.2)), patch_at((5.7, 5.0, 1.2), wall=NORTH)]
+    assert all(isinstance(o, Landmark) for o in elect_from(panoramas, patches))
+
+
+def test_a_refused_patch_covers_nothing(panoramas: list[Panorama]) -> None:
+    patches = [patch_at((6.0, 2.4, 1.2), saliency=0.9), patch_at((6.0, 2.4, 1.2), saliency=0.3)]
+    adjustment = perfect(patches, off_wall_m=np.array([0.3, 0.0]))
+    outcomes = elect_from(panoramas, patches, adjustment)
+    assert isinstance(outcomes[0], Refusal)
+    assert isinstance(outcomes[1], Landmark)
+    assert outcomes[1].id == 1
+
+
+def test_no_more_than_the_strongest_are_kept(panoramas: list[Panorama]) -> None:
+    patches = [patch_at((6.0, 0.8 + 0.6 * k, 1.2), saliency=0.1 * k) for k in range(6)]
+    outcomes = elect_from(panoramas, patches, config=ElectionConfig(max_count=4))
+    assert [isinstance(o, Landmark) for o in outcomes] == [False, False, True, True, True, True]
+    assert isinstance(outcomes[0], Refusal)
+    assert outcomes[0].reason == 'enough landmarks'
+
+
+def test_parameters_out_of_range_are_refused() -> None:
+    with pytest.raises(LandmarkNavError, match='max_overlap'):
+        ElectionConfig(max_overlap=1.5)
+
+
+def reconstruct(
+    panoramas: list[Panorama], points: Sequence[FloatArray]
+) -> list[Landmark | Refusal]:
+    """Stereo, adjustment and election of candidates where the first panorama shows points."""
+    greys = greys_of(panoramas)
+    patches, sightings = [], []
+    for point in points:
+        turned = (point - CENTERS[0])[:2] @ se2.rotation(HEADINGS[0])
+        column, row = panoramas[0].cylinder.project([*turned, point[2] - CENTERS[0][2]])
+        candidate = Candidate(float(column), float(row), 30, 30, 0.5)
+        patch = hypothesize(candidate, 0, panoramas[0], ROOM, StereoConfig())
+        assert isinstance(patch, WallPatch)
+        seen = match_in(patch, 1, panoramas, greys, ROOM, StereoConfig())
+        assert isinstance(seen, Sighting)
+        patches.append(patch)
+        sightings.append([own_sighting(patch, panoramas[0]), seen])
+    start = np.array([p.position for p in patches])
+    walls = [p.wall for p in patches]
+    found = adjust(sightings, walls, start, panoramas, ROOM, AdjustmentConfig())
+    adjusted = [
+        replace(p, center_map=pose[:3], heading_rad=float(pose[3]))
+        for p, pose in zip(panoramas, found.poses, strict=True)
+    ]
+    return elect(patches, sightings, found, adjusted, greys, ROOM, ElectionConfig())
+
+
+def test_a_picture_on_the_wall_is_elected_and_a_box_before_it_is_not() -> None:
+    rng = np.random.default_rng(8)
+    normal = ROOM.normals[EAST]
+    picture, box = (
+        Board(np.array(center), normal, 0.7, 0.7, smooth_texture(rng, 0.7, 0.7, 0.05))
+        for center in ((5.96, 1.9, 1.2), (5.6, 2.9, 1.1))
+    )
+    panoramas = views_of(replace(SCENE, boards=(*SCENE.boards, picture, box)))
+    on_walls = [
+        np.array(p)
+        for p in (
+            (6.0, 1.0, 1.0), (3.2, 5.0, 1.1), (2.4, 5.0, 1.2), (4.4, 5.0, 1.0),
+            (0.0, 1.4, 1.1), (0.0, 3.0, 1.2), (3.0, 0.0, 1.1), (2.0, 0.0, 1.0),
+        )
+    ]  # fmt: skip
+    outcomes = reconstruct(panoramas, [*on_walls, picture.center, box.center])
+    for point, outcome in zip([*on_walls, picture.center], outcomes[:-1], strict=True):
+        assert isinstance(outcome, Landmark)
+        np.testing.assert_allclose(outcome.position, point, atol=0.03)
+    hung = outcomes[-2]
+    assert isinstance(hung, Landmark)
+    assert hung.position[0] == pytest.approx(5.96, abs=0.025)
+    refused = outcomes[-1]
+    assert isinstance(refused, Refusal)
+    assert refused.reason == 'not on a wall'
