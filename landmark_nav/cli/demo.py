@@ -16,10 +16,11 @@ from landmark_nav.demo.recorded_run import recorded_run
 from landmark_nav.demo.room import prepare_room
 from landmark_nav.demo.story import tell
 from landmark_nav.demo.supervisor import Supervisor
-from landmark_nav.demo.verdict import figures, judge, table
+from landmark_nav.demo.verdict import Check, figures, judge, table
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
 from landmark_nav.evaluation.run_report import run_errors
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.ros import require_ros
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
@@ -80,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
         with RobotClient(args.domain_id, supervisor.check) as robot:
             tell(robot, room, commands, folder, narrator)
             panoramas = robot.panoramas
-    return _report(folder, panoramas, narrator)
+        unclean = [name for name, status in supervisor.stop().items() if status]
+    return _report(folder, panoramas, unclean, narrator)
 
 
 def _emptied(folder: Path) -> Path:
@@ -105,21 +107,29 @@ def _interrupt(_number: int, _frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def _report(folder: Path, panoramas: list[Panorama], narrator: Narrator) -> int:
+def _report(
+    folder: Path, panoramas: list[Panorama], unclean: list[str], narrator: Narrator
+) -> int:
     """Measure the recording, draw it, and judge."""
     narrator.title('Measuring the recording against the ground truth')
     landmarks = load_map(folder / 'map')
     run = recorded_run(Bag(folder / 'recording'))
     measured = figures(run, landmarks)
-    draw_map(landmarks, folder / 'map.png', load_room(folder / 'room.yaml').papers)
-    for number, view in enumerate(panoramas, 1):
-        draw_panorama(view, (), (), number, folder / f'panorama_{number}.png')
+    room = load_room(folder / 'room.yaml')
+    draw_map(landmarks, folder / 'map.png', room.papers)
+    # The node gives the map alone; the same stages tell what became of every candidate.
+    learned = learn_from_panoramas(panoramas, room, LearningConfig())
+    for k, view in enumerate(learned.panoramas):
+        path = folder / f'panorama_{k + 1}.png'
+        draw_panorama(view, learned.candidates[k], learned.outcomes[k], k + 1, path)
     draw_trajectory(run, landmarks, folder / 'trajectory.png')
     draw_errors(run, run_errors(run), folder / 'errors.png')
     (folder / 'demo.json').write_text(json.dumps(measured, indent=2) + '\n', encoding='utf-8')
     for line in table(measured):
         narrator.say(line)
     checks = judge(measured)
+    if unclean:
+        checks.append(Check(False, f'{", ".join(unclean)} did not end cleanly: see logs/'))
     narrator.title('Result')
     for check in checks:
         narrator.say(f'{"ok    " if check.passed else "FAILED"}  {check.text}')

@@ -41,7 +41,7 @@ class Supervisor:
     environment : mapping
         Their whole environment.
     grace_s : float
-        How long each signal may take at the end: SIGINT, SIGTERM, SIGKILL.
+        How long each signal may take at the end.
 
     """
 
@@ -99,9 +99,11 @@ class Supervisor:
                     f'(all it said: {child.log})'
                 )
 
-    def stop(self) -> dict[str, int]:
-        """End all, gently at first; returns their exit statuses by name."""
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+    def stop(
+        self, signals: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM)
+    ) -> dict[str, int]:
+        """End all, gently at first and at last by force; returns exit statuses by name."""
+        for number in (*signals, signal.SIGKILL):
             running = [child for child in self._children if child.process.poll() is None]
             for child in running:
                 # Its id is that of its group, which also ends what it may have started.

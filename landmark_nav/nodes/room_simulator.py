@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 import time
 from typing import Any
 
@@ -68,8 +70,11 @@ class RoomSimulatorNode(LandmarkNode):
         self._joints = self.advertise('joint_states')
         self._odometry = self.advertise('odom')
         self._truth = self.advertise('ground_truth/odom')
-        self._raw = self.advertise('camera/image_raw')
-        self._compressed = self.advertise('camera/image_raw/compressed')
+        compressed = partial(encode.compressed_image, jpeg_quality=config.jpeg_quality)
+        self._images: dict[Any, Callable[..., Any]] = {
+            self.advertise('camera/image_raw'): encode.image,
+            self.advertise('camera/image_raw/compressed'): compressed,
+        }
         self._info = self.advertise('camera/camera_info')
         self.listen('cmd_vel', self._on_velocity)
         listen_for_pan(self, self._mount, config.command_type, self._world.command_pan)
@@ -79,9 +84,9 @@ class RoomSimulatorNode(LandmarkNode):
         """Whether it keeps up with the wall's time."""
         pictures, self._pictures = self._pictures, 0
         values = {'lag_s': f'{self._lag_s:.2f}', 'pictures_per_s': pictures}
-        if self._lag_s > 1.0:
-            return Health(Level.DEGRADED, 'too slow for the wall clock', values)
-        return Health(Level.OK, 'running', values)
+        late = self._lag_s > 1.0
+        reason = 'too slow for the wall clock' if late else 'running'
+        return Health(Level.DEGRADED if late else Level.OK, reason, values)
 
     @property
     def _lag_s(self) -> float:
@@ -105,47 +110,34 @@ class RoomSimulatorNode(LandmarkNode):
             self._take_picture()
 
     def _step(self) -> None:
-        self._world.advance(_STEP_S)
-        self._steps += 1
         world, mount = self._world, self._mount
+        world.advance(_STEP_S)
+        self._steps += 1
         self._joints.publish(encode.joint_state(ros_factory, world.joint_sample(), mount))
         if self._steps % _STEPS_PER_ODOMETRY == 0:
-            base = mount.base_frame
-            for publisher, sample, frame in (
-                (self._odometry, world.odometry_sample(), 'odom'),
-                (self._truth, world.truth_sample(), 'map'),
-            ):
-                publisher.publish(
-                    encode.odometry(ros_factory, sample, frame_id=frame, child_frame_id=base)
-                )
+            odometry = partial(encode.odometry, ros_factory, child_frame_id=mount.base_frame)
+            self._odometry.publish(odometry(world.odometry_sample()))
+            self._truth.publish(odometry(world.truth_sample(), frame_id='map'))
 
     def _take_picture(self) -> None:
         """Render only what somebody looks at."""
-        stamp = self._world.stamp_ns
-        camera = self._world.camera
+        stamp, camera = self._world.stamp_ns, self._world.camera
         self._info.publish(encode.camera_info(ros_factory, camera, stamp, _OPTICAL_FRAME))
-        raw, jpeg = (p.get_subscription_count() > 0 for p in (self._raw, self._compressed))
-        if not (raw or jpeg):
-            return
-        picture = self._world.camera_frame().image
-        self._pictures += 1
-        if raw:
-            self._raw.publish(encode.image(ros_factory, picture, stamp, _OPTICAL_FRAME))
-        if jpeg:
-            given = (picture, stamp, _OPTICAL_FRAME, self._config.jpeg_quality)
-            self._compressed.publish(encode.compressed_image(ros_factory, *given))
+        wanted = [item for item in self._images.items() if item[0].get_subscription_count()]
+        if wanted:
+            picture = self._world.camera_frame().image
+            self._pictures += 1
+            for publisher, encoded in wanted:
+                publisher.publish(encoded(ros_factory, picture, stamp, _OPTICAL_FRAME))
 
 
 def _build(config: Parameters, mount: PanTiltMount, start_ns: int) -> RobotWorld:
-    room = load_room(config.room_file) if config.room_file else None
-    scene = generate_scene(config.seed, room)
+    scene = generate_scene(config.seed, load_room(config.room_file) if config.room_file else None)
     places = choose_sweep_places(scene)
     if places is None:
         raise LandmarkNavError('the room has no place for a sweep: take another seed')
-    world = config.world
-    return RobotWorld(
-        scene, places.poses[0], config.seed, mount=mount, config=world, start_ns=start_ns
-    )
+    start, world = places.poses[0], config.world
+    return RobotWorld(scene, start, config.seed, mount=mount, config=world, start_ns=start_ns)
 
 
 def main() -> int:

@@ -77,6 +77,9 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         self._map = decode.landmark_map(points, atlas)
+        if self._frames.camera is not None:
+            # Takes seconds, once: not while the first picture waits.
+            _ = self._frames.camera.ray_grid
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no picture yet')
             # A queue of one: a picture that waits while another is looked at makes way for a

@@ -127,6 +127,10 @@ class LandmarkNode(Node):
                 callback(message)
             except LandmarkNavError as error:
                 self.drop(topic, error)
+            except Exception:
+                # After a signal publishers have no context any more: what is under way is over.
+                if self.context.ok():
+                    raise
 
         return guarded
 

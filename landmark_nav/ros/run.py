@@ -56,7 +56,7 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
         print(f'{Path(sys.argv[0]).stem}: {error}', file=sys.stderr)
         return 1
     except Exception:
-        # A publisher that a callback uses after the signal has no context any more.
+        # After a signal publishers and services have no context any more.
         if rclpy.ok():
             raise
     finally:

@@ -1,0 +1,75 @@
+"""Nodes are processes that start, say how they are, and end cleanly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.ros.robot_client import RobotClient
+
+NODES = {
+    'landmark_learner': ('room_file',),
+    'odometry_fusion': ('robot_file',),
+    'panorama_synthesizer': ('robot_file', 'room_file'),
+    'room_simulator': ('robot_file',),
+    'sweep_capture': ('robot_file',),
+    'triangulation_localizer': ('robot_file',),
+    'triplet_selector': ('robot_file',),
+}
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_all_start_and_end_cleanly(
+    number: signal.Signals,
+    start: Callable[..., None],
+    supervisor: Supervisor,
+    client: RobotClient,
+    setup_files: dict[str, str],
+    tmp_path: Path,
+) -> None:
+    for name, needed in NODES.items():
+        start(name, **{key: setup_files[key] for key in needed})
+    client.wait(lambda: set(NODES) <= client.status.keys(), 60.0, 'the diagnostics of all')
+    supervisor.check()
+    begin = time.monotonic()
+    assert supervisor.stop([number]) == dict.fromkeys(NODES, 0)
+    # Two seconds each; here seven end at once on what may be two busy cores.
+    assert time.monotonic() - begin < 6.0
+    logs = {name: (tmp_path / 'logs' / f'{name}.log').read_text() for name in NODES}
+    assert [name for name, text in logs.items() if 'Traceback' in text] == []
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        ([], 'parameter robot_file of sweep_capture is not set'),
+        (['-p', 'robot_file:=nowhere.yaml'], 'nowhere.yaml: cannot be read'),
+        (['-p', 'capture.frames:=0'], 'capture.frames'),
+        (['-p', 'capture.frames:=many'], 'wrong type'),
+    ],
+)
+def test_what_cannot_run_says_why(arguments: list[str], words: str, domain_id: int) -> None:
+    command = [sys.executable, '-m', 'landmark_nav.nodes.sweep_capture', '--ros-args', *arguments]
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment)
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_without_ros_one_line_says_what_to_install() -> None:
+    script = 'import sys; sys.modules["rclpy"] = None; import landmark_nav.nodes.sweep_capture'
+    done = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, timeout=30
+    )
+    assert done.returncode == 1
+    assert 'pip install .[ros]' in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
