@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
         result = learn_from_panoramas(panoramas, room, LearningConfig(), shown)
         result.map.provenance.update(_provenance(args))
-        with log.measure('drawing'):
+        with shown.measure('drawing'):  # one more than the bar has: it is gone by then
             _draw(result, room, folder)
         write_map(result.map, folder)
     truth = _truth(bag)
@@ -86,7 +86,7 @@ class _ShownStages(StageLog):
 
     @contextmanager
     def measure(self, stage: str) -> Iterator[None]:
-        """Add the time of the block to a stage; its end moves the bar."""
+        """Add the time of the block to a stage; its start moves the bar."""
         next(self._steps, None)
         with super().measure(stage):
             yield

@@ -207,6 +207,25 @@ def test_types_come_from_the_bag_itself(tmp_path):
     assert (entry.message.a, entry.message.b) == (7, 9)
 
 
+def test_damage_anywhere_is_told_in_one_line_or_does_not_matter(tmp_path):
+    whole = (write_drive(tmp_path / 'drive') / 'drive.mcap').read_bytes()
+    rng = np.random.default_rng(0)
+    path = tmp_path / 'damaged.mcap'
+    complaints = []
+    for _ in range(20):
+        bytes_ = np.frombuffer(whole, np.uint8).copy()
+        near_end = len(bytes_) - rng.integers(1, 1500, 3)
+        places = np.where(rng.random(3) < 0.4, near_end, rng.integers(8, len(bytes_), 3))
+        bytes_[places] = rng.integers(0, 256, 3)
+        path.write_bytes(bytes_.tobytes())
+        try:
+            list(sensor_events(Bag(path), MOUNT))
+        except LandmarkNavError as error:
+            complaints.append(str(error))
+    assert 0 < len(complaints) < 20
+    assert not any('\n' in complaint for complaint in complaints)
+
+
 def test_nothing_half_written_is_left(tmp_path):
     def interrupted():
         with BagWriter(tmp_path / 'bag') as bag:

@@ -29,7 +29,16 @@ __all__ = ['ChannelInfo', 'McapFile', 'RawMessage']
 _MAGIC = b'\x89MCAP0\r\n'
 
 # Whatever the container, its decompressors and text decoding raise on damaged bytes.
-_DAMAGE = (McapError, struct.error, ValueError, KeyError, RuntimeError, EOFError, MemoryError)
+_DAMAGE = (
+    McapError,
+    struct.error,
+    ValueError,
+    KeyError,
+    RuntimeError,
+    EOFError,
+    MemoryError,
+    OSError,
+)
 
 
 @dataclass(frozen=True)
@@ -195,7 +204,7 @@ def _summary(stream: BinaryIO) -> Summary | None:
     try:
         stream.seek(0)
         return make_reader(stream).get_summary()
-    except (*_DAMAGE, OSError):
+    except _DAMAGE:
         return None
 
 

@@ -104,6 +104,8 @@ class Bag:
             self._files = [McapFile(p, on_warning) for p in _mcap_paths(self.path, on_warning)]
         except OSError as error:
             raise LandmarkNavError(f'{self.path}: cannot be read: {error}') from error
+        self._typestore = get_typestore(Stores.EMPTY)
+        self._learned: set[ChannelInfo] = set()
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for file in self._files:
@@ -165,36 +167,30 @@ class Bag:
             A file is damaged, or a topic is not written as ROS 2 messages.
 
         """
-        store = self._typestore(topics)
+        self._learn_types(topics)
         merged: Iterable[RawMessage] = heapq.merge(
             *(file.messages(topics) for file in self._files), key=lambda raw: raw.stamp_ns
         )
         for raw in merged:
-            yield BagMessage(raw, store, self.path)
+            yield BagMessage(raw, self._typestore, self.path)
 
-    def _typestore(self, topics: Collection[str] | None) -> Typestore:
-        """Types as the bag itself defines them; the standard ones where it does not."""
-        store = get_typestore(Stores.EMPTY)
-        standard = default_typestore()
-        seen: set[str] = set()
+    def _learn_types(self, topics: Collection[str] | None) -> None:
+        """Register the types of `topics` as the bag itself defines them."""
         for file in self._files:
             for info in file.counts:
-                if (topics is not None and info.topic not in topics) or info.type_name in seen:
+                if (topics is not None and info.topic not in topics) or info in self._learned:
                     continue
-                seen.add(info.type_name)
                 self._check(info)
+                text = info.schema or _standard_definition(info.type_name)
                 try:
-                    if info.schema:
-                        store.register(get_types_from_msg(info.schema, info.type_name))
-                    else:
-                        text, _ = standard.generate_msgdef(info.type_name)
-                        store.register(get_types_from_msg(text, info.type_name))
-                except (TypesysError, KeyError) as error:
+                    self._typestore.register(get_types_from_msg(text, info.type_name))
+                except (TypesysError, KeyError, SyntaxError, ValueError) as error:
+                    # The parser's own complaint repeats the whole definition.
                     raise LandmarkNavError(
                         f'{self.path}: topic {info.topic} is of type {info.type_name}, whose '
-                        f'definition cannot be read: {error}'
+                        'definition in the bag is missing or damaged: record it again'
                     ) from error
-        return store
+                self._learned.add(info)
 
     def _check(self, info: ChannelInfo) -> None:
         if info.message_encoding != 'cdr' or info.schema_encoding not in ('ros2msg', ''):
@@ -212,6 +208,12 @@ def read_bag(
 ) -> Iterator[BagMessage]:
     """Messages of a bag by log time: `Bag.messages` for who reads it once."""
     yield from Bag(path, on_warning).messages(topics)
+
+
+def _standard_definition(type_name: str) -> str:
+    """Text of a standard message; empty where it is none."""
+    standard = default_typestore()
+    return standard.generate_msgdef(type_name)[0] if type_name in standard.types else ''
 
 
 def _mcap_paths(path: Path, on_warning: Callable[[str], None]) -> list[Path]:

@@ -30,6 +30,12 @@ def naming(bag: Bag, topic: str) -> Iterator[None]:
         if str(error).startswith(str(bag.path)):
             raise
         raise LandmarkNavError(f'{bag.path}: {topic}: {error}') from error
+    except AttributeError as error:
+        # The bag brings its own definitions: fields may be called otherwise, or be damaged.
+        raise LandmarkNavError(
+            f'{bag.path}: {topic}: its definition in the bag differs from the one of ROS 2 '
+            f'({error}): record it again'
+        ) from error
 
 
 class JointHistory:
