@@ -1,0 +1,110 @@
+"""
+Rooms never seen: simulate, learn from two sweeps, evaluate a drive; one line a room.
+
+``python test/rooms.py --seeds 201 202 203`` prints the table of the README and exits with 1 if a
+room misses a bound. Seeds are not used anywhere else: nothing is fitted to them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+import sys
+import tempfile
+
+import numpy as np
+import yaml
+
+from landmark_nav.cli.main import main as landmark_nav
+
+MAX_POSITION_RMSE_M = 0.03
+MAX_HEADING_RMSE_DEG = 0.4
+MIN_AVAILABILITY = 0.95
+MIN_LANDMARKS = 20
+MIN_WALLS = 3
+MAX_SWEEP_ERROR_M = 0.02
+MAX_SWEEP_ERROR_DEG = 0.3
+
+
+def run_room(seed: int, folder: Path, *options: str) -> dict[str, float | bool]:
+    """Take the commands that a user would, in `folder`; what came of it."""
+    room, robot = str(folder / 'room.yaml'), str(folder / 'robot.yaml')
+    _run('simulate', '--out', str(folder), '--seed', str(seed), '--light-change', *options)
+    start = json.loads((folder / 'start.json').read_text())['pose']
+    _run(
+        'learn', str(folder / 'learn'), '--room', room, '--robot', robot,
+        '--out', str(folder / 'map'), '--json', str(folder / 'learn.json'),
+    )  # fmt: skip
+    _run(
+        'evaluate', str(folder / 'drive'), '--map', str(folder / 'map'), '--robot', robot,
+        '--start', *map(str, start), '--json', str(folder / 'evaluate.json'),
+    )  # fmt: skip
+    learned = json.loads((folder / 'learn.json').read_text())
+    driven = json.loads((folder / 'evaluate.json').read_text())
+    return {
+        'seed': seed,
+        'landmarks': driven['landmarks'],
+        'walls': len(learned['landmarks_per_wall']),
+        'target': _target_elected(folder),
+        'sweep_mm': 1e3 * max(s['error_position_m'] for s in learned['sweeps']),
+        'sweep_deg': max(s['error_heading_deg'] for s in learned['sweeps']),
+        'fused_mm': 1e3 * driven['fused']['position_rmse_m'],
+        'fused_deg': driven['fused']['heading_rmse_deg'],
+        'availability': driven['availability'],
+        'nees': driven['nees']['mean'],
+        'crlb_ratio': driven['crlb_ratio'],
+        'odometry_mm': 1e3 * driven['odometry']['position_rmse_m'],
+    }
+
+
+def meets_bounds(row: dict[str, float | bool]) -> bool:
+    """Whether a room is as good as every room has to be."""
+    return bool(
+        row['fused_mm'] <= 1e3 * MAX_POSITION_RMSE_M
+        and row['fused_deg'] <= MAX_HEADING_RMSE_DEG
+        and row['availability'] >= MIN_AVAILABILITY
+        and row['landmarks'] >= MIN_LANDMARKS
+        and row['walls'] >= MIN_WALLS
+        and row['sweep_mm'] <= 1e3 * MAX_SWEEP_ERROR_M
+        and row['sweep_deg'] <= MAX_SWEEP_ERROR_DEG
+        and row['target']
+    )
+
+
+def _run(*arguments: str) -> None:
+    status = landmark_nav(list(arguments))
+    if status != 0:
+        raise SystemExit(f'landmark-nav {" ".join(arguments)}: exit status {status}')
+
+
+def _target_elected(folder: Path) -> bool:
+    """Whether a landmark lies on the specialised target."""
+    scene = json.loads((folder / 'scene.json').read_text())
+    target = next(item for item in scene['items'] if item['kind'] == 'target')
+    landmarks = yaml.safe_load((folder / 'map' / 'map.yaml').read_text())['landmarks']
+    places = np.array([landmark['position'] for landmark in landmarks])
+    away = np.linalg.norm(places - np.array(target['center']), axis=1)
+    return bool(away.min() < 0.5 * max(target['size']))
+
+
+def main() -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--seeds', type=int, nargs='+', required=True)
+    parser.add_argument('--out', type=Path, help='keep the rooms here')
+    arguments, options = parser.parse_known_args()
+    rows = []
+    for seed in arguments.seeds:
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = (arguments.out or Path(scratch)) / f'room_{seed}'
+            rows.append(run_room(seed, folder, *options))
+    for k, row in enumerate(rows):
+        if k == 0:
+            print('\n' + '  '.join(f'{name:>12}' for name in row))
+        print('  '.join(f'{value:12.4g}' for value in row.values()))
+    return 0 if all(meets_bounds(row) for row in rows) else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
