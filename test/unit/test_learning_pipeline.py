@@ -1,0 +1,223 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import (
+    Board,
+    draw_panorama,
+    draw_sweep,
+    flat_texture,
+    GREY,
+    paper_board,
+    rectangle_room,
+    Scene,
+    textured_room,
+    wall_board,
+)
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.learning.pipeline import (
+    learn_from_panoramas,
+    LearningConfig,
+    LearningResult,
+    panorama_from_sweep,
+    PanoramaStages,
+)
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.types import FloatArray, Landmark, Panorama, PoseEstimate, Refusal, Sweep
+
+CAMERA = CameraModel(
+    300, 220, 250.0, 250.0, 150.0, 110.0, distortion=(-0.18, 0.05, 0.001, -0.001, 0.0)
+)
+MOUNT = PanTiltMount(axis_xyz=(0.1, -0.02, 1.15))
+POSES = (np.array([1.8, 1.7, 0.5]), np.array([3.0, 2.5, -1.9]))
+TURN = np.radians(np.arange(0.0, 360.0, 20.0))
+PAPERS = (
+    Paper('red', (5.0, 1.2, 1.25), 0.21, 0.297),
+    Paper('green', (5.0, 2.1, 1.1), 0.21, 0.297),
+    Paper('blue', (5.0, 3.3, 1.3), 0.21, 0.297),
+)
+ROOM = rectangle_room(5.0, 4.2, PAPERS)
+
+
+def scene_of(room: Room) -> Scene:
+    """Textured walls; the papers hang on a plain grey strip of their wall."""
+    textured = textured_room(rectangle_room(5.0, 4.2), seed=4, feature_m=0.045)
+    strip = Board(
+        np.array([5.0 - 5e-6, 2.2, 1.2]), np.array([-1.0, 0, 0]), 2.9, 0.75, flat_texture(GREY)
+    )
+    return Scene((*textured.boards, strip, *(paper_board(p, room) for p in room.papers)))
+
+
+SCENE = scene_of(ROOM)
+
+
+def sweep_at(pose: FloatArray, mount: PanTiltMount = MOUNT, known: bool = False) -> Sweep:
+    rng = np.random.default_rng(0)
+    place = PoseEstimate(0, pose, np.diag([0.01, 0.01, 0.004]) ** 2) if known else None
+    return draw_sweep(SCENE, CAMERA, mount, pose, TURN, rng=rng, known=place)
+
+
+def axis_of(pose: FloatArray) -> FloatArray:
+    """Viewpoint (3,) of a panorama taken by the base at `pose`."""
+    x, y, _ = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
+    return np.array([x, y, MOUNT.axis_xyz[2]])
+
+
+@pytest.fixture(scope='module')
+def panoramas() -> list[Panorama]:
+    return [panorama_from_sweep(sweep_at(pose), ROOM, MOUNT, PanoramaStages()) for pose in POSES]
+
+
+@pytest.fixture(scope='module')
+def learned(panoramas: list[Panorama]) -> LearningResult:
+    return learn_from_panoramas(panoramas, ROOM, LearningConfig())
+
+
+def test_panoramas_know_where_they_were_taken(panoramas: list[Panorama]) -> None:
+    for panorama, pose in zip(panoramas, POSES, strict=True):
+        error = np.append(
+            panorama.center_map - axis_of(pose), wrap_rad(panorama.heading_rad - pose[2])
+        )
+        assert np.abs(error[:2]).max() < 0.015
+        assert abs(error[3]) < np.radians(0.3)
+        assert np.abs(error / np.sqrt(np.diag(panorama.covariance))).max() < 3.5
+
+
+def test_a_room_is_learned_from_two_sweeps(learned: LearningResult) -> None:
+    landmarks = learned.map.landmarks
+    assert len(landmarks) >= 20
+    assert len({k.wall_id for k in landmarks}) >= 3
+    assert [k.id for k in landmarks] == list(range(1, len(landmarks) + 1))
+    assert learned.map.walls == ROOM.walls
+    assert learned.reconstructed >= len(landmarks)
+
+
+def test_every_candidate_has_its_outcome(learned: LearningResult) -> None:
+    for candidates, outcomes in zip(learned.candidates, learned.outcomes, strict=True):
+        assert len(candidates) == len(outcomes)
+    flat = [o for outcomes in learned.outcomes for o in outcomes]
+    assert {id(o) for o in flat if isinstance(o, Landmark)} == {
+        id(k) for k in learned.map.landmarks
+    }
+    assert all(isinstance(o, Landmark) or o.reason not in ('', 'not reached') for o in flat)
+
+
+def errors_of(learned: LearningResult) -> tuple[FloatArray, FloatArray]:
+    """Errors (n, 3) of landmarks, and covariances: what is truly seen at their candidates."""
+    errors, covariances = [], []
+    for view, (candidates, outcomes) in enumerate(
+        zip(learned.candidates, learned.outcomes, strict=True)
+    ):
+        axis, cylinder = axis_of(POSES[view]), learned.panoramas[view].cylinder
+        for candidate, outcome in zip(candidates, outcomes, strict=True):
+            if isinstance(outcome, Refusal):
+                continue
+            azimuth = float(cylinder.azimuth_rad(candidate.column)) + POSES[view][2]
+            reach = float(ROOM.raycast(axis[:2], azimuth)[0])
+            up = axis[2] + reach * float(cylinder.tangent(candidate.row))
+            xy = axis[:2] + reach * np.array([np.cos(azimuth), np.sin(azimuth)])
+            errors.append(outcome.position - [*xy, up])
+            covariances.append(outcome.covariance)
+    return np.array(errors), np.array(covariances)
+
+
+def test_landmarks_are_where_they_are(learned: LearningResult) -> None:
+    errors, covariances = errors_of(learned)
+    assert np.linalg.norm(errors, axis=1).max() < 0.04
+    assert np.sqrt(np.mean(errors[:, :2] ** 2)) < 0.012
+    nees = np.einsum('ni,nij,nj->n', errors, np.linalg.inv(covariances), errors)
+    # All share the errors of two places, so that one world is one draw of few numbers.
+    assert np.mean(nees) / 3.0 < 2.0
+    assert nees.max() / 3.0 < 8.0
+
+
+def test_landmarks_look_like_the_wall(learned: LearningResult) -> None:
+    for landmark in learned.map.landmarks:
+        rows, columns = landmark.patch.shape
+        assert landmark.width_m / columns == pytest.approx(landmark.height_m / rows)
+        right = np.array([-landmark.normal[1], landmark.normal[0], 0.0])
+        texel = landmark.width_m / columns
+        across = (np.arange(columns) - (columns - 1) / 2.0) * texel
+        down = (np.arange(rows) - (rows - 1) / 2.0) * texel
+        points = (
+            landmark.position
+            + across[None, :, None] * right
+            - down[:, None, None] * [0.0, 0.0, 1.0]
+        )
+        inwards = np.broadcast_to(-landmark.normal, points.shape)
+        truth = SCENE.look(points + 0.3 * landmark.normal, inwards)[0][..., 0]
+        assert np.corrcoef(truth.ravel(), landmark.patch.ravel())[0, 1] > 0.8
+
+
+def test_learning_again_gives_the_same(panoramas: list[Panorama], learned: LearningResult) -> None:
+    log = StageLog()
+    again = learn_from_panoramas(panoramas, ROOM, LearningConfig(), log)
+    np.testing.assert_array_equal(again.map.positions, learned.map.positions)
+    np.testing.assert_array_equal(again.map.covariances, learned.map.covariances)
+    assert set(log.seconds) == {'attention', 'stereo', 'adjustment', 'election'}
+    assert all(m > 0.0 for m in log.peak_memory_mb.values())
+
+
+def test_a_place_known_from_elsewhere_needs_no_papers() -> None:
+    bare = replace(ROOM, papers=())
+    panorama = panorama_from_sweep(sweep_at(POSES[0], known=True), bare, MOUNT, PanoramaStages())
+    np.testing.assert_allclose(panorama.center_map, axis_of(POSES[0]))
+    assert panorama.heading_rad == POSES[0][2]
+    # The lever from the base to the pan axis carries the heading's error along.
+    lever = se2.rotation(POSES[0][2]) @ MOUNT.axis_xyz[:2]
+    cross = [-lever[1] * 0.004**2, lever[0] * 0.004**2]
+    np.testing.assert_allclose(panorama.covariance[:2, 3], cross, rtol=1e-3)
+
+
+def test_an_optical_centre_off_the_axis_is_undone() -> None:
+    mount = replace(MOUNT, optical_center_offset=(0.06, 0.0, 0.0))
+    panorama = panorama_from_sweep(sweep_at(POSES[0], mount), ROOM, mount, PanoramaStages())
+    error = panorama.center_map - axis_of(POSES[0])
+    assert np.abs(error[:2]).max() < 0.015
+    assert abs(wrap_rad(panorama.heading_rad - POSES[0][2])) < np.radians(0.3)
+    expected = draw_panorama(SCENE, axis_of(POSES[0]), POSES[0][2]).image
+    middle = slice(expected.shape[0] // 2 - 30, expected.shape[0] // 2 + 30)
+    height, width = panorama.image.shape[:2]
+    assert width == expected.shape[1]
+    rows = slice(round(panorama.cylinder.cy) - 30, round(panorama.cylinder.cy) + 30)
+    difference = panorama.image[rows].astype(float) - expected[middle]
+    assert np.abs(difference).mean() < 8.0
+    assert height > 60
+
+
+def test_a_sweep_without_frames_is_refused() -> None:
+    with pytest.raises(LandmarkNavError, match='no frames: call capture_sweep again'):
+        panorama_from_sweep(Sweep(0, ()), ROOM, MOUNT, PanoramaStages())
+
+
+def test_one_panorama_is_not_enough(panoramas: list[Panorama]) -> None:
+    with pytest.raises(LandmarkNavError, match=r'needs two panoramas .* there is 1'):
+        learn_from_panoramas(panoramas[:1], ROOM, LearningConfig())
+
+
+def test_twice_the_same_place_is_not_enough(panoramas: list[Panorama]) -> None:
+    with pytest.raises(LandmarkNavError, match='all 2 panoramas are from one place'):
+        learn_from_panoramas([panoramas[0]] * 2, ROOM, LearningConfig())
+
+
+def test_bare_walls_cannot_be_learned() -> None:
+    bare = Scene(tuple(wall_board(wall, flat_texture(GREY)) for wall in ROOM.walls))
+    rng = np.random.default_rng(1)
+    views = [draw_panorama(bare, axis_of(pose), pose[2], rng=rng) for pose in POSES]
+    with pytest.raises(LandmarkNavError, match='were found again from another place') as caught:
+        learn_from_panoramas(views, ROOM, LearningConfig())
+    assert '\n' not in str(caught.value)
+
+
+def test_walls_that_stand_elsewhere_carry_no_landmarks(panoramas: list[Panorama]) -> None:
+    # North and east are told farther away than they are, south and west are right.
+    larger = rectangle_room(6.5, 6.0)
+    learned = learn_from_panoramas(panoramas, larger, LearningConfig())
+    assert {k.wall_id for k in learned.map.landmarks} == {'s', 'w'}
