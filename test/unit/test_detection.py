@@ -1,0 +1,222 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import (
+    Board,
+    draw_frame,
+    flat_texture,
+    rectangle_room,
+    Scene,
+    textured_room,
+    true_landmark,
+)
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.detection import (
+    detect_landmarks,
+    DetectionConfig,
+    DetectionResult,
+)
+from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, PoseEstimate
+
+LENS = CameraModel(
+    480, 360, 400.0, 400.0, 240.0, 180.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
+)
+MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15), optical_center_offset=(0.03, 0.0, 0.0))
+CONFIG = DetectionConfig()
+ROOM = rectangle_room(6.0, 5.0)
+SCENE = textured_room(ROOM, seed=6, feature_m=0.04)
+EAST = SCENE.boards[1]
+HERE = np.array([2.9, 2.3, 0.1])
+PRIOR = np.diag([0.02, 0.02, 0.008]) ** 2
+
+
+def map_of(
+    places: list[tuple[float, float]], viewpoint: FloatArray | None = None, size_m: float = 0.32
+) -> LandmarkMap:
+    """Landmarks of the east wall, metres across and up from its centre."""
+    viewpoint = np.array([3.0, 2.3, 1.15]) if viewpoint is None else viewpoint
+    return LandmarkMap(
+        tuple(
+            true_landmark(SCENE, k + 1, EAST, *place, viewpoint, size_m=size_m)
+            for k, place in enumerate(places)
+        ),
+        walls=ROOM.walls,
+    )
+
+
+LANDMARKS = map_of([(-0.8, 0.1), (-0.2, -0.3), (0.3, 0.2), (0.9, -0.1)])
+
+
+def detect(
+    frame: CameraFrame, prior: FloatArray, landmark_map: LandmarkMap = LANDMARKS
+) -> DetectionResult:
+    everything = np.arange(len(landmark_map.landmarks))
+    estimate = PoseEstimate(frame.stamp_ns, prior, PRIOR)
+    return detect_landmarks(frame, estimate, landmark_map, MOUNT, CONFIG, everything)
+
+
+def bearing_at(pose: FloatArray, landmark: Landmark) -> float:
+    """Bearing at the pan axis."""
+    axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
+    d = landmark.position[:2] - axis[:2]
+    return float(wrap_rad(np.arctan2(d[1], d[0]) - pose[2]))
+
+
+def errors_of(
+    result: DetectionResult, pose: FloatArray, landmark_map: LandmarkMap = LANDMARKS
+) -> FloatArray:
+    found = result.detections
+    index = landmark_map.indices(found.ids)
+    truth = [bearing_at(pose, landmark_map.landmarks[k]) for k in index]
+    return wrap_rad(found.bearing_rad - truth)
+
+
+def test_landmarks_are_found_where_they_are() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    result = detect(frame, HERE)
+    assert sorted(result.detections.ids) == [1, 2, 3, 4]
+    assert not result.refused
+    assert result.detections.stamp_ns == frame.stamp_ns
+    assert result.detections.score.min() > 0.97
+    # A pixel is 2.5 mrad here.
+    assert np.abs(errors_of(result, HERE)).max() < 2e-4
+
+
+def test_a_camera_that_looks_aside_and_up_measures_the_same_bearings() -> None:
+    for pan, tilt in ((0.35, 0.1), (-0.4, -0.08)):
+        result = detect(draw_frame(SCENE, LENS, MOUNT, HERE, pan, tilt), HERE)
+        assert len(result.detections) >= 3
+        assert np.abs(errors_of(result, HERE)).max() < 2e-4
+
+
+def test_bearings_err_as_their_variances_say() -> None:
+    rng = np.random.default_rng(1)
+    squares, counts = [], []
+    for _ in range(25):
+        pose = HERE + rng.uniform((-0.4, -0.4, -0.1), (0.4, 0.4, 0.1))
+        frame = draw_frame(SCENE, LENS, MOUNT, pose, rng=rng, sigma=6.0)
+        prior = pose + rng.multivariate_normal(np.zeros(3), PRIOR)
+        result = detect(frame, prior)
+        squares += list(errors_of(result, pose) ** 2 / result.detections.variance_rad2)
+        counts.append(len(result.detections))
+    assert np.mean(counts) > 3.0
+    assert 0.3 < np.mean(squares) < 1.6
+    assert np.max(squares) < 16.0
+
+
+@pytest.mark.parametrize('shift', [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.02)], ids=str)
+def test_a_prior_that_is_off_does_not_move_the_bearings(shift: tuple[float, ...]) -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE)
+    result = detect(frame, HERE + np.array(shift))
+    assert len(result.detections) == 4
+    assert np.abs(errors_of(result, HERE)).max() < 5e-4
+
+
+def test_a_prior_that_is_far_off_finds_nothing_false() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE)
+    result = detect(frame, HERE + np.array([0.0, 0.7, 0.0]))
+    assert len(result.detections) == 0
+    assert sorted(result.refused) == [1, 2, 3, 4]
+    assert all(refusal.reason for refusal in result.refused.values())
+
+
+@pytest.mark.parametrize('away_m', [1.6, 2.4, 4.5])
+def test_patches_are_found_at_half_and_twice_the_distance(away_m: float) -> None:
+    # Learned from 3 m.
+    pose = np.array([6.0 - away_m - MOUNT.axis_xyz[0], 2.4, 0.0])
+    frame = draw_frame(SCENE, LENS, MOUNT, pose, rng=np.random.default_rng(2))
+    landmarks = map_of([(-0.15, 0.1), (0.2, -0.1)])
+    result = detect(frame, pose, landmarks)
+    assert len(result.detections) == 2
+    assert np.abs(errors_of(result, pose, landmarks)).max() < 1.5e-3
+
+
+def test_patches_are_found_aslant() -> None:
+    # From 55 degrees off the normal.
+    pose = np.array([4.4, 0.3, np.radians(55.0)])
+    frame = draw_frame(SCENE, LENS, MOUNT, pose, rng=np.random.default_rng(3))
+    landmarks = map_of([(0.0, 0.0), (-0.5, 0.2)])
+    result = detect(frame, pose, landmarks)
+    assert len(result.detections) == 2
+    assert np.abs(errors_of(result, pose, landmarks)).max() < 1e-3
+
+
+def test_light_that_changed_changes_no_bearing() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE)
+    shading = np.linspace(0.6, 0.7, LENS.width)[None, :, None]
+    darker = replace(frame, image=np.rint(frame.image * shading + 5.0).astype(np.uint8))
+    result = detect(darker, HERE)
+    assert len(result.detections) == 4
+    assert np.abs(errors_of(result, HERE)).max() < 5e-4
+
+
+def test_grey_pictures_serve_as_well() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE)
+    grey = replace(frame, image=frame.image[..., 0].copy())
+    np.testing.assert_allclose(
+        detect(grey, HERE).detections.bearing_rad,
+        detect(frame, HERE).detections.bearing_rad,
+        atol=2e-5,
+    )
+
+
+def test_a_covered_landmark_is_refused() -> None:
+    person = Board(
+        np.array([5.0, 2.3, 1.0]), EAST.normal, 0.5, 1.6, flat_texture((60.0, 60.0, 60.0))
+    )
+    crowded = Scene((*SCENE.boards, person))
+    result = detect(draw_frame(crowded, LENS, MOUNT, HERE), HERE)
+    # The person stands before the second and the third.
+    assert sorted(result.detections.ids) == [1, 4]
+    assert sorted(result.refused) == [2, 3]
+    assert np.abs(errors_of(result, HERE)).max() < 2e-4
+
+
+def test_what_is_out_of_view_is_refused() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, pan_rad=2.5)
+    result = detect(frame, HERE)
+    assert len(result.detections) == 0
+    reasons = {refusal.reason for refusal in result.refused.values()}
+    assert reasons <= {'out of view', 'too small or cut off'}
+
+
+def test_what_is_too_small_is_refused() -> None:
+    tiny = map_of([(0.0, 0.0)], size_m=0.08)
+    result = detect(draw_frame(SCENE, LENS, MOUNT, HERE), HERE, tiny)
+    assert result.refused[1].reason == 'too small or cut off'
+
+
+def test_only_the_landmarks_asked_for_are_searched() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE)
+    estimate = PoseEstimate(0, HERE, PRIOR)
+    some = detect_landmarks(frame, estimate, LANDMARKS, MOUNT, CONFIG, np.array([2]))
+    assert list(some.detections.ids) == [3]
+    nothing = np.array([], dtype=np.intp)
+    none = detect_landmarks(frame, estimate, LANDMARKS, MOUNT, CONFIG, nothing)
+    assert len(none.detections) == 0
+    assert none.detections.uv_px.shape == (0, 2)
+    assert not none.refused
+
+
+def test_pixels_and_bearings_are_of_one_place() -> None:
+    result = detect(draw_frame(SCENE, LENS, MOUNT, HERE, 0.05), HERE)
+    found = result.detections
+    rotation, center = MOUNT.camera_pose_base(0.05)
+    rays = LENS.unproject(found.uv_px) @ rotation.T
+    index = LANDMARKS.indices(found.ids)
+    position = LANDMARKS.positions[index]
+    in_base = se2.transform_points(se2.inverse(HERE), position[:, :2]) - center[:2]
+    direction = np.arctan2(in_base[:, 1], in_base[:, 0])
+    np.testing.assert_allclose(np.arctan2(rays[:, 1], rays[:, 0]), direction, atol=2e-4)
+
+
+def test_parameters_out_of_range_are_refused() -> None:
+    with pytest.raises(LandmarkNavError, match='window_sigmas'):
+        DetectionConfig(window_sigmas=0.1)
