@@ -15,7 +15,8 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.furnishing import move_one_box
-from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.gaze import Gaze
+from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.recording import drive_messages, Recorded, sweep_messages
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
@@ -125,7 +126,9 @@ def run(args: argparse.Namespace) -> int:
                 renderer=world.renderer if later is scene else None,
             )
             frames = round(args.drive_seconds * args.camera_rate)
-            _write(bag, _drive(world, path, rng, args), 'drive', frames)
+            known = seen_from_all(scene, [pose[:2] for pose in poses])
+            gaze = Gaze(later, mount, world.pan_limit_rad, rng, known)
+            _write(bag, _drive(world, path, gaze, args), 'drive', frames)
         for name, text in (
             ('room.yaml', room_document(scene.room)),
             ('robot.yaml', robot_document(mount)),
@@ -187,13 +190,13 @@ def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Ite
 
 
 def _drive(
-    world: RobotWorld, path: Any, rng: np.random.Generator, args: argparse.Namespace
+    world: RobotWorld, path: Any, gaze: Gaze, args: argparse.Namespace
 ) -> Iterator[Recorded]:
     return drive_messages(
         world,
         rosbag_factory(),
         path,
-        rng,
+        gaze,
         seconds=args.drive_seconds,
         speed_m_s=args.speed,
         camera_rate_hz=args.camera_rate,

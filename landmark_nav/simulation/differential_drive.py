@@ -28,13 +28,13 @@ class DriveConfig:
     )
     track_m: float = parameter(0.36, 'Distance between the wheels', minimum=0.05, maximum=3.0)
     scale_sigma: float = parameter(
-        0.003, 'Relative error of each wheel radius, drawn once', minimum=0.0, maximum=0.2
+        0.002, 'Relative error of each wheel radius, drawn once', minimum=0.0, maximum=0.2
     )
     track_sigma: float = parameter(
-        0.01, 'Relative error of the track, drawn once', minimum=0.0, maximum=0.2
+        0.008, 'Relative error of the track, drawn once', minimum=0.0, maximum=0.2
     )
     slip_sigma_m: float = parameter(
-        0.002, 'Slip of each wheel over 1 m, a random walk', minimum=0.0, maximum=0.2
+        0.0015, 'Slip of each wheel over 1 m, a random walk', minimum=0.0, maximum=0.2
     )
     encoder_step_m: float = parameter(
         0.00002, 'Way of a wheel for one count', minimum=0.0, maximum=0.1

@@ -222,6 +222,6 @@ class PathFollower:
         error = float(wrap_rad(np.arctan2(offset[1], offset[0]) - pose_map_base[2]))
         reach = max(float(np.linalg.norm(offset)), 0.2)
         if abs(error) > 1.0:
-            return 0.0, float(np.clip(1.5 * error, -1.0, 1.0))
+            return 0.0, float(np.clip(1.5 * error, -0.8, 0.8))
         speed = self._speed_m_s * max(np.cos(1.3 * error), 0.15)
         return float(speed), float(2.0 * speed * np.sin(error) / reach)

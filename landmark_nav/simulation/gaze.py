@@ -41,11 +41,18 @@ class Gaze:
         How far it turns to both sides.
     rng : numpy.random.Generator
         Which thing is next, and for how long.
+    preferred : ndarray of bool, shape (n,), optional
+        Which of the scene's items it looks at if any of them is in sight: those it knows.
 
     """
 
     def __init__(
-        self, scene: Scene, mount: PanTiltMount, pan_limit_rad: float, rng: np.random.Generator
+        self,
+        scene: Scene,
+        mount: PanTiltMount,
+        pan_limit_rad: float,
+        rng: np.random.Generator,
+        preferred: npt.NDArray[np.bool_] | None = None,
     ) -> None:
         """Look ahead until told where the robot is."""
         self._scene = scene
@@ -53,6 +60,8 @@ class Gaze:
         self._limit_rad = pan_limit_rad
         self._rng = rng
         self._points, self._walls = item_points(scene)
+        known = np.ones(len(self._points), np.bool_) if preferred is None else preferred
+        self._liking = np.where(known, 1.0, 0.1)
         self._chosen = -1
         self._until_s = 0.0
 
@@ -76,7 +85,7 @@ class Gaze:
     def _choose(self, time_s: float, pan: npt.NDArray[np.float64], quality: FloatArray) -> None:
         """Rather a thing with others around it that are seen well too."""
         together = np.abs(wrap_rad(pan[:, None] - pan)) < _TOGETHER_RAD
-        weight = np.where(quality > 0.0, together @ quality, 0.0) ** 2
+        weight = np.where(quality > 0.0, together @ (quality * self._liking), 0.0) ** 2
         if self._chosen >= 0:
             # Look elsewhere, if there is anything.
             weight = weight * np.where(

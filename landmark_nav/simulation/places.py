@@ -9,7 +9,14 @@ import numpy.typing as npt
 
 from landmark_nav.simulation.scene import Scene
 
-__all__ = ['EYE_HEIGHT_M', 'SweepPlaces', 'choose_sweep_places', 'item_points', 'view_quality']
+__all__ = [
+    'EYE_HEIGHT_M',
+    'SweepPlaces',
+    'choose_sweep_places',
+    'item_points',
+    'seen_from_all',
+    'view_quality',
+]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -18,6 +25,11 @@ EYE_HEIGHT_M = 1.1
 
 # Height over distance that fits into the picture of a usual camera, with some reserve.
 _STEEPEST_VIEW = 0.4
+
+# Largest angle off a wall's normal at which papers, other things and the target are seen well.
+_STEEPEST_PAPER_DEG = 68.0
+_STEEPEST_ITEM_DEG = 62.0
+_STEEPEST_TARGET_DEG = 55.0
 
 _CLEARANCE_M = 0.5
 _BASELINE_M = (1.5, 2.5)
@@ -58,14 +70,14 @@ def choose_sweep_places(scene: Scene) -> SweepPlaces | None:
     papers = np.array([p.center for p in scene.room.papers]).reshape(-1, 3)
     papers[:, 2] += [0.5 * p.height for p in scene.room.papers]
     paper_walls = scene.room.nearest_wall(papers[:, :2]) if len(papers) else np.zeros(0, np.intp)
-    good = view_quality(scene, places, papers, paper_walls, 68.0) > 0.0
+    good = view_quality(scene, places, papers, paper_walls, _STEEPEST_PAPER_DEG) > 0.0
     places = places[good.all(axis=1)]
     items, walls = item_points(scene)
-    quality = view_quality(scene, places, items, walls, 62.0)
+    quality = view_quality(scene, places, items, walls, _STEEPEST_ITEM_DEG)
     if scene.target is not None:
-        at = scene.items.index(scene.target)
-        keep = view_quality(scene, places, items[at : at + 1], walls[at : at + 1], 55.0)[:, 0] > 0
-        places, quality = places[keep], quality[keep]
+        at = [scene.items.index(scene.target)]
+        target = view_quality(scene, places, items[at], walls[at], _STEEPEST_TARGET_DEG)
+        places, quality = places[target[:, 0] > 0.0], quality[target[:, 0] > 0.0]
     if len(places) < 2:
         return None
     apart = np.linalg.norm(places[:, None] - places, axis=-1)
@@ -89,6 +101,13 @@ def item_points(scene: Scene) -> tuple[FloatArray, npt.NDArray[np.intp]]:
     """Centres (n, 3) of what hangs on the walls, and which walls (n,)."""
     points = np.array([item.center(scene.room) for item in scene.items]).reshape(-1, 3)
     return points, np.array([item.wall for item in scene.items], dtype=np.intp)
+
+
+def seen_from_all(scene: Scene, places_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """Whether all places (n, 2) see an item well, for each item of `scene`."""
+    points, walls = item_points(scene)
+    quality = view_quality(scene, places_xy, points, walls, _STEEPEST_ITEM_DEG)
+    return np.asarray((quality > 0.0).all(axis=0))
 
 
 def view_quality(

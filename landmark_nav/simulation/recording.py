@@ -80,7 +80,7 @@ def drive_messages(
     world: RobotWorld,
     factory: MessageFactory,
     path_xy: FloatArray,
-    rng: np.random.Generator,
+    gaze: Gaze,
     *,
     seconds: float,
     speed_m_s: float = 0.35,
@@ -98,7 +98,7 @@ def drive_messages(
         Builds the messages.
     path_xy : ndarray, shape (n, 2)
         The way, map frame, metres.
-    rng : numpy.random.Generator
+    gaze : Gaze
         Where the camera looks.
     seconds : float
         For how long; the robot stops where the path ends.
@@ -118,7 +118,6 @@ def drive_messages(
     """
     driver = PathFollower(path_xy, speed_m_s)
     every = max(1, round(_STATE_RATE_HZ / camera_rate_hz))
-    gaze = Gaze(world.scene, world.mount, world.pan_limit_rad, rng)
     for k in range(round(seconds * _STATE_RATE_HZ)):
         time_s = k / _STATE_RATE_HZ
         world.command_velocity(*driver.command(world.true_pose))

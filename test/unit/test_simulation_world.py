@@ -106,7 +106,8 @@ def test_sweep_and_drive_are_recorded_as_a_robot_would(world, tmp_path):
 
     path = plan_tour(SCENE, POSE[:2], 4.0, np.random.default_rng(0))
     world.place([*path[0], 0.0])
-    recorded = list(drive_messages(world, factory, path, np.random.default_rng(0), seconds=4.0))
+    gaze = Gaze(SCENE, MOUNT, np.pi, np.random.default_rng(0))
+    recorded = list(drive_messages(world, factory, path, gaze, seconds=4.0))
     assert Counter(entry.topic for entry in recorded) == {
         'joint_states': 80,
         'odom': 80,
