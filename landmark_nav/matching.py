@@ -26,7 +26,8 @@ _BLUR_PX = 0.8
 _CORRELATION_AREA = 4.0
 # What remains if noise did not matter: interpolation, and texture that isn't quite the same.
 _FLOOR_PX = 0.02
-_ITERATIONS = 8
+_ITERATIONS = 12
+_CONVERGED_PX = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +76,9 @@ def match_template(
 
     Notes
     -----
-    The alignment is second-order Gauss-Newton over shift, gain and offset, with the mean of both
-    images' gradients (Benhimane and Malis, IROS 2004); its normal matrix gives the covariance.
+    The alignment is Gauss-Newton over shift, gain and offset with the template's gradients, whose
+    normal matrix is the same in each step (Baker and Matthews, IJCV 56(3), 2004) and gives the
+    covariance.
 
     """
     if float(np.std(template)) < min_contrast:
@@ -140,52 +142,47 @@ def _align(
 ) -> tuple[FloatArray, FloatArray, float] | None:
     """Shift (2,) of the template's corner, its covariance, and the correlation there."""
     height, width = template.shape
-    center = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
     inner = (slice(1, -1), slice(1, -1))
-    reference = template[inner].ravel().astype(np.float64)
-    grad_x, grad_y = _gradients(template)
-    ones = np.ones_like(reference)
-    at = np.array([column, row], dtype=np.float64)
-    gain, offset = 1.0, 0.0
+    reference = template[inner].ravel()
+    reference = reference - reference.mean()
+    power = float(reference @ reference)
+    # What gain and offset explain is taken out of the gradients once and for all, so that each
+    # step needs no more than two products with the picture.
+    gradient = np.stack(_gradients(template))
+    gradient -= gradient.mean(1, keepdims=True)
+    gradient -= np.outer(gradient @ reference / power, reference)
+    normal = (gradient @ gradient.T).astype(np.float64)
+    if np.linalg.det(normal) < 1e-6 * np.trace(normal) ** 2:
+        return None
+    inverse = np.linalg.inv(normal)
+
+    corner = np.array([column, row], dtype=np.float64)
+    center = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
+    shift, step, gain = np.zeros(2), np.zeros(2), 1.0
     for _ in range(_ITERATIONS):
-        x, y = at + center
-        seen = np.asarray(
-            cv2.getRectSubPix(search, (width, height), (float(x), float(y))), dtype=np.float32
-        )
-        seen_x, seen_y = _gradients(seen)
-        value = seen[inner].ravel().astype(np.float64)
-        # value(at + d) ~ gain * reference + offset
-        jacobian = np.stack(
-            [
-                0.5 * (seen_x + gain * grad_x),
-                0.5 * (seen_y + gain * grad_y),
-                -reference,
-                -ones,
-            ],
-            1,
-        )
-        residual = gain * reference + offset - value
-        normal = jacobian.T @ jacobian
-        try:
-            step = np.linalg.solve(normal, jacobian.T @ residual)
-        except np.linalg.LinAlgError:
+        x, y = corner + center + shift
+        seen = cv2.getRectSubPix(search, (width, height), (float(x), float(y)))
+        value = np.asarray(seen, dtype=np.float32)[inner].ravel()
+        gain = float(reference @ value) / power
+        if gain <= 0.0:
             return None
-        at += step[:2]
-        gain += step[2]
-        offset += step[3]
-        if np.hypot(*(at - [column, row])) > 2.0 or not np.all(np.isfinite(step)):
+        # value(x) ~ gain * reference(x - d) + offset
+        step = -inverse @ (gradient @ value).astype(np.float64) / gain
+        shift += step
+        if not np.hypot(*shift) < 2.0:
             return None
-        if np.hypot(step[0], step[1]) < 2e-3:
+        if np.hypot(*step) < _CONVERGED_PX:
             break
-    left = residual - jacobian @ step
-    variance = float(left @ left) / max(len(left) - 4, 1) * _CORRELATION_AREA
-    covariance = variance * np.linalg.inv(normal)[:2, :2] + np.eye(2) * _FLOOR_PX**2
-    score = float(np.corrcoef(value, reference)[0, 1])
-    return at, covariance, score
+    value = value - value.mean()
+    left = value - gain * reference + gain * (step @ gradient)
+    variance = float(left @ left) / max(len(left) - 4, 1) * _CORRELATION_AREA / gain**2
+    covariance = variance * inverse + np.eye(2) * _FLOOR_PX**2
+    score = gain * np.sqrt(power / max(float(value @ value), 1e-12))
+    return corner + shift, covariance, float(score)
 
 
-def _gradients(image: Float32Image) -> tuple[FloatArray, FloatArray]:
+def _gradients(image: Float32Image) -> tuple[Float32Image, Float32Image]:
     """Central differences inside the border, flattened."""
     grad_x = 0.5 * (image[1:-1, 2:] - image[1:-1, :-2])
     grad_y = 0.5 * (image[2:, 1:-1] - image[:-2, 1:-1])
-    return grad_x.ravel().astype(np.float64), grad_y.ravel().astype(np.float64)
+    return grad_x.ravel(), grad_y.ravel()
