@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
@@ -24,13 +24,32 @@ _SPEED_M_S = 0.3
 _CONTROL_NS = 50_000_000
 
 
+class Word(Protocol):
+    """What a node says of itself."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether it cannot do its work."""
+
+    @property
+    def reason(self) -> str:
+        """Why, or what it is doing."""
+
+    @property
+    def values(self) -> Mapping[str, str]:
+        """Figures."""
+
+
 class Robot(Protocol):
     """What the story needs of the robot and its nodes (`landmark_nav.ros.robot_client`)."""
 
-    status: dict[str, tuple[bool, str]]
     odometry: OdometrySample | None
     fused: PoseEstimate | None
+    fixes: int
     panoramas: list[Panorama]
+
+    def said(self, node: str) -> Word:
+        """What a node last said of itself."""
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """Let time pass until something holds."""
@@ -63,7 +82,7 @@ def tell(
 
     """
     narrator.title(f'Starting {len(nodes)} nodes')
-    robot.wait(lambda: set(nodes) <= robot.status.keys(), 60.0, _missing(robot, nodes))
+    robot.wait(lambda: all(robot.said(name).reason for name in nodes), 60.0, 'all nodes to speak')
     robot.wait(lambda: robot.odometry is not None, 20.0, 'odom of the simulated robot')
     length, width = room.size_m
     narrator.say(f'a robot that knows nothing, in a room of {length:.1f} m x {width:.1f} m')
@@ -83,11 +102,8 @@ def tell(
     with robot.recording(folder / 'recording', RECORDED_TOPICS):
         robot.start_at(second)
         robot.wait(lambda: robot.fused is not None, 10.0, 'odometry/fused')
+        robot.wait(lambda: robot.fixes > 0, 20.0, 'a first triangulated pose')
         _follow(robot, room.tour, lambda: _fused(robot), narrator)
-
-
-def _missing(robot: Robot, nodes: Collection[str]) -> str:
-    return f'the first word of {", ".join(sorted(set(nodes) - robot.status.keys()))}'
 
 
 def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
@@ -95,16 +111,18 @@ def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> Pose
     narrator.title(f'Taking the {which} sweep: service capture_sweep')
     before = len(robot.panoramas)
     said = robot.call(
-        'capture_sweep', 240.0, lambda: narrator.status(robot.status['sweep_capture'][1])
+        'capture_sweep', 240.0, lambda: narrator.status(robot.said('sweep_capture').reason)
     )
     narrator.say(said)
 
     def made() -> bool:
-        lost, reason = robot.status['panorama_synthesizer']
-        if lost:
-            raise LandmarkNavError(f'panorama_synthesizer: {reason}')
-        narrator.status(reason)
-        return len(robot.panoramas) > before
+        word = robot.said('panorama_synthesizer')
+        if word.lost:
+            raise LandmarkNavError(f'panorama_synthesizer: {word.reason}')
+        narrator.status(word.reason)
+        # The learner must have it too before it is asked to learn.
+        learner_has = int(robot.said('landmark_learner').values.get('panoramas', 0))
+        return min(len(robot.panoramas), learner_has) > before
 
     robot.wait(made, 90.0, 'the panorama')
     view = robot.panoramas[-1]

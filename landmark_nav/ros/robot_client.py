@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 import time
 from types import TracebackType
@@ -24,10 +25,19 @@ from landmark_nav.ros.topics import TOPICS, with_depth
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
 
-__all__ = ['RobotClient']
+__all__ = ['RobotClient', 'Word']
 
 _POLL_S = 0.02
 _RECORDED_DEPTH = 200
+
+
+@dataclass(frozen=True)
+class Word:
+    """What a node says on ``/diagnostics``."""
+
+    lost: bool = False
+    reason: str = ''
+    values: Mapping[str, str] = field(default_factory=dict)
 
 
 class _ClientNode(LandmarkNode):
@@ -50,11 +60,13 @@ class RobotClient:
     Attributes
     ----------
     status : dict
-        Node -> whether it is lost, and what it says of itself.
+        Node -> the last `Word` it gave of itself.
     odometry : OdometrySample or None
         The last one.
     fused : PoseEstimate or None
         The last one.
+    fixes : int
+        How many triangulated poses came.
     panoramas : list of Panorama
         As they came.
 
@@ -68,15 +80,17 @@ class RobotClient:
         self._node = _ClientNode('conductor', 'script', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self.status: dict[str, tuple[bool, str]] = {}
+        self.status: dict[str, Word] = {}
         self.odometry: OdometrySample | None = None
         self.fused: PoseEstimate | None = None
+        self.fixes = 0
         self.panoramas: list[Panorama] = []
         self._velocity = self._node.advertise('cmd_vel')
         self._initial_pose = self._node.advertise('initialpose')
         self._node.listen('/diagnostics', self._on_diagnostics)
         self._node.listen('odom', self._on_odometry)
         self._node.listen('odometry/fused', self._on_fused)
+        self._node.listen('triangulation/pose', self._on_fix)
         panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
         listen_together(self._node, panorama, self._on_panorama)
 
@@ -94,6 +108,10 @@ class RobotClient:
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
+
+    def said(self, node: str) -> Word:
+        """What a node last said of itself; nothing, if it has not yet."""
+        return self.status.get(node, Word())
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """
@@ -138,6 +156,10 @@ class RobotClient:
             raise LandmarkNavError(f'{service} refused: {response.message}')
         return str(response.message)
 
+    def advertise(self, topic: str) -> Any:
+        """Publisher of a public topic."""
+        return self._node.advertise(topic)
+
     def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
         """Publish ``cmd_vel``."""
         message = ros_factory('geometry_msgs/msg/Twist')
@@ -176,13 +198,20 @@ class RobotClient:
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
             name = status.name.partition(':')[0]
-            self.status[name] = (status.level == DiagnosticStatus.ERROR, status.message)
+            self.status[name] = Word(
+                status.level == DiagnosticStatus.ERROR,
+                status.message,
+                {pair.key: pair.value for pair in status.values},
+            )
 
     def _on_odometry(self, message: Any) -> None:
         self.odometry = decode.odometry(message)
 
     def _on_fused(self, message: Any) -> None:
         self.fused = decode.pose_estimate(message)
+
+    def _on_fix(self, _message: Any) -> None:
+        self.fixes += 1
 
     def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
         self.panoramas.append(decode.panorama(image, info, pose))

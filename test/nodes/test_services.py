@@ -1,0 +1,120 @@
+"""Services and bad input: a reason instead of an end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+import shutil
+from typing import Any
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.messages import encode
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.robot_client import RobotClient
+from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.types import Landmark, LandmarkMap, OdometrySample, PoseEstimate
+
+
+def small_map() -> LandmarkMap:
+    rng = np.random.default_rng(5)
+    return LandmarkMap(
+        tuple(
+            Landmark(
+                id=k,
+                position=np.array([1.0 + k, 0.0, 1.5]),
+                covariance=1e-4 * np.eye(3),
+                shared_loading=np.zeros((3, 2)),
+                normal=np.array([0.0, 1.0, 0.0]),
+                width_m=0.2,
+                height_m=0.2,
+                patch=rng.integers(0, 255, (24, 24), dtype=np.uint8),
+                viewpoint=np.array([2.0, 2.0, 1.1]),
+                threshold=0.7,
+            )
+            for k in range(4)
+        )
+    )
+
+
+def test_learner_says_what_is_missing(
+    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str], tmp_path: Path
+) -> None:
+    folder = tmp_path / 'map'
+    start('landmark_learner', room_file=setup_files['room_file'], map_folder=str(folder))
+    with pytest.raises(LandmarkNavError, match='two panoramas from different places'):
+        client.call('learn_landmarks', 30.0)
+    with pytest.raises(LandmarkNavError, match='no map to save'):
+        client.call('save_map', 10.0)
+    with pytest.raises(LandmarkNavError, match='no map there'):
+        client.call('load_map', 10.0)
+    assert client.call('clear_panoramas', 10.0).startswith('0 panoramas')
+    assert not folder.exists()
+
+    save_map(small_map(), folder)
+    assert client.call('load_map', 10.0).startswith('4 landmarks loaded')
+    # A learning that fails leaves the map that is there.
+    with pytest.raises(LandmarkNavError, match='two panoramas'):
+        client.call('learn_landmarks', 10.0)
+    shutil.rmtree(folder)
+    assert client.call('save_map', 10.0).startswith('4 landmarks saved')
+    assert len(load_map(folder).landmarks) == 4
+
+
+def test_fusion_goes_on_through_bad_input(
+    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
+) -> None:
+    start('odometry_fusion', robot_file=setup_files['robot_file'])
+    with pytest.raises(LandmarkNavError, match='initialpose'):
+        client.call('relocalize', 30.0)
+    client.wait(lambda: client.said('odometry_fusion').lost, 10.0, 'the word lost')
+    odometry = client.advertise('odom')
+    stamp = 1_000_000_000_000
+    sent = 0
+
+    def send(x: float) -> None:
+        nonlocal sent
+        sent += 1
+        sample = OdometrySample(stamp + sent * 50_000_000, np.array([x, 0.0, 0.0]))
+        odometry.publish(encode.odometry(ros_factory, sample))
+
+    def after(condition: Callable[[], bool], x: float) -> Callable[[], bool]:
+        def check() -> bool:
+            send(x)
+            return condition()
+
+        return check
+
+    estimate = PoseEstimate(stamp, np.array([2.0, 1.0, 0.0]), 1e-4 * np.eye(3))
+    client.wait(odometry.get_subscription_count, 10.0, 'the fusion')
+    send(0.0)
+    client.start_at(estimate)
+    client.wait(after(lambda: client.fused is not None, 0.0), 10.0, 'a fused pose')
+
+    def complains() -> bool:
+        return 'not a number' in client.said('odometry_fusion').reason
+
+    client.wait(after(complains, float('nan')), 10.0, 'a complaint about NaN')
+    client.fused = None
+    client.wait(after(lambda: client.fused is not None, 0.0), 10.0, 'another fused pose')
+    fused: Any = client.fused
+    np.testing.assert_allclose(fused.pose, [2.0, 1.0, 0.0], atol=0.01)
+
+
+def test_start_in_another_frame_is_refused(
+    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
+) -> None:
+    start('odometry_fusion', robot_file=setup_files['robot_file'])
+    publisher = client.advertise('initialpose')
+    client.wait(publisher.get_subscription_count, 20.0, 'the fusion')
+    client.wait(lambda: 'odometry_fusion' in client.status, 10.0, 'its diagnostics')
+    estimate = PoseEstimate(1, np.zeros(3), np.eye(3))
+    publisher.publish(encode.pose(ros_factory, estimate, 'odom'))
+    log = client_log(setup_files)
+    client.wait(lambda: 'not in frame map' in log.read_text(), 10.0, 'a warning')
+
+
+def client_log(setup_files: dict[str, str]) -> Path:
+    return Path(setup_files['robot_file']).parent / 'logs' / 'odometry_fusion.log'
