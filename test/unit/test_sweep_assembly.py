@@ -1,0 +1,34 @@
+"""Angles and pictures are joined by their stamps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.learning.sweep import assemble_sweep
+from landmark_nav.types import JointSample
+
+CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
+TRAJECTORY = [JointSample(10**9 * k, 0.1 * k, 0.01) for k in range(1, 6)]
+PICTURES = {10**9 * k: (np.full((48, 64), k, np.uint8), CAMERA) for k in range(8)}
+
+
+def test_frames_of_the_trajectory_in_order_of_time() -> None:
+    sweep = assemble_sweep(TRAJECTORY[::-1], PICTURES)
+    assert [frame.stamp_ns for frame in sweep.frames] == [s.stamp_ns for s in TRAJECTORY]
+    assert [int(frame.image[0, 0]) for frame in sweep.frames] == [1, 2, 3, 4, 5]
+    assert [frame.pan_rad for frame in sweep.frames] == [s.pan_rad for s in TRAJECTORY]
+    assert sweep.frames[0].tilt_rad == 0.01
+
+
+def test_missing_frames_are_named_by_their_angles() -> None:
+    some = {stamp: PICTURES[stamp] for stamp in PICTURES if stamp not in (2 * 10**9, 5 * 10**9)}
+    with pytest.raises(LandmarkNavError, match=r'lacks 2 of its 5 frames, at pan 11.5, 28.6 deg'):
+        assemble_sweep(TRAJECTORY, some)
+
+
+def test_no_angles() -> None:
+    with pytest.raises(LandmarkNavError, match='no frames'):
+        assemble_sweep([], PICTURES)
