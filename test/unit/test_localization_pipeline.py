@@ -1,0 +1,246 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scenes import draw_frame, rectangle_room, textured_room, true_landmark
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.fusion import FusionConfig
+from landmark_nav.localization.pipeline import (
+    LocalizationConfig,
+    LocalizationUpdate,
+    Localizer,
+    ObservationConfig,
+    observe,
+)
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+    Triplet,
+)
+
+LENS = CameraModel(
+    400, 300, 330.0, 330.0, 200.0, 150.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
+)
+MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15))
+ROOM = rectangle_room(5.0, 4.5)
+SCENE = textured_room(ROOM, seed=7, feature_m=0.045)
+START = np.array([1.6, 1.4, 0.3])
+START_SIGMA = np.array([0.03, 0.03, 0.01])
+MAP_SIGMA_M = 0.003
+FRAME_NS, ODOMETRY_NS = 400_000_000, 50_000_000
+
+
+def known_map(rng: np.random.Generator) -> LandmarkMap:
+    """Six landmarks a wall, each a few millimetres off."""
+    viewpoint = np.array([2.5, 2.2, 1.15])
+    landmarks = []
+    for board in SCENE.boards:
+        for place in (
+            (-0.32, 0.1),
+            (-0.2, -0.25),
+            (-0.05, 0.2),
+            (0.08, -0.2),
+            (0.2, 0.15),
+            (0.33, -0.1),
+        ):
+            exact = true_landmark(
+                SCENE, len(landmarks) + 1, board, place[0] * board.width_m, place[1], viewpoint,
+                sigma_m=MAP_SIGMA_M,
+            )  # fmt: skip
+            error = rng.normal(0.0, MAP_SIGMA_M, 3)
+            landmarks.append(replace(exact, position=exact.position + error))
+    return LandmarkMap(tuple(landmarks), walls=ROOM.walls)
+
+
+MAP = known_map(np.random.default_rng(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Truth and wheel odometry at a time."""
+
+    stamp_ns: int
+    pose: FloatArray
+    odometry: OdometrySample
+
+
+def drive(rng: np.random.Generator, seconds: float) -> Iterator[Step]:
+    """Winding drive whose odometry runs 2 % long, drifts and is noisy."""
+    pose, wheel = START.copy(), np.zeros(3)
+    dt = ODOMETRY_NS * 1e-9
+    for k in range(int(seconds / dt) + 1):
+        speed, rate = 0.3, 0.35 * np.sin(0.8 * k * dt) + 0.1
+        yield Step(k * ODOMETRY_NS, pose, OdometrySample(k * ODOMETRY_NS, wheel, speed, rate))
+        pose = se2.compose(pose, [speed * dt, 0.0, rate * dt])
+        noise = rng.normal(0.0, [2e-4, 1e-4, 4e-4])
+        felt = np.array([1.02 * speed * dt, 0.0, (rate + 0.01 * speed) * dt]) + noise
+        wheel = se2.compose(wheel, felt)
+
+
+def picture(pose: FloatArray, pan: float, rng: np.random.Generator | None = None) -> CameraFrame:
+    return draw_frame(SCENE, LENS, MOUNT, pose, pan, rng=rng)
+
+
+def error_of(estimate: PoseEstimate, pose: FloatArray) -> FloatArray:
+    error = estimate.pose - pose
+    error[2] = wrap_rad(error[2])
+    return np.asarray(error)
+
+
+def start_of(rng: np.random.Generator) -> PoseEstimate:
+    return PoseEstimate(0, START + rng.normal(0.0, START_SIGMA), np.diag(START_SIGMA**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a drive gave: updates, errors of fused poses (n, 3), their NEES (n,)."""
+
+    updates: list[LocalizationUpdate]
+    errors: FloatArray
+    nees: FloatArray
+    fixes: list[tuple[PoseEstimate, FloatArray]]
+
+
+def localize(mode: str, seed: int = 1, seconds: float = 9.0) -> Run:
+    """Drive with the camera turned to the triplet that the last picture asked for."""
+    rng = np.random.default_rng(seed)
+    config = LocalizationConfig(fusion=FusionConfig(mode=mode))
+    localizer = Localizer(MAP, MOUNT, config)
+    localizer.initialize(start_of(rng))
+    updates, errors, nees, fixes, pan = [], [], [], [], 0.0
+    for step in drive(rng, seconds):
+        assert localizer.add_odometry(step.odometry) is None
+        if step.stamp_ns % FRAME_NS:
+            continue
+        frame = replace(picture(step.pose, pan, rng), stamp_ns=step.stamp_ns)
+        update = localizer.add_frame(frame)
+        assert isinstance(update, LocalizationUpdate)
+        error = error_of(update.fused, step.pose)
+        updates.append(update)
+        errors.append(error)
+        nees.append(error @ np.linalg.solve(update.fused.covariance, error))
+        if isinstance(update.observation.fix, PoseEstimate):
+            fixes.append((update.observation.fix, step.pose))
+        if isinstance(update.triplet, Triplet):
+            pan = update.triplet.pan_rad
+    return Run(updates, np.array(errors), np.array(nees), fixes)
+
+
+@pytest.fixture(scope='module')
+def run() -> Run:
+    return localize('bearings')
+
+
+def test_a_drive_is_followed(run: Run) -> None:
+    later = run.errors[3:]
+    assert np.sqrt(np.mean(np.sum(later[:, :2] ** 2, 1))) < 0.018
+    assert np.sqrt(np.mean(later[:, 2] ** 2)) < np.radians(0.35)
+    assert np.mean(run.nees) / 3.0 < 2.5
+    assert {update.status for update in run.updates} == {'tracking'}
+    assert all(isinstance(update.triplet, Triplet) for update in run.updates)
+    # The camera is turned so that the three are in the picture.
+    counts = [len(update.observation.detections) for update in run.updates]
+    assert np.mean(counts[1:]) >= 3.0
+
+
+def test_odometry_alone_is_led_astray() -> None:
+    rng = np.random.default_rng(1)
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer.initialize(start_of(rng))
+    for step in drive(rng, 9.0):
+        localizer.add_odometry(step.odometry)
+    last = localizer.estimate()
+    assert last is not None
+    error = error_of(last, step.pose)
+    assert np.hypot(error[0], error[1]) > 0.02
+    assert np.abs(error / np.sqrt(np.diag(last.covariance))).max() < 4.0
+
+
+def test_fixes_err_as_their_covariances_say(run: Run) -> None:
+    assert len(run.fixes) > 10
+    errors = np.array([error_of(fix, pose) for fix, pose in run.fixes])
+    sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in run.fixes])
+    assert np.abs(errors / sigma).max() < 4.5
+    assert np.mean((errors / sigma) ** 2) < 2.5
+
+
+def test_poses_may_correct_the_odometry_instead_of_bearings() -> None:
+    run = localize('poses')
+    later = run.errors[4:]
+    assert np.sqrt(np.mean(np.sum(later[:, :2] ** 2, 1))) < 0.03
+    assert np.mean(run.nees) / 3.0 < 2.5
+    corrected = [update for update in run.updates if update.fusion.refusal is None]
+    assert len(corrected) > len(run.updates) // 2
+
+
+def test_the_fix_comes_from_the_bearings_alone() -> None:
+    # Priors that differ lead to one fix: they only tell where to look.
+    frame = picture(START, 0.2)
+    found = []
+    for shift in ((0.0, 0.0, 0.0), (0.04, -0.03, 0.01), (-0.03, 0.04, -0.012)):
+        prior = PoseEstimate(0, START + np.array(shift), np.diag([0.04, 0.04, 0.012]) ** 2)
+        seen = observe(frame, prior, MAP, MOUNT, ObservationConfig())
+        assert isinstance(seen.fix, PoseEstimate)
+        found.append(seen.fix)
+    for fix in found[1:]:
+        sigma = np.sqrt(np.diag(found[0].covariance))
+        assert np.abs(error_of(fix, found[0].pose) / sigma).max() < 0.7
+
+
+def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
+    prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
+    seen = observe(picture(START, 0.2), prior, MAP, MOUNT, ObservationConfig())
+    assert not set(seen.detections.ids.tolist()) & set(seen.refused)
+    assert len(seen.detections) + len(seen.refused) >= 4
+    assert all(refusal.reason for refusal in seen.refused.values())
+
+
+def test_a_blank_picture_gives_no_fix_and_odometry_goes_on() -> None:
+    rng = np.random.default_rng(3)
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    dark = np.zeros((LENS.height, LENS.width, 3), np.uint8)
+    for step in drive(rng, 2.0):
+        localizer.add_odometry(step.odometry)
+        if step.stamp_ns % FRAME_NS:
+            continue
+        update = localizer.add_frame(CameraFrame(step.stamp_ns, dark, LENS, 0.0))
+        assert isinstance(update, LocalizationUpdate)
+        assert isinstance(update.observation.fix, Refusal)
+        assert len(update.observation.detections) == 0
+        assert update.observation.refused
+        assert update.fusion.refusal is not None
+    error = error_of(update.fused, step.pose)
+    assert np.abs(error / np.sqrt(np.diag(update.fused.covariance))).max() < 3.0
+
+
+def test_before_the_start_is_given_there_is_no_pose() -> None:
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    assert localizer.estimate() is None
+    found = localizer.add_frame(picture(START, 0.0))
+    assert isinstance(found, Refusal)
+    assert found.reason == 'not initialized'
+
+
+def test_a_map_without_landmarks_gives_refusals() -> None:
+    localizer = Localizer(LandmarkMap((), walls=ROOM.walls), MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    update = localizer.add_frame(picture(START, 0.0))
+    assert isinstance(update, LocalizationUpdate)
+    assert isinstance(update.triplet, Refusal)
+    assert isinstance(update.observation.fix, Refusal)
+
+
+def test_a_drive_again_gives_the_same() -> None:
+    first, second = (localize('bearings', seed=5, seconds=2.0) for _ in range(2))
+    np.testing.assert_array_equal(first.errors, second.errors)
