@@ -191,7 +191,7 @@ def test_missing_frames_are_named(study, tmp_path, capsys):
         return None if missing and 'image' in entry.topic else entry.data
 
     bag = rewrite(study.folder / 'learn', tmp_path / 'holes', without_some)
-    refused(capsys, learn(bag, study, tmp_path / 'map'), 'lacks 14 frames', '-80, -75', 'hole')
+    refused(capsys, learn(bag, study, tmp_path / 'map'), 'lacks 14 frames', '-80, -75')
     assert not (tmp_path / 'map').exists()
 
 

@@ -372,16 +372,12 @@ def test_sweeps_come_back_with_the_measured_pans(tmp_path):
 def test_missing_frames_are_named(tmp_path):
     with BagWriter(tmp_path / 'hole') as bag:
         write_sweep(bag, START, full_turn(), keep=lambda k: not 8 <= k < 13)
-    with pytest.raises(
-        LandmarkNavError, match=r'lacks 5 frames, at pan -60, -45, -30, -15, 0 deg.*hole'
-    ):
+    with pytest.raises(LandmarkNavError, match=r'lacks 5 frames, at pan -60, -45, -30, -15, 0 deg'):
         list(read_sweeps(Bag(tmp_path / 'hole'), MOUNT))
-    with BagWriter(tmp_path / 'few') as bag:
+    with BagWriter(tmp_path / 'one') as bag:
         write_sweep(bag, START, full_turn(), keep=lambda k: k != 8)
-    warnings = []
-    (sweep,) = read_sweeps(Bag(tmp_path / 'few', warnings.append), MOUNT)
-    assert len(sweep.frames) == 23
-    assert 'lacks 1 frames, at pan -60 deg' in warnings[0]
+    with pytest.raises(LandmarkNavError, match='lacks 1 frames, at pan -60 deg'):
+        list(read_sweeps(Bag(tmp_path / 'one'), MOUNT))
 
 
 def test_a_gap_that_no_trajectory_tells_of_is_found_too(tmp_path):

@@ -47,7 +47,7 @@ def check_coverage(
     Raises
     ------
     LandmarkNavError
-        Frames are missing and leave a hole that no other frame covers.
+        Frames are missing, or there is a hole that no frame covers.
 
     """
     where = f'{bag.path}: the sweep of {start_ns * 1e-9:.1f} s'
@@ -56,12 +56,12 @@ def check_coverage(
         what = f'lacks {len(missing)} frames, at pan {_angles(missing)} deg'
     else:
         what = 'has no frame ' + ' and '.join(f'from pan {a:.0f} to {b:.0f} deg' for a, b in holes)
-    if holes and cut_off:
+    if (holes or missing) and cut_off:
         bag.warn(f'{where} was cut off, it {what}: left out')
         return False
-    if holes and (missing or not at_its_ends):
-        raise LandmarkNavError(f'{where} {what}: the panorama would have a hole, take it again')
-    if holes or missing:
+    if missing or (holes and not at_its_ends):
+        raise LandmarkNavError(f'{where} {what}: take it again')
+    if holes:
         bag.warn(f'{where} {what}')
     return True
 
