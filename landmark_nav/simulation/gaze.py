@@ -20,6 +20,12 @@ _RESERVE_RAD = 0.4
 
 _STEEPEST_DEG = 58.0
 
+# What is nearer fills the picture: not much else is seen, and nothing as it was learned.
+_NEAR_M = 1.9
+
+# Seen worse than that, a thing is given up for a better one.
+_LOST_QUALITY = 0.2
+
 # What lies within this angle of a thing is seen together with it.
 _TOGETHER_RAD = 0.35
 
@@ -73,14 +79,19 @@ class Gaze:
         pan = wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - pose_map_base[2] - yaw)
         usable = np.abs(pan) < self._limit_rad - _RESERVE_RAD
         quality = np.where(usable, self._quality(axis), 0.0)
-        lost = self._chosen >= 0 and quality[self._chosen] == 0.0
-        if self._chosen < 0 or lost or time_s >= self._until_s:
+        if self._chosen < 0 or self._lost(quality) or time_s >= self._until_s:
             self._choose(time_s, pan, quality)
         return float(pan[self._chosen]) if self._chosen >= 0 else 0.0
 
+    def _lost(self, quality: FloatArray) -> bool:
+        """Whether what it looks at is hidden, or badly seen while something else is not."""
+        now = float(quality[self._chosen])
+        return now == 0.0 or now < _LOST_QUALITY <= float(quality.max())
+
     def _quality(self, axis_xy: FloatArray) -> FloatArray:
-        seen = view_quality(self._scene, axis_xy, self._points, self._walls, _STEEPEST_DEG)
-        return np.asarray(seen[0])
+        seen = view_quality(self._scene, axis_xy, self._points, self._walls, _STEEPEST_DEG)[0]
+        near = np.linalg.norm(self._points[:, :2] - axis_xy, axis=1) < _NEAR_M
+        return np.asarray(np.where(near, 0.1 * seen, seen))
 
     def _choose(self, time_s: float, pan: npt.NDArray[np.float64], quality: FloatArray) -> None:
         """Rather a thing with others around it that are seen well too."""
