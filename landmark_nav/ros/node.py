@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import logging
+import re
 import traceback
 from typing import Any, TypeVar
 
@@ -27,7 +28,6 @@ __all__ = ['LandmarkNode']
 T = TypeVar('T')
 
 _LOG = logging.getLogger(__name__)
-_MAX_WARNINGS_REMEMBERED = 100
 
 
 class LandmarkNode(Node):
@@ -117,8 +117,9 @@ class LandmarkNode(Node):
         """Note that something was not used, and why; the same words are logged once."""
         text = f'{what} dropped: {error}'
         self._last_problem = text
-        if text not in self._warned and len(self._warned) < _MAX_WARNINGS_REMEMBERED:
-            self._warned.add(text)
+        words = re.sub(r'[-+.\d]+', '#', text)
+        if words not in self._warned:
+            self._warned.add(words)
             _LOG.warning('%s', text)
 
     def _guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -137,6 +138,7 @@ class LandmarkNode(Node):
     def _checked_health(self) -> Health:
         health = self.health()
         problem, self._last_problem = self._last_problem, ''
-        if problem and health.level is Level.OK:
-            return Health(Level.DEGRADED, problem, health.values)
-        return health
+        if not problem or problem in health.reason:
+            return health
+        level = Level.DEGRADED if health.level is Level.OK else health.level
+        return Health(level, f'{health.reason}; {problem}', health.values)

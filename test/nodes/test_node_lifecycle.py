@@ -12,6 +12,9 @@ import time
 
 import pytest
 
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+
 from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.ros.robot_client import RobotClient
 

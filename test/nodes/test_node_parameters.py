@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.context import Context
 from rclpy.parameter import Parameter

@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import encode
 from landmark_nav.ros.factory import ros_factory

@@ -1,0 +1,102 @@
+"""The demo as a user starts it: it succeeds, it ends all, it says who died."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.maps import load_map
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+NODES = 7
+DEMO = [sys.executable, '-m', 'landmark_nav', 'demo', '--out']
+
+
+@pytest.fixture
+def demo(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """A demo under way."""
+    process = subprocess.Popen(
+        [*DEMO, str(tmp_path / 'demo')],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    yield process
+    process.kill()
+
+
+def processes(folder: Path) -> dict[str, int]:
+    """Node -> id of the processes that were given files in `folder`."""
+    found = {}
+    for entry in Path('/proc').glob('[0-9]*'):
+        try:
+            words = (entry / 'cmdline').read_text().split('\0')
+        except OSError:
+            continue
+        if '--ros-args' in words and any(str(folder) in word for word in words):
+            found[words[2].rpartition('.')[2]] = int(entry.name)
+    return found
+
+
+def wait(condition: Callable[[], bool], timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, 'waited in vain'
+        time.sleep(0.1)
+
+
+def test_who_died_is_told_and_the_rest_ends(demo: subprocess.Popen[str], tmp_path: Path) -> None:
+    wait(lambda: len(processes(tmp_path)) == NODES, 60.0)
+    os.kill(processes(tmp_path)['triplet_selector'], signal.SIGKILL)
+    _, complaint = demo.communicate(timeout=30)
+    assert demo.returncode == 1
+    assert 'triplet_selector ended with signal SIGKILL' in complaint
+    assert len(complaint.strip().splitlines()) == 1
+    assert processes(tmp_path) == {}
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_all(
+    number: signal.Signals, demo: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    wait(lambda: len(processes(tmp_path)) == NODES, 60.0)
+    time.sleep(3.0)
+    demo.send_signal(number)
+    _, complaint = demo.communicate(timeout=30)
+    assert demo.returncode == 130
+    assert 'Traceback' not in complaint
+    assert processes(tmp_path) == {}
+
+
+def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / 'letter.txt').write_text('dear')
+    done = subprocess.run([*DEMO, str(tmp_path)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert 'letter.txt' in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ['letter.txt']
+
+
+def test_learns_drives_and_stays_exact(tmp_path: Path) -> None:
+    folder = tmp_path / 'demo'
+    done = subprocess.run([*DEMO, str(folder)], capture_output=True, text=True, timeout=420)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(load_map(folder / 'map').landmarks) >= 20
+    bag = Bag(folder / 'recording')
+    assert bag.complete
+    assert bag.counts['/odometry/fused'] > 500
+    measured = json.loads((folder / 'demo.json').read_text())
+    assert measured['fused']['position_rmse_m'] < measured['odometry']['position_rmse_m']
+    pictures = {path.name for path in folder.glob('*.png')}
+    assert {'map.png', 'trajectory.png', 'errors.png', 'panorama_1.png'} <= pictures
+    assert processes(tmp_path) == {}

@@ -1,0 +1,127 @@
+"""Recorded sweeps and a drive go through the nodes, over DDS, by `bag_player`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import json
+from pathlib import Path
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from landmark_nav.demo.graph import node_environment
+from landmark_nav.evaluation.metrics import error_summary, pose_errors
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag
+from landmark_nav.types import PoseEstimate
+
+if TYPE_CHECKING:
+    from landmark_nav.ros.robot_client import RobotClient
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+# How exact the start is told, 1 sigma.
+START_SIGMA = (0.02, 0.02, 0.01)
+
+
+@pytest.fixture
+def recorded() -> Path:
+    """Folder of the recorded sweeps, the drive, and what the robot was told."""
+    found = sorted((REPOSITORY / 'bags').rglob('start.json'))
+    if not found:
+        pytest.skip('bags/ holds no recording')
+    return found[0].parent
+
+
+class Player:
+    """Plays a bag in a process of its own."""
+
+    def __init__(self, bag: Path, rate: float, domain_id: int) -> None:
+        parameters = {'bag': json.dumps(str(bag)), 'rate': rate, 'start_delay_s': 3.0}
+        words = (w for key, value in parameters.items() for w in ('-p', f'{key}:={value}'))
+        command = [sys.executable, '-m', 'landmark_nav.nodes.bag_player', '--ros-args', *words]
+        self._process = subprocess.Popen(command, env=node_environment(domain_id))
+
+    def done(self) -> bool:
+        status = self._process.poll()
+        assert status in (None, 0)
+        return status == 0
+
+    def stop(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+@pytest.fixture
+def play(domain_id: int, client: RobotClient) -> Callable[..., None]:
+    def play_bag(bag: Path, rate: float, meanwhile: Callable[[], None] = lambda: None) -> None:
+        player = Player(bag, rate, domain_id)
+
+        def over() -> bool:
+            meanwhile()
+            return player.done()
+
+        try:
+            client.wait(over, 120.0, f'the end of {bag}')
+        finally:
+            player.stop()
+
+    return play_bag
+
+
+def test_learned_and_localized_as_offline(
+    recorded: Path,
+    start: Callable[..., None],
+    client: RobotClient,
+    play: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    robot, room = str(recorded / 'robot.yaml'), str(recorded / 'room.yaml')
+    start('panorama_synthesizer', robot_file=robot, room_file=room)
+    start('landmark_learner', room_file=room, map_folder=str(tmp_path / 'map'))
+    start('triangulation_localizer', robot_file=robot)
+    start('odometry_fusion', robot_file=robot)
+
+    sweeps = Bag(recorded / 'learn').counts['/sweep/trajectory']
+    play(recorded / 'learn', 20.0)
+    client.wait(
+        lambda: client.said('landmark_learner').values.get('panoramas') == str(sweeps),
+        60.0,
+        'the panoramas',
+    )
+    assert 'landmarks on' in client.call('learn_landmarks', 60.0)
+    client.wait(
+        lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 10.0, 'the map'
+    )
+
+    drive = Bag(recorded / 'drive')
+    first = next(drive.messages([drive.require('odom')])).message
+    pose = np.array(json.loads((recorded / 'start.json').read_text())['pose'])
+    told = PoseEstimate(decode.stamp_ns(first.header), pose, np.diag(np.square(START_SIGMA)))
+    fused: dict[int, np.ndarray] = {}
+
+    def take() -> None:
+        if client.fused is not None:
+            fused[client.fused.stamp_ns] = client.fused.pose
+        elif client.odometry is not None:
+            client.start_at(told)
+
+    play(recorded / 'drive', 1.0, take)
+    truth = PoseTrack.of(
+        (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
+        for entry in drive.messages([drive.require('ground_truth/odom')])
+    )
+    stamps = sorted(fused)
+    # The rest of the drive after the start was told, at least most of it.
+    assert stamps[-1] - stamps[0] > 0.8e9 * drive.duration_s
+    errors = pose_errors(np.array([fused[stamp] for stamp in stamps]), truth.at(stamps))
+    summary = error_summary(errors)
+    assert summary['position_rmse_m'] < 0.03
+    assert summary['heading_rmse_deg'] < 0.4
+    assert not client.said('odometry_fusion').lost
