@@ -12,6 +12,9 @@ from landmark_nav.types import CameraFrame, ImageArray, JointSample, PoseEstimat
 
 __all__ = ['assemble_sweep', 'missing_frames']
 
+# Angles that a message names at most.
+_LISTED = 12
+
 
 def missing_frames(
     trajectory: Sequence[JointSample], stamps_ns: Collection[int]
@@ -48,7 +51,8 @@ def assemble_sweep(
         raise LandmarkNavError('the sweep has no frames: take it again')
     missing = missing_frames(trajectory, pictures)
     if missing:
-        angles = ', '.join(f'{np.degrees(sample.pan_rad):.1f}' for sample in missing)
+        angles = ', '.join(f'{np.degrees(s.pan_rad):.1f}' for s in missing[:_LISTED])
+        angles += ', ...' if len(missing) > _LISTED else ''
         raise LandmarkNavError(
             f'the sweep of {trajectory[0].stamp_ns * 1e-9:.3f} s lacks {len(missing)} of its '
             f'{len(trajectory)} frames, at pan {angles} deg: take it again'

@@ -33,7 +33,7 @@ class Parameters:
     bag: str = parameter('', 'rosbag2 folder or .mcap file')
     rate: float = parameter(1.0, 'speed relative to the recording', minimum=0.01, maximum=100.0)
     start_delay_s: float = parameter(
-        1.0, 'time for subscribers to find the topics before the first message, s', minimum=0.0
+        2.0, 'time for subscribers to find the topics before the first message, s', minimum=0.0
     )
     clock: bool = parameter(True, 'publish /clock, for nodes with use_sim_time')
 
