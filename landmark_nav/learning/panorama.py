@@ -255,4 +255,5 @@ def _middle(stack: list[ImageArray]) -> ImageArray:
     if len(values) % 2:
         return np.asarray(values[half], dtype=np.uint8)
     below, above = values[half - 1], values[half]
-    return np.asarray(below + (above - below + 1) // 2, dtype=np.uint8)
+    # Half the difference fits a byte; one more than the difference may not.
+    return np.asarray(above - (above - below) // 2, dtype=np.uint8)
