@@ -172,3 +172,11 @@ def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(
 def test_an_unknown_blend_is_refused() -> None:
     with pytest.raises(LandmarkNavError, match=r"blend .*'average'.* mean, median, feather"):
         PanoramaConfig(blend='average')
+
+
+def test_the_median_of_black_and_white_lies_between() -> None:
+    frame = sky_frame(LENS, 0.0)
+    black, white = np.zeros_like(frame.image), np.full_like(frame.image, 255)
+    frames = tuple(replace(frame, image=image) for image in (black, white, black, white))
+    view = synthesize_cylinder(Sweep(0, frames), MOUNT, PanoramaConfig())
+    assert set(np.unique(view.image[view.mask])) <= {127, 128}

@@ -151,6 +151,20 @@ def test_a_wall_looks_the_same_from_both_places(panoramas: list[Panorama], scene
         assert np.abs(texture - truth[..., 0]).mean() < 4.0
 
 
+def test_the_seam_of_a_panorama_does_not_show(scene: Scene) -> None:
+    point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
+    textures = []
+    # The point ahead, and right behind, where the panorama is cut.
+    for heading in (0.0, np.pi):
+        toward = float(np.arctan2(*(point - CENTERS[0])[1::-1]))
+        panorama = draw_panorama(scene, CENTERS[0], toward + heading)
+        grey = greys_of([panorama])[0]
+        textures.append(wall_texture(panorama, grey, point, normal, (40, 60), 0.014))
+    assert textures[0] is not None
+    assert textures[1] is not None
+    assert np.abs(textures[0] - textures[1]).max() < 3.0
+
+
 def test_a_patch_out_of_the_picture_has_no_texture(panoramas: list[Panorama]) -> None:
     grey = greys_of(panoramas)[0]
     high = np.array([6.0, 2.0, 2.6])
