@@ -75,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
     os.environ.update(environment)
     from landmark_nav.ros.robot_client import RobotClient
 
+    narrator.say(f'to look at the topics meanwhile: export ROS_DOMAIN_ID={args.domain_id}')
     with Supervisor(folder / 'logs', environment) as supervisor:
         for name, command in commands.items():
             supervisor.start(name, command)

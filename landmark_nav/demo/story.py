@@ -81,7 +81,7 @@ def tell(
         Something does not work out; says what.
 
     """
-    narrator.title(f'Starting {len(nodes)} nodes')
+    narrator.title(f'Starting {len(nodes)} nodes, each a process')
     robot.wait(lambda: all(robot.said(name).reason for name in nodes), 60.0, 'all nodes to speak')
     robot.wait(lambda: robot.odometry is not None, 20.0, 'odom of the simulated robot')
     length, width = room.size_m
@@ -94,11 +94,13 @@ def tell(
     second = _sweep(robot, room, narrator, 'second')
 
     narrator.title('Learning landmarks from the two panoramas: service learn_landmarks')
+    narrator.say('texture that stands out, found from both places, on a wall, hard to mistake')
     narrator.say(robot.call('learn_landmarks', 120.0))
     narrator.say(robot.call('save_map', 20.0))
 
     way_m = float(np.linalg.norm(np.diff(room.tour, axis=0), axis=1).sum())
     narrator.title(f'Driving {way_m:.0f} m, steered by the fused pose')
+    narrator.say('the camera keeps turning to the three landmarks that promise the best fix')
     with robot.recording(folder / 'recording', RECORDED_TOPICS):
         robot.start_at(second)
         robot.wait(lambda: robot.fused is not None, 10.0, 'odometry/fused')
@@ -109,6 +111,7 @@ def tell(
 def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
     """Take a sweep and wait for its panorama; where the base stands by it."""
     narrator.title(f'Taking the {which} sweep: service capture_sweep')
+    narrator.say('the camera turns step by step, settles and keeps a frame, all the way round')
     before = len(robot.panoramas)
     said = robot.call(
         'capture_sweep', 240.0, lambda: narrator.status(robot.said('sweep_capture').reason)

@@ -89,7 +89,7 @@ def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
 
 def test_learns_drives_and_stays_exact(tmp_path: Path) -> None:
     folder = tmp_path / 'demo'
-    done = subprocess.run([*DEMO, str(folder)], capture_output=True, text=True, timeout=420)
+    done = subprocess.run([*DEMO, str(folder)], capture_output=True, text=True, timeout=540)
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(load_map(folder / 'map').landmarks) >= 20
     bag = Bag(folder / 'recording')

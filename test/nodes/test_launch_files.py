@@ -1,0 +1,68 @@
+"""What can be said of the launch files without ROS' launch, which is not in the wheels."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+from landmark_nav.demo.graph import config_folder
+
+LAUNCH = Path(__file__).resolve().parents[2] / 'landmark_nav' / 'launch'
+
+
+def tree(name: str) -> ast.Module:
+    return ast.parse((LAUNCH / name).read_text(encoding='utf-8'))
+
+
+def assigned(module: ast.AST, name: str) -> Any:
+    """Value of a literal that is assigned to `name`, type names as words."""
+    for node in ast.walk(module):
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], 'id', '') == name:
+            return ast.literal_eval(
+                ast.unparse(node.value).replace(': int', ": 'int'").replace(': str', ": 'str'")
+            )
+    raise AssertionError(name)
+
+
+def declared(module: ast.AST) -> set[str]:
+    return {
+        ast.literal_eval(node.args[0])
+        for node in ast.walk(module)
+        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'DeclareLaunchArgument'
+    }
+
+
+@pytest.mark.parametrize('name', ['bringup.launch.py', 'simulation.launch.py'])
+def test_defines_a_description(name: str) -> None:
+    functions = {n.name for n in tree(name).body if isinstance(n, ast.FunctionDef)}
+    assert 'generate_launch_description' in functions
+
+
+def test_bringup_gives_nodes_parameters_that_they_have() -> None:
+    bringup = tree('bringup.launch.py')
+    arguments = declared(bringup)
+    nodes = assigned(bringup, 'NODES')
+    assert len(nodes) == 6
+    for name, taken in nodes.items():
+        known = {f.name for f in dataclasses.fields(module_parameters(name))}
+        assert set(taken) <= known & arguments
+        assert (config_folder() / f'{name}.yaml').is_file()
+
+
+def test_simulation_gives_the_simulator_parameters_that_it_has() -> None:
+    simulation = tree('simulation.launch.py')
+    types = assigned(simulation, 'types')
+    fields = {f.name: f.type for f in dataclasses.fields(module_parameters('room_simulator'))}
+    assert types == {name: fields[name] for name in types}
+    assert set(types) <= declared(simulation) | declared(tree('bringup.launch.py'))
+
+
+def module_parameters(name: str) -> Any:
+    return import_module(f'landmark_nav.nodes.{name}').Parameters
