@@ -44,7 +44,7 @@ class ElectionConfig:
     max_overlap: float = parameter(
         0.4, 'greatest share of a patch that another may cover', minimum=0, maximum=1
     )
-    max_count: int = parameter(100, 'most landmarks of a map', minimum=3, maximum=5000)
+    max_count: int = parameter(150, 'most landmarks of a map', minimum=3, maximum=5000)
     threshold_share: float = parameter(
         0.75, 'share of the correlation between its own views that counts as found', minimum=0.3,
         maximum=1,
