@@ -38,6 +38,9 @@ _FILES = ('start.json', 'room.yaml', 'robot.yaml', 'scene.json', 'learn', 'drive
 _LEARN_START_NS = 1_000_000_000_000
 _DRIVE_START_NS = 5_000_000_000_000
 
+# More sweeps than two are made at some of so many places around the first two.
+_PLACES_TRIED = 200
+
 # Carrying the robot from one place to the next, seconds.
 _MOVE_S = 5.0
 
@@ -163,10 +166,14 @@ def _sweep_poses(
     if places is None:
         raise LandmarkNavError('the room has no place that sees all papers and the target')
     poses = [np.asarray(pose) for pose in places.poses[:count]]
-    while len(poses) < count:
-        middle = places.poses[:, :2].mean(axis=0) + rng.uniform(-0.8, 0.8, 2)
-        if scene.room.contains(middle) and scene.distance_to_obstacles(middle) > 0.45:
-            poses.append(np.array([*middle, rng.uniform(-np.pi, np.pi)]))
+    missing = count - len(poses)
+    if not missing:
+        return poses
+    others = places.poses[:, :2].mean(axis=0) + rng.uniform(-1.0, 1.0, (_PLACES_TRIED, 2))
+    others = others[scene.room.contains(others) & (scene.distance_to_obstacles(others) > 0.45)]
+    if missing > len(others):
+        raise LandmarkNavError(f'the room has space for {len(poses) + len(others)} sweeps only')
+    poses += [np.array([*xy, rng.uniform(-np.pi, np.pi)]) for xy in others[:missing]]
     return poses
 
 
@@ -209,8 +216,6 @@ def _write(bag: BagWriter, messages: Iterator[Recorded], what: str, frames: int)
     bar = iter(progress(range(frames), what, frames))
     for recorded in messages:
         bag.write(recorded.topic, recorded.message, recorded.stamp_ns)
-        if recorded.topic.endswith('image/compressed') or recorded.topic.endswith(
-            'raw/compressed'
-        ):
+        if recorded.topic.endswith('/compressed'):
             next(bar, None)
     next(bar, None)

@@ -19,6 +19,9 @@ _CELL_M = 0.1
 _CLEARANCE_M = 0.42
 _LOOK_AHEAD_M = 0.45
 
+# No base fits in where there is less space.
+_TIGHT_M = 0.3
+
 # The next goal of a tour is at least this far away.
 _LEAST_LEG_M = 1.5
 
@@ -86,7 +89,7 @@ def plan_tour(
     scene : Scene
         Walls and furniture to keep off.
     start_xy : array_like, shape (2,)
-        Where it begins.
+        Where it begins, or nearby if something stands there.
     length_m : float
         It is at least this long.
     rng : numpy.random.Generator
@@ -105,7 +108,9 @@ def plan_tour(
     """
     grid = _FreeGrid(scene)
     at = grid.nearest(start_xy)
-    path = [np.asarray(start_xy, dtype=np.float64), grid.places[at]]
+    path = [grid.places[at]]
+    if scene.distance_to_obstacles(start_xy) > _TIGHT_M:
+        path.insert(0, np.asarray(start_xy, dtype=np.float64))
     length = 0.0
     while length < length_m:
         cost, before = grid.ways_from(at)
