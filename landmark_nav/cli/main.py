@@ -26,6 +26,7 @@ COMMANDS = {
     'learn': ('learn', 'make a map out of a bag of sweeps'),
     'evaluate': ('evaluate', 'run a drive bag through the localizer and measure its errors'),
     'panorama': ('panorama', 'make a panorama out of a sweep'),
+    'plan': ('plan', 'propose where to take panoramas'),
     'simulate': ('simulate', 'write bags of simulated sweeps and drives'),
     'play': ('play', 'play a bag onto topics with /clock (ROS)'),
     'map': ('maps', 'look into maps'),

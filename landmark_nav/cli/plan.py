@@ -1,0 +1,166 @@
+"""`landmark-nav plan`: where to take panoramas."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from landmark_nav.cli.progress import progress
+from landmark_nav.evaluation.figures.plan_figure import draw_plan
+from landmark_nav.planning.config import PlanConfig
+from landmark_nav.planning.planner import Forecast, Plan, plan_positions
+from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.whole import write_whole
+
+__all__ = ['add_parser', 'run']
+
+_SCHEMA = 1
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the arguments."""
+    default = PlanConfig()
+    parser = subparsers.add_parser(
+        'plan',
+        help='propose where to take panoramas',
+        description='Predict from the wall map, the papers and the camera how exactly a robot '
+        'would know its place all over the floor, and propose the places for panoramas that make '
+        'this error smallest. A PNG of the same name shows the expected accuracy. Furniture is '
+        'not in the wall map: take the nearest free place.',
+    )
+    parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')
+    parser.add_argument('--robot', required=True, metavar='F', help='robot.yaml: the mount')
+    parser.add_argument(
+        '--positions', required=True, type=int, metavar='N', help='how many places, 2 or more'
+    )
+    parser.add_argument(
+        '--out', required=True, type=Path, metavar='PLAN', help='plan.yaml to write'
+    )
+    parser.add_argument(
+        '--focal', type=float, default=default.focal_px, metavar='PX',
+        help=f'focal length of the camera ({default.focal_px:g})',
+    )  # fmt: skip
+    parser.add_argument(
+        '--size', type=int, nargs=2, default=(default.width_px, default.height_px),
+        metavar=('W', 'H'), help=f'size of its pictures ({default.width_px} {default.height_px})',
+    )  # fmt: skip
+    parser.add_argument(
+        '--clearance', type=float, default=default.clearance_m, metavar='M',
+        help=f'least distance of the robot from walls ({default.clearance_m:g})',
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, draw, write."""
+    config = PlanConfig(
+        focal_px=args.focal,
+        width_px=args.size[0],
+        height_px=args.size[1],
+        clearance_m=args.clearance,
+    )
+    room, mount = load_room(args.room), load_robot(args.robot)
+    picture = args.out.with_suffix('.png')
+    rng = np.random.default_rng(0)
+    plan = plan_positions(room, mount, args.positions, config, rng, _show)
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    draw_plan(plan, room, picture)
+    write_whole(args.out, _text(plan, config, room.frame_id))
+    print(_summary(plan))
+    print(f'{args.out}, {picture}')
+    return 0
+
+
+def _show(items: Iterable[Any], description: str, total: int) -> Iterator[Any]:
+    return progress(items, description, total)
+
+
+def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
+    """Text of ``plan.yaml``."""
+    best = plan.best
+    sigma = np.sqrt(np.diagonal(best.pose_covariance, axis1=1, axis2=2))
+    compared: dict[str, Any] = {
+        'random': {
+            'sets': len(plan.random),
+            'best_m': _short(plan.random[0].cost_m),
+            'median_m': _short(_median(plan.random).cost_m),
+        }
+    }
+    if plan.left_right is not None:
+        compared['left_right'] = {
+            'poses': [_pose(p) for p in plan.left_right.poses_map_base],
+            'mean_m': _short(plan.left_right.cost_m),
+        }
+    document = {
+        'schema': _SCHEMA,
+        'frame_id': frame_id,
+        'camera': {
+            'focal_px': config.focal_px,
+            'width': config.width_px,
+            'height': config.height_px,
+        },
+        'positions': [
+            {'pose': _pose(pose), 'sigma': [float(f'{v:.2g}') for v in deviation]}
+            for pose, deviation in zip(best.poses_map_base, sigma, strict=True)
+        ],
+        'predicted': {
+            'landmarks': round(best.landmarks),
+            'landmark_sigma_m': _short(best.landmark_sigma_m),
+            'localization': {
+                'mean_m': _short(best.cost_m),
+                'median_m': _short(best.quantile_m(0.5)),
+                'p95_m': _short(best.quantile_m(0.95)),
+                'covered': round(float(np.isfinite(best.sigma_m).mean()), 4),
+            },
+        },
+        'compared': compared,
+    }
+    comment = (
+        '# poses of base_link: x, y [m], heading [rad], sigma as the papers give it; means are\n'
+        f'# of localization errors over the floor, more than {config.cap_m:g} m counted as that\n'
+    )
+    return comment + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
+
+
+def _summary(plan: Plan) -> str:
+    """Tell what is proposed, and what it is worth beside other places."""
+    best = plan.best
+    lines = [
+        f'place {k}: x {x:.2f} m, y {y:.2f} m, heading {np.degrees(heading):.0f} deg'
+        for k, (x, y, heading) in enumerate(best.poses_map_base, 1)
+    ]
+    covered = float(np.isfinite(best.sigma_m).mean())
+    lines += [
+        f'predicted: {best.landmarks:.0f} landmarks within {1e3 * best.landmark_sigma_m:.1f} mm; '
+        f'localization error {1e3 * best.quantile_m(0.5):.1f} mm median, '
+        f'{1e3 * best.quantile_m(0.95):.1f} mm at 95 % of the floor, {covered:.0%} of it covered',
+        f'mean over the floor: {1e3 * best.cost_m:.2f} mm',
+        _beside('median of random places', _median(plan.random), best),
+        _beside(f'best of {len(plan.random)} random places', plan.random[0], best),
+    ]
+    if plan.left_right is None:
+        lines.append('  left and right of the middle: not in this room')
+    else:
+        lines.append(_beside('left and right of the middle', plan.left_right, best))
+    return '\n'.join(lines)
+
+
+def _beside(name: str, other: Forecast, best: Forecast) -> str:
+    ratio = other.cost_m / best.cost_m
+    return f'  {name}: {1e3 * other.cost_m:.2f} mm, {ratio:.2f} times the error of the plan'
+
+
+def _median(ranked: tuple[Forecast, ...]) -> Forecast:
+    return ranked[len(ranked) // 2]
+
+
+def _pose(pose: Any) -> list[float]:
+    return [round(float(value), 4) for value in pose]
+
+
+def _short(value: float) -> float:
+    return round(float(value), 6)

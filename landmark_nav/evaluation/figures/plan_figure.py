@@ -1,0 +1,134 @@
+"""``plan.png``: how exactly the robot would know its place, all over the floor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FuncFormatter
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.evaluation.figures.style import (
+    draw_papers,
+    draw_walls,
+    FUSED,
+    legend_beside,
+    new_figure,
+    ODOMETRY,
+    save,
+)
+from landmark_nav.geometry.walls import Room
+from landmark_nav.planning.planner import Forecast, Plan
+from landmark_nav.types import FloatArray
+
+__all__ = ['draw_plan']
+
+_MARGIN_M = 0.35
+_HALO = [withStroke(linewidth=2.5, foreground='white')]
+
+
+def draw_plan(plan: Plan, room: Room, path: Path) -> None:
+    """
+    Draw the map of expected accuracy with the proposed places.
+
+    Parameters
+    ----------
+    plan : Plan
+        What is proposed.
+    room : Room
+        Walls and papers.
+    path : Path
+        PNG to write.
+
+    """
+    corners = np.array([wall.start for wall in room.walls])
+    width, height = np.ptp(corners, axis=0) + 2.0 * _MARGIN_M
+    scale = 7.0 / max(width, height)
+    figure = new_figure(scale * width + 1.5, scale * height + 1.7)
+    axes = figure.add_subplot()
+    _draw_accuracy(axes, plan.accuracy_map)
+    draw_walls(axes, room.walls, _MARGIN_M)
+    draw_papers(axes, room.papers)
+    handles = []
+    if plan.left_right is not None:
+        _draw_places(axes, plan.left_right, 'o', ODOMETRY)
+        handles.append(_key('o', ODOMETRY, f'L and R: {_cost(plan.left_right)}'))
+    _draw_places(axes, plan.best, '^', FUSED)
+    _draw_headings(axes, plan.best)
+    handles.insert(0, _key('^', FUSED, f'proposed: {_cost(plan.best)}'))
+    middle = plan.random[len(plan.random) // 2]
+    handles.append(Line2D([], [], linestyle='', label=f'median of random places: {_cost(middle)}'))
+    axes.set_title(
+        f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
+        f'{plan.best.landmarks:.0f} landmarks'
+    )
+    for side in ('top', 'right', 'left', 'bottom'):
+        axes.spines[side].set_visible(False)
+    legend_beside(axes, 'below', len(handles), handles)
+    save(figure, path)
+
+
+def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
+    """Heat map in millimetres with lines of equal error; blank where nothing can be told."""
+    x, y, error = _gridded(forecast.floor_xy, 1e3 * forecast.sigma_m)
+    told = error[np.isfinite(error)]
+    low, high = (float(np.quantile(told, q)) for q in (0.0, 0.98))
+    axes.set_facecolor('#f4f4f4')
+    heat = axes.pcolormesh(
+        x, y, error, cmap='viridis_r', vmin=low, vmax=max(high, low + 0.1), zorder=1,
+        shading='nearest',
+    )  # fmt: skip
+    figure = axes.figure
+    bar = figure.colorbar(heat, ax=axes, shrink=0.85, extend='max', pad=0.02)
+    bar.set_label('position error, root of the trace [mm]')
+    bar.outline.set_visible(False)
+    if min(error.shape) >= 2 and high > low:
+        levels = np.quantile(told, [0.25, 0.5, 0.75, 0.95])
+        lines = axes.contour(
+            x, y, error, np.unique(np.round(levels, 2)), colors='white', linewidths=0.8, zorder=2
+        )
+        axes.clabel(lines, fmt=FuncFormatter(lambda value, _: f'{value:.1f}'), fontsize=7)
+
+
+def _gridded(
+    xy: FloatArray, values: FloatArray
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float64]]:
+    """Columns, rows, and values (rows, columns) of points on a grid; NaN where there is none."""
+    x, column = np.unique(np.round(xy[:, 0], 6), return_inverse=True)
+    y, row = np.unique(np.round(xy[:, 1], 6), return_inverse=True)
+    grid = np.full((len(y), len(x)), np.nan)
+    grid[row, column] = np.where(np.isfinite(values), values, np.nan)
+    return x, y, grid
+
+
+def _draw_places(axes: Axes, forecast: Forecast, marker: str, color: str) -> None:
+    axes.plot(
+        *forecast.poses_map_base[:, :2].T, marker, color=color, markersize=9,
+        markeredgecolor='white', zorder=7,
+    )  # fmt: skip
+
+
+def _draw_headings(axes: Axes, forecast: Forecast) -> None:
+    """Where the base looks at each place, and the number of the place at its back."""
+    for number, (x, y, heading) in enumerate(forecast.poses_map_base, 1):
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        arrow = {'arrowstyle': '->', 'color': FUSED, 'path_effects': _HALO}
+        axes.annotate('', 0.45 * ahead + [x, y], (x, y), arrowprops=arrow, zorder=6)
+        axes.annotate(
+            str(number), (x, y), tuple(-13.0 * ahead), textcoords='offset points', ha='center',
+            va='center', color=FUSED, path_effects=_HALO, weight='bold', zorder=8,
+        )  # fmt: skip
+
+
+def _key(marker: str, color: str, label: str) -> Line2D:
+    return Line2D(
+        [], [], color=color, marker=marker, markersize=9, linestyle='', markeredgecolor='white',
+        label=label,
+    )  # fmt: skip
+
+
+def _cost(forecast: Forecast) -> str:
+    return f'{1e3 * forecast.cost_m:.2f} mm'

@@ -1,0 +1,78 @@
+"""What the planner knows of camera and room beyond the wall map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from landmark_nav.learning.adjustment import AdjustmentConfig
+from landmark_nav.learning.election import ElectionConfig
+from landmark_nav.learning.reference_area import ReferenceAreaConfig
+from landmark_nav.learning.stereo import StereoConfig
+from landmark_nav.localization.triplet_visibility import TripletConfig
+from landmark_nav.parameters import check_parameters, parameter
+
+__all__ = ['PlanConfig']
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """
+    Camera, texture to be expected, and how finely the room is looked at.
+
+    The bounds of the stages that will learn and localize are taken from their own parameters.
+    """
+
+    focal_px: float = parameter(
+        555.0, 'focal length of the camera, pixels', minimum=50, maximum=20000
+    )
+    width_px: int = parameter(512, 'width of its pictures, pixels', minimum=16, maximum=16384)
+    height_px: int = parameter(512, 'height of its pictures, pixels', minimum=16, maximum=16384)
+    clearance_m: float = parameter(
+        0.4, 'least distance of the robot from walls', minimum=0.05, maximum=5
+    )
+    spacing_m: float = parameter(
+        0.25, 'grid of places and of wall samples, at the finest', minimum=0.05, maximum=5
+    )
+    candidates: int = parameter(
+        120, 'patches that attention proposes in a panorama', minimum=3, maximum=5000
+    )
+    kept_share: float = parameter(
+        0.65, 'share of the reconstructed patches that no stronger one covers', minimum=0.01,
+        maximum=1,
+    )  # fmt: skip
+    texture_low_m: float = parameter(
+        0.8, 'height from which on walls are taken as textured', minimum=0, maximum=10
+    )
+    texture_high_m: float = parameter(
+        2.0, 'height up to which walls are taken as textured', minimum=0.1, maximum=20
+    )
+    match_probability: float = parameter(
+        0.97, 'chance to find a patch again at small parallax', minimum=0.01, maximum=1
+    )
+    match_half_rad: float = parameter(
+        1.4, 'parallax at which that chance has fallen to a half', minimum=0.1, maximum=3
+    )
+    match_slope_rad: float = parameter(0.12, 'width of that fall', minimum=0.001, maximum=1)
+    match_sigma_px: float = parameter(
+        0.08, 'standard deviation of a patch found again', minimum=0.001, maximum=5
+    )
+    cap_m: float = parameter(
+        0.05, 'greater localization errors count as this much', minimum=0.001, maximum=10
+    )
+    random_sets: int = parameter(
+        50, 'sets of random places to compare with', minimum=1, maximum=10000
+    )
+    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
+    stereo: StereoConfig = field(default_factory=StereoConfig)
+    adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
+    election: ElectionConfig = field(default_factory=ElectionConfig)
+    triplet: TripletConfig = field(default_factory=TripletConfig)
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+    @property
+    def steepest(self) -> float:
+        """Greatest tangent of elevation that the panoramas show."""
+        return (0.5 * self.height_px - self.triplet.border_px) / self.focal_px

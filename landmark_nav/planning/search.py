@@ -1,0 +1,109 @@
+"""
+The best set of places: best pair, greedy growth, exchange.
+
+Growth starts from a pair because one panorama alone is worth nothing; what greed missed is made
+good by exchanging one place at a time (Fedorov, Theory of Optimal Experiments, 1972).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.types import FloatArray
+
+__all__ = ['Show', 'best_places', 'exchange', 'spread']
+
+IndexArray = npt.NDArray[np.intp]
+
+# Of a set of places (n,).
+Cost = Callable[[IndexArray], float]
+
+# Passes items through and shows how far it is: description, how many.
+Show = Callable[[Iterable[IndexArray], str, int], Iterator[IndexArray]]
+
+_MAX_ROUNDS = 12
+
+
+def best_places(
+    cost: Cost, xy: FloatArray, count: int, seeds: IndexArray, show: Show
+) -> IndexArray:
+    """
+    Choose places that make a cost small.
+
+    Parameters
+    ----------
+    cost : callable
+        Of a set of places (n,), n >= 2; the smaller the better.
+    xy : ndarray, shape (p, 2)
+        Where they are.
+    count : int
+        How many are wanted, 2 or more.
+    seeds : ndarray of int, shape (k,)
+        Places of which all pairs are tried; growth and exchange try all places.
+    show : callable
+        Shows progress.
+
+    Returns
+    -------
+    ndarray of int, shape (count,)
+        From left to right.
+
+    """
+    pairs = [np.array(pair, dtype=np.intp) for pair in combinations(seeds, 2)]
+    chosen, _ = _best(cost, pairs, 'pairs', show)
+    while len(chosen) < count:
+        grown = [np.append(chosen, k) for k in range(len(xy)) if k not in chosen]
+        chosen, _ = _best(cost, grown, f'place {len(chosen) + 1}', show)
+    return exchange(cost, xy, chosen, show)
+
+
+def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> IndexArray:
+    """
+    Exchange one place at a time as long as that makes the cost smaller.
+
+    Parameters
+    ----------
+    cost, xy, show : callable, ndarray, callable
+        As for `best_places`.
+    start : ndarray of int, shape (n,)
+        Places to start from.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        From left to right: the order has no meaning, and so the same set reads the same.
+
+    """
+    chosen, least = start, cost(start)
+    for _ in range(_MAX_ROUNDS):
+        before = least
+        for k in range(len(chosen)):
+            others = np.delete(chosen, k)
+            # The one taken out comes first: among equals nothing is changed.
+            rest = [j for j in range(len(xy)) if j not in chosen]
+            swapped = [np.append(others, j) for j in (chosen[k], *rest)]
+            best, least = _best(cost, swapped, 'exchange', show)
+            chosen = np.insert(others, k, best[-1])
+        if least > before - 1e-9:
+            break
+    return chosen[np.lexsort(xy[chosen].T[::-1])]
+
+
+def spread(xy: FloatArray, most: int) -> IndexArray:
+    """About `most` of points (p, 2) that lie far from each other (Gonzalez, 1985)."""
+    chosen = [int(np.argmin(xy.sum(axis=1)))]
+    distance = np.full(len(xy), np.inf)
+    while len(chosen) < min(most, len(xy)):
+        distance = np.minimum(distance, np.linalg.norm(xy - xy[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return np.array(chosen, dtype=np.intp)
+
+
+def _best(cost: Cost, sets: list[IndexArray], what: str, show: Show) -> tuple[IndexArray, float]:
+    costs = [cost(places) for places in show(sets, what, len(sets))]
+    best = int(np.argmin(costs))
+    return sets[best], costs[best]

@@ -1,0 +1,130 @@
+"""What panoramas taken at given places would show of the walls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.geometry.walls import Room
+from landmark_nav.planning.config import PlanConfig
+from landmark_nav.planning.paper_pose import papers_seen, pose_covariance
+from landmark_nav.planning.room_grid import WallSamples
+from landmark_nav.types import FloatArray
+
+__all__ = ['Views', 'band_share', 'eye_height', 'look', 'sweep_poses']
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """
+    What p places see of s wall samples.
+
+    Parameters
+    ----------
+    pose_map_base : ndarray, shape (p, 3)
+        Where the robot stands.
+    eye : ndarray, shape (p, 3)
+        The pan axis at the height of the optical centre, in map.
+    covariance : ndarray, shape (p, 3, 3)
+        Of the pan axis' x, y and heading by the papers.
+    azimuth_rad, range_m : ndarray, shape (p, s)
+        Of the samples in map.
+    share : ndarray, shape (p, s)
+        Part of the textured band that is in the picture; 0 where a sample is hidden or seen too
+        obliquely to be matched.
+    proposed : ndarray, shape (p, s)
+        How many patches attention would propose there that can become landmarks.
+
+    """
+
+    pose_map_base: FloatArray
+    eye: FloatArray
+    covariance: FloatArray
+    azimuth_rad: FloatArray
+    range_m: FloatArray
+    share: FloatArray
+    proposed: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many places there are."""
+        return len(self.eye)
+
+
+def eye_height(mount: PanTiltMount) -> float:
+    """Height of the optical centre above the floor, metres."""
+    return float(mount.camera_pose_base(0.0)[1][2])
+
+
+def sweep_poses(floor_xy: FloatArray, room: Room) -> FloatArray:
+    """Poses (n, 3) of the base at points (n, 2), so that pan 0 looks to the papers' middle."""
+    ahead = np.mean([paper.center[:2] for paper in room.papers], axis=0) - floor_xy
+    return np.column_stack([floor_xy, np.arctan2(ahead[:, 1], ahead[:, 0])])
+
+
+def look(
+    poses_map_base: FloatArray,
+    samples: WallSamples,
+    room: Room,
+    mount: PanTiltMount,
+    config: PlanConfig,
+) -> Views:
+    """
+    Look around at places.
+
+    Parameters
+    ----------
+    poses_map_base : ndarray, shape (n, 3)
+        Where the robot would stand.
+    samples : WallSamples
+        What there is to see.
+    room : Room
+        Walls and papers.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : PlanConfig
+        The camera, and what the learning stages accept.
+
+    Returns
+    -------
+    Views
+        Of the places that see all papers; the others can't be measured and are left out.
+
+    """
+    axis = compose(poses_map_base, [*mount.axis_xyz[:2], 0.0])[:, :2]
+    eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])
+    measured = papers_seen(eye, room, config).all(axis=1)
+    eye = eye[measured]
+    way = samples.xy - eye[:, None, :2]
+    reach = np.maximum(np.linalg.norm(way, axis=-1), 1e-3)
+    azimuth = np.arctan2(way[..., 1], way[..., 0])
+    cosine = -np.sum(way * samples.normal, -1) / reach
+    share = band_share(reach, eye[:, 2:], samples, config)
+    share[cosine < np.cos(config.stereo.max_incidence_rad)] = 0.0
+    share[~room.visible(eye[:, None, :2], samples.xy)] = 0.0
+    # Attention works on the picture: patches are spread over azimuth, not over metres of wall.
+    proposed = config.candidates / (2.0 * np.pi) * samples.length_m * cosine / reach * share
+    proposed[cosine < np.cos(config.election.max_incidence_rad)] = 0.0
+    return Views(
+        poses_map_base[measured],
+        eye,
+        pose_covariance(eye, room, config),
+        azimuth,
+        reach,
+        share,
+        np.maximum(proposed, 0.0),
+    )
+
+
+def band_share(
+    range_m: FloatArray, eye_height_m: FloatArray | float, samples: WallSamples, config: PlanConfig
+) -> FloatArray:
+    """Part (..., s) of the textured band of heights that is in the picture from a distance."""
+    low = min(config.texture_low_m, config.texture_high_m)
+    high = np.minimum(max(config.texture_low_m, config.texture_high_m), samples.wall_height_m)
+    reach = config.steepest * range_m
+    top = np.minimum(eye_height_m + reach, high)
+    bottom = np.maximum(eye_height_m - reach, np.minimum(low, high - 0.1))
+    return np.asarray(np.clip(top - bottom, 0.0, None) / np.maximum(high - low, 0.1))
