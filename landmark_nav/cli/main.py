@@ -28,6 +28,7 @@ COMMANDS = {
     'panorama': ('panorama', 'make a panorama out of a sweep'),
     'plan': ('plan', 'propose where to take panoramas'),
     'simulate': ('simulate', 'write bags of simulated sweeps and drives'),
+    'convert': ('convert', 'make a bag and a map of a foreign log'),
     'play': ('play', 'play a bag onto topics with /clock (ROS)'),
     'map': ('maps', 'look into maps'),
     'bench': ('bench', 'time every stage beside a reference'),

@@ -35,6 +35,10 @@ SCHEMA_VERSION = 1
 MAP_FILES = ('map.yaml', 'patches', 'map.png', 'panorama_*.png')
 
 
+# Of a landmark of size 0 x 0: a point that has a bearing but no texture.
+_NO_PATCH: ImageArray = np.zeros((0, 0), dtype=np.uint8)
+
+
 class _Dumper(yaml.SafeDumper):
     """Lists of numbers in one line, all else in block style."""
 
@@ -90,6 +94,8 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
     (folder / 'map.yaml').write_text(text, encoding='utf-8')
     (folder / 'patches').mkdir()
     for landmark in landmarks.landmarks:
+        if not landmark.patch.size:  # a point, such as a surveyed beacon
+            continue
         path = folder / _patch_name(landmark.id)
         if not cv2.imwrite(str(path), landmark.patch):
             raise OSError(f'{path} cannot be written')
@@ -186,7 +192,8 @@ def _landmark(entry: Any, folder: Path, where: str) -> Landmark:
     identity = integer_field(entry, 'id', where)
     where = f'{where} (id {identity})'
     width, height = array_field(entry, 'size', (2,), where)
-    if min(width, height) <= 0.0:
+    point = width == height == 0.0
+    if min(width, height) <= 0.0 and not point:
         raise LandmarkNavError(f'{where}: size is {width:g} x {height:g}: it must be positive')
     normal = array_field(entry, 'normal', (3,), where)
     if abs(np.linalg.norm(normal) - 1.0) > 1e-3 or abs(normal[2]) > 1e-3:
@@ -199,7 +206,7 @@ def _landmark(entry: Any, folder: Path, where: str) -> Landmark:
         normal=normal,
         width_m=float(width),
         height_m=float(height),
-        patch=_patch(folder / _patch_name(identity), where),
+        patch=_NO_PATCH if point else _patch(folder / _patch_name(identity), where),
         viewpoint=array_field(entry, 'viewpoint', (3,), where),
         threshold=number_field(entry, 'threshold', where),
         wall_id=str(field(entry, 'wall', where)),

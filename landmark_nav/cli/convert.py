@@ -1,0 +1,128 @@
+"""`landmark-nav convert`: logs of other people's robots as bags."""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.cli.progress import progress
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.odometry_commanded import command_delay_s, integrate_commands
+from landmark_nav.messages import encode
+from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.simulation.setup_documents import robot_document, start_document
+from landmark_nav.storage.bags import BagWriter
+from landmark_nav.storage.maps import save_map
+from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
+from landmark_nav.storage.whole import write_whole
+from landmark_nav.types import FloatArray, OdometrySample
+
+__all__ = ['add_parser', 'run']
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the arguments."""
+    parser = subparsers.add_parser('convert', help='make a bag and a map of a foreign log')
+    kinds = parser.add_subparsers(dest='kind', metavar='KIND', required=True)
+    mrclam = kinds.add_parser(
+        'mrclam',
+        help='one robot of the UTIAS multi-robot data set (MR.CLAM)',
+        description='Write the log of one robot as a bag BAG with detections, odom (the commanded '
+        'velocities, integrated) and ground_truth/odom, and beside it the posts as a map without '
+        'pictures (BAG_map), BAG_robot.yaml and BAG_start.json. Sightings of other robots are '
+        'left out.',
+    )
+    mrclam.add_argument('folder', metavar='DIR', help='with Barcodes.dat; .dat or .dat.gz')
+    mrclam.add_argument('--robot', required=True, type=int, choices=range(1, 6), metavar='N')
+    mrclam.add_argument('--out', required=True, type=Path, metavar='BAG', help='bag to write')
+    mrclam.add_argument(
+        '--bearing-sigma',
+        type=_positive,
+        default=0.5,
+        metavar='DEG',
+        help='of every bearing, which the data do not tell (default %(default)s degrees, the '
+        'scatter beside the truth)',
+    )
+    mrclam.add_argument(
+        '--landmark-sigma',
+        type=_positive,
+        default=0.02,
+        metavar='M',
+        help='how far a post may be from where it seems, again and again: it has a width, the '
+        'lens is not known well (default %(default)s m)',
+    )
+    mrclam.add_argument(
+        '--command-delay',
+        type=float,
+        metavar='S',
+        help='from a command to its effect (default: what makes commanded turns fit best with how '
+        'bearings change, without the truth)',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, find the delay, write bag and map."""
+    log = read_mrclam(args.folder, args.robot, np.radians(args.bearing_sigma), args.landmark_sigma)
+    delay = args.command_delay
+    if delay is None:
+        delay = command_delay_s(log.command_ns, log.commands, log.sightings)
+    odometry = integrate_commands(log.command_ns, log.commands, delay)
+    begin = min(odometry[0].stamp_ns, log.sightings[0].stamp_ns)
+    start = PoseTrack.of((pose.stamp_ns, pose.pose) for pose in log.truth).at([begin])[0]
+    if np.isnan(start).any():
+        raise LandmarkNavError(f'{args.folder}: robot {args.robot}: no truth at the start')
+    beside = {kind: args.out.with_name(f'{args.out.name}_{kind}') for kind in ('map', 'robot')}
+    _write_bag(log, odometry, args.out)
+    save_map(log.landmark_map, beside['map'])
+    robot = beside['robot'].with_suffix('.yaml')
+    write_whole(robot, robot_document(PanTiltMount()))
+    write_whole(args.out.with_name(f'{args.out.name}_start.json'), start_document(start))
+    seen = sum(len(sighting) for sighting in log.sightings)
+    print(
+        f'{seen} bearings to {len(log.landmark_map.landmarks)} posts in {len(log.sightings)} '
+        f'pictures, {log.unknown} unknown barcodes left out; commands take effect after '
+        f'{delay:.2f} s'
+    )
+    print(
+        f'landmark-nav evaluate {args.out} --map {beside["map"]} --robot {robot} '
+        f'--start {_listed(start)}'
+    )
+    return 0
+
+
+def _write_bag(log: MrclamLog, odometry: tuple[OdometrySample, ...], path: Path) -> None:
+    """Write all in the order of its stamps; what was seen comes after the odometry."""
+    factory = rosbag_factory()
+    truth = (OdometrySample(pose.stamp_ns, pose.pose) for pose in log.truth)
+    streams = (
+        ((k.stamp_ns, 'ground_truth/odom', k) for k in truth),
+        ((k.stamp_ns, 'odom', k) for k in odometry),
+        ((k.stamp_ns, 'detections', k) for k in log.sightings),
+    )
+    total = len(log.truth) + len(odometry) + len(log.sightings)
+    merged = heapq.merge(*streams, key=lambda entry: entry[0])
+    with BagWriter(path) as bag:
+        for stamp, topic, value in progress(merged, 'writing', total):
+            if isinstance(value, OdometrySample):
+                frame = 'odom' if topic == 'odom' else 'map'
+                message = encode.odometry(factory, value, frame_id=frame)
+            else:
+                message = encode.detections(factory, value)
+            bag.write(topic, message, stamp)
+
+
+def _listed(pose: FloatArray) -> str:
+    return ' '.join(f'{value:.4f}' for value in pose)
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < np.inf:
+        raise argparse.ArgumentTypeError(f'{text} is not positive')
+    return value

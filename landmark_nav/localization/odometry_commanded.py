@@ -1,0 +1,108 @@
+"""
+Odometry where a robot logs only the velocities it was told: integrated, and late by some time.
+
+A base follows its commands after a while. Stamped with the command, such odometry runs ahead of
+what the camera sees; `command_delay_s` finds by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.types import Detections, FloatArray, OdometrySample
+
+__all__ = ['command_delay_s', 'integrate_commands']
+
+IntArray = npt.NDArray[np.int64]
+
+_DELAYS_S = np.arange(0.0, 0.601, 0.01)
+# Sightings of one landmark that are compared are at most this far apart, seconds.
+_PAIR_S = 1.0
+# A change of bearing that the commands miss by more is a mistaken landmark, radians.
+_MISTAKEN_RAD = 0.2
+# Fewer pairs tell nothing.
+_MIN_PAIRS = 30
+
+
+def integrate_commands(
+    stamps_ns: IntArray, commands: FloatArray, delay_s: float
+) -> tuple[OdometrySample, ...]:
+    """
+    Poses that commands lead to, from the origin, each at the time it takes effect.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (n,)
+        Of the commands, increasing.
+    commands : ndarray, shape (n, 2)
+        Forward [m/s] and turning [rad/s] velocity, each until the next.
+    delay_s : float
+        From a command to its effect.
+
+    """
+    seconds = 1e-9 * np.diff(stamps_ns)
+    turn = commands[:-1, 1] * seconds
+    heading = np.concatenate([[0.0], np.cumsum(turn)])
+    # A constant twist is an arc: its chord points along the middle heading.
+    chord = commands[:-1, 0] * seconds * np.sinc(turn / (2.0 * np.pi))
+    middle = heading[:-1] + 0.5 * turn
+    steps = chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], -1)
+    poses = np.column_stack([np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), heading])
+    poses[:, 2] = wrap_rad(poses[:, 2])
+    late = stamps_ns + round(delay_s * 1e9)
+    return tuple(
+        OdometrySample(int(stamp), pose, float(linear), float(angular))
+        for stamp, pose, (linear, angular) in zip(late, poses, commands, strict=True)
+    )
+
+
+def command_delay_s(
+    stamps_ns: IntArray, commands: FloatArray, sightings: Sequence[Detections]
+) -> float:
+    """
+    Time from a command to its effect, out of what the robot itself knows.
+
+    As the robot turns, bearings turn against it: the delay is the one at which the commanded turn
+    explains best how the bearing of a landmark changes within a second. Parallax is small beside
+    that and of either sign.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (n,)
+        Of the commands, increasing.
+    commands : ndarray, shape (n, 2)
+        Forward [m/s] and turning [rad/s] velocity, each until the next.
+    sightings : sequence of Detections
+        Of a camera that keeps its direction on the robot.
+
+    Raises
+    ------
+    LandmarkNavError
+        Too little was seen twice within a second, or the robot never turned then.
+
+    """
+    ids = np.concatenate([np.empty(0, np.int64), *(seen.ids for seen in sightings)])
+    stamps = np.repeat([seen.stamp_ns for seen in sightings], [len(seen) for seen in sightings])
+    bearings = np.concatenate([np.empty(0), *(seen.bearing_rad for seen in sightings)])
+    order = np.lexsort((stamps, ids))
+    ids, bearings = ids[order], bearings[order]
+    seconds = 1e-9 * (stamps[order] - stamps_ns[0])
+    pair = np.flatnonzero((np.diff(ids) == 0) & (np.diff(seconds) < _PAIR_S))
+    times = 1e-9 * (stamps_ns - stamps_ns[0])
+    heading = np.concatenate([[0.0], np.cumsum(commands[:-1, 1] * np.diff(times))])
+    observed = -wrap_rad(np.diff(bearings)[pair])
+    reckoned = np.interp(seconds - _DELAYS_S[:, None], times, heading)
+    commanded = reckoned[:, pair + 1] - reckoned[:, pair]
+    if len(pair) < _MIN_PAIRS or np.abs(commanded).max() < _MISTAKEN_RAD:
+        raise LandmarkNavError(
+            f'the delay of the commands cannot be found: {len(pair)} bearings were seen twice '
+            'within a second: give it'
+        )
+    gain = (commanded @ observed) / np.maximum(np.sum(commanded**2, axis=1), 1e-12)
+    missed = np.minimum(np.abs(observed - gain[:, None] * commanded), _MISTAKEN_RAD)
+    return float(_DELAYS_S[int(np.argmin(np.mean(missed, axis=1)))])

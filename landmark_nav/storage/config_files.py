@@ -1,0 +1,68 @@
+"""Parameters in a YAML file, in sections named as in the code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import dataclasses
+from pathlib import Path
+from typing import Any, TypeVar
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.setup_files import read_yaml_mapping
+
+__all__ = ['load_config']
+
+T = TypeVar('T')
+
+
+def load_config(path: Path | str, default: T) -> T:
+    """
+    Read parameters; what a file does not name stays as in `default`.
+
+    Parameters
+    ----------
+    path : path-like
+        YAML; its keys are the fields of `default`, and theirs where those are dataclasses too.
+    default : dataclass instance
+        What to start from.
+
+    Raises
+    ------
+    LandmarkNavError
+        No YAML, a parameter that does not exist, or a value that it may not take.
+
+    """
+    path = Path(path)
+    return _changed(default, read_yaml_mapping(path), str(path))
+
+
+def _changed(config: T, values: Any, where: str) -> T:
+    if not isinstance(values, Mapping):
+        raise LandmarkNavError(f'{where}: is {values!r}, not a mapping of parameters')
+    known = {field.name for field in dataclasses.fields(config)}  # type: ignore[arg-type]
+    changes: dict[str, Any] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise LandmarkNavError(
+                f'{where}: no parameter {name!r}: there are {", ".join(sorted(known))}'
+            )
+        old = getattr(config, name)
+        if dataclasses.is_dataclass(old):
+            changes[name] = _changed(old, value, f'{where}: {name}')
+        else:
+            changes[name] = _converted(value, old, f'{where}: {name}')
+    try:
+        return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{where}: {error}') from error
+
+
+def _converted(value: Any, old: Any, where: str) -> Any:
+    """Value of the type of the one it replaces; an integer will do for a float."""
+    if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(old, tuple) and isinstance(value, list):
+        return tuple(value)
+    if type(value) is not type(old):
+        raise LandmarkNavError(f'{where} is {value!r}: take a {type(old).__name__}')
+    return value

@@ -1,0 +1,176 @@
+"""
+The log of one robot of the UTIAS multi-robot data set, in terms of this package.
+
+Leung, Halpern, Barfoot and Liu, The UTIAS Multi-Robot Cooperative Localization and Mapping Data
+Set, International Journal of Robotics Research 30(8), 2011. A forward camera reads the barcodes on
+fifteen posts; velocities are the ones commanded; truth is motion capture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import gzip
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    Landmark,
+    LandmarkMap,
+    PoseEstimate,
+)
+
+__all__ = ['MrclamLog', 'read_mrclam']
+
+IntArray = npt.NDArray[np.int64]
+
+# Subjects up to here are the robots themselves.
+_ROBOTS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class MrclamLog:
+    """
+    What one robot commanded and saw, and where it was.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        The posts: points without a picture; ids are the data set's subjects.
+    command_ns : ndarray of int, shape (n,)
+        Strictly increasing.
+    commands : ndarray, shape (n, 2)
+        Forward [m/s] and turning [rad/s] velocity, each until the next.
+    sightings : tuple of Detections
+        What was read in each picture, other robots left out.
+    truth : tuple of PoseEstimate
+        Motion capture.
+    unknown : int
+        Readings that are no barcode of the list, left out.
+
+    """
+
+    landmark_map: LandmarkMap
+    command_ns: IntArray
+    commands: FloatArray
+    sightings: tuple[Detections, ...]
+    truth: tuple[PoseEstimate, ...]
+    unknown: int
+
+
+def read_mrclam(
+    folder: Path | str, robot: int, bearing_sigma_rad: float, landmark_sigma_m: float = 0.0
+) -> MrclamLog:
+    """
+    Read the files of one robot, plain (``.dat``) or compressed (``.dat.gz``).
+
+    Parameters
+    ----------
+    folder : path-like
+        With ``Barcodes.dat``, ``Landmark_Groundtruth.dat`` and the three ``RobotN_*.dat``.
+    robot : int
+        Which, 1 to 5.
+    bearing_sigma_rad : float
+        Of every bearing; the data do not tell.
+    landmark_sigma_m : float
+        What a post is off by as the camera sees it, beside the survey: it is no point, and the
+        lens is not known well. It is an error that repeats, however often the post is seen.
+
+    Raises
+    ------
+    LandmarkNavError
+        A file is missing, or holds what it should not.
+
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise LandmarkNavError(f'{folder}: no folder there: give the one with Barcodes.dat')
+    barcodes = _table(folder, 'Barcodes', 2)
+    posts = _table(folder, 'Landmark_Groundtruth', 5)
+    motion = _table(folder, f'Robot{robot}_Odometry', 3)
+    seen = _table(folder, f'Robot{robot}_Measurement', 4)
+    truth = _table(folder, f'Robot{robot}_Groundtruth', 4)
+    subject_of = {int(code): int(subject) for subject, code in barcodes}
+    subjects = np.array([subject_of.get(int(code), 0) for code in seen[:, 1]], dtype=np.int64)
+    posted = np.isin(subjects, posts[:, 0].astype(np.int64))
+    stamps, first = np.unique(_nanoseconds(motion[:, 0]), return_index=True)
+    return MrclamLog(
+        _landmark_map(posts, folder, landmark_sigma_m),
+        stamps,
+        motion[first, 1:],
+        _sightings(seen[posted], subjects[posted], bearing_sigma_rad),
+        tuple(
+            PoseEstimate(int(stamp), pose, np.zeros((3, 3)))
+            for stamp, pose in zip(_nanoseconds(truth[:, 0]), truth[:, 1:], strict=True)
+        ),
+        int(np.sum(~posted & ((subjects == 0) | (subjects > _ROBOTS)))),
+    )
+
+
+def _table(folder: Path, name: str, columns: int) -> FloatArray:
+    """Rows (n, columns) of a file, whatever its packing."""
+    plain, packed = folder / f'{name}.dat', folder / f'{name}.dat.gz'
+    path = plain if plain.is_file() else packed
+    if not path.is_file():
+        raise LandmarkNavError(f'{plain}: not there, nor {packed.name}: unpack the data set here')
+    try:
+        data = path.read_bytes()
+        text = (gzip.decompress(data) if path == packed else data).decode('ascii')
+        table = np.loadtxt(text.splitlines(), ndmin=2)
+    except (OSError, EOFError, UnicodeDecodeError, ValueError) as error:
+        raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
+    if not len(table) or table.shape[1] != columns:
+        raise LandmarkNavError(f'{path}: is {table.shape[1]} columns wide, not {columns}')
+    if not np.all(np.isfinite(table)):
+        raise LandmarkNavError(f'{path}: holds something that is not a number')
+    return table
+
+
+def _nanoseconds(seconds: FloatArray) -> IntArray:
+    """Stamps of a clock that ticks in milliseconds; as floats they are only nearly so."""
+    return np.rint(seconds * 1e3).astype(np.int64) * 1_000_000
+
+
+def _landmark_map(posts: FloatArray, folder: Path, sigma_m: float) -> LandmarkMap:
+    """Points on the floor, whose errors have nothing in common."""
+    landmarks = tuple(
+        Landmark(
+            id=int(subject),
+            position=np.array([x, y, 0.0]),
+            covariance=np.diag([sigma_x**2 + sigma_m**2, sigma_y**2 + sigma_m**2, 0.0]),
+            shared_loading=np.zeros((3, 0)),
+            normal=np.array([1.0, 0.0, 0.0]),
+            width_m=0.0,
+            height_m=0.0,
+            patch=np.zeros((0, 0), dtype=np.uint8),
+            viewpoint=np.array([x, y, 0.0]),
+            threshold=0.0,
+        )
+        for subject, x, y, sigma_x, sigma_y in posts
+    )
+    return LandmarkMap(landmarks, provenance={'surveyed_in': f'UTIAS MR.CLAM, {folder.name}'})
+
+
+def _sightings(
+    seen: FloatArray, subjects: IntArray, bearing_sigma_rad: float
+) -> tuple[Detections, ...]:
+    """Group readings by picture: they share a stamp."""
+    stamps, which = np.unique(_nanoseconds(seen[:, 0]), return_inverse=True)
+    found = []
+    for k, stamp in enumerate(stamps):
+        rows = np.flatnonzero(which == k)
+        found.append(
+            Detections(
+                int(stamp),
+                subjects[rows],
+                seen[rows, 3],
+                np.full(len(rows), bearing_sigma_rad**2),
+                np.ones(len(rows)),
+                np.zeros((len(rows), 2)),
+            )
+        )
+    return tuple(found)
