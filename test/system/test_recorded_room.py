@@ -1,0 +1,67 @@
+"""The recorded room of bags/ through the offline commands, against its expected figures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from landmark_nav.cli.main import main
+from landmark_nav.storage.maps import load_map
+
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
+
+
+@pytest.fixture(scope='module')
+def figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, float], Path]:
+    """What `learn` and `evaluate` measure, by the names of expected.json, and the map."""
+    out = tmp_path_factory.mktemp('recorded')
+    room, robot = str(BAGS / 'room.yaml'), str(BAGS / 'robot.yaml')
+    start = json.loads((BAGS / 'start.json').read_text())['pose']
+    learn = ['learn', str(BAGS / 'learn'), '--room', room, '--robot', robot]
+    assert main([*learn, '--out', str(out / 'map'), '--json', str(out / 'learn.json')]) == 0
+    evaluate = ['evaluate', str(BAGS / 'drive'), '--map', str(out / 'map'), '--robot', robot]
+    evaluate += ['--start', *map(str, start), '--json', str(out / 'run.json')]
+    assert main([*evaluate, '--report', str(out / 'run.html')]) == 0
+    learned = json.loads((out / 'learn.json').read_text())
+    run = json.loads((out / 'run.json').read_text())
+    return {
+        'landmarks': learned['elected'],
+        'walls': len(learned['landmarks_per_wall']),
+        'sweep_position_m': max(s['error_position_m'] for s in learned['sweeps']),
+        'sweep_heading_deg': max(s['error_heading_deg'] for s in learned['sweeps']),
+        'fused_position_rmse_m': run['fused']['position_rmse_m'],
+        'fused_heading_rmse_deg': run['fused']['heading_rmse_deg'],
+        'odometry_position_rmse_m': run['odometry']['position_rmse_m'],
+        'availability': run['availability'],
+    }, out
+
+
+def test_as_expected(figures: tuple[dict[str, float], Path]) -> None:
+    expected = json.loads((BAGS / 'expected.json').read_text())
+    del expected['note']
+    measured = figures[0]
+    assert measured.keys() == expected.keys()
+    for name, bounds in expected.items():
+        low, high = bounds.get('least', -np.inf), bounds.get('most', np.inf)
+        assert low <= measured[name] <= high, name
+
+
+def test_landmarks_lie_where_things_really_hang(figures: tuple[dict[str, float], Path]) -> None:
+    scene = json.loads((BAGS / 'scene.json').read_text())
+    items = [item for item in scene['items'] if item['kind'] != 'door']
+    centers = np.array([item['center'] for item in items])
+    reach = np.array([0.5 * np.hypot(*item['size']) for item in items])
+    landmarks = load_map(figures[1] / 'map').landmarks
+    away = np.array([np.linalg.norm(centers - k.position, axis=1) - reach for k in landmarks])
+    assert np.mean(away.min(1) < 0.05) > 0.9
+    target = next(i for i, item in enumerate(items) if item['kind'] == 'target')
+    assert min(np.linalg.norm(k.position - centers[target]) for k in landmarks) < 0.02
+
+
+def test_pictures_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
+    for name in ('map/map.png', 'map/panorama_1.png', 'map/panorama_2.png'):
+        assert (figures[1] / name).stat().st_size > 10_000
+    assert '<img' in (figures[1] / 'run.html').read_text()
