@@ -317,3 +317,14 @@ class Detections:
     def __len__(self) -> int:
         """Return how many were found."""
         return len(self.ids)
+
+    def chosen(self, which: npt.NDArray[np.bool_]) -> Detections:
+        """Some of them: `which` (n,) says whether to keep each."""
+        return Detections(
+            self.stamp_ns,
+            self.ids[which],
+            self.bearing_rad[which],
+            self.variance_rad2[which],
+            self.score[which],
+            self.uv_px[which],
+        )

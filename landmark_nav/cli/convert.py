@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 import heapq
 from pathlib import Path
 from typing import Any
@@ -100,20 +101,18 @@ def _write_bag(log: MrclamLog, odometry: tuple[OdometrySample, ...], path: Path)
     """Write all in the order of its stamps; what was seen comes after the odometry."""
     factory = rosbag_factory()
     truth = (OdometrySample(pose.stamp_ns, pose.pose) for pose in log.truth)
-    streams = (
-        ((k.stamp_ns, 'ground_truth/odom', k) for k in truth),
-        ((k.stamp_ns, 'odom', k) for k in odometry),
-        ((k.stamp_ns, 'detections', k) for k in log.sightings),
+    streams: tuple[Iterator[tuple[int, str, Any]], ...] = (
+        (
+            (k.stamp_ns, 'ground_truth/odom', encode.odometry(factory, k, frame_id='map'))
+            for k in truth
+        ),
+        ((k.stamp_ns, 'odom', encode.odometry(factory, k)) for k in odometry),
+        ((k.stamp_ns, 'detections', encode.detections(factory, k)) for k in log.sightings),
     )
     total = len(log.truth) + len(odometry) + len(log.sightings)
     merged = heapq.merge(*streams, key=lambda entry: entry[0])
     with BagWriter(path) as bag:
-        for stamp, topic, value in progress(merged, 'writing', total):
-            if isinstance(value, OdometrySample):
-                frame = 'odom' if topic == 'odom' else 'map'
-                message = encode.odometry(factory, value, frame_id=frame)
-            else:
-                message = encode.detections(factory, value)
+        for stamp, topic, message in progress(merged, 'writing', total):
             bag.write(topic, message, stamp)
 
 

@@ -17,6 +17,7 @@ from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationU
 from landmark_nav.storage.bags import SensorEvent
 from landmark_nav.types import (
     CameraFrame,
+    Detections,
     FloatArray,
     LandmarkMap,
     OdometrySample,
@@ -131,15 +132,18 @@ def replay(
         if isinstance(event, PoseEstimate):
             truth.append((event.stamp_ns, event.pose))
             continue
-        if start is None and isinstance(event, CameraFrame | OdometrySample):
+        if start is None and isinstance(event, CameraFrame | Detections | OdometrySample):
             start = PoseEstimate(event.stamp_ns, start_pose, start_covariance)
             localizer.initialize(start)
         if isinstance(event, OdometrySample):
             odometry.append((event.stamp_ns, event.pose_odom_base))
             localizer.add_odometry(event)
-        elif isinstance(event, CameraFrame):
+        elif isinstance(event, CameraFrame | Detections):
             before = time.perf_counter()
-            update = localizer.add_frame(event)
+            if isinstance(event, CameraFrame):
+                update = localizer.add_frame(event)
+            else:
+                update = localizer.add_detections(event)
             took.append(time.perf_counter() - before)
             assert isinstance(update, LocalizationUpdate), 'it was initialized'
             updates.append(update)

@@ -97,11 +97,4 @@ def _used(update: LocalizationUpdate) -> Detections:
         keep = np.isin(found.ids, update.fusion.accepted_ids)
     else:
         keep = np.ones(len(found), dtype=np.bool_)
-    return Detections(
-        found.stamp_ns,
-        found.ids[keep],
-        found.bearing_rad[keep],
-        found.variance_rad2[keep],
-        found.score[keep],
-        found.uv_px[keep],
-    )
+    return found.chosen(keep)

@@ -35,6 +35,7 @@ __all__ = [
     'Localizer',
     'Observation',
     'ObservationConfig',
+    'fix_from_bearings',
     'observe',
 ]
 
@@ -107,7 +108,21 @@ def observe(
         prior, landmark_map, frame.camera, mount, frame.pan_rad, frame.tilt_rad, config.triplet
     )
     result = detect_landmarks(frame, prior, landmark_map, mount, config.detection, expected)
-    found = result.detections
+    fix = fix_from_bearings(
+        result.detections, prior, landmark_map, mount, config, common_bearing_sigma_rad
+    )
+    return Observation(result.detections, result.refused, fix)
+
+
+def fix_from_bearings(
+    found: Detections,
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: ObservationConfig,
+    common_bearing_sigma_rad: float = 0.0,
+) -> PoseEstimate | Refusal:
+    """Triangulate the base from the bearings of one picture; parameters as for `observe`."""
     index = landmark_map.indices(found.ids)
     rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
     fix = triangulate(
@@ -119,8 +134,7 @@ def observe(
         config=config.triangulation,
         common_variance=common_bearing_sigma_rad**2,
     )
-    base = fix if isinstance(fix, Refusal) else base_from_axis(fix.at(frame.stamp_ns), mount)
-    return Observation(found, result.refused, base)
+    return fix if isinstance(fix, Refusal) else base_from_axis(fix.at(found.stamp_ns), mount)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,15 +207,45 @@ class Localizer:
             config.observation,
             config.fusion.pan_sigma_rad,
         )
-        if config.fusion.mode == 'bearings':
+        return self._fused(frame.stamp_ns, triplet, seen)
+
+    def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
+        """Correct the pose by bearings that were found elsewhere; as `add_frame` otherwise."""
+        prior = self._filter.estimate(found.stamp_ns)
+        if prior is None:
+            return Refusal('not initialized', 'give a start pose')
+        found, unknown = _on_the_map(found, self._map)
+        fix = fix_from_bearings(
+            found,
+            prior,
+            self._map,
+            self._mount,
+            self._config.observation,
+            self._config.fusion.pan_sigma_rad,
+        )
+        no_view = Refusal('no picture', 'the bearings were found elsewhere')
+        return self._fused(found.stamp_ns, no_view, Observation(found, unknown, fix))
+
+    def _fused(
+        self, stamp_ns: int, triplet: Triplet | Refusal, seen: Observation
+    ) -> LocalizationUpdate:
+        """Correct the filter by what was seen."""
+        if self._config.fusion.mode == 'bearings':
             update = self._filter.add_detections(seen.detections)
         elif isinstance(seen.fix, PoseEstimate):
             update = self._filter.add_pose(seen.fix)
         else:
-            update = FusionUpdate(frame.stamp_ns, refusal=seen.fix)
-        fused = self._filter.estimate(frame.stamp_ns)
-        assert fused is not None
+            update = FusionUpdate(stamp_ns, refusal=seen.fix)
+        fused = self._filter.estimate(stamp_ns)
+        assert fused is not None, 'it was initialized'
         status, reason = self._filter.status
-        return LocalizationUpdate(
-            frame.stamp_ns, triplet, seen, update, fused, str(status), reason
-        )
+        return LocalizationUpdate(stamp_ns, triplet, seen, update, fused, str(status), reason)
+
+
+def _on_the_map(
+    found: Detections, landmark_map: LandmarkMap
+) -> tuple[Detections, dict[int, Refusal]]:
+    """Split off what the map does not hold."""
+    known = np.isin(found.ids, landmark_map.ids)
+    unknown = {int(k): Refusal('not in the map') for k in found.ids[~known]}
+    return found if known.all() else found.chosen(known), unknown

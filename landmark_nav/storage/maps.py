@@ -94,7 +94,7 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
     (folder / 'map.yaml').write_text(text, encoding='utf-8')
     (folder / 'patches').mkdir()
     for landmark in landmarks.landmarks:
-        if not landmark.patch.size:  # a point, such as a surveyed beacon
+        if landmark.width_m == landmark.height_m == 0.0:  # a point, such as a surveyed beacon
             continue
         path = folder / _patch_name(landmark.id)
         if not cv2.imwrite(str(path), landmark.patch):

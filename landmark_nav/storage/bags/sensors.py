@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.reader import Bag, BagMessage
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory, naming
-from landmark_nav.types import CameraFrame, JointSample, OdometrySample, PoseEstimate
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    JointSample,
+    OdometrySample,
+    PoseEstimate,
+)
 
 __all__ = ['SensorEvent', 'sensor_events']
 
-SensorEvent = CameraFrame | JointSample | OdometrySample | PoseEstimate
+SensorEvent = CameraFrame | Detections | JointSample | OdometrySample | PoseEstimate
+
+
+_PICTURES = ('camera/image_raw', 'camera/image_raw/compressed')
 
 
 def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
@@ -22,6 +32,7 @@ def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
 
     Pan and tilt of a frame are interpolated at its stamp. Ground truth, if there is any, comes as
     `PoseEstimate`. Pictures that cannot be used are left out and reported through ``bag.warn``.
+    A bag without pictures may bring ``detections`` instead, of this package or another sensor.
 
     Raises
     ------
@@ -29,7 +40,10 @@ def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
         A topic is missing, a value is not a number, or no picture can be used.
 
     """
-    images = bag.require('camera/image_raw', 'camera/image_raw/compressed')
+    if not any(bag.find(name) for name in _PICTURES) and bag.find('detections'):
+        yield from _detections_and_motion(bag)
+        return
+    images = bag.require(*_PICTURES)
     odometry = bag.require('odom')
     cameras = CameraInfos.read(bag, 'camera/camera_info')
     joints = JointHistory.read(bag, mount)
@@ -62,6 +76,19 @@ def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
         bag.warn(
             f'{len(complaints)} of {used + len(complaints)} pictures left out: {complaints[0]}'
         )
+
+
+def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
+    """Bearings that somebody else found in pictures that are not kept."""
+    decoders: dict[str, Callable[[Any], SensorEvent]] = {
+        bag.require('detections'): decode.detections,
+        bag.require('odom'): decode.odometry,
+    }
+    if truth := bag.find('ground_truth/odom'):
+        decoders[truth] = decode.pose_estimate
+    for entry in bag.messages(decoders):
+        with naming(bag, entry.topic):
+            yield decoders[entry.topic](entry.message)
 
 
 class _UnusableFrameError(Exception):
