@@ -96,7 +96,7 @@ def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: s
     [
         ('base_frame: base_link', 'pan_axis is missing'),
         ('pan_axis: 3', 'xyz is missing'),
-        ('pan_axis: {xyz: [0, 0, high]}', "xyz is .*high.*not 3 numbers"),
+        ('pan_axis: {xyz: [0, 0, high]}', 'xyz is .*high.*not 3 numbers'),
         ('pan_axis: {xyz: [0, 0, 1], rpy: 0}', 'rpy is 0, not 3 numbers'),
         ('pan_axis: {xyz: [0, 0, 1]}\noptical_center_offset: [1]', 'optical_center_offset is'),
     ],
