@@ -48,7 +48,10 @@ class RelocalizationConfig:
     )
     min_spread_rad: float = parameter(0.6, 'least angle that they span', minimum=0.0, maximum=6.28)
     max_sigma_m: float = parameter(
-        0.05, 'largest predicted position sigma (root of the trace), m', minimum=0.0, maximum=10.0
+        0.025, 'largest predicted position sigma (root of the trace), m', minimum=0.0, maximum=10.0
+    )
+    max_sigma_rad: float = parameter(
+        0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
     )
     max_rival_share: float = parameter(
         0.5,
@@ -56,6 +59,13 @@ class RelocalizationConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    max_drift_m: float = parameter(
+        0.05, 'odometry sigma of a picture that still counts, m', minimum=0.001, maximum=10.0
+    )
+    max_drift_rad: float = parameter(
+        0.03, 'odometry sigma of a picture that still counts, rad', minimum=1e-4, maximum=1.0
+    )
+    max_frames: int = parameter(30, 'pictures that count at a time', minimum=2, maximum=1000)
     candidates: int = parameter(4, 'places that are looked at closely', minimum=2, maximum=100)
     pan_sigma_rad: float = parameter(
         2e-4, 'error of the measured pan, rad', minimum=0.0, maximum=0.1
@@ -206,8 +216,12 @@ def _judged(
             f'all {found} landmarks lie within {np.degrees(spread):.0f} deg: look around',
         )
     sigma = float(np.sqrt(np.trace(best.estimate.covariance[:2, :2])))
-    if sigma > config.max_sigma_m:
-        return Refusal('too little seen', f'position sigma {sigma:.2f} m: look around')
+    sigma_turn = float(np.sqrt(best.estimate.covariance[2, 2]))
+    if sigma > config.max_sigma_m or sigma_turn > config.max_sigma_rad:
+        return Refusal(
+            'too little seen',
+            f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
+        )
     return best.estimate
 
 

@@ -126,9 +126,12 @@ def _look(
 ) -> tuple[_Bearings, int]:
     """Bearings found, and how many landmarks were to be expected."""
     priors = [
-        PoseEstimate(frame.stamp_ns, np.asarray(pose), prior.covariance)
-        for frame, pose in zip(
-            carried.frames, se2.compose(prior.pose, carried.poses_last_base), strict=True
+        PoseEstimate(frame.stamp_ns, np.asarray(pose), prior.covariance + np.diag(drift))
+        for frame, pose, drift in zip(
+            carried.frames,
+            se2.compose(prior.pose, carried.poses_last_base),
+            carried.variances,
+            strict=True,
         )
     ]
     landmarks, frames, asides = [], [], []
@@ -179,24 +182,22 @@ def _solve(
     Triangulate the pan axis at the last picture from bearings taken from everywhere.
 
     A bearing taken elsewhere is one to a virtual landmark, shifted by how far the axis has moved
-    since (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009).
+    since (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009). What odometry
+    adds to its error counts as the virtual landmark's.
     """
     axis = np.array([*mount.axis_xyz[:2], 0.0])
     moved = se2.relative(axis, se2.compose(carried.poses_last_base, axis))[found.frame]
     position = landmark_map.positions[found.landmark, :2]
     start = axis_from_base(prior, mount)
-    distance = np.maximum(np.hypot(*(position - start.pose[:2]).T), config.min_range_m)
-    drift = carried.variances[found.frame]
-    variance = found.variance + pan_sigma_rad**2 + drift[:, 2]
-    variance += np.maximum(drift[:, 0], drift[:, 1]) / distance**2
     rows = np.stack([2 * found.landmark, 2 * found.landmark + 1], -1).reshape(-1)
     covariance = landmark_map.joint_covariance_xy[np.ix_(rows, rows)]
+    covariance += _drift(position - start.pose[:2], carried.variances[found.frame])
     heading = float(start.pose[2])
     for _ in range(_HEADING_PASSES):
         fix = triangulate(
             position - moved[:, :2] @ se2.rotation(heading).T,
             wrap_rad(found.bearing + moved[:, 2]),
-            variance,
+            found.variance + pan_sigma_rad**2,
             covariance,
             start=start,
             config=config,
@@ -205,3 +206,17 @@ def _solve(
             return fix
         heading = float(fix.pose[2])
     return fix
+
+
+def _drift(sight: FloatArray, variances: FloatArray) -> FloatArray:
+    """
+    Covariance (2n, 2n) of virtual landmarks, seen along `sight` (n, 2), by the odometry's errors.
+
+    They add up from the last picture back, so two bearings share those of the later one. A wrong
+    turn moves a landmark across the line of sight, in proportion to its range.
+    """
+    across = np.stack([-sight[:, 1], sight[:, 0]], -1).reshape(-1)
+    turn = np.minimum.outer(variances[:, 2], variances[:, 2])
+    way = variances[:, :2].max(axis=1)
+    by_turn = np.repeat(np.repeat(turn, 2, axis=0), 2, axis=1) * np.outer(across, across)
+    return np.asarray(by_turn + np.kron(np.minimum.outer(way, way), np.eye(2)))

@@ -1,0 +1,128 @@
+"""Finding one's place while pictures and odometry come in: by bags, and by the nodes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.odometry_noise import motion_variances, OdometryNoiseConfig
+from landmark_nav.localization.odometry_track import OdometryTrack
+from landmark_nav.localization.relocalization import locate, RelocalizationConfig
+from landmark_nav.localization.relocalization_sightings import find_sightings, Sightings
+from landmark_nav.localization.relocalization_verification import CarriedFrames
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+__all__ = ['Relocalizer']
+
+# A picture tells something new if it looks this share of half the field of view elsewhere, or
+# from this far away.
+_NEW_VIEW = 0.9
+_NEW_PLACE_M = 0.6
+
+
+class _Glimpse(NamedTuple):
+    """A picture that was kept."""
+
+    frame: CameraFrame
+    direction_base_rad: float
+    sightings: Sightings
+
+
+class Relocalizer:
+    """
+    Gathers views of the room until they fit one place only.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : RelocalizationConfig, optional
+        Parameters.
+    odometry : OdometryNoiseConfig, optional
+        How far the odometry is to be trusted.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        mount: PanTiltMount,
+        config: RelocalizationConfig | None = None,
+        odometry: OdometryNoiseConfig | None = None,
+    ) -> None:
+        self._map, self._mount = landmark_map, mount
+        self._config = config or RelocalizationConfig()
+        self._odometry = odometry or OdometryNoiseConfig()
+        self._track = OdometryTrack(self._odometry)
+        self._kept: list[_Glimpse] = []
+        self._outcome = Refusal('nothing seen yet', 'no picture came')
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """Move on; why the sample was left out, if it was."""
+        refusal = self._track.add(sample)
+        if self._kept:
+            self._track.trim(self._kept[0].frame.stamp_ns)
+        return refusal
+
+    def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
+        """
+        Look at a picture.
+
+        Returns
+        -------
+        PoseEstimate or Refusal
+            The base at the picture's stamp; or why its place is not known yet, which stays the
+            same as long as pictures show nothing new.
+
+        """
+        turn, _ = self._mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+        direction = float(np.arctan2(turn[1, 2], turn[0, 2]))
+        poses, variances = self._carried(frame.stamp_ns)
+        # What odometry has carried too far helps no more, nor does what is from another clock.
+        config = self._config
+        sure = [
+            glimpse.frame.stamp_ns < frame.stamp_ns
+            and max(variance[:2]) < config.max_drift_m**2
+            and variance[2] < config.max_drift_rad**2
+            for glimpse, variance in zip(self._kept, variances, strict=True)
+        ]
+        self._kept = [glimpse for glimpse, keep in zip(self._kept, sure, strict=True) if keep]
+        poses, variances = poses[sure], variances[sure]
+        looked = poses[:, 2] + [glimpse.direction_base_rad for glimpse in self._kept]
+        same = np.abs(wrap_rad(looked - direction)) < _NEW_VIEW * frame.camera.half_fov_rad
+        if np.any(same & (np.hypot(poses[:, 0], poses[:, 1]) < _NEW_PLACE_M)):
+            return self._outcome
+        sightings = find_sightings(frame, self._map, self._mount, config.sighting)
+        self._kept.append(_Glimpse(frame, direction, sightings))
+        recent = slice(-config.max_frames, None)
+        self._kept = self._kept[recent]
+        carried = CarriedFrames(
+            [glimpse.frame for glimpse in self._kept],
+            np.vstack([poses, np.zeros(3)])[recent],
+            np.vstack([variances, np.zeros(3)])[recent],
+        )
+        seen = [glimpse.sightings for glimpse in self._kept]
+        outcome = locate(carried, seen, self._map, self._mount, config)
+        if isinstance(outcome, Refusal):
+            self._outcome = outcome
+        return outcome
+
+    def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
+        """Poses (n, 3) of the base at the kept pictures, seen from now, and their variances."""
+        motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
+        poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
+        variances = [motion_variances(motion, self._odometry) for motion in motions]
+        return poses, np.array(variances).reshape(-1, 3)
