@@ -87,7 +87,7 @@ def pose_covariance(eye: FloatArray, room: Room, config: PlanConfig) -> FloatArr
         row[:, each, 5 + 2 * each] = np.sum(by_point * along, -1)
         row[:, each, 6 + 2 * each] = 0.0 if right else 1.0 / reach
     sigma = np.hypot(_PROFILES_PX, area.edge_sigma_px) / config.focal_px
-    rows = jacobian.reshape(len(eye), 4 * papers, -1) / sigma
+    rows = jacobian.reshape(len(eye), 4 * papers, 5 + 2 * papers) / sigma
     hanging = [max(area.paper_sigma_m, 1e-6)] * (2 * papers)
     prior = np.array([np.inf] * 3 + [area.height_sigma_m, area.horizon_sigma_rad, *hanging])
     information = np.swapaxes(rows, -1, -2) @ rows + np.diag(prior**-2.0)

@@ -27,7 +27,7 @@ __all__ = ['Forecast', 'Plan', 'forecast', 'plan_positions']
 
 # How finely a room is looked at, at most: it bounds time and memory in halls.
 _MOST_PLACES = 220
-_MOST_SEEDS = 45
+_MOST_SEEDS = 32
 _MOST_SAMPLES = 130
 _SEARCH_SAMPLES = 70
 _SEARCH_CELLS = 70

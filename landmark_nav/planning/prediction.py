@@ -1,10 +1,8 @@
 """
 What a map learned from given places would be worth: landmarks, their errors, and the robot's.
 
-Everything is an expectation to first order, over where on the walls texture may be: wall samples
-stand for the landmarks to be expected there. The error models are those of `learning.adjustment`
-(own errors, and those that the panoramas' poses give to all landmarks) and of bearings to
-all landmarks that a turning camera sees from a place.
+Everything is an expectation over where on the walls texture may be: wall samples stand for the
+landmarks to be expected there.
 """
 
 from __future__ import annotations
@@ -19,14 +17,12 @@ from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.triangulation_model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
+from landmark_nav.planning.propagation import landmark_errors, localization_sigma
 from landmark_nav.planning.room_grid import WallSamples
 from landmark_nav.planning.views import band_share, Views
 from landmark_nav.types import FloatArray
 
 __all__ = ['Prediction', 'Predictor']
-
-# x, y, heading of each panorama; after all of them, how far things hang off the walls.
-_POSE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +65,7 @@ class Predictor:
     Parameters
     ----------
     views : Views
-        The places, with what they see.
+        The places, one or more, with what they see.
     samples : WallSamples
         What there is to see.
     cells : ndarray, shape (c, 2)
@@ -91,16 +87,12 @@ class Predictor:
     ) -> None:
         """Work out what does not depend on the set."""
         self._views, self._samples, self._config = views, samples, config
-        gradient = bearing_gradients(cells, samples.xy)
-        gx, gy = gradient[..., 0], gradient[..., 1]
-        self._basis = np.stack([gx * gx, gx * gy, gy * gy, gx, gy, np.ones_like(gx)], -1)
-
+        self._gradient = bearing_gradients(cells, samples.xy)
         reach = np.linalg.norm(samples.xy - cells[:, None], axis=-1)
         triplet = config.triplet
         seen = room.visible(cells[:, None], samples.xy)
         seen &= (reach >= triplet.min_range_m) & (reach <= triplet.max_range_m)
-        eyes = views.eye[0, 2] if len(views) else 0.0
-        share = band_share(reach, eyes, samples, config)
+        share = band_share(reach, float(views.eye[0, 2]), samples, config)
         self._observed = np.zeros((len(views), *reach.shape), np.float32)
         for p in range(len(views)):
             well = observed_well(
@@ -118,11 +110,24 @@ class Predictor:
     def predict(self, places: npt.NDArray[np.intp]) -> Prediction:
         """Predict for a set of places (n,), n >= 2."""
         by_source, sighted = self._expected(places)
-        own, loading = self._errors(places, by_source.sum(axis=0), sighted)
+        config, views = self._config, self._views
+        variance = config.adjustment.azimuth_sigma_rad**2
+        variance += (config.match_sigma_px / config.focal_px) ** 2
+        own, loading = landmark_errors(
+            views.azimuth_rad[places],
+            views.range_m[places],
+            sighted / variance,
+            self._samples.normal,
+            by_source.sum(axis=0),
+            views.covariance[places],
+            config.adjustment,
+        )
         covariance = own + loading @ np.swapaxes(loading, -1, -2)
         largest = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
-        by_source = by_source * (largest <= self._config.election.max_sigma_m)
-        sigma = self._localization(places, by_source, own, loading)
+        by_source = by_source * (largest <= config.election.max_sigma_m)
+        seen = np.einsum('ncs,ns->cs', self._observed[places], by_source)
+        bearing_sigma = config.triplet.bearing_sigma_rad
+        sigma = localization_sigma(self._gradient, seen, own, loading, bearing_sigma)
         return Prediction(by_source.sum(axis=0), covariance, sigma)
 
     def cost_m(self, places: npt.NDArray[np.intp]) -> float:
@@ -149,91 +154,3 @@ class Predictor:
         given[itself, itself] = 1.0
         total = np.maximum(by_source.sum(axis=0), 1e-12)
         return by_source, np.einsum('ns,nms->ms', by_source, given) / total
-
-    def _errors(
-        self, places: npt.NDArray[np.intp], landmarks: FloatArray, sighted: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Own covariance (s, 2, 2) of landmarks and loading (s, 2, m) by what they share."""
-        config, views, n = self._config, self._views, len(places)
-        variance = config.adjustment.azimuth_sigma_rad**2
-        variance += (config.match_sigma_px / config.focal_px) ** 2
-        weight = sighted / variance
-        # Of azimuths by the landmark; by the panorama it is the opposite, by heading -1.
-        reach = views.range_m[places]
-        turned = views.azimuth_rad[places] + 0.5 * np.pi
-        by_point = np.stack([np.cos(turned), np.sin(turned)], -1) / reach[..., None]
-        by_pose = np.concatenate([-by_point, np.full((*reach.shape, 1), -1.0)], -1)
-
-        normal = self._samples.normal
-        wall = config.adjustment.hanging_sigma_m**-2.0
-        h_xx = np.einsum('ns,nsi,nsj->sij', weight, by_point, by_point)
-        h_xx += wall * normal[:, :, None] * normal[:, None]
-        # Nothing is known along the wall where no panorama looks: 30 m are as good as nothing.
-        h_xx += 1e-3 * np.eye(2)
-        h_xp = np.einsum('ns,nsi,nsj->sinj', weight, by_point, by_pose)
-        h_xs = np.concatenate(
-            [h_xp.reshape(len(normal), 2, -1), -wall * normal[..., None]], axis=2
-        )
-        own = np.linalg.inv(h_xx)
-        gain = own @ h_xs
-
-        m = _POSE * n + 1
-        h_ss = np.zeros((m, m))
-        blocks = np.einsum('s,ns,nsi,nsj->nij', landmarks, weight, by_pose, by_pose)
-        blocks += np.linalg.inv(views.covariance[places])
-        for k, block in enumerate(blocks):
-            part = slice(_POSE * k, _POSE * (k + 1))
-            h_ss[part, part] = block
-        h_ss[-1, -1] = config.adjustment.common_hanging_sigma_m**-2.0 + wall * landmarks.sum()
-        h_ss -= np.einsum('s,sip,siq->pq', landmarks, h_xs, gain)
-        return own, gain @ np.linalg.cholesky(np.linalg.inv(h_ss))
-
-    def _localization(
-        self,
-        places: npt.NDArray[np.intp],
-        by_source: FloatArray,
-        own: FloatArray,
-        loading: FloatArray,
-    ) -> FloatArray:
-        """Root of the trace (c,) of the position covariance from all landmarks in view."""
-        basis = self._basis
-        seen = np.einsum('ncs,ns->cs', self._observed[places], by_source)
-        own_parts = np.stack([own[:, 0, 0], 2.0 * own[:, 0, 1], own[:, 1, 1]], -1)
-        variance = np.einsum('csk,sk->cs', basis[..., :3], own_parts)
-        variance += self._config.triplet.bearing_sigma_rad**2
-        weighted = basis * (seen / variance)[..., None]
-
-        # Information J^T R^-1 J with R = D + U U^T, U = -g L (Woodbury).
-        xx, xy, yy, x, y, one = np.moveaxis(weighted.sum(axis=1), -1, 0)
-        direct = np.stack([xx, xy, -x, xy, yy, -y, -x, -y, one], -1).reshape(-1, 3, 3)
-        count, m = len(basis), loading.shape[2]
-        lx, ly = loading[:, 0], loading[:, 1]
-        by_sample = np.moveaxis(weighted, -1, 0)
-        to_x = by_sample[0] @ lx + by_sample[1] @ ly
-        to_y = by_sample[1] @ lx + by_sample[2] @ ly
-        to_heading = by_sample[3] @ lx + by_sample[4] @ ly
-        cross = np.stack([-to_x, -to_y, to_heading], 1)
-        square = np.stack(
-            [
-                lx[:, :, None] * lx[:, None],
-                lx[:, :, None] * ly[:, None] + ly[:, :, None] * lx[:, None],
-                ly[:, :, None] * ly[:, None],
-            ]
-        ).reshape(3, len(lx), m * m)
-        shared = np.eye(m) + (by_sample[:3] @ square).sum(axis=0).reshape(count, m, m)
-        information = direct - cross @ np.linalg.solve(shared, np.swapaxes(cross, -1, -2))
-        return _position_sigma(information, seen.sum(axis=1) >= 3.0)
-
-
-def _position_sigma(information: FloatArray, enough: npt.NDArray[np.bool_]) -> FloatArray:
-    """Root of the trace (c,) of the position part of inverse information (c, 3, 3)."""
-    sigma = np.full(len(information), np.inf)
-    # The heading is eliminated first: what remains is 2 x 2.
-    turn = np.maximum(information[:, 2, 2], 1e-12)
-    arm = information[:, :2, 2]
-    plane = information[:, :2, :2] - arm[:, :, None] * arm[:, None] / turn[:, None, None]
-    det = plane[:, 0, 0] * plane[:, 1, 1] - plane[:, 0, 1] * plane[:, 1, 0]
-    good = enough & (plane[:, 0, 0] > 0.0) & (plane[:, 1, 1] > 0.0)
-    good &= det > 1e-9 * plane[:, 0, 0] * plane[:, 1, 1]
-    sigma[good] = np.sqrt((plane[good, 0, 0] + plane[good, 1, 1]) / det[good])
-    return sigma

@@ -61,13 +61,13 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     handles.insert(0, _key('^', FUSED, f'proposed: {_cost(plan.best)}'))
     middle = plan.random[len(plan.random) // 2]
     handles.append(Line2D([], [], linestyle='', label=f'median of random places: {_cost(middle)}'))
-    axes.set_title(
+    figure.suptitle(
         f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
         f'{plan.best.landmarks:.0f} landmarks'
     )
     for side in ('top', 'right', 'left', 'bottom'):
         axes.spines[side].set_visible(False)
-    legend_beside(axes, 'below', len(handles), handles)
+    legend_beside(axes, 'above', len(handles), handles)
     save(figure, path)
 
 
@@ -82,7 +82,7 @@ def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
         shading='nearest',
     )  # fmt: skip
     figure = axes.figure
-    bar = figure.colorbar(heat, ax=axes, shrink=0.85, extend='max', pad=0.02)
+    bar = figure.colorbar(heat, ax=axes, shrink=0.75, extend='max', pad=0.02)
     bar.set_label('position error, root of the trace [mm]')
     bar.outline.set_visible(False)
     if min(error.shape) >= 2 and high > low:

@@ -1,0 +1,121 @@
+"""`landmark-nav plan` as a user calls it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from landmark_nav.cli.main import main
+from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.planning.room_grid import is_free
+from landmark_nav.simulation.setup_documents import robot_document, room_document
+from landmark_nav.simulation.world import DEFAULT_MOUNT
+from landmark_nav.storage.setup_files import load_room
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Room and robot of a user."""
+    corners = [(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]
+    walls = tuple(
+        Wall(name, start, end, 2.6)
+        for name, start, end in zip('senw', corners, corners[1:] + corners[:1], strict=True)
+    )
+    papers = tuple(
+        Paper(color, (x, 0.0, 1.6), 0.21, 0.297)
+        for color, x in (('red', 1.4), ('green', 2.6), ('blue', 3.7))
+    )
+    (tmp_path / 'room.yaml').write_text(room_document(Room(walls, papers)))
+    (tmp_path / 'robot.yaml').write_text(robot_document(DEFAULT_MOUNT))
+    return tmp_path
+
+
+def plan(folder: Path, *options: str, positions: str = '2', out: str = 'new/plan.yaml') -> int:
+    return main(
+        [
+            'plan', '--room', str(folder / 'room.yaml'), '--robot', str(folder / 'robot.yaml'),
+            '--positions', positions, '--out', str(folder / out), *options,
+        ]
+    )  # fmt: skip
+
+
+def test_a_plan_is_written_and_drawn(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert plan(folder) == 0
+    text = (folder / 'new' / 'plan.yaml').read_text()
+    document = yaml.safe_load(text)
+    poses = np.array([place['pose'] for place in document['positions']])
+    assert poses.shape == (2, 3)
+    assert is_free(load_room(folder / 'room.yaml'), 0.399, poses[:, :2]).all()
+    predicted, compared = document['predicted'], document['compared']
+    mean = predicted['localization']['mean_m']
+    assert 0.0 < mean < compared['random']['best_m'] <= compared['random']['median_m']
+    assert mean < compared['left_right']['mean_m']
+    assert predicted['landmarks'] >= 3
+    assert predicted['localization']['median_m'] <= predicted['localization']['p95_m']
+    picture = cv2.imread(str(folder / 'new' / 'plan.png'))
+    assert picture is not None
+    assert picture.shape[1] > picture.shape[0] > 300
+    printed = capsys.readouterr().out
+    assert 'left and right of the middle: ' in printed
+    assert 'times the error of the plan' in printed
+
+    drawn = (folder / 'new' / 'plan.png').read_bytes()
+    assert plan(folder) == 0
+    assert (folder / 'new' / 'plan.yaml').read_text() == text
+    assert (folder / 'new' / 'plan.png').read_bytes() == drawn
+
+
+def test_another_camera_gives_another_plan(folder: Path) -> None:
+    assert plan(folder, out='a.yaml') == 0
+    assert plan(folder, '--focal', '300', '--size', '640', '480', out='b.yaml') == 0
+    first, second = (yaml.safe_load((folder / f'{k}.yaml').read_text()) for k in 'ab')
+    assert second['camera'] == {'focal_px': 300.0, 'width': 640, 'height': 480}
+    assert first['predicted'] != second['predicted']
+
+
+@pytest.mark.parametrize(
+    ('options', 'positions', 'message'),
+    [
+        ((), '1', 'learned from two places or more'),
+        (('--clearance', '2.4'), '2', 'too small for this clearance'),
+        (('--focal', '-3'), '2', 'focal_px'),
+        (('--focal', '5000'), '2', 'see all 3 papers'),
+        (('--room', 'nowhere.yaml'), '2', 'nowhere.yaml: cannot be read'),
+    ],
+)
+def test_what_can_not_be_planned_is_told_in_a_line(
+    options: tuple[str, ...],
+    positions: str,
+    message: str,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert plan(folder, *options, positions=positions) == 1
+    error = capsys.readouterr().err
+    assert error.count('\n') == 1
+    assert message in error
+    assert not (folder / 'new').exists()
+
+
+def test_a_room_without_papers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room = load_room(folder / 'room.yaml')
+    (folder / 'room.yaml').write_text(room_document(Room(room.walls)))
+    assert plan(folder) == 1
+    assert 'names 0 reference papers: hang three' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('positions', ['two', '2.5', ''])
+def test_wrong_usage(positions: str, folder: Path) -> None:
+    assert plan(folder, positions=positions) == 2
+
+
+def test_a_folder_that_can_not_be_written(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / 'file').write_text('')
+    assert plan(folder, out='file/plan.yaml') == 1
+    assert capsys.readouterr().err.count('\n') == 1

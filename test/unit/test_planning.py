@@ -1,0 +1,263 @@
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import rectangle_room
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.learning.stereo import StereoConfig
+from landmark_nav.planning.config import PlanConfig
+from landmark_nav.planning.layouts import left_right_layout, random_sets
+from landmark_nav.planning.planner import forecast, Plan, plan_positions
+from landmark_nav.planning.room_grid import free_floor, is_free, sample_walls
+from landmark_nav.planning.search import best_places, exchange, spread
+from landmark_nav.planning.views import eye_height, look, sweep_poses
+
+MOUNT = PanTiltMount((0.08, 0.0, 1.1))
+# Coarser than by default: quicker.
+CONFIG = PlanConfig(spacing_m=0.4)
+PAPERS = tuple(
+    Paper(color, (x, 0.0, 1.6), 0.21, 0.297)
+    for color, x in (('red', 1.6), ('green', 2.7), ('blue', 3.9))
+)
+ROOM = rectangle_room(5.0, 4.0, PAPERS)
+L_SHAPED = Room(
+    tuple(
+        Wall(str(k), start, end, 2.5)
+        for k, (start, end) in enumerate(
+            [
+                ((0.0, 0.0), (6.0, 0.0)),
+                ((6.0, 0.0), (6.0, 2.0)),
+                ((6.0, 2.0), (3.0, 2.0)),
+                ((3.0, 2.0), (3.0, 5.0)),
+                ((3.0, 5.0), (0.0, 5.0)),
+                ((0.0, 5.0), (0.0, 0.0)),
+            ]
+        )
+    ),
+    PAPERS,
+)
+
+
+def silent(items: Iterable[Any], _what: str, _total: int) -> Iterator[Any]:
+    return iter(items)
+
+
+@pytest.fixture(scope='module')
+def plan() -> Plan:
+    return plan_positions(ROOM, MOUNT, 2, CONFIG, np.random.default_rng(1))
+
+
+class TestRoomGrid:
+    def test_floor_keeps_off_the_walls(self) -> None:
+        floor = free_floor(L_SHAPED, 0.5, 0.25, 10000)
+        assert L_SHAPED.contains(floor).all()
+        # The inner corner at (3, 2) is round for whoever keeps off it.
+        assert np.linalg.norm(floor - [3.0, 2.0], axis=1).min() >= 0.5 - 1e-9
+        for edge in (floor[:, 0], floor[:, 1], 6.0 - floor[:, 0], 5.0 - floor[:, 1]):
+            assert edge.min() == pytest.approx(0.5)
+        assert not np.any((floor[:, 0] > 2.51) & (floor[:, 1] > 1.51))
+
+    def test_floor_has_no_more_points_than_asked_for(self) -> None:
+        hall = rectangle_room(60.0, 40.0)
+        assert 250 < len(free_floor(hall, 0.4, 0.1, 400)) < 480
+
+    def test_no_floor_in_a_narrow_room(self) -> None:
+        assert len(free_floor(rectangle_room(4.0, 0.7), 0.4, 0.1, 100)) == 0
+        assert len(free_floor(rectangle_room(4.0, 0.8), 0.4, 0.1, 100)) > 10
+
+    def test_samples_share_each_wall_evenly(self) -> None:
+        samples = sample_walls(L_SHAPED, 0.3, 1000)
+        assert samples.length_m.sum() == pytest.approx(22.0)
+        assert np.abs(samples.length_m - 0.3).max() < 0.05
+        inside = samples.xy + 0.01 * samples.normal
+        assert L_SHAPED.contains(inside).all()
+        assert len(sample_walls(rectangle_room(60.0, 40.0), 0.1, 100).xy) == 100
+
+
+class TestViews:
+    def test_places_without_all_papers_are_left_out(self) -> None:
+        # Round the corner; so near that the papers rise out of the picture; well; well.
+        xy = np.array([[2.5, 4.5], [2.7, 0.5], [2.7, 1.8], [1.5, 1.9]])
+        samples = sample_walls(L_SHAPED, 0.5, 100)
+        views = look(sweep_poses(xy, L_SHAPED), samples, L_SHAPED, MOUNT, CONFIG)
+        np.testing.assert_allclose(views.pose_map_base[:, :2], xy[2:])
+
+    def test_pan_zero_looks_at_the_papers_and_the_eye_is_on_the_axis(self) -> None:
+        xy = np.array([[2.0, 2.4], [3.9, 2.9]])
+        poses = sweep_poses(xy, ROOM)
+        views = look(poses, sample_walls(ROOM, 0.5, 100), ROOM, MOUNT, CONFIG)
+        middle = np.mean([p.center[:2] for p in PAPERS], axis=0)
+        ahead = (middle - xy) / np.linalg.norm(middle - xy, axis=1)[:, None]
+        np.testing.assert_allclose(views.eye[:, :2], xy + 0.08 * ahead, atol=1e-12)
+        assert np.all(views.eye[:, 2] == eye_height(MOUNT))
+
+    def test_hidden_and_oblique_walls_show_nothing(self) -> None:
+        samples = sample_walls(L_SHAPED, 0.25, 1000)
+        config = PlanConfig(stereo=StereoConfig(max_incidence_rad=0.9))
+        views = look(np.array([[1.2, 2.6, 0.0]]), samples, L_SHAPED, MOUNT, config)
+        x, y = samples.xy.T
+        east = x > 5.99
+        assert not views.share[0, east & (y > 1.3)].any()
+        assert views.proposed[0, east & (y < 0.7)].all()
+        # Along the wall, and from behind it.
+        assert not views.share[0, (x < 0.01) & (y > 4.8) & (samples.normal[:, 0] > 0.5)].any()
+        assert not views.share[0, (x > 3.01) & (samples.normal[:, 1] < -0.5)].any()
+        assert np.all(views.proposed[views.share == 0.0] == 0.0)
+
+    def test_patches_spread_over_azimuth(self) -> None:
+        # Tall pictures see the whole band everywhere, and nothing is refused as too oblique.
+        config = PlanConfig(height_px=4000, candidates=90)
+        samples = sample_walls(ROOM, 0.05, 1000)
+        views = look(np.array([[2.5, 2.0, 0.0]]), samples, ROOM, MOUNT, config)
+        cosine = np.abs(np.sum((samples.xy - views.eye[0, :2]) * samples.normal, 1))
+        cosine /= views.range_m[0]
+        well = cosine > np.cos(config.election.max_incidence_rad)
+        azimuth = samples.length_m * cosine / views.range_m[0]
+        expected = 90.0 * azimuth[well].sum() / (2.0 * np.pi)
+        assert views.proposed[0].sum() == pytest.approx(expected)
+        assert azimuth.sum() == pytest.approx(2.0 * np.pi, rel=1e-3)
+
+
+class TestSearch:
+    def test_finds_the_best_set_of_a_smooth_cost(self) -> None:
+        xy = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), -1).reshape(-1, 2)
+        goals = np.array([[0.2, 0.1], [3.9, 0.3], [2.1, 2.8]])
+
+        def cost(places: Any) -> float:
+            gap = np.linalg.norm(xy[places][:, None] - goals, axis=-1)
+            return float(gap.min(axis=0).sum())
+
+        found = best_places(cost, xy, 3, spread(xy, 6), silent)
+        best = min(cost(np.array(s)) for s in combinations(range(len(xy)), 3))
+        assert cost(found) == pytest.approx(best)
+        assert sorted(xy[found, 0]) == list(xy[found, 0])
+
+    def test_exchange_leaves_what_can_not_be_bettered(self) -> None:
+        xy = np.arange(8.0)[:, None] * [1.0, 0.0]
+        assert list(exchange(lambda s: 1.0, xy, np.array([2, 5]), silent)) == [2, 5]
+
+    def test_spread_points_are_far_apart(self) -> None:
+        xy = np.random.default_rng(0).uniform(0.0, 1.0, (200, 2))
+        chosen = spread(xy, 9)
+        gaps = np.linalg.norm(xy[chosen][:, None] - xy[chosen], axis=-1)
+        assert gaps[np.triu_indices(9, 1)].min() > 0.3
+        assert sorted(spread(xy[:4], 9)) == [0, 1, 2, 3]
+
+
+class TestLayouts:
+    def test_left_and_right_lie_about_the_middle_along_the_papers(self) -> None:
+        places = left_right_layout(ROOM, 2, 0.25, CONFIG)
+        np.testing.assert_allclose(np.sort(places[:, 0]), [1.25, 3.75])
+        np.testing.assert_allclose(places[:, 1], 2.0)
+
+    def test_four_places_are_two_rows(self) -> None:
+        places = left_right_layout(ROOM, 4, 0.2, CONFIG)
+        np.testing.assert_allclose(places.mean(axis=0), [2.5, 2.0])
+        assert len(np.unique(np.round(places, 6), axis=0)) == 4
+
+    def test_none_where_the_middle_is_not_in_the_room(self) -> None:
+        assert len(left_right_layout(L_SHAPED, 2, 0.25, CONFIG)) == 0
+
+    def test_random_sets_keep_apart(self) -> None:
+        xy = free_floor(ROOM, 0.4, 0.25, 1000)
+        sets = random_sets(xy, 3, 40, np.random.default_rng(2))
+        gaps = np.linalg.norm(xy[sets][:, :, None] - xy[sets][:, None], axis=-1)
+        assert gaps[(slice(None), *np.triu_indices(3, 1))].min() >= 0.5
+
+
+class TestPlan:
+    def test_beats_random_places_and_left_and_right(self, plan: Plan) -> None:
+        assert plan.left_right is not None
+        assert plan.best.cost_m < plan.left_right.cost_m
+        assert plan.best.cost_m < plan.random[0].cost_m
+        costs = [f.cost_m for f in plan.random]
+        assert len(costs) == CONFIG.random_sets
+        assert costs == sorted(costs)
+
+    def test_places_are_free_and_apart(self, plan: Plan) -> None:
+        xy = plan.best.poses_map_base[:, :2]
+        assert is_free(ROOM, CONFIG.clearance_m, xy).all()
+        assert 1.0 < np.linalg.norm(xy[1] - xy[0]) < 5.0
+
+    def test_does_not_depend_on_chance(self, plan: Plan) -> None:
+        again = plan_positions(ROOM, MOUNT, 2, CONFIG, np.random.default_rng(2))
+        np.testing.assert_array_equal(again.best.poses_map_base, plan.best.poses_map_base)
+        np.testing.assert_array_equal(again.best.sigma_m, plan.best.sigma_m)
+
+    def test_a_third_place_makes_it_better(self, plan: Plan) -> None:
+        more = plan_positions(ROOM, MOUNT, 3, CONFIG, np.random.default_rng(1))
+        assert len(more.best.poses_map_base) == 3
+        assert more.best.cost_m < 0.95 * plan.best.cost_m
+
+    def test_the_map_is_the_same_prediction_on_a_finer_floor(self, plan: Plan) -> None:
+        assert len(plan.accuracy_map.floor_xy) > 2 * len(plan.best.floor_xy)
+        assert plan.accuracy_map.cost_m == pytest.approx(plan.best.cost_m, rel=0.1)
+        assert plan.best.quantile_m(0.0) == plan.best.sigma_m.min()
+        assert plan.best.quantile_m(1.0) == plan.best.sigma_m.max()
+
+    def test_a_mirrored_room_is_worth_the_same(self, plan: Plan) -> None:
+        mirrored = rectangle_room(
+            5.0,
+            4.0,
+            [
+                Paper(p.color, (5.0 - p.center[0], *p.center[1:]), p.width, p.height)
+                for p in PAPERS
+            ],
+        )
+        poses = plan.best.poses_map_base * [-1.0, 1.0, -1.0] + [5.0, 0.0, np.pi]
+        cells = plan.best.floor_xy * [-1.0, 1.0] + [5.0, 0.0]
+        (same,) = forecast([poses], cells, mirrored, MOUNT, CONFIG)
+        np.testing.assert_allclose(same.sigma_m, plan.best.sigma_m, rtol=1e-6)
+        assert same.landmarks == pytest.approx(plan.best.landmarks)
+
+    def test_blank_walls_above_the_picture_give_nothing(self, plan: Plan) -> None:
+        config = PlanConfig(texture_low_m=3.9, texture_high_m=4.0)
+        tall = rectangle_room(5.0, 4.0, PAPERS, height=4.0)
+        (nothing,) = forecast([plan.best.poses_map_base], plan.best.floor_xy, tall, MOUNT, config)
+        assert nothing.landmarks == 0.0
+        assert np.isinf(nothing.sigma_m).all()
+        with pytest.raises(LandmarkNavError, match='no 2 places see the same walls'):
+            plan_positions(tall, MOUNT, 2, config, np.random.default_rng(0))
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        ('room', 'count', 'message'),
+        [
+            (ROOM, 1, 'from two places or more'),
+            (ROOM, -3, 'from two places or more'),
+            (rectangle_room(5.0, 4.0), 2, 'names 0 reference papers: hang three'),
+            (rectangle_room(5.0, 4.0, PAPERS[:2]), 2, 'names 2 reference papers'),
+            (rectangle_room(5.0, 0.7, PAPERS), 2, 'too small for this clearance'),
+            # The papers hang so high that no place in the room has them in its picture.
+            (
+                rectangle_room(
+                    5.0,
+                    4.0,
+                    [Paper(p.color, (*p.center[:2], 3.3), p.width, p.height) for p in PAPERS],
+                    height=3.6,
+                ),
+                2,
+                '0 places on the free floor see all 3 papers',
+            ),
+        ],
+    )
+    def test_is_told_in_a_line(self, room: Room, count: int, message: str) -> None:
+        with pytest.raises(LandmarkNavError, match=message):
+            plan_positions(room, MOUNT, count, CONFIG, np.random.default_rng(0))
+
+    def test_forecast_of_a_place_without_papers(self) -> None:
+        poses = np.array([[2.0, 2.5, 0.0], [2.5, 0.5, 0.0]])
+        with pytest.raises(LandmarkNavError, match='1 of 2 places do not see all papers'):
+            forecast([poses], poses[:, :2], ROOM, MOUNT, CONFIG)
+
+    def test_camera_that_is_none(self) -> None:
+        with pytest.raises(LandmarkNavError, match='focal_px'):
+            PlanConfig(focal_px=0.0)
