@@ -88,6 +88,11 @@ def test_learned_and_localized_as_offline(
     start('triangulation_localizer', robot_file=robot)
     start('odometry_fusion', robot_file=robot)
 
+    nodes = (
+        *('panorama_synthesizer', 'landmark_learner'),
+        *('triangulation_localizer', 'odometry_fusion'),
+    )
+    client.wait(lambda: all(client.said(name).reason for name in nodes), 60.0, 'the nodes')
     sweeps = Bag(recorded / 'learn').counts['/sweep/trajectory']
     play(recorded / 'learn', 20.0)
     client.wait(
