@@ -31,6 +31,7 @@ from landmark_nav.learning.stereo import (
     StereoConfig,
     WallPatch,
 )
+from landmark_nav.learning.wall_fit import check_walls, WallFitConfig
 from landmark_nav.types import (
     Candidate,
     FloatArray,
@@ -50,6 +51,9 @@ __all__ = [
     'panorama_from_sweep',
 ]
 
+# So far from its wall a patch may be when stereo alone places it.
+_NO_WALL_M = 1.0
+
 
 @dataclass(frozen=True)
 class PanoramaStages:
@@ -66,6 +70,7 @@ class LearningConfig:
     attention: AttentionConfig = field(default_factory=AttentionConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
+    wall_fit: WallFitConfig = field(default_factory=WallFitConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
 
 
@@ -205,7 +210,7 @@ def learn_from_panoramas(
     Raises
     ------
     LandmarkNavError
-        One panorama only, all from one place, or no landmark at all.
+        One panorama only, all from one place, walls that don't fit, or no landmark at all.
 
     """
     _check(panoramas)
@@ -248,9 +253,11 @@ def learn_from_panoramas(
         )
     with log.measure('adjustment'):
         start = np.array([patch.position for patch in patches])
-        adjustment = adjust(
-            sightings, [p.wall for p in patches], start, panoramas, room, config.adjustment
-        )
+        walls = [patch.wall for patch in patches]
+        without_walls = replace(config.adjustment, hanging_sigma_m=_NO_WALL_M)
+        free = adjust(sightings, walls, start, panoramas, room, without_walls)
+        check_walls(free, walls, room, config.wall_fit)
+        adjustment = adjust(sightings, walls, start, panoramas, room, config.adjustment)
     adjusted = tuple(
         replace(p, center_map=pose[:3], heading_rad=float(pose[3]), covariance=covariance)
         for p, pose, covariance in zip(
