@@ -48,7 +48,7 @@ def add_parser(subparsers: Any) -> None:
         nargs=3,
         type=float,
         metavar=('X', 'Y', 'THETA'),
-        help='pose of base_link in map at the start: m, m, rad',
+        help='pose of base_link in map at the start: m, m, rad (default: it finds its own place)',
     )
     parser.add_argument(
         '--start-sigma',
@@ -103,11 +103,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _start(args: argparse.Namespace) -> tuple[Any, Any]:
-    """Pose (3,) at the start and its covariance (3, 3)."""
+    """Pose (3,) at the start and its covariance (3, 3), if given."""
     if args.start is None:
-        raise LandmarkNavError(
-            '--start X Y THETA is needed: this version cannot find its place from nothing yet'
-        )
+        return None, None
     start, (position, heading) = np.array(args.start), args.start_sigma
     if not np.all(np.isfinite(start)):
         raise LandmarkNavError(f'--start {args.start} holds something that is not a number')
@@ -129,6 +127,12 @@ def _summary(report: Mapping[str, Any]) -> str:
         cells.append(_cell(figures['heading_p95_deg'], 1.0, 3, 9))
         lines.append(f'{name:<14}' + ''.join(cells))
     nees = report['nees']
+    if report['found'] is not None:
+        x, y, heading = report['found']['pose']
+        lines.append(
+            f'place found after {report["found"]["after_s"]:.1f} s: ({x:.2f}, {y:.2f}) m, '
+            f'{np.degrees(heading):.1f} deg'
+        )
     lines += [
         f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
         f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',

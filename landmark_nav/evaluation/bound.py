@@ -71,7 +71,7 @@ def posterior_bound(
     if np.isnan(poses[0]).any():
         return bound
     ideal.initialize(PoseEstimate(begin, poses[0], start.covariance))
-    moved = 0
+    moved = int(np.searchsorted(truth.stamps_ns, begin))
     for k, (seen, pose) in enumerate(zip(sightings, poses[1:], strict=True)):
         if np.isnan(pose).any() or seen.stamp_ns < begin:
             continue

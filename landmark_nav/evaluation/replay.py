@@ -22,6 +22,7 @@ from landmark_nav.types import (
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
+    Refusal,
 )
 
 __all__ = ['Replay', 'replay']
@@ -35,7 +36,9 @@ class Replay:
     Parameters
     ----------
     start : PoseEstimate
-        Where it began.
+        Where it began, or was found.
+    searched : tuple of int
+        Stamps of the pictures before that, in which the place was looked for.
     updates : tuple of LocalizationUpdate
         One a picture.
     update_seconds : ndarray, shape (n,)
@@ -50,6 +53,7 @@ class Replay:
     """
 
     start: PoseEstimate
+    searched: tuple[int, ...]
     updates: tuple[LocalizationUpdate, ...]
     update_seconds: FloatArray
     odometry: PoseTrack
@@ -90,8 +94,8 @@ def replay(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: LocalizationConfig,
-    start_pose: FloatArray,
-    start_covariance: FloatArray,
+    start_pose: FloatArray | None = None,
+    start_covariance: FloatArray | None = None,
 ) -> Replay:
     """
     Localize along a recorded drive.
@@ -106,10 +110,11 @@ def replay(
         Where the camera turns.
     config : LocalizationConfig
         Parameters.
-    start_pose : ndarray, shape (3,)
-        Pose of the base in map at the first picture or odometry.
-    start_covariance : ndarray, shape (3, 3)
-        How sure that is.
+    start_pose : ndarray, shape (3,), optional
+        Pose of the base in map at the first picture or odometry; without it the robot finds its
+        own place.
+    start_covariance : ndarray, shape (3, 3), optional
+        How sure the start is; goes with it.
 
     Returns
     -------
@@ -118,11 +123,13 @@ def replay(
     Raises
     ------
     LandmarkNavError
-        No picture or no odometry in it.
+        No picture or no odometry in it, or nowhere in it a place was found.
 
     """
     localizer = Localizer(landmark_map, mount, config)
     start: PoseEstimate | None = None
+    searched: list[int] = []
+    refusal = Refusal('nothing seen')
     updates: list[LocalizationUpdate] = []
     took: list[float] = []
     odometry: list[tuple[int, FloatArray]] = []
@@ -133,8 +140,9 @@ def replay(
             truth.append((event.stamp_ns, event.pose))
             continue
         if start is None and isinstance(event, CameraFrame | Detections | OdometrySample):
-            start = PoseEstimate(event.stamp_ns, start_pose, start_covariance)
-            localizer.initialize(start)
+            start = _given(event.stamp_ns, start_pose, start_covariance)
+            if start is not None:
+                localizer.initialize(start)
         if isinstance(event, OdometrySample):
             odometry.append((event.stamp_ns, event.pose_odom_base))
             localizer.add_odometry(event)
@@ -144,19 +152,41 @@ def replay(
                 update = localizer.add_frame(event)
             else:
                 update = localizer.add_detections(event)
-            took.append(time.perf_counter() - before)
-            assert isinstance(update, LocalizationUpdate), 'it was initialized'
-            updates.append(update)
-    if start is None or not updates or not odometry:
+            if isinstance(update, LocalizationUpdate):
+                took.append(time.perf_counter() - before)
+                updates.append(update)
+                continue
+            searched.append(event.stamp_ns)
+            if isinstance(update, PoseEstimate):
+                start = update
+            else:
+                refusal = update
+    if not odometry or not (updates or searched):
         raise LandmarkNavError('the drive holds no picture or no odometry: nothing to evaluate')
+    if start is None:
+        raise LandmarkNavError(
+            f'the place was not found in {len(searched)} pictures ({refusal}): give --start'
+        )
+    if not updates:
+        raise LandmarkNavError('the place was found in the last picture: nothing to evaluate')
     return Replay(
         start,
+        tuple(searched),
         tuple(updates),
         np.array(took),
         _dead_reckoning(PoseTrack.of(odometry), start),
         PoseTrack.of(truth),
         time.perf_counter() - begin,
     )
+
+
+def _given(
+    stamp_ns: int, pose: FloatArray | None, covariance: FloatArray | None
+) -> PoseEstimate | None:
+    """Pose to start with, if there is one."""
+    if pose is None or covariance is None:
+        return None
+    return PoseEstimate(stamp_ns, pose, covariance)
 
 
 def _dead_reckoning(odometry: PoseTrack, start: PoseEstimate) -> PoseTrack:

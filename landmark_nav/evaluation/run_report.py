@@ -54,7 +54,8 @@ def run_report(
     """
     Figures of a run, by the keys of the contract.
 
-    Those that need ground truth are None where the bag has none.
+    Those that need ground truth are None where the bag has none; ``found`` is None where the start
+    was given.
     """
     bound = posterior_bound(
         run.truth, [_used(u) for u in run.updates], landmark_map, mount, config, run.start
@@ -62,14 +63,14 @@ def run_report(
     nees = consistency(errors.fused, run.fused_covariances)
     took_ms = 1e3 * run.update_seconds
     stamps = run.stamps_ns
-    span_s = 1e-9 * float(
-        max(stamps[-1], run.odometry.stamps_ns[-1]) - min(stamps[0], run.odometry.stamps_ns[0])
-    )
+    pictures = np.concatenate([run.searched, stamps])
+    begin = min(pictures[0], run.odometry.stamps_ns[0])
+    span_s = 1e-9 * float(max(pictures[-1], run.odometry.stamps_ns[-1]) - begin)
     return {
         'schema': SCHEMA,
-        'frames': len(run.updates),
+        'frames': len(pictures),
         'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
-        'availability': float(np.mean(~run.lost)),
+        'availability': float(np.sum(~run.lost)) / len(pictures),
         'landmarks': len(landmark_map.landmarks),
         'fused': error_summary(errors.fused),
         'triangulation': error_summary(errors.triangulation),
@@ -85,6 +86,12 @@ def run_report(
         },
         'realtime_factor': span_s / run.seconds,
         'result_hash': result_hash(stamps, run.fused, run.fixes),
+        'found': {
+            'after_s': 1e-9 * float(run.start.stamp_ns - begin),
+            'pose': list(run.start.pose),
+        }
+        if run.searched
+        else None,
     }
 
 

@@ -16,6 +16,8 @@ from landmark_nav.localization.detection import detect_landmarks, DetectionConfi
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion_health import HealthConfig
 from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.relocalization import RelocalizationConfig
+from landmark_nav.localization.relocalization_stream import Relocalizer
 from landmark_nav.localization.triangulation import triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation_model import axis_from_base, base_from_axis
 from landmark_nav.localization.triplet import select_triplet, TripletConfig, visible_landmarks
@@ -57,6 +59,7 @@ class LocalizationConfig:
     fusion: FusionConfig = field(default_factory=FusionConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
+    relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +162,8 @@ class Localizer:
     """
     The nodes of the navigation phase in one: for bags, and for use without ROS.
 
+    Without `initialize` it gathers pictures until they fit one place only.
+
     Parameters
     ----------
     landmark_map : LandmarkMap
@@ -177,24 +182,39 @@ class Localizer:
         self._filter = PoseFilter(
             landmark_map, mount, config.fusion, config.odometry, config.health
         )
+        self._relocalizer: Relocalizer | None = Relocalizer(
+            landmark_map, mount, config.relocalization, config.odometry
+        )
 
     def initialize(self, start: PoseEstimate) -> None:
         """Start anew at a pose of the base."""
         self._filter.initialize(start)
+        self._relocalizer = None
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; why the sample was left out, if it was."""
+        if self._relocalizer is not None:
+            self._relocalizer.add_odometry(sample)
         return self._filter.add_odometry(sample)
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
-        """Pose of the base at a time, the newest by default; None before `initialize`."""
+        """Pose of the base at a time, the newest by default; None before one is known."""
         return self._filter.estimate(stamp_ns)
 
-    def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | Refusal:
-        """Look at a picture and correct the pose; a refusal before `initialize`."""
+    def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
+        """
+        Look at a picture and correct the pose.
+
+        Returns
+        -------
+        LocalizationUpdate or PoseEstimate or Refusal
+            While the place is not known, why not; the pose of the base in the picture it is found
+            with.
+
+        """
         prior = self._filter.estimate(frame.stamp_ns)
         if prior is None:
-            return Refusal('not initialized', 'give a start pose')
+            return self._search(frame)
         config = self._config
         triplet = select_triplet(
             prior, self._map, frame.camera, self._mount, config.observation.triplet
@@ -208,6 +228,14 @@ class Localizer:
             config.fusion.pan_sigma_rad,
         )
         return self._fused(frame.stamp_ns, triplet, seen)
+
+    def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
+        """Find the place; what the pose was made of is not used again."""
+        assert self._relocalizer is not None, 'no pose is known'
+        outcome = self._relocalizer.add_frame(frame)
+        if isinstance(outcome, PoseEstimate):
+            self.initialize(outcome)
+        return outcome
 
     def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
         """Correct the pose by bearings that were found elsewhere; as `add_frame` otherwise."""

@@ -9,6 +9,7 @@ rows, and the row found tells the range in return.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import cv2
@@ -74,9 +75,12 @@ class Sightings:
         return len(self.landmark)
 
     @staticmethod
-    def joined(parts: list[Sightings]) -> Sightings:
+    def joined(parts: Sequence[Sightings]) -> Sightings:
         """All of several, which must share a frame."""
         names = [field.name for field in fields(Sightings)]
+        if not parts:
+            none = np.zeros(0)
+            return Sightings(none.astype(np.intp), none, none, none, np.zeros((0, 2)), none)
         return Sightings(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
 
 

@@ -125,4 +125,7 @@ class Relocalizer:
         motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
         poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
         variances = [motion_variances(motion, self._odometry) for motion in motions]
-        return poses, np.array(variances).reshape(-1, 3)
+        # Wheels that nothing has calibrated yet err by a share of what they did, too.
+        way = np.hypot(poses[:, 0], poses[:, 1])
+        share = self._config.slip * np.stack([way, way, np.abs(poses[:, 2])], -1)
+        return poses, np.array(variances).reshape(-1, 3) + share**2

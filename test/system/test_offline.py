@@ -143,6 +143,21 @@ def test_evaluate_reaches_the_figures_and_repeats_them(study, tmp_path, capsys):
     assert 'fused' in capsys.readouterr().out
 
 
+def test_a_drive_without_a_start_finds_its_own_place(study, tmp_path):
+    short = rewrite(
+        study.folder / 'drive',
+        tmp_path / 'short',
+        lambda entry: entry.data if entry.stamp_ns < 5008 * 10**9 else None,
+    )
+    figures = tmp_path / 'evaluate.json'
+    arguments = [*evaluate(short, study, start=False), '--json', figures]
+    assert main([str(a) for a in arguments]) == 0
+    report = json.loads(figures.read_text())
+    assert 0.0 <= report['found']['after_s'] <= 5.0
+    assert report['fused']['position_max_m'] < 0.1
+    assert report['availability'] < 1.0
+
+
 @pytest.mark.parametrize('name', ['grail', 'parrington'])
 def test_photographs_become_a_panorama_of_a_full_turn(shared_data, tmp_path, name):
     out = tmp_path / 'panorama.png'
@@ -265,7 +280,6 @@ def test_maps_and_starts_that_cannot_be_are_refused(study, tmp_path, capsys):
     (tmp_path / 'map.yaml').write_text('schema_version: 7\n')
     refused(capsys, evaluate(drive, study, learned=tmp_path), 'schema version 7', 'update')
     refused(capsys, ['map', 'show', tmp_path], 'schema version 7')
-    refused(capsys, evaluate(drive, study, start=False), '--start')
     arguments = evaluate(drive, study, start=False)
     refused(capsys, [*arguments, '--start', 'nan', '0', '0'], 'not a number')
 

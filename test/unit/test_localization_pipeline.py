@@ -224,12 +224,31 @@ def test_a_blank_picture_gives_no_fix_and_odometry_goes_on() -> None:
     assert np.abs(error / np.sqrt(np.diag(update.fused.covariance))).max() < 3.0
 
 
-def test_before_the_start_is_given_there_is_no_pose() -> None:
+def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
+    rng = np.random.default_rng(4)
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
     assert localizer.estimate() is None
-    found = localizer.add_frame(picture(START, 0.0))
-    assert isinstance(found, Refusal)
-    assert found.reason == 'not initialized'
+    dark = np.zeros((LENS.height, LENS.width, 3), np.uint8)
+    nothing = localizer.add_frame(CameraFrame(-FRAME_NS, dark, LENS, 0.0))
+    assert isinstance(nothing, Refusal)
+    assert nothing.reason == 'nothing recognised'
+    outcomes = []
+    for step in drive(rng, 4.0):
+        localizer.add_odometry(step.odometry)
+        if step.stamp_ns % FRAME_NS:
+            continue
+        frame = picture(step.pose, 0.8 * step.stamp_ns * 1e-9 - 1.0, rng)
+        outcomes.append(localizer.add_frame(replace(frame, stamp_ns=step.stamp_ns)))
+        if isinstance(outcomes[-1], PoseEstimate):
+            found = error_of(outcomes[-1], step.pose)
+            assert np.abs(found / np.sqrt(np.diag(outcomes[-1].covariance))).max() < 4.0
+    kinds = [type(outcome) for outcome in outcomes]
+    assert kinds.count(PoseEstimate) == 1
+    # From then on it tracks.
+    after = kinds.index(PoseEstimate) + 1
+    assert set(kinds[: after - 1]) <= {Refusal}
+    assert set(kinds[after:]) == {LocalizationUpdate}
+    assert np.hypot(*error_of(outcomes[-1].fused, step.pose)[:2]) < 0.03
 
 
 def test_a_map_without_landmarks_gives_refusals() -> None:

@@ -111,11 +111,18 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         'update_ms',
         'realtime_factor',
         'result_hash',
+        'found',
     ]
+    assert first['found'] is None
     assert (first['frames'], first['fixes'], first['landmarks']) == (16, 0, 4)
     assert 0.0 <= first['availability'] <= 1.0
     assert first['crlb_ratio'] > 0.0
     assert first['triangulation']['position_rmse_m'] is None
+
+
+def test_a_place_that_nothing_speaks_for_is_not_found():
+    with pytest.raises(LandmarkNavError, match=r'not found in 16 pictures .*give --start'):
+        replay(drive(), a_map(), MOUNT, CONFIG)
 
 
 def test_without_truth_the_errors_stay_empty(tmp_path):
