@@ -17,8 +17,11 @@ from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.run_report import run_errors, run_report
+from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report
+from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.storage.whole import write_whole
@@ -26,7 +29,7 @@ from landmark_nav.storage.whole import write_whole
 __all__ = ['add_parser', 'run']
 
 # Contract's names of what `sensor_events` passes on, for the length of the bar.
-_EVENTS = ('camera/image_raw', 'odom', 'joint_states', 'ground_truth/odom')
+_EVENTS = ('camera/image_raw', 'detections', 'odom', 'joint_states', 'ground_truth/odom')
 
 _FIGURES = {'Trajectory': 'trajectory.png', 'Errors': 'errors.png'}
 
@@ -58,7 +61,24 @@ def add_parser(subparsers: Any) -> None:
         metavar=('M', 'RAD'),
         help='how sure the start is: sigma of x and y, of the heading (default %(default)s)',
     )
+    parser.add_argument(
+        '--config',
+        metavar='F',
+        help='parameters that differ from the defaults: YAML with the sections observation, '
+        'fusion, odometry and health',
+    )
+    parser.add_argument(
+        '--smooth',
+        action='store_true',
+        help='also smooth over the whole drive: the best line that its measurements allow',
+    )
     parser.add_argument('--json', metavar='F', type=Path, help='write the figures to F')
+    parser.add_argument(
+        '--tum',
+        metavar='DIR',
+        type=Path,
+        help='write truth.tum, fused.tum and odometry.tum to DIR, for evo and the like',
+    )
     parser.add_argument('--report', metavar='F.html', type=Path, help='write one page to F.html')
     parser.add_argument(
         '--out',
@@ -80,21 +100,28 @@ def run(args: argparse.Namespace) -> int:
     total = sum(bag.counts[topic] for topic in topics if topic)
     events = progress(sensor_events(bag, mount), 'localizing', total)
     config = LocalizationConfig()
+    if args.config:
+        config = load_config(args.config, config)
     done = replay(events, landmarks, mount, config, start, covariance)
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     errors = run_errors(done)
     report = run_report(done, errors, landmarks, mount, config)
+    smoothed = smooth_run(done, landmarks, mount, config) if args.smooth else None
+    if smoothed is not None:
+        report['smoothed'] = smoothed_report(done, smoothed)
     folder = args.out or (args.json or args.report or Path('x')).parent
     with tempfile.TemporaryDirectory() as drawn:
         paths = {caption: Path(drawn) / name for caption, name in _FIGURES.items()}
-        draw_trajectory(done, landmarks, paths['Trajectory'])
+        draw_trajectory(done, landmarks, paths['Trajectory'], smoothed)
         draw_errors(done, errors, paths['Errors'])
         for path in paths.values():
             write_whole(folder / path.name, path.read_bytes())
         if args.report:
             title = f'{bag.path.name} on the map {Path(args.map).name}'
             write_whole(args.report, html_report(title, report, paths))
+    if args.tum:
+        write_tum_files(done, args.tum)
     if args.json:
         write_whole(args.json, json.dumps(report, indent=2) + '\n')
     print(_summary(report))
@@ -120,7 +147,8 @@ def _summary(report: Mapping[str, Any]) -> str:
         f'{"":<14}{"RMSE cm":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE deg":>11}{"95 %":>9}'
     ]
     keys = ('rmse', 'median', 'p95', 'max')
-    for name in ('fused', 'triangulation', 'odometry'):
+    names = ['fused', 'triangulation', 'odometry', 'smoothed']
+    for name in filter(report.__contains__, names):
         figures = report[name]
         cells = [_cell(figures[f'position_{key}_m'], 100.0, 2, 9) for key in keys]
         cells.append(_cell(figures['heading_rmse_deg'], 1.0, 3, 11))

@@ -26,7 +26,7 @@ _ROWS = {
     'heading 95 % [deg]': ('heading_p95_deg', 1.0),
 }
 
-_ESTIMATES = ('fused', 'triangulation', 'odometry')
+_ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 
 
 def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
@@ -43,10 +43,11 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         Captions and PNG files.
 
     """
-    head = ''.join(f'<th>{name}</th>' for name in ('error', *_ESTIMATES))
+    estimates = [name for name in _ESTIMATES if name in report]
+    head = ''.join(f'<th>{name}</th>' for name in ('error', *estimates))
     body = ''.join(
         f'<tr><td>{label}</td>'
-        + ''.join(f'<td>{_scaled(report[name][key], factor)}</td>' for name in _ESTIMATES)
+        + ''.join(f'<td>{_scaled(report[name][key], factor)}</td>' for name in estimates)
         + '</tr>'
         for label, (key, factor) in _ROWS.items()
     )

@@ -19,16 +19,20 @@ from landmark_nav.evaluation.figures.style import (
     ODOMETRY,
     plain,
     save,
+    SMOOTHED,
     TRUTH,
 )
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import RunErrors
+from landmark_nav.localization.smoother import Smoothed
 from landmark_nav.types import FloatArray, LandmarkMap
 
 __all__ = ['draw_errors', 'draw_trajectory']
 
 
-def draw_trajectory(run: Replay, landmark_map: LandmarkMap, path: Path) -> None:
+def draw_trajectory(
+    run: Replay, landmark_map: LandmarkMap, path: Path, smoothed: Smoothed | None = None
+) -> None:
     """Draw where the robot was, where odometry alone and fusion say it was, in the room."""
     figure = new_figure(9.0, 6.6)
     axes = figure.add_subplot()
@@ -40,11 +44,15 @@ def draw_trajectory(run: Replay, landmark_map: LandmarkMap, path: Path) -> None:
     if len(run.truth):
         axes.plot(*run.truth.poses[:, :2].T, color=TRUTH, linewidth=3.0, label='truth', zorder=4)
     axes.plot(*run.fused[:, :2].T, color=FUSED, linewidth=1.4, label='fused', zorder=5)
+    if smoothed is not None:
+        axes.plot(
+            *smoothed.poses[:, :2].T, color=SMOOTHED, linewidth=1.0, label='smoothed', zorder=5
+        )
     axes.plot(*run.start.pose[:2], 'o', color=TRUTH, markersize=7, label='start', zorder=6)
     axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
     _keep_in_view(axes, run.odometry.poses[:, :2], run.fused[:, :2])
     plain(axes)
-    legend_beside(axes, 'below', 6)
+    legend_beside(axes, 'below', 7)
     save(figure, path)
 
 

@@ -21,6 +21,7 @@ __all__ = [
     'FUSED',
     'LANDMARK',
     'ODOMETRY',
+    'SMOOTHED',
     'TRUTH',
     'add_ellipse',
     'draw_papers',
@@ -38,6 +39,7 @@ ODOMETRY = '#d55e00'
 FIX = '#56b4e9'
 LANDMARK = '#009e73'
 CANDIDATE = '#e69f00'
+SMOOTHED = '#cc79a7'
 WALL = '#555555'
 GRID = '#dddddd'
 

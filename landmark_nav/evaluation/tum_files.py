@@ -1,0 +1,50 @@
+"""Trajectories as TUM files, which evo and many other tools read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.evaluation.replay import Replay
+from landmark_nav.storage.whole import write_whole
+from landmark_nav.types import FloatArray
+
+__all__ = ['write_tum_files']
+
+
+def write_tum_files(run: Replay, folder: Path) -> tuple[Path, ...]:
+    """
+    Write ``truth.tum``, ``fused.tum`` and ``odometry.tum`` into a folder.
+
+    All are at the stamps of the pictures, so that other tools compare the same pairs of poses as
+    `landmark_nav.evaluation.metrics`; what is not known at a stamp has no line.
+
+    Returns
+    -------
+    tuple of Path
+        What was written.
+
+    """
+    tracks = {
+        'truth': run.truth.at(run.stamps_ns),
+        'fused': run.fused,
+        'odometry': run.odometry.at(run.stamps_ns),
+    }
+    paths = []
+    for name, poses in tracks.items():
+        known = np.isfinite(poses).all(axis=1)
+        if known.any():
+            paths.append(folder / f'{name}.tum')
+            write_whole(paths[-1], _lines(run.stamps_ns[known], poses[known]))
+    return tuple(paths)
+
+
+def _lines(stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> str:
+    """Lines ``timestamp tx ty tz qx qy qz qw``; numbers come back as the same ones."""
+    return ''.join(
+        f'{stamp // 10**9}.{stamp % 10**9:09d} {x!r} {y!r} 0 0 0 '
+        f'{float(np.sin(heading / 2.0))!r} {float(np.cos(heading / 2.0))!r}\n'
+        for stamp, (x, y, heading) in zip(stamps_ns.tolist(), poses.tolist(), strict=True)
+    )
