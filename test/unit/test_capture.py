@@ -91,3 +91,19 @@ def test_angles_out_of_reach_are_refused():
 def test_default_is_a_full_turn():
     config = CaptureConfig()
     assert config.frames * config.step_rad == pytest.approx(2 * np.pi)
+
+
+def test_a_robot_slower_than_the_clock_gets_its_time():
+    unit, sweep, stamp = OvershootingUnit(), SweepCapture(SHORT, 0), 0
+    for k in range(20_000):
+        # Ten seconds of the clock are one of the robot's.
+        now, stamp = 10 * k * STEP_NS, k * STEP_NS
+        unit.target = sweep.target_rad
+        unit.step()
+        sweep.add_frame(stamp, stamp - 1)
+        sweep.add_joints(JointSample(stamp, unit.pan), now)
+        sweep.check_time(now)
+        if sweep.done:
+            break
+    assert sweep.done
+    assert 10 * stamp > SHORT.step_timeout_s * 1e9 * len(sweep.kept)
