@@ -1,0 +1,233 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import Board, draw_frame, rectangle_room, Scene, textured_room, true_landmark
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.relocalization import relocalize, RelocalizationConfig
+from landmark_nav.localization.relocalization_sightings import find_sightings, SightingConfig
+from landmark_nav.localization.relocalization_stream import Relocalizer
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+LENS = CameraModel(
+    400, 300, 330.0, 330.0, 200.0, 150.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
+)
+MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15), optical_center_offset=(0.03, 0.01, 0.02))
+ROOM = rectangle_room(5.0, 4.0)
+SCENE = textured_room(ROOM, seed=7, feature_m=0.045)
+ALONG = ((-0.33, 0.3), (-0.2, -0.3), (-0.05, 0.35), (0.1, -0.2), (0.22, 0.25), (0.34, -0.35))
+PANS = np.radians(np.arange(-180, 180, 40))
+
+
+def learned(scene: Scene) -> LandmarkMap:
+    """Six landmarks a wall, at different heights."""
+    landmarks = [
+        true_landmark(
+            scene, 10 * k + j, board, across * board.width_m, up, np.array([2.5, 2.0, 1.17])
+        )
+        for k, board in enumerate(scene.boards)
+        for j, (across, up) in enumerate(ALONG)
+    ]
+    return LandmarkMap(tuple(landmarks), walls=ROOM.walls)
+
+
+MAP = learned(SCENE)
+
+
+def sweep(
+    scene: Scene, pose: Sequence[float], pans: FloatArray = PANS, seed: int = 3
+) -> list[CameraFrame]:
+    rng = np.random.default_rng(seed)
+    return [
+        draw_frame(scene, LENS, MOUNT, np.array(pose), float(p), stamp_ns=k * 10**8, rng=rng)
+        for k, p in enumerate(pans)
+    ]
+
+
+def standing(
+    frames: Sequence[CameraFrame], landmark_map: LandmarkMap = MAP
+) -> PoseEstimate | Refusal:
+    return relocalize(frames, np.zeros((len(frames), 3)), landmark_map, MOUNT)
+
+
+def assert_right(found: PoseEstimate | Refusal, pose: Sequence[float]) -> None:
+    assert isinstance(found, PoseEstimate), str(found)
+    error = found.pose - pose
+    error[2] = wrap_rad(error[2])
+    assert np.hypot(*error[:2]) < 0.02
+    assert abs(error[2]) < np.radians(0.4)
+    assert error @ np.linalg.solve(found.covariance, error) < 21.0  # 3 dof: one in 10 000
+
+
+@pytest.mark.parametrize('pose', [(2.4, 1.9, 0.4), (1.5, 2.6, 3.1), (3.6, 1.4, -1.9)])
+def test_one_sweep_tells_the_place(pose: tuple[float, float, float]) -> None:
+    frames = sweep(SCENE, pose)
+    found = standing(frames)
+    assert_right(found, pose)
+    assert isinstance(found, PoseEstimate)
+    assert found.stamp_ns == frames[-1].stamp_ns
+
+
+def test_other_light_and_pictures_exchanged_do_no_harm() -> None:
+    pose = (2.2, 2.3, -2.5)
+    other = textured_room(ROOM, seed=8, feature_m=0.045)
+    # A whole wall looks different now.
+    changed = Scene((*SCENE.boards[:2], other.boards[2], *SCENE.boards[3:]))
+    frames = [
+        replace(frame, image=np.asarray(0.5 * frame.image + 20.0, dtype=np.uint8))
+        for frame in sweep(changed, pose)
+    ]
+    assert_right(standing(frames), pose)
+
+
+def test_views_from_different_places_are_joined_by_odometry() -> None:
+    poses = np.array([[1.8, 1.5, 0.2], [2.0, 1.6, 0.5], [2.3, 1.8, 0.9], [2.4, 2.1, 1.3]])
+    frames = [
+        draw_frame(SCENE, LENS, MOUNT, pose, pan, stamp_ns=k)
+        for k, (pose, pan) in enumerate(zip(poses, (-1.5, 0.3, 1.8, 2.6), strict=True))
+    ]
+    found = relocalize(frames, se2.relative(poses[-1], poses), MAP, MOUNT)
+    assert_right(found, poses[-1].tolist())
+
+
+def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
+    south, east = SCENE.boards[:2]
+    twins = [
+        Board(
+            np.array([5.0 - b.center[0], 4.0 - b.center[1], b.center[2]]),
+            -b.normal,
+            b.width_m,
+            b.height_m,
+            b.texture,
+        )
+        for b in (south, east)
+    ]
+    symmetric = Scene((south, east, *twins))
+    found = standing(sweep(symmetric, (1.9, 1.5, 0.7)), learned(symmetric))
+    assert isinstance(found, Refusal)
+    assert found.reason == 'not unique'
+    # Both places are told.
+    assert '(1.90, 1.50)' in found.detail
+    assert '(3.10, 2.50)' in found.detail
+
+    # A wall that is different decides.
+    north = SCENE.boards[2]
+    decided = Scene((south, east, north, twins[1]))
+    assert_right(standing(sweep(decided, (1.9, 1.5, 0.7)), learned(decided)), (1.9, 1.5, 0.7))
+
+
+def test_the_same_picture_on_every_wall_is_no_place() -> None:
+    # One texture four times, on walls as long as each other: four places, turned by a quarter.
+    room = rectangle_room(4.0, 4.0)
+    boards = textured_room(room, seed=5, feature_m=0.045).boards
+    scene = Scene(tuple(replace(board, texture=boards[0].texture) for board in boards))
+    landmarks = [
+        true_landmark(scene, 10 * k + j, board, across * 4.0, up, np.array([2.0, 2.0, 1.17]))
+        for k, board in enumerate(scene.boards)
+        for j, (across, up) in enumerate(ALONG)
+    ]
+    found = standing(
+        sweep(scene, (1.6, 1.9, -0.8)), LandmarkMap(tuple(landmarks), walls=room.walls)
+    )
+    assert isinstance(found, Refusal)
+    assert found.reason == 'not unique'
+
+
+def test_another_room_is_not_recognised() -> None:
+    other = textured_room(ROOM, seed=11, feature_m=0.045)
+    found = standing(sweep(other, (2.4, 1.9, 0.4)))
+    assert isinstance(found, Refusal)
+    assert found.reason == 'nothing recognised'
+
+
+def test_a_known_wall_in_another_room_is_not_enough() -> None:
+    other = textured_room(ROOM, seed=11, feature_m=0.045)
+    stolen = Scene((SCENE.boards[0], *other.boards[1:]))
+    found = standing(sweep(stolen, (2.4, 1.9, 0.4)))
+    assert isinstance(found, Refusal)
+    assert found.reason == 'nothing recognised'
+    assert 'of' in found.detail
+
+
+def test_one_narrow_view_is_too_little() -> None:
+    few = replace(MAP, landmarks=MAP.landmarks[:5])
+    found = standing(sweep(SCENE, (2.4, 1.9, 0.4)), few)
+    assert isinstance(found, Refusal)
+    assert found.reason == 'too little seen'
+
+
+def test_darkness_and_an_empty_map_are_refusals() -> None:
+    dark = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
+    for landmark_map in (MAP, LandmarkMap(())):
+        found = standing([dark], landmark_map)
+        assert isinstance(found, Refusal)
+        assert found.reason == 'nothing recognised'
+
+
+def test_arguments_that_do_not_match_are_named() -> None:
+    frames = sweep(SCENE, (2.0, 2.0, 0.0), PANS[:2])
+    with pytest.raises(LandmarkNavError, match='2 frames'):
+        relocalize(frames, np.zeros((3, 3)), MAP, MOUNT)
+    with pytest.raises(LandmarkNavError, match='at least one'):
+        relocalize([], np.zeros((0, 3)), MAP, MOUNT)
+    with pytest.raises(LandmarkNavError, match='not a number'):
+        relocalize(frames, np.full((2, 3), np.nan), MAP, MOUNT)
+    with pytest.raises(LandmarkNavError, match='min_landmarks'):
+        RelocalizationConfig(min_landmarks=1)
+
+
+def test_sightings_tell_bearing_and_range() -> None:
+    pose = np.array([2.4, 1.9, 0.4])
+    seen = find_sightings(
+        sweep(SCENE, pose.tolist(), np.zeros(1))[0], MAP, MOUNT, SightingConfig()
+    )
+    # The landmarks of the east wall that are in view from there.
+    place = se2.transform_points(se2.inverse(pose), MAP.positions[:, :2]) - seen.center[0]
+    azimuth = np.arctan2(place[:, 1], place[:, 0])[seen.landmark]
+    distance = np.hypot(*place.T)[seen.landmark]
+    right = np.abs(wrap_rad(seen.azimuth_rad - azimuth)) < 0.01
+    assert len(np.unique(seen.landmark[right])) >= 4
+    relative = np.log(seen.range_m / distance)[right] / seen.range_sigma[right]
+    assert np.abs(relative).max() < 3.0
+
+
+def test_a_stream_gathers_views_until_they_suffice() -> None:
+    relocalizer = Relocalizer(MAP, MOUNT)
+    wheel = np.array([7.0, -3.0, 2.0])
+    pose = np.array([1.7, 1.6, 0.1])
+    outcomes: list[PoseEstimate | Refusal] = []
+    for k in range(60):
+        step = np.array([0.012, 0.0, 0.01])
+        pose, wheel = se2.compose(pose, step), se2.compose(wheel, step)
+        stamp = 50_000_000 * k
+        assert relocalizer.add_odometry(OdometrySample(stamp, wheel)) is None
+        if k % 6 == 0:
+            frame = draw_frame(SCENE, LENS, MOUNT, pose, 0.06 * k - 2.5, stamp_ns=stamp)
+            outcomes.append(relocalizer.add_frame(frame))
+        if isinstance(outcomes[-1], PoseEstimate):
+            break
+    assert isinstance(outcomes[0], Refusal)
+    assert_right(outcomes[-1], pose.tolist())
+
+
+def test_a_stream_that_shows_the_same_again_gives_the_same_answer() -> None:
+    relocalizer = Relocalizer(MAP, MOUNT)
+    dark = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
+    first = relocalizer.add_frame(dark)
+    relocalizer.add_odometry(OdometrySample(0, np.zeros(3)))
+    relocalizer.add_odometry(OdometrySample(10**8, np.zeros(3)))
+    assert relocalizer.add_frame(replace(dark, stamp_ns=10**8)) is first
