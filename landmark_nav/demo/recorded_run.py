@@ -84,12 +84,13 @@ def recorded_run(bag: Bag) -> Replay:
     track = PoseTrack.of(odometry.items())
     way = se2.relative(odometry[started[0]], track.poses)
     return Replay(
-        start,
-        tuple(updates),
-        np.zeros(len(updates)),
-        PoseTrack(track.stamps_ns, se2.compose(start.pose, way)),
-        PoseTrack.of((estimate.stamp_ns, estimate.pose) for estimate in truth),
-        bag.duration_s,
+        start=start,
+        searched=(),
+        updates=tuple(updates),
+        update_seconds=np.zeros(len(updates)),
+        odometry=PoseTrack(track.stamps_ns, se2.compose(start.pose, way)),
+        truth=PoseTrack.of((estimate.stamp_ns, estimate.pose) for estimate in truth),
+        seconds=bag.duration_s,
     )
 
 
