@@ -24,8 +24,8 @@ __all__ = ['Adjustment', 'AdjustmentConfig', 'adjust']
 # x, y, z, heading of each panorama; after all of them, how far things hang off the walls.
 _POSE = 4
 _MAX_ITERATIONS = 15
-# Squared misfit at which a landmark's weight has fallen to a half.
-_CAUCHY = 9.0
+# Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
+_DOUBT_AT_FIRST, _DOUBT = 100.0, 6.0
 
 
 @dataclass(frozen=True)
@@ -115,13 +115,15 @@ def adjust(
     problem = _Problem(sightings, walls, panoramas, room, config)
     points, shared = start.copy(), problem.prior
     for step in range(_MAX_ITERATIONS):
-        # A false match must bend neither its neighbours nor the poses.
-        misfit = problem.misfit(points, shared)
-        weight = 1.0 / (1.0 + misfit / _CAUCHY) if step >= 2 else np.ones(len(points))
+        # False matches, and what hangs off the walls, must bend neither their neighbours nor the
+        # poses, even where they are many: a weight that falls faster than the pull grows (Geman
+        # and McClure, 1987), stricter with each step, as the poses explain more of the misfit.
+        doubt = max(_DOUBT_AT_FIRST / 2**step, _DOUBT)
+        weight = (1.0 + problem.misfit(points, shared) / doubt) ** -2.0
         equations = problem.normal_equations(points, shared, weight)
         point_step, shared_step = equations.solve()
         points, shared = points + point_step, shared + shared_step
-        if step > 3 and max(np.abs(point_step).max(), np.abs(shared_step).max()) < 1e-7:
+        if step > 4 and max(np.abs(point_step).max(), np.abs(shared_step).max()) < 1e-7:
             break
     views = len(panoramas)
     covariance = equations.shared_covariance()
