@@ -188,6 +188,25 @@ def test_one_false_match_does_not_bend_the_rest() -> None:
     assert bent.chi_square[others].max() < 13.8
 
 
+def test_furniture_before_the_walls_does_not_bend_the_rest() -> None:
+    # Three of five things seen stand 15 to 40 cm before the walls, which pulls all one way.
+    rng = np.random.default_rng(7)
+    on_wall = np.arange(40) % 5 < 2
+    of_poses = []
+    for _ in range(10):
+        world = world_of(rng, 40)
+        off = np.where(on_wall, 0.0, rng.uniform(0.15, 0.4, 40))
+        furnished = replace(world, points=world.points + off[:, None] * ROOM.normals[world.walls])
+        found = draw(rng, furnished)
+        error = found.poses - world.poses
+        error[:, 3] = wrap_rad(error[:, 3])
+        of_poses.append(nees(error, found.pose_covariance).mean())
+        # Election tells them apart by their misfit.
+        assert (found.chi_square[on_wall] < 13.8).mean() > 0.9
+        assert (found.chi_square[~on_wall] > 13.8).mean() > 0.9
+    assert np.mean(of_poses) / 4.0 < 1.5
+
+
 def test_a_better_known_panorama_makes_better_known_landmarks() -> None:
     world = world_of(np.random.default_rng(5), 20, flat=True)
     sightings = sightings_of(world, None)
