@@ -97,6 +97,8 @@ def read_mrclam(
     subject_of = {int(code): int(subject) for subject, code in barcodes}
     subjects = np.array([subject_of.get(int(code), 0) for code in seen[:, 1]], dtype=np.int64)
     posted = np.isin(subjects, posts[:, 0].astype(np.int64))
+    if not posted.any():
+        raise LandmarkNavError(f'{folder}: no landmark was seen by robot {robot}')
     stamps, first = np.unique(_nanoseconds(motion[:, 0]), return_index=True)
     return MrclamLog(
         _landmark_map(posts, folder, landmark_sigma_m),
@@ -120,10 +122,13 @@ def _table(folder: Path, name: str, columns: int) -> FloatArray:
     try:
         data = path.read_bytes()
         text = (gzip.decompress(data) if path == packed else data).decode('ascii')
-        table = np.loadtxt(text.splitlines(), ndmin=2)
+        rows = [line.split() for line in text.splitlines() if line.split('#')[0].strip()]
+        table = np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
     except (OSError, EOFError, UnicodeDecodeError, ValueError) as error:
         raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
-    if not len(table) or table.shape[1] != columns:
+    if not len(table):
+        raise LandmarkNavError(f'{path}: is empty')
+    if table.shape[1] != columns:
         raise LandmarkNavError(f'{path}: is {table.shape[1]} columns wide, not {columns}')
     if not np.all(np.isfinite(table)):
         raise LandmarkNavError(f'{path}: holds something that is not a number')
