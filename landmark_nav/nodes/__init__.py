@@ -1,6 +1,8 @@
 """
 The ROS nodes: each converts, calls a stage and publishes.
 
+Executables are the modules with a `main`; the others are parts of theirs.
+
 Importing any of them without ROS 2 ends the process with one line that says what to install,
 because the executables import their node before they run it.
 """
