@@ -25,8 +25,9 @@ _DELAYS_S = np.arange(0.0, 0.601, 0.01)
 _PAIR_S = 1.0
 # A change of bearing that the commands miss by more is a mistaken landmark, radians.
 _MISTAKEN_RAD = 0.2
-# Fewer pairs tell nothing.
+# Fewer pairs, or turns that are more alike, tell nothing.
 _MIN_PAIRS = 30
+_LEAST_TURN_RAD = 0.05
 
 
 def integrate_commands(
@@ -98,10 +99,10 @@ def command_delay_s(
     observed = -wrap_rad(np.diff(bearings)[pair])
     reckoned = np.interp(seconds - _DELAYS_S[:, None], times, heading)
     commanded = reckoned[:, pair + 1] - reckoned[:, pair]
-    if len(pair) < _MIN_PAIRS or np.abs(commanded).max() < _MISTAKEN_RAD:
+    if len(pair) < _MIN_PAIRS or np.ptp(commanded) < _LEAST_TURN_RAD:
         raise LandmarkNavError(
             f'the delay of the commands cannot be found: {len(pair)} bearings were seen twice '
-            'within a second: give it'
+            'within a second, or the robot never turned then: give it'
         )
     gain = (commanded @ observed) / np.maximum(np.sum(commanded**2, axis=1), 1e-12)
     missed = np.minimum(np.abs(observed - gain[:, None] * commanded), _MISTAKEN_RAD)
