@@ -47,11 +47,10 @@ FRAMES = 72
 PLACES = 200
 
 
-def check_room(seed: int) -> Iterator[dict[str, float | str]]:
+def check_room(seed: int, config: PlanConfig) -> Iterator[dict[str, float | str]]:
     """Plan, learn and localize in one room."""
     # The planner knows walls, not furniture: without it the comparison is about the prediction.
     scene = replace(generate_scene(seed), boxes=())
-    config = PlanConfig()
     rng = np.random.default_rng(seed)
     plan = plan_positions(scene.room, DEFAULT_MOUNT, 2, config, rng)
     floor = free_floor(scene.room, config.clearance_m, 0.1, 10000)
@@ -188,10 +187,13 @@ def main() -> int:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, nargs='+', required=True)
+    parser.add_argument('--clearance', type=float, default=PlanConfig().clearance_m, metavar='M')
+    args = parser.parse_args()
+    config = PlanConfig(clearance_m=args.clearance)
     cv2.setNumThreads(1)
     header = False
-    for seed in parser.parse_args().seeds:
-        for row in check_room(seed):
+    for seed in args.seeds:
+        for row in check_room(seed, config):
             if not header:
                 print('  '.join(f'{name:>11}' for name in row))
                 header = True

@@ -20,6 +20,12 @@ class PlanConfig:
     Camera, texture to be expected, and how finely the room is looked at.
 
     The bounds of the stages that will learn and localize are taken from their own parameters.
+
+    Notes
+    -----
+    Fitted to seven simulated rooms (seeds 101 to 107, 1,356 patches): 97 % of the patches that a
+    second panorama could show were found there, without a fall up to 60 degrees of parallax, as
+    both views are resampled on the wall; where the fall lies beyond that is an assumption.
     """
 
     focal_px: float = parameter(

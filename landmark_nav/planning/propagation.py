@@ -80,7 +80,9 @@ def landmark_errors(
         shared[part, part] = block
     shared[-1, -1] = config.common_hanging_sigma_m**-2.0 + wall * landmarks.sum()
     # Schur complement: what is left of the information once every landmark is solved for.
-    shared -= np.einsum('s,sip,siq->pq', landmarks, h_xs, gain)
+    factors = len(shared)
+    told = (landmarks[:, None, None] * h_xs).reshape(-1, factors)
+    shared -= told.T @ gain.reshape(-1, factors)
     return own, gain @ np.linalg.cholesky(np.linalg.inv(shared))
 
 

@@ -27,6 +27,9 @@ Show = Callable[[Iterable[IndexArray], str, int], Iterator[IndexArray]]
 
 _MAX_ROUNDS = 12
 
+# A round that gains a smaller share than this is the last one.
+_LEAST_GAIN = 0.004
+
 
 def best_places(
     cost: Cost, xy: FloatArray, count: int, seeds: IndexArray, show: Show
@@ -63,7 +66,7 @@ def best_places(
 
 def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> IndexArray:
     """
-    Exchange one place at a time as long as that makes the cost smaller.
+    Exchange one place at a time as long as that makes the cost notably smaller.
 
     Parameters
     ----------
@@ -88,7 +91,7 @@ def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> Index
             swapped = [np.append(others, j) for j in (chosen[k], *rest)]
             best, least = _best(cost, swapped, 'exchange', show)
             chosen = np.insert(others, k, best[-1])
-        if least > before - 1e-9:
+        if least > (1.0 - _LEAST_GAIN) * before:
             break
     return chosen[np.lexsort(xy[chosen].T[::-1])]
 

@@ -47,7 +47,7 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     corners = np.array([wall.start for wall in room.walls])
     width, height = np.ptp(corners, axis=0) + 2.0 * _MARGIN_M
     scale = 7.0 / max(width, height)
-    figure = new_figure(scale * width + 1.5, scale * height + 1.7)
+    figure = new_figure(scale * width + 1.5, scale * height + 1.5)
     axes = figure.add_subplot()
     _draw_accuracy(axes, plan.accuracy_map)
     draw_walls(axes, room.walls, _MARGIN_M)
@@ -61,9 +61,10 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     handles.insert(0, _key('^', FUSED, f'proposed: {_cost(plan.best)}'))
     middle = plan.random[len(plan.random) // 2]
     handles.append(Line2D([], [], linestyle='', label=f'median of random places: {_cost(middle)}'))
-    figure.suptitle(
+    axes.set_title(
         f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
-        f'{plan.best.landmarks:.0f} landmarks'
+        f'{plan.best.landmarks:.0f} landmarks',
+        pad=30,  # above the legend
     )
     for side in ('top', 'right', 'left', 'bottom'):
         axes.spines[side].set_visible(False)
