@@ -68,7 +68,6 @@ class OdometryFusionNode(LandmarkNode):
             self.listen('triangulation/pose', self._on_pose)
         self.listen('initialpose', self._on_initial_pose)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
-        self.offer('relocalize', self._relocalize)
 
     def health(self) -> Health:
         """As the filter judges itself."""
@@ -130,12 +129,6 @@ class OdometryFusionNode(LandmarkNode):
         self._fused.publish(message)
         frames = (map_frame, odom_frame)
         self._transform.send(stamp, estimate.pose, sample.pose_odom_base, frames)
-
-    def _relocalize(self) -> str:
-        raise LandmarkNavError(
-            'finding the place without a start pose is not possible yet: publish initialpose '
-            '(2D Pose Estimate in RViz), within 0.3 m and 10 deg'
-        )
 
 
 def main() -> int:

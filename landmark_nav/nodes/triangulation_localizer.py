@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import time
 from typing import Any
 
@@ -12,6 +12,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.pipeline import Observation, ObservationConfig, observe
 from landmark_nav.localization.prior import PriorTrack
 from landmark_nav.messages import decode, encode
+from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
@@ -40,6 +41,7 @@ class Parameters(ObservationConfig):
     max_prior_age_s: float = parameter(
         0.5, 'how far odometry/fused may be from a picture, s', minimum=0.0
     )
+    relocalization: PlaceSearchConfig = field(default_factory=PlaceSearchConfig)
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -57,6 +59,8 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._fix = self.advertise('triangulation/pose')
         self._frames = CameraFrames(self, self._mount)
         self._prior = PriorTrack(self._config.max_prior_age_s)
+        search = self._config.relocalization
+        self._search = PlaceSearch(self, self._mount, search, self._config.map_frame)
         self._map: LandmarkMap | None = None
         self._triplet: Triplet | None = None
         self._source: ImageSource | None = None
@@ -77,6 +81,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         self._map = decode.landmark_map(points, atlas)
+        self._search.landmarks = self._map
         if self._frames.camera is not None:
             # Takes seconds, once: not while the first picture waits.
             _ = self._frames.camera.ray_grid
@@ -91,6 +96,9 @@ class TriangulationLocalizerNode(LandmarkNode):
             )
 
     def _on_image(self, message: Any) -> None:
+        if self._search.active:
+            self._look(message)
+            return
         start = time.monotonic()
         try:
             seen = self._observe(message)
@@ -103,6 +111,13 @@ class TriangulationLocalizerNode(LandmarkNode):
         if isinstance(seen.fix, PoseEstimate):
             self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
+
+    def _look(self, message: Any) -> None:
+        stamp = decode.stamp_ns(message.header)
+        self._frames.wait(stamp, self._config.max_wait_s, self._search.reaches)
+        outcome = self._search.look(self._frames.complete(message))
+        if isinstance(outcome, Refusal):
+            self._health = Health(Level.LOST, f'looking for the place: {outcome}')
 
     def _observe(self, message: Any) -> Observation:
         stamp = decode.stamp_ns(message.header)
@@ -130,7 +145,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
 def main() -> int:
     """Entry point of the executable."""
-    return run_node(TriangulationLocalizerNode, threads=2)
+    return run_node(TriangulationLocalizerNode, threads=3)
 
 
 if __name__ == '__main__':

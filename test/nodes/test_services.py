@@ -66,6 +66,23 @@ def test_learner_says_what_is_missing(
     assert len(load_map(folder).landmarks) == 4
 
 
+def test_localizer_says_why_the_place_is_not_found(
+    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
+) -> None:
+    word = 'triangulation_localizer'
+    robot = setup_files['robot_file']
+    start(word, robot_file=robot, **{'relocalization.search_s': 0.5})
+    with pytest.raises(LandmarkNavError, match='no landmarks: call learn_landmarks or load_map'):
+        client.call('relocalize', 30.0)
+    landmarks = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
+    cloud, atlas, _ = encode.landmark_map(ros_factory, small_map(), 1)
+    for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
+        publisher.publish(message)
+    client.wait(lambda: 'no picture' in client.said(word).reason, 10.0, 'the map to arrive')
+    with pytest.raises(LandmarkNavError, match=r'within 0.5 s \(no picture came\).*initialpose'):
+        client.call('relocalize', 30.0)
+
+
 def test_fusion_goes_on_through_bad_input(
     start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
 ) -> None:

@@ -1,0 +1,114 @@
+"""The service ``relocalize``: asked in one thread, answered by the one that looks at pictures."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from threading import Event
+from typing import Any
+
+import numpy as np
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.relocalization import RelocalizationConfig
+from landmark_nav.localization.relocalization_stream import Relocalizer
+from landmark_nav.messages import decode, encode
+from landmark_nav.parameters import parameter
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
+
+__all__ = ['PlaceSearch', 'PlaceSearchConfig']
+
+# Ten seconds at 50 Hz: what may come between two pictures that are looked at.
+_BACKLOG = 500
+
+
+@dataclass(frozen=True)
+class PlaceSearchConfig(RelocalizationConfig):
+    """How the place is found, and how long a call may take."""
+
+    search_s: float = parameter(15.0, 'how long relocalize may look around, s', minimum=0.1)
+
+
+class PlaceSearch:
+    """
+    Finds the robot's place when called, and tells it on ``initialpose``.
+
+    Parameters
+    ----------
+    node : LandmarkNode
+        Whose service it is; it needs a thread beside those of pictures and their company.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : PlaceSearchConfig
+        Parameters.
+    map_frame : str
+        Frame of the place.
+
+    """
+
+    def __init__(
+        self,
+        node: LandmarkNode,
+        mount: PanTiltMount,
+        config: PlaceSearchConfig,
+        map_frame: str,
+    ) -> None:
+        self._mount, self._config, self._map_frame = mount, config, map_frame
+        self.landmarks = LandmarkMap(())
+        self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
+        self._relocalizer: Relocalizer | None = None
+        self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
+        self._found = Event()
+        self._start = node.advertise('initialpose')
+        node.listen('odom', self._on_odometry, depth=50)
+        node.offer('relocalize', self._search, group=MutuallyExclusiveCallbackGroup())
+
+    @property
+    def active(self) -> bool:
+        """Whether pictures are wanted."""
+        return self._relocalizer is not None
+
+    def reaches(self, stamp_ns: int) -> bool:
+        """Whether odometry of that time or later is known."""
+        return bool(self._odometry) and self._odometry[-1].stamp_ns >= stamp_ns
+
+    def look(self, frame: CameraFrame) -> PoseEstimate | Refusal:
+        """Go on with a picture; what is known of the place by now."""
+        relocalizer = self._relocalizer
+        if relocalizer is None:
+            return self._outcome
+        while self._odometry and self._odometry[0].stamp_ns <= frame.stamp_ns:
+            relocalizer.add_odometry(self._odometry.popleft())
+        outcome = relocalizer.add_frame(frame)
+        self._outcome = outcome
+        if isinstance(outcome, PoseEstimate):
+            self._relocalizer = None
+            self._start.publish(encode.pose(ros_factory, outcome, self._map_frame))
+            self._found.set()
+        return outcome
+
+    def _on_odometry(self, message: Any) -> None:
+        if self.active:
+            self._odometry.append(decode.odometry(message))
+
+    def _search(self) -> str:
+        if not self.landmarks.landmarks:
+            raise LandmarkNavError('there are no landmarks: call learn_landmarks or load_map')
+        self._found.clear()
+        self._odometry.clear()
+        self._outcome = Refusal('no picture came')
+        self._relocalizer = Relocalizer(self.landmarks, self._mount, self._config)
+        self._found.wait(self._config.search_s)
+        self._relocalizer = None
+        outcome = self._outcome
+        if isinstance(outcome, Refusal):
+            raise LandmarkNavError(
+                f'place not found within {self._config.search_s:g} s ({outcome}): call again and '
+                'turn the camera or drive meanwhile, or publish initialpose'
+            )
+        x, y, heading = outcome.pose
+        return f'found at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg'

@@ -1,0 +1,64 @@
+"""A robot that nobody told where it is finds its place by service call, over DDS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import json
+from pathlib import Path
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from landmark_nav.cli.main import main
+from landmark_nav.demo.graph import node_environment
+from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag
+
+if TYPE_CHECKING:
+    from landmark_nav.ros.robot_client import RobotClient
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+RECORDED = Path(__file__).resolve().parents[2] / 'bags'
+
+
+def test_relocalize_starts_the_fusion(
+    start: Callable[..., None], client: RobotClient, domain_id: int, tmp_path: Path
+) -> None:
+    room, robot = str(RECORDED / 'room.yaml'), str(RECORDED / 'robot.yaml')
+    learned = str(tmp_path / 'map')
+    inputs = ['--room', room, '--robot', robot]
+    assert main(['learn', str(RECORDED / 'learn'), *inputs, '--out', learned]) == 0
+    localizer = 'triangulation_localizer'
+    start('landmark_learner', room_file=room, map_folder=learned)
+    start(localizer, robot_file=robot, **{'relocalization.search_s': 30.0})
+    start('odometry_fusion', robot_file=robot)
+    client.wait(lambda: client.said('odometry_fusion').reason != '', 60.0, 'the nodes')
+    assert 'landmarks loaded' in client.call('load_map', 30.0)
+    client.wait(lambda: 'no picture' in client.said(localizer).reason, 30.0, 'the map')
+
+    drive = Bag(RECORDED / 'drive')
+    bag = json.dumps(str(drive.path))
+    command = [sys.executable, '-m', 'landmark_nav.nodes.bag_player', '--ros-args']
+    command += ['-p', f'bag:={bag}', '-p', 'rate:=0.5', '-p', 'start_delay_s:=3.0']
+    player = subprocess.Popen(command, env=node_environment(domain_id))
+    try:
+        assert client.call('relocalize', 40.0).startswith('found at')
+        client.wait(lambda: client.fused is not None, 5.0, 'a fused pose')
+        assert client.fused is not None
+        fused = client.fused
+    finally:
+        player.kill()
+        player.wait()
+    truth = PoseTrack.of(
+        (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
+        for entry in drive.messages([drive.require('ground_truth/odom')])
+    )
+    error = pose_errors(fused.pose[None], truth.at([fused.stamp_ns]))[0]
+    assert np.hypot(*error[:2]) < 0.05
+    assert abs(error[2]) < np.radians(1.0)
