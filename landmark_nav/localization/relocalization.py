@@ -33,7 +33,18 @@ from landmark_nav.localization.triplet_visibility import TripletConfig
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
-__all__ = ['RelocalizationConfig', 'locate', 'relocalize']
+__all__ = [
+    'RelocalizationConfig',
+    'locate',
+    'relocalize',
+    'shows_new',
+    'view_direction_rad',
+]
+
+# A picture tells something new if it looks this share of half the field of view elsewhere, or
+# from this far away.
+_NEW_VIEW = 0.9
+_NEW_PLACE_M = 0.6
 
 
 @dataclass(frozen=True)
@@ -98,7 +109,7 @@ def relocalize(
     Parameters
     ----------
     frames : sequence of CameraFrame, length n
-        Pictures in the order they were taken. Those that show the same twice cost time only.
+        Pictures in the order they were taken. What shows nothing new is left aside.
     poses_last_base : ndarray, shape (n, 3)
         By odometry: the base at each picture in the base frame at the last one; zeros for a
         sweep of a standing robot.
@@ -134,9 +145,39 @@ def relocalize(
         )
     if not (np.isfinite(poses).all() and np.isfinite(drift).all()):
         raise LandmarkNavError('relocalization: a pose or variance is not a number')
-    sightings = [find_sightings(f, landmark_map, mount, config.sighting) for f in frames]
-    carried = CarriedFrames(frames, poses, drift)
+    directions = np.array([view_direction_rad(frame, mount) for frame in frames])
+    telling: list[int] = []
+    for k, frame in enumerate(frames):
+        if shows_new(frame, directions[k], poses[k], directions[telling], poses[telling]):
+            telling.append(k)
+    chosen = [frames[k] for k in telling]
+    sightings = [find_sightings(f, landmark_map, mount, config.sighting) for f in chosen]
+    carried = CarriedFrames(frames[-1].stamp_ns, chosen, poses[telling], drift[telling])
     return locate(carried, sightings, landmark_map, mount, config)
+
+
+def view_direction_rad(frame: CameraFrame, mount: PanTiltMount) -> float:
+    """Azimuth in the base frame that a picture looks along."""
+    turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+    return float(np.arctan2(turn[1, 2], turn[0, 2]))
+
+
+def shows_new(
+    frame: CameraFrame,
+    direction_rad: float,
+    pose: FloatArray,
+    directions_rad: FloatArray,
+    poses: FloatArray,
+) -> bool:
+    """
+    Whether a picture tells more than those before it.
+
+    Their directions (n,) in the base frame and poses (n, 3) are in one frame with its own.
+    """
+    turned = directions_rad + poses[:, 2] - direction_rad - pose[2]
+    same = np.abs(wrap_rad(turned)) < _NEW_VIEW * frame.camera.half_fov_rad
+    near = np.hypot(*(poses[:, :2] - pose[:2]).T) < _NEW_PLACE_M
+    return not np.any(same & near)
 
 
 def locate(

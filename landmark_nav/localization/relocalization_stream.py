@@ -7,11 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.odometry_noise import motion_variances, OdometryNoiseConfig
 from landmark_nav.localization.odometry_track import OdometryTrack
-from landmark_nav.localization.relocalization import locate, RelocalizationConfig
+from landmark_nav.localization.relocalization import (
+    locate,
+    RelocalizationConfig,
+    shows_new,
+    view_direction_rad,
+)
 from landmark_nav.localization.relocalization_sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization_verification import CarriedFrames
 from landmark_nav.types import (
@@ -24,11 +28,6 @@ from landmark_nav.types import (
 )
 
 __all__ = ['Relocalizer']
-
-# A picture tells something new if it looks this share of half the field of view elsewhere, or
-# from this far away.
-_NEW_VIEW = 0.9
-_NEW_PLACE_M = 0.6
 
 
 class _Glimpse(NamedTuple):
@@ -88,8 +87,7 @@ class Relocalizer:
             same as long as pictures show nothing new.
 
         """
-        turn, _ = self._mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
-        direction = float(np.arctan2(turn[1, 2], turn[0, 2]))
+        direction = view_direction_rad(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
         # What odometry has carried too far helps no more, nor does what is from another clock.
         config = self._config
@@ -101,15 +99,15 @@ class Relocalizer:
         ]
         self._kept = [glimpse for glimpse, keep in zip(self._kept, sure, strict=True) if keep]
         poses, variances = poses[sure], variances[sure]
-        looked = poses[:, 2] + [glimpse.direction_base_rad for glimpse in self._kept]
-        same = np.abs(wrap_rad(looked - direction)) < _NEW_VIEW * frame.camera.half_fov_rad
-        if np.any(same & (np.hypot(poses[:, 0], poses[:, 1]) < _NEW_PLACE_M)):
+        looked = np.array([glimpse.direction_base_rad for glimpse in self._kept])
+        if not shows_new(frame, direction, np.zeros(3), looked, poses):
             return self._outcome
         sightings = find_sightings(frame, self._map, self._mount, config.sighting)
         self._kept.append(_Glimpse(frame, direction, sightings))
         recent = slice(-config.max_frames, None)
         self._kept = self._kept[recent]
         carried = CarriedFrames(
+            frame.stamp_ns,
             [glimpse.frame for glimpse in self._kept],
             np.vstack([poses, np.zeros(3)])[recent],
             np.vstack([variances, np.zeros(3)])[recent],

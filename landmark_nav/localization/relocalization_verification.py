@@ -30,19 +30,15 @@ _HEADING_PASSES = 3
 @dataclass(frozen=True, eq=False)
 class CarriedFrames:
     """
-    Pictures with where the base was at each, (n, 3), in the base frame of the last one's time.
+    Pictures with where the base was at each, (n, 3), in the base frame of the time `stamp_ns`.
 
     `variances` (n, 3) is how sure that is, along, across and turning.
     """
 
+    stamp_ns: int
     frames: Sequence[CameraFrame]
     poses_last_base: FloatArray
     variances: FloatArray
-
-    @property
-    def stamp_ns(self) -> int:
-        """Time of the last picture."""
-        return self.frames[-1].stamp_ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +82,7 @@ def verify(
     Parameters
     ----------
     pose_map_base : ndarray, shape (3,)
-        Hypothesis: the base at the last picture, good to some 10 cm and 2 degrees.
+        Hypothesis: the base at the pictures' common time, good to some 10 cm and 2 degrees.
     carried : CarriedFrames
         The pictures.
     landmark_map, mount : LandmarkMap, PanTiltMount
