@@ -58,7 +58,9 @@ setup(
             'ros-visualization-msgs==5.5.1',
         ],
         # Linters are pinned: another version would format and complain differently.
+        # evo is what others measure trajectories with: our errors must be the same.
         'dev': [
+            'evo>=1.31',
             'hypothesis>=6.100',
             'mypy==2.4.1',
             'pytest>=8.0',
