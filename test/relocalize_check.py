@@ -1,0 +1,163 @@
+"""
+Robots put down anywhere: one sweep each, in rooms learned before and changed since.
+
+``python test/relocalize_check.py --seeds 201 202 203`` simulates the rooms, learns their maps,
+dims a lamp, moves a box, places the robot at random and prints how many places were found; it
+exits with 1 if one was wrong or too few were right. ``--rooms DIR`` takes rooms that
+``test/rooms.py --out DIR`` has kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+import sys
+import tempfile
+import time
+
+import cv2
+import numpy as np
+
+from landmark_nav.cli.main import main as landmark_nav
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.relocalization import relocalize
+from landmark_nav.simulation.furnishing import move_one_box
+from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.world import RobotWorld
+from landmark_nav.storage.maps import load_map
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, Refusal
+
+MAX_ERROR_M = 0.05
+MAX_ERROR_DEG = 1.0
+MIN_RIGHT = 0.98
+
+_CLEARANCE_M = 0.4
+_JPEG_QUALITY = 90
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of the poses in a room."""
+
+    seed: int
+    landmarks: int
+    poses: int
+    right: int
+    wrong: int
+    refused: int
+    median_mm: float
+    max_mm: float
+    max_deg: float
+    median_s: float
+
+
+def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> Row:
+    """Place the robot at random, let it look around once, ask where it is."""
+    rng = np.random.default_rng([seed, 40])
+    scene = changed(generate_scene(seed), rng)
+    pans = -np.pi + 2.0 * np.pi * np.arange(frames) / frames
+    world: RobotWorld | None = None
+    errors, seconds, refused, wrong = [], [], 0, 0
+    for pose in free_poses(scene, poses, rng):
+        world = world or RobotWorld(scene, pose, seed + 2)
+        sweep = [picture(world, pose, float(pan)) for pan in pans]
+        begin = time.process_time()
+        found = relocalize(sweep, np.zeros((frames, 3)), learned, world.mount)
+        seconds.append(time.process_time() - begin)
+        if isinstance(found, Refusal):
+            refused += 1
+            print(f'room {seed} at {np.round(pose, 2)}: {found}')
+            continue
+        error = found.pose - pose
+        away = float(np.hypot(*error[:2]))
+        turned = float(np.degrees(abs(wrap_rad(error[2]))))
+        errors.append((away, turned))
+        if away > MAX_ERROR_M or turned > MAX_ERROR_DEG:
+            wrong += 1
+            print(f'room {seed} at {np.round(pose, 2)}: WRONG, {np.round(found.pose, 2)}')
+    position, heading = np.array(errors or [(np.nan, np.nan)]).T
+    return Row(
+        seed,
+        len(learned.landmarks),
+        poses,
+        len(errors) - wrong,
+        wrong,
+        refused,
+        1e3 * float(np.median(position)),
+        1e3 * float(position.max()),
+        float(heading.max()),
+        float(np.median(seconds)),
+    )
+
+
+def changed(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Another day: one lamp is dim, one piece of furniture stands elsewhere."""
+    lamps = list(scene.lamps)
+    dim = int(rng.integers(len(lamps)))
+    lamps[dim] = replace(lamps[dim], power=0.35 * lamps[dim].power)
+    return replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
+
+
+def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
+    """Poses (3,) where the robot can stand."""
+    corners = np.array([wall.start for wall in scene.room.walls])
+    while count:
+        place = rng.uniform(corners.min(axis=0), corners.max(axis=0))
+        free = scene.room.contains(place) and scene.distance_to_obstacles(place) > _CLEARANCE_M
+        if free:
+            count -= 1
+            yield np.array([*place, rng.uniform(-np.pi, np.pi)])
+
+
+def picture(world: RobotWorld, pose: FloatArray, pan_rad: float) -> CameraFrame:
+    """One picture of a standing robot, as a bag would hold it."""
+    world.place(pose, pan_rad)
+    world.advance(1.0 / 60.0)
+    frame = world.camera_frame()
+    _, jpeg = cv2.imencode('.jpg', frame.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return replace(frame, image=np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8))
+
+
+def learned_map(seed: int, rooms: Path | None) -> LandmarkMap:
+    """Map of a room: kept, or made as a user would."""
+    if rooms is not None:
+        return load_map(rooms / f'room_{seed}' / 'map')
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        _run('simulate', '--out', str(folder), '--seed', str(seed), '--drive-seconds', '1')
+        setup = ['--room', str(folder / 'room.yaml'), '--robot', str(folder / 'robot.yaml')]
+        _run('learn', str(folder / 'learn'), *setup, '--out', str(folder / 'map'))
+        return load_map(folder / 'map')
+
+
+def _run(*arguments: str) -> None:
+    status = landmark_nav(list(arguments))
+    if status != 0:
+        raise SystemExit(f'landmark-nav {" ".join(arguments)}: exit status {status}')
+
+
+def main() -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--seeds', type=int, nargs='+', required=True)
+    parser.add_argument('--poses', type=int, default=20, help='in each room (20)')
+    parser.add_argument('--frames', type=int, default=24, help='pictures of a sweep (24)')
+    parser.add_argument('--rooms', type=Path, help='folder of rooms that were kept')
+    arguments = parser.parse_args()
+    rows = [
+        check_room(seed, learned_map(seed, arguments.rooms), arguments.poses, arguments.frames)
+        for seed in arguments.seeds
+    ]
+    print('\n' + '  '.join(f'{name:>9}' for name in Row.__dataclass_fields__))
+    for row in rows:
+        print('  '.join(f'{value:9.3g}' for value in vars(row).values()))
+    right, wrong, poses = (sum(getattr(r, k) for r in rows) for k in ('right', 'wrong', 'poses'))
+    print(f'{right} of {poses} right ({right / poses:.1%}), {wrong} wrong')
+    return 0 if wrong == 0 and right >= MIN_RIGHT * poses else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
