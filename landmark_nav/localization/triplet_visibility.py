@@ -112,10 +112,15 @@ def axis_position(pose_map_base: FloatArray, mount: PanTiltMount) -> FloatArray:
 def observable(
     viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
 ) -> npt.NDArray[np.bool_]:
-    """Which landmarks (n,) look as learned from a viewer (3,): area, range, no wall between."""
+    """
+    Which landmarks (n,) look as learned from a viewer (3,): area, range, no wall between.
+
+    Those without a size are points that other sensors see: no picture of them was learned.
+    """
     position = landmark_map.positions
     distance = np.hypot(*(position[:, :2] - viewer[:2]).T)
     good = (distance >= config.min_range_m) & (distance <= config.max_range_m)
+    good &= landmark_map.sizes_m.min(axis=1, initial=np.inf) > 0.0
     good &= observed_well(
         position,
         landmark_map.normals,

@@ -152,7 +152,7 @@ def _landmark_map(posts: FloatArray, folder: Path, sigma_m: float) -> LandmarkMa
             width_m=0.0,
             height_m=0.0,
             patch=np.zeros((0, 0), dtype=np.uint8),
-            viewpoint=np.array([x, y, 0.0]),
+            viewpoint=np.array([x + 1.0, y, 0.0]),
             threshold=0.0,
         )
         for subject, x, y, sigma_x, sigma_y in posts

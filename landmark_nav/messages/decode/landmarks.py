@@ -77,6 +77,8 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
 def _patch(atlas: ImageArray, point: np.void) -> ImageArray:
     x, y = int(point['atlas_x']), int(point['atlas_y'])
     width, height = int(point['atlas_width']), int(point['atlas_height'])
+    if point['width'] == point['height'] == 0.0:  # a point, known by its bearing alone
+        return np.zeros((0, 0), dtype=np.uint8)
     if atlas.ndim != 2 or not width or not height:
         raise LandmarkNavError(f'landmark {point["id"]} has no patch in a grey atlas')
     if x + width > atlas.shape[1] or y + height > atlas.shape[0]:

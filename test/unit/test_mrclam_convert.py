@@ -1,0 +1,158 @@
+"""A log in the data set's format, made up, through `convert` and `evaluate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from landmark_nav.cli.main import main
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.odometry_noise import twist_motion
+from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
+from landmark_nav.messages import decode, encode
+from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.maps import load_map
+from landmark_nav.types import PoseEstimate
+
+BEGIN_S = 1_248_444_187.0
+STEP_S = 0.05
+DELAY_STEPS = 4
+POSTS = np.array(
+    [[2.0, 0.3], [0.4, 2.1], [-2.0, 0.2], [0.1, -2.2], [2.5, 2.5], [-2.5, 2.4], [3, -2.0]]
+)
+CODES = [63, 81, 7, 70, 45, 27, 18]
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two minutes of a robot that wanders and does 5 % less than it was told, 0.2 s later."""
+    folder = tmp_path_factory.mktemp('mrclam')
+    rng = np.random.default_rng(1)
+    turns = np.repeat(rng.uniform(-0.4, 0.5, 60), 40)
+    count = len(turns)
+    truth = [np.array([0.5, -0.4, 0.3])]
+    for k in range(count - 1):
+        turn = turns[k - DELAY_STEPS] if k >= DELAY_STEPS else 0.0
+        truth.append(se2.compose(truth[-1], twist_motion(0.08, turn, STEP_S)))
+    times = BEGIN_S + STEP_S * np.arange(count)
+    seen = []
+    for time, pose in zip(times[2::5], truth[2::5], strict=True):
+        delta = POSTS - pose[:2]
+        bearing = wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - pose[2])
+        bearing += rng.normal(0.0, 0.008, len(POSTS))
+        for k in np.flatnonzero(np.abs(bearing) < 0.8):
+            # One reading in fifty is mistaken for another post.
+            code = CODES[k] if rng.random() > 0.02 else CODES[(k + 2) % len(CODES)]
+            seen.append(f'{time:.3f} \t {code} \t 1.0 \t {bearing[k]:.3f}')
+        seen.append(f'{time:.3f} \t 14 \t 1.0 \t 0.1')  # robot 2
+    texts = {
+        'Barcodes': [f'{k + 1} {c}' for k, c in enumerate([5, 14, 41, 32, 23, *CODES])],
+        'Landmark_Groundtruth': [
+            f'{k + 6} {x} {y} 0.0001 0.0001' for k, (x, y) in enumerate(POSTS)
+        ],
+        'Robot1_Groundtruth': [
+            f'{t - 0.01:.3f} {x:.6f} {y:.6f} {h:.6f}'
+            for t, (x, y, h) in zip(times, truth, strict=True)
+        ],
+        'Robot1_Odometry': [
+            f'{t:.3f} 0.085 {1.05 * w:.3f}' for t, w in zip(times, turns, strict=True)
+        ],
+        'Robot1_Measurement': seen,
+    }
+    for name, lines in texts.items():
+        (folder / f'{name}.dat').write_text('# head\n' + '\n'.join(lines) + '\n')
+    return folder
+
+
+@pytest.fixture(scope='module')
+def converted(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    bag = tmp_path_factory.mktemp('out') / 'run'
+    assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(bag)]) == 0
+    return bag
+
+
+def test_what_a_bag_of_it_holds(converted: Path, log: Path) -> None:
+    bag = Bag(converted)
+    assert set(bag.types) == {'/detections', '/odom', '/ground_truth/odom'}
+    detections = [decode.detections(m.message) for m in bag.messages(['/detections'])]
+    ids = np.concatenate([seen.ids for seen in detections])
+    assert set(ids.tolist()) <= set(range(6, 13))
+    truth = next(iter(bag.messages(['/ground_truth/odom']))).message
+    assert truth.header.frame_id == 'map'
+    # The delay shows in the stamps of the odometry.
+    first = decode.odometry(next(iter(bag.messages(['/odom']))).message)
+    assert first.stamp_ns * 1e-9 - BEGIN_S == pytest.approx(0.2, abs=0.03)
+    start = json.loads(converted.with_name('run_start.json').read_text())['pose']
+    np.testing.assert_allclose(start, [0.5, -0.4, 0.3], atol=0.05)
+
+
+def test_evaluated_smoothed_and_exported(
+    converted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start = json.loads(converted.with_name('run_start.json').read_text())['pose']
+    config = tmp_path / 'config.yaml'
+    config.write_text('fusion: {pan_sigma_rad: 0.003, boresight_sigma_rad: 0.01}\n')
+    arguments = ['evaluate', str(converted), '--map', f'{converted}_map', '--robot']
+    arguments += [f'{converted}_robot.yaml', '--start', *map(str, start), '--smooth']
+    arguments += ['--config', str(config), '--tum', str(tmp_path / 'tum')]
+    assert main([*arguments, '--json', str(tmp_path / 'run.json')]) == 0
+    report = json.loads((tmp_path / 'run.json').read_text())
+    assert report['odometry']['position_rmse_m'] > 3 * report['fused']['position_rmse_m']
+    assert report['fused']['position_rmse_m'] < 0.03
+    assert report['smoothed']['position_rmse_m'] < report['fused']['position_rmse_m']
+    assert report['availability'] == 1.0
+    assert report['fixes'] > 0
+    assert 'smoothed' in capsys.readouterr().out
+    assert (tmp_path / 'trajectory.png').stat().st_size > 10_000
+    assert len((tmp_path / 'tum' / 'fused.tum').read_text().splitlines()) == report['frames']
+
+
+def test_a_delay_that_is_given_counts(log: Path, tmp_path: Path) -> None:
+    arguments = ['convert', 'mrclam', str(log), '--robot', '1', '--command-delay', '0.5']
+    assert main([*arguments, '--out', str(tmp_path / 'late')]) == 0
+    first = decode.odometry(next(iter(Bag(tmp_path / 'late').messages(['/odom']))).message)
+    assert first.stamp_ns == round((BEGIN_S + 0.5) * 1e3) * 1_000_000
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'status'),
+    [
+        (['--robot', '9'], 2),
+        (['--robot', '1', '--bearing-sigma', '-1'], 2),
+        (['--robot', '1', '--landmark-sigma', 'thick'], 2),
+        (['--robot', '2'], 1),
+    ],
+)
+def test_wrong_arguments(log: Path, tmp_path: Path, arguments: list[str], status: int) -> None:
+    out = tmp_path / 'bag'
+    assert main(['convert', 'mrclam', str(log), '--out', str(out), *arguments]) == status
+    assert not out.exists()
+
+
+def test_a_bag_in_the_way_stays(
+    log: Path, converted: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(path.stat().st_mtime_ns for path in converted.rglob('*'))
+    assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(converted)]) == 1
+    assert 'exists already' in capsys.readouterr().err
+    assert before == sorted(path.stat().st_mtime_ns for path in converted.rglob('*'))
+
+
+def test_points_without_a_picture_cross_all_borders(converted: Path) -> None:
+    """They are kept and sent like other landmarks, but no camera is to look for a texture."""
+    points = load_map(f'{converted}_map')
+    np.testing.assert_allclose(points.positions[:, :2], POSTS)
+    cloud, atlas, _ = encode.landmark_map(rosbag_factory(), points, 5)
+    sent = decode.landmark_map(cloud, atlas)
+    assert sent.ids.tolist() == points.ids.tolist()
+    assert all(not landmark.patch.size for landmark in sent.landmarks)
+    camera = CameraModel(640, 480, 400.0, 400.0, 319.5, 239.5)
+    prior = PoseEstimate(0, np.array([0.0, 0.2, 0.0]), 1e-4 * np.eye(3))
+    view = visible_landmarks(prior, points, camera, PanTiltMount(), 0.0, 0.0, TripletConfig())
+    assert not len(view)
