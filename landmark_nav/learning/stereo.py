@@ -218,6 +218,8 @@ def match_in(
     found = _compare(patch, other, panoramas, greys, config)
     if isinstance(found, Sighting):
         for before in _OTHER_DEPTHS_M:
+            if before > 0.5 * min(to_here @ patch.normal[:2], to_there @ patch.normal[:2]):
+                continue
             nearer = _moved(patch, before, here)
             rival = _compare(nearer, other, panoramas, greys, config)
             if isinstance(rival, Sighting) and rival.score > found.score - _SCALE_MARGIN:
@@ -282,10 +284,13 @@ def _search_area(
     """Centre (3,) and rows, columns of the wall where `there` may show the patch."""
     # Depth along the source's ray moves the match along a line on the wall.
     to_here = here.center_map - patch.position
-    per_depth = to_here / float(to_here @ patch.normal)
+    reach = float(to_here @ patch.normal)
+    reach_there = float((there.center_map - patch.position) @ patch.normal)
+    # Not beyond half the way to either camera: near one, the line on the wall has no end.
+    before = min(config.before_wall_m, 0.5 * reach, 0.5 * reach_there)
     shifts = [
-        _on_wall(patch, patch.position + depth * per_depth, there.center_map)
-        for depth in (-config.behind_wall_m, 0.0, config.before_wall_m)
+        _on_wall(patch, patch.position + depth / reach * to_here, there.center_map)
+        for depth in (-config.behind_wall_m, 0.0, before)
     ]
     margin = config.margin_m / patch.texel_m + 3.0
     low = np.floor(np.min(shifts, 0) / patch.texel_m - margin).astype(int)
@@ -302,7 +307,7 @@ def _search_area(
 def _on_wall(patch: WallPatch, point: FloatArray, center: FloatArray) -> FloatArray:
     """Metres right and down on the wall where a point appears from `center`."""
     ray = point - center
-    scale = ((patch.position - center) @ patch.normal) / min(float(ray @ patch.normal), -1e-3)
+    scale = ((patch.position - center) @ patch.normal) / float(ray @ patch.normal)
     shift = center + scale * ray - patch.position
     right, down = patch_axes(patch.normal)
     return np.array([shift @ right, shift @ down])

@@ -38,6 +38,15 @@ class WallFitConfig:
     min_patches: int = parameter(
         6, 'patches that it takes to judge a wall', minimum=3, maximum=1000
     )
+    min_extent_m: float = parameter(
+        1.0, 'how far along a wall they must spread, metres', minimum=0, maximum=100
+    )
+    max_distance_m: float = parameter(
+        0.2, 'what stands farther before or behind says nothing', minimum=0, maximum=1
+    )
+    max_spread_m: float = parameter(
+        0.012, 'median distance from one plane that patches of a wall keep', minimum=0, maximum=1
+    )
     max_sigma_m: float = parameter(
         0.02, 'least certain patch that counts, standard deviation', minimum=1e-4, maximum=1
     )
@@ -69,18 +78,20 @@ def check_walls(free: Adjustment, walls: Sequence[int], room: Room, config: Wall
 
     """
     index = np.asarray(walls, dtype=np.intp)
-    sigma = np.sqrt(
-        np.einsum('ni,nij,nj->n', room.normals[index], free.own_covariance, room.normals[index])
-    )
+    normal = room.normals[index]
+    sigma = np.sqrt(np.einsum('ni,nij,nj->n', normal, free.own_covariance, normal))
+    shared = np.einsum('ni,nip->np', normal, free.shared_loading)
     complaints = []
     for k, wall in enumerate(room.walls):
         # What stands well before the wall is furniture and says nothing about it.
-        on = (index == k) & (sigma < config.max_sigma_m) & (np.abs(free.off_wall_m) < 0.3)
-        if np.sum(on) < config.min_patches:
+        near = np.abs(free.off_wall_m) < config.max_distance_m
+        on = (index == k) & (sigma < config.max_sigma_m) & near
+        along = (free.positions[on, :2] - wall.start) @ np.subtract(wall.end, wall.start)
+        along /= wall.length
+        if np.sum(on) < config.min_patches or np.ptp(along) < config.min_extent_m:
             continue
-        side = np.subtract(wall.end, wall.start) / wall.length
-        along = (free.positions[on, :2] - wall.start) @ side
-        complaint = _complaint(along, free.off_wall_m[on], config)
+        slack = 3.0 * float(np.linalg.norm(shared[on].mean(0)))
+        complaint = _complaint(along, free.off_wall_m[on], slack, config)
         if complaint:
             complaints.append(f'{wall.id} {complaint}')
     if complaints:
@@ -90,19 +101,24 @@ def check_walls(free: Adjustment, walls: Sequence[int], room: Room, config: Wall
         )
 
 
-def _complaint(along_m: FloatArray, off_m: FloatArray, config: WallFitConfig) -> str:
-    median = float(np.median(off_m))
-    spread = float(np.median(np.abs(off_m - median)))
-    slack = 2.0 * spread / np.sqrt(len(off_m))
-    if not -config.max_behind_m - slack <= median <= config.max_before_m + slack:
-        place = 'before' if median > 0 else 'behind'
-        return (
-            f'has its {len(off_m)} patches {abs(median) * 100:.1f} cm {place} it '
-            f'(+-{spread * 100:.1f} cm)'
-        )
-    if np.ptp(along_m) < 1.0:
+def _complaint(
+    along_m: FloatArray, off_m: FloatArray, slack_m: float, config: WallFitConfig
+) -> str:
+    """What is wrong with a wall; nothing unless its patches lie in one plane, as a wall's do."""
+    slope, offset, low, high = theilslopes(off_m, along_m)
+    spread = float(np.median(np.abs(off_m - offset - slope * along_m)))
+    if spread > config.max_spread_m:
         return ''
-    slope, _, low, high = theilslopes(off_m, along_m)
-    if min(abs(low), abs(high)) > config.max_turn_rad and low * high > 0.0:
+    if (
+        min(abs(low), abs(high)) > config.max_turn_rad + slack_m / np.ptp(along_m)
+        and low * high > 0
+    ):
         return f'is turned by {np.degrees(np.arctan(abs(slope))):.1f} deg against its patches'
-    return ''
+    median = float(np.median(off_m))
+    if -config.max_behind_m - slack_m <= median <= config.max_before_m + slack_m:
+        return ''
+    place = 'before' if median > 0 else 'behind'
+    return (
+        f'has its {len(off_m)} patches {abs(median) * 100:.1f} cm {place} it '
+        f'(+-{spread * 100:.1f} cm)'
+    )

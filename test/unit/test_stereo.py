@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
 
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import patch_points
 from landmark_nav.learning.stereo import (
     hypothesize,
@@ -311,3 +313,34 @@ def test_a_patch_that_the_other_panorama_does_not_cover_is_refused(
     _, seen = match_at([panoramas[0], replace(panoramas[1], mask=mask)], np.array([6.0, 2.2, 1.1]))
     assert isinstance(seen, Refusal)
     assert 'not covered' in seen.reason
+
+
+def test_a_place_close_to_a_wall_is_searched_within_reason() -> None:
+    patch = WallPatch(
+        Candidate(0.0, 0.0, 30, 30, 1.0),
+        source=0,
+        wall=0,
+        position=np.array([3.0, 0.0, 1.5]),
+        normal=np.array([0.0, 1.0, 0.0]),
+        shape=(30, 40),
+        texel_m=0.005,
+    )
+    cylinder = Cylinder.with_resolution(555.0, -0.4, 0.4)
+    here, there = (
+        Panorama(
+            0,
+            np.zeros((cylinder.height, cylinder.width, 3), np.uint8),
+            np.ones((cylinder.height, cylinder.width), np.bool_),
+            cylinder,
+            np.array(center),
+            0.0,
+            np.eye(4),
+        )
+        for center in ([2.0, 2.0, 1.1], [3.5, 0.35, 1.1])
+    )
+    greys = [np.zeros((cylinder.height, cylinder.width), np.float32)] * 2
+    tracemalloc.start()
+    match_in(patch, 1, [here, there], greys, rectangle_room(6.0, 4.0), StereoConfig())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6

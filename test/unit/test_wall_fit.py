@@ -1,0 +1,72 @@
+"""The wall map against patches that stereo placed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.learning.adjustment import Adjustment
+from landmark_nav.learning.wall_fit import check_walls, WallFitConfig
+
+CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 4.0), (0.0, 4.0)]
+ROOM = Room(
+    tuple(
+        Wall(name, CORNERS[k], CORNERS[(k + 1) % 4], 2.5)
+        for k, name in enumerate(('south', 'east', 'north', 'west'))
+    )
+)
+
+
+def placed(south: np.ndarray, along: np.ndarray, shared_m: float = 0.001) -> Adjustment:
+    """Patches so far before the south wall; flat pictures hang on the north wall."""
+    x = np.concatenate([along, np.linspace(0.5, 5.5, 8)])
+    y = np.concatenate([south, np.full(8, 3.99)])
+    count = len(x)
+    loading = np.zeros((count, 3, 1))
+    loading[:, 1] = shared_m
+    return Adjustment(
+        positions=np.column_stack([x, y, np.full(count, 1.5)]),
+        own_covariance=np.tile(np.eye(3) * 0.003**2, (count, 1, 1)),
+        shared_loading=loading,
+        poses=np.zeros((2, 4)),
+        pose_covariance=np.zeros((2, 4, 4)),
+        off_wall_m=np.where(np.arange(count) < len(along), y, 4.0 - y),
+        chi_square=np.zeros(count),
+    )
+
+
+def check(south: np.ndarray, along: np.ndarray, **options: float) -> None:
+    free = placed(south, along, **options)
+    check_walls(free, [0] * len(along) + [2] * 8, ROOM, WallFitConfig())
+
+
+ALONG = np.linspace(0.5, 5.5, 12)
+NOISE = np.random.default_rng(0).normal(0.0, 0.003, 12)
+
+
+@pytest.mark.parametrize('hanging_m', [0.0, 0.02, 0.04])
+def test_what_hangs_on_a_wall_fits_it(hanging_m: float) -> None:
+    check(hanging_m + NOISE, ALONG)
+
+
+@pytest.mark.parametrize(('off_m', 'words'), [(0.07, '7.0 cm before'), (-0.05, '5.0 cm behind')])
+def test_a_wall_that_is_elsewhere_is_named_with_its_residuals(off_m: float, words: str) -> None:
+    with pytest.raises(LandmarkNavError, match=rf'do not fit.*south has its 12 patches {words}'):
+        check(off_m + NOISE * 0.1, ALONG)
+
+
+def test_a_turned_wall_is_named() -> None:
+    with pytest.raises(LandmarkNavError, match=r'south is turned by 3\.0 deg'):
+        check(np.tan(np.radians(3.0)) * (ALONG - 3.0) + NOISE * 0.1, ALONG)
+
+
+def test_pose_errors_of_the_panoramas_are_not_blamed_on_the_wall() -> None:
+    check(-0.05 + NOISE, ALONG, shared_m=0.015)
+
+
+def test_furniture_before_a_wall_says_nothing_about_it() -> None:
+    depths = np.array([0.0, 0.3, 0.12, 0.02, 0.4, 0.18, 0.06, 0.15, 0.01, 0.1, 0.25, 0.5])
+    check(depths, ALONG)
+    check(np.full(12, 0.07), np.linspace(2.0, 2.8, 12))
