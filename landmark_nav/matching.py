@@ -23,7 +23,7 @@ Float32Image = npt.NDArray[np.float32]
 _BLUR_PX = 0.8
 # Neighbouring pixels share noise after the blur and the interpolation, so that the residuals
 # count for fewer than they are (measured by Monte Carlo).
-_CORRELATION_AREA = 4.0
+_CORRELATION_AREA = 5.0
 # What remains if noise did not matter: interpolation, and texture that isn't quite the same.
 _FLOOR_PX = 0.02
 _ITERATIONS = 12
