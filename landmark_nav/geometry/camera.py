@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import RectBivariateSpline
 
 from landmark_nav.errors import LandmarkNavError
 
@@ -26,6 +27,9 @@ _COEFFICIENTS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4}
 
 # Enough for 1e-9 px with any lens whose distortion is invertible inside the image.
 _POLISH_ITERATIONS = 60
+
+# Spacing of the rays that `ray_grid` computes exactly.
+_GRID_PX = 8
 
 # Optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up).
 _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -180,9 +184,14 @@ class CameraModel:
 
 @lru_cache(maxsize=4)
 def _ray_grid(camera: CameraModel) -> npt.NDArray[np.float32]:
-    # Cached by value: every message brings a camera of its own, equal to the one before.
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    return camera.unproject(np.stack([u, v], -1))[..., :2].astype(np.float32)
+    # Cached by value: every message brings a camera of its own, equal to the one before. Exact
+    # rays on a grid, a spline between them: within 1e-4 px, in a small part of the time.
+    u = np.linspace(0.0, camera.width - 1.0, max(8, camera.width // _GRID_PX))
+    v = np.linspace(0.0, camera.height - 1.0, max(8, camera.height // _GRID_PX))
+    coarse = camera.unproject(np.stack(np.meshgrid(u, v), -1))
+    columns, rows = np.arange(camera.width), np.arange(camera.height)
+    layers = [RectBivariateSpline(v, u, coarse[..., k])(rows, columns) for k in (0, 1)]
+    return np.stack(layers, -1).astype(np.float32)
 
 
 def rotation_rpy(rpy_rad: npt.ArrayLike) -> FloatArray:
