@@ -16,10 +16,12 @@ export ROS_DOMAIN_ID := $(shell echo $$(($$$$ % 90 + 10)))
 endif
 
 BIN = .venv/bin
+NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector triangulation_localizer \
+	odometry_fusion room_simulator bag_player
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-unit test-ros lint bench test-oldest clean
+.PHONY: install demo test test-unit test-ros lint bench rooms config test-oldest clean
 
 install: .venv/installed
 
@@ -50,6 +52,15 @@ test-ros: install test-unit
 
 bench: install
 	$(BIN)/landmark-nav bench
+
+# Rooms that nothing was tuned on, one line a room.
+SEEDS ?= 901 902 903 904 905
+rooms: install
+	$(BIN)/python test/rooms.py --seeds $(SEEDS)
+
+# The parameter files say what the code says; run it after changing a parameter.
+config: install
+	for node in $(NODES); do $(BIN)/python -m landmark_nav.nodes.describe $$node > config/$$node.yaml; done
 
 test-oldest: .venv-oldest/installed
 	.venv-oldest/bin/pytest -q -n 2 test/unit
