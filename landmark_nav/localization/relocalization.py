@@ -246,13 +246,13 @@ def _judged(
             f'{found} landmarks speak for {where}, {rival} for ({a:.2f}, {b:.2f}) m, '
             f'{np.degrees(turn):.0f} deg',
         )
-    if found < config.min_landmarks:
-        return Refusal('too little seen', f'{found} landmarks speak for {where}')
     if found < config.min_found_share * best.expected:
         return Refusal(
             'nothing recognised',
             f'at {where} only {found} of {best.expected} landmarks are found',
         )
+    if found < config.min_landmarks:
+        return Refusal('too little seen', f'{found} landmarks speak for {where}')
     spread = _span(best.bearing_rad)
     if spread < config.min_spread_rad:
         return Refusal(
