@@ -126,7 +126,7 @@ def a_run(truth=True, fixed=True):
     known = PoseTrack(stamps, poses) if truth else PoseTrack.of([])
     odometry = PoseTrack(stamps, poses + 0.03)
     start = PoseEstimate(0, poses[0], np.eye(3))
-    return Replay(start, tuple(updates), np.full(30, 0.01), odometry, known, 1.0)
+    return Replay(start, (), tuple(updates), np.full(30, 0.01), odometry, known, 1.0)
 
 
 @pytest.mark.parametrize(('truth', 'fixed'), [(True, True), (False, True), (True, False)])

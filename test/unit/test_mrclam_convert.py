@@ -101,6 +101,7 @@ def test_evaluated_smoothed_and_exported(
     arguments = ['evaluate', str(converted), '--map', f'{converted}_map', '--robot']
     arguments += [f'{converted}_robot.yaml', '--start', *map(str, start), '--smooth']
     arguments += ['--config', str(config), '--tum', str(tmp_path / 'tum')]
+    arguments += ['--report', str(tmp_path / 'run.html')]
     assert main([*arguments, '--json', str(tmp_path / 'run.json')]) == 0
     report = json.loads((tmp_path / 'run.json').read_text())
     assert report['odometry']['position_rmse_m'] > 3 * report['fused']['position_rmse_m']
@@ -109,6 +110,7 @@ def test_evaluated_smoothed_and_exported(
     assert report['availability'] == 1.0
     assert report['fixes'] > 0
     assert 'smoothed' in capsys.readouterr().out
+    assert '<th>smoothed</th>' in (tmp_path / 'run.html').read_text()
     assert (tmp_path / 'trajectory.png').stat().st_size > 10_000
     assert len((tmp_path / 'tum' / 'fused.tum').read_text().splitlines()) == report['frames']
 
