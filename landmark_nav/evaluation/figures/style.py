@@ -26,7 +26,7 @@ __all__ = [
     'add_ellipse',
     'draw_papers',
     'draw_walls',
-    'legend_beside',
+    'legend_below',
     'new_figure',
     'plain',
     'save',
@@ -66,19 +66,10 @@ def plain(axes: Axes) -> None:
         axes.spines[side].set_visible(False)
 
 
-def legend_beside(
-    axes: Axes, where: str, columns: int, handles: Sequence[Artist] | None = None
-) -> None:
-    """Legend above or below the axes, where it covers no data."""
+def legend_below(axes: Axes, columns: int, handles: Sequence[Artist] | None = None) -> None:
+    """Legend under the figure, where the layout makes room for it."""
     chosen = axes.get_legend_handles_labels()[0] if handles is None else handles
-    above = where == 'above'
-    axes.legend(
-        handles=chosen,
-        loc='lower center' if above else 'upper center',
-        bbox_to_anchor=(0.5, 1.0 if above else -0.1),
-        ncols=columns,
-        frameon=False,
-    )
+    axes.figure.legend(handles=chosen, loc='outside lower center', ncols=columns, frameon=False)
 
 
 def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
