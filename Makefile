@@ -21,7 +21,7 @@ NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector tri
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-unit test-ros lint bench rooms config test-oldest clean
+.PHONY: install demo test test-offline test-nodes lint bench rooms config test-oldest clean
 
 install: .venv/installed
 
@@ -36,19 +36,19 @@ install: .venv/installed
 demo: install
 	$(BIN)/landmark-nav demo --out demo
 
-test: lint test-unit test-ros
+test: lint test-offline test-nodes
 
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy landmark_nav
 
-test-unit: install
-	$(BIN)/pytest -q -n 2 test/unit
+test-offline: install
+	$(BIN)/pytest -q -n 2 --dist loadfile test/unit test/system
 
 # One after the other: these start nodes as processes of their own.
-test-ros: install test-unit
-	$(BIN)/pytest -q test/nodes test/system
+test-nodes: install test-offline
+	$(BIN)/pytest -q test/nodes
 
 bench: install
 	$(BIN)/landmark-nav bench

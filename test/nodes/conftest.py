@@ -1,5 +1,72 @@
-"""Fixtures that start nodes, for this folder."""
+"""A ROS domain of its own for each test, processes that end with it, a client to look in."""
 
-from ros_fixtures import client, domain_id, setup_files, start, supervisor
+from __future__ import annotations
 
-__all__ = ['client', 'domain_id', 'setup_files', 'start', 'supervisor']
+from collections.abc import Callable, Iterator
+from itertools import count
+import json
+import os
+from pathlib import Path
+import sys
+from typing import Any, TYPE_CHECKING
+
+import pytest
+
+from landmark_nav.demo.graph import config_folder, node_environment
+from landmark_nav.demo.supervisor import Supervisor
+
+if TYPE_CHECKING:
+    from landmark_nav.ros.robot_client import RobotClient
+
+_NUMBER = count()
+
+
+@pytest.fixture
+def domain_id() -> int:
+    """A domain that no other test of this run uses, below the ephemeral ports."""
+    return 10 + (os.getpid() * 7 + next(_NUMBER)) % 90
+
+
+@pytest.fixture
+def supervisor(domain_id: int, tmp_path: Path) -> Iterator[Supervisor]:
+    with Supervisor(tmp_path / 'logs', node_environment(domain_id)) as started:
+        yield started
+
+
+@pytest.fixture
+def start(supervisor: Supervisor) -> Callable[..., None]:
+    """Start a node as a process, with its parameter file and what is given."""
+
+    def start_node(name: str, **parameters: Any) -> None:
+        settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
+        command = [sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args']
+        command += ['--params-file', str(config_folder() / f'{name}.yaml')]
+        supervisor.start(name, [*command, *(w for s in settings for w in ('-p', s))])
+
+    return start_node
+
+
+@pytest.fixture
+def client(
+    domain_id: int, supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[RobotClient]:
+    # Only here: without ROS these fixtures must still be importable.
+    from landmark_nav.ros.robot_client import RobotClient
+
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with RobotClient(domain_id, supervisor.check) as joined:
+        yield joined
+
+
+@pytest.fixture
+def setup_files(tmp_path: Path) -> dict[str, str]:
+    """Paths of a `robot_file` and a `room_file`."""
+    robot, room = tmp_path / 'robot.yaml', tmp_path / 'room.yaml'
+    robot.write_text('pan_axis:\n  xyz: [0.08, 0.0, 1.1]\n')
+    corners = [(0.0, 0.0), (6.0, 0.0), (6.0, 4.0), (0.0, 4.0)]
+    walls = [
+        f'- {{id: w{k}, start: {list(a)}, end: {list(b)}, height: 2.6}}'
+        for k, (a, b) in enumerate(zip(corners, corners[1:] + corners[:1], strict=True))
+    ]
+    room.write_text('\n'.join(['walls:', *walls, '']))
+    return {'robot_file': str(robot), 'room_file': str(room)}
