@@ -15,7 +15,7 @@ from landmark_nav.evaluation.figures.style import (
     draw_walls,
     FUSED,
     LANDMARK,
-    legend_below,
+    legend_beside,
     new_figure,
     plain,
     save,
@@ -75,7 +75,7 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
         ),
         Line2D([], [], color=FUSED, marker='^', linestyle='', label='place of a sweep'),
     ]
-    legend_below(axes, 3, handles)
+    legend_beside(axes, 'below', 3, handles)
     save(figure, path)
 
 

@@ -15,7 +15,7 @@ from landmark_nav.evaluation.figures.style import (
     draw_papers,
     draw_walls,
     FUSED,
-    legend_below,
+    legend_beside,
     new_figure,
     ODOMETRY,
     save,
@@ -68,7 +68,7 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     )
     for side in ('top', 'right', 'left', 'bottom'):
         axes.spines[side].set_visible(False)
-    legend_below(axes, len(handles), handles)
+    legend_beside(axes, 'above', len(handles), handles)
     save(figure, path)
 
 

@@ -14,7 +14,7 @@ from landmark_nav.evaluation.figures.style import (
     FIX,
     FUSED,
     LANDMARK,
-    legend_below,
+    legend_beside,
     new_figure,
     ODOMETRY,
     plain,
@@ -52,7 +52,7 @@ def draw_trajectory(
     axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
     _keep_in_view(axes, run.odometry.poses[:, :2], run.fused[:, :2])
     plain(axes)
-    legend_below(axes, 7)
+    legend_beside(axes, 'below', 7)
     save(figure, path)
 
 
@@ -88,7 +88,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
     _strip(rows[3], run, seconds)
     rows[3].set_xlabel('time [s]')
     figure.suptitle('Error of the pose of base_link in map' if len(run.truth) else 'No truth')
-    legend_below(rows[0], 3)
+    legend_beside(rows[0], 'above', 3)
     save(figure, path)
 
 

@@ -26,7 +26,7 @@ __all__ = [
     'add_ellipse',
     'draw_papers',
     'draw_walls',
-    'legend_below',
+    'legend_beside',
     'new_figure',
     'plain',
     'save',
@@ -55,7 +55,8 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG without date or version in it, so that the same figure is the same file."""
-    figure.savefig(path, metadata={'Software': None})
+    # Tight: axes of equal scale leave less room below them than the layout had planned for.
+    figure.savefig(path, metadata={'Software': None}, bbox_inches='tight', pad_inches=0.12)
 
 
 def plain(axes: Axes) -> None:
@@ -66,10 +67,19 @@ def plain(axes: Axes) -> None:
         axes.spines[side].set_visible(False)
 
 
-def legend_below(axes: Axes, columns: int, handles: Sequence[Artist] | None = None) -> None:
-    """Legend under the figure, where the layout makes room for it."""
+def legend_beside(
+    axes: Axes, where: str, columns: int, handles: Sequence[Artist] | None = None
+) -> None:
+    """Legend above or below the axes, where it covers no data."""
     chosen = axes.get_legend_handles_labels()[0] if handles is None else handles
-    axes.figure.legend(handles=chosen, loc='outside lower center', ncols=columns, frameon=False)
+    above = where == 'above'
+    axes.legend(
+        handles=chosen,
+        loc='lower center' if above else 'upper center',
+        bbox_to_anchor=(0.5, 1.0 if above else -0.1),
+        ncols=columns,
+        frameon=False,
+    )
 
 
 def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
