@@ -3,34 +3,154 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from landmark_nav.storage.maps import load_map
-from landmark_nav.types import LandmarkMap
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.walls import Wall
+from landmark_nav.storage.maps import load_map, save_map, SCHEMA_VERSION
+from landmark_nav.types import Landmark, LandmarkMap
+from landmark_nav.upkeep.check import problems_of_map
+from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture
+from landmark_nav.upkeep.merge import merge_maps
 
 __all__ = ['add_parser', 'run']
+
+# Disagreements are listed one by one from here on.
+_LISTED_SIGMAS = 3.0
 
 
 def add_parser(subparsers: Any) -> None:
     """Declare the arguments."""
     parser = subparsers.add_parser(
-        'map', help='look into maps', description='Work on the folder of a learned map.'
+        'map', help='work on maps', description='Work on the folders of learned maps.'
     )
     actions = parser.add_subparsers(dest='action', metavar='ACTION', required=True)
-    show = actions.add_parser(
-        'show',
-        help='list the landmarks of a map',
-        description='Check a map folder and list its landmarks: where, how sure, how large.',
-    )
+
+    def action(name: str, call: Any, text: str) -> Any:
+        one = actions.add_parser(name, help=text.partition(':')[0].lower(), description=text)
+        one.set_defaults(call=call)
+        return one
+
+    show = action('show', _show, 'List the landmarks: where, how sure, how large.')
     show.add_argument('map', metavar='MAP', help='map folder')
+    check = action('check', _check, 'Check a map: exit status 1 and a line for each problem.')
+    check.add_argument('map', metavar='MAP', help='map folder')
+    diff = action(
+        'diff', _diff, 'Compare two maps of one room: what moved, changed, came and went.'
+    )
+    diff.add_argument('a', metavar='A', help='map folder, the older one')
+    diff.add_argument('b', metavar='B', help='map folder, the newer one')
+    merge = action(
+        'merge', _merge, 'Join two maps of one room: the newer one wins where a texture changed.'
+    )
+    merge.add_argument('a', metavar='OLDER', help='map folder')
+    merge.add_argument('b', metavar='NEWER', help='map folder')
+    merge.add_argument('--out', required=True, metavar='MAP', help='folder of the joint map')
+    migrate = action(
+        'migrate', _migrate, "Write a map of an older version in today's: nothing else changes."
+    )
+    migrate.add_argument('map', metavar='MAP', help='map folder')
+    migrate.add_argument('--out', metavar='MAP', help='folder to write; MAP itself by default')
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what `args.action` says."""
+    """Do what the action says."""
+    return int(args.call(args))
+
+
+def _show(args: argparse.Namespace) -> int:
     print(describe_map(load_map(args.map)))
     return 0
+
+
+def _check(args: argparse.Namespace) -> int:
+    landmarks = load_map(args.map)
+    problems = problems_of_map(landmarks)
+    for problem in problems:
+        print(problem)
+    verdict = f'{len(problems)} problems' if problems else 'no problem'
+    print(f'{args.map}: {len(landmarks.landmarks)} landmarks, {verdict}')
+    return 1 if problems else 0
+
+
+def _diff(args: argparse.Namespace) -> int:
+    a, b = load_map(args.a), load_map(args.b)
+    print('\n'.join(_described_walls(a.walls, b.walls)))
+    print(describe_comparison(compare_maps(a, b)))
+    return 0
+
+
+def _merge(args: argparse.Namespace) -> int:
+    older, newer = load_map(args.a), load_map(args.b)
+    merged = merge_maps(older, newer)
+    save_map(merged, args.out)
+    print(
+        f'{args.out}: {len(merged.landmarks)} landmarks of {len(older.landmarks)} and '
+        f'{len(newer.landmarks)}'
+    )
+    return 0
+
+
+def _migrate(args: argparse.Namespace) -> int:
+    landmarks = load_map(args.map)
+    out = Path(args.out or args.map)
+    save_map(landmarks, out)
+    print(f'{out}: {len(landmarks.landmarks)} landmarks, schema version {SCHEMA_VERSION}')
+    return 0
+
+
+def describe_comparison(comparison: Comparison) -> str:
+    """Tell what two maps agree on, as lines of text."""
+    same = comparison.of(Texture.SAME)
+    changed = comparison.of(Texture.CHANGED)
+    unknown = comparison.of(Texture.UNKNOWN)
+    lines = []
+    for pair in sorted(same, key=lambda p: -p.sigmas):
+        if pair.sigmas > _LISTED_SIGMAS:
+            right, down = 100 * pair.disagreement_m
+            lines.append(
+                f'moved    {_name(pair.a)} -> {pair.b.id}: {right:+.1f} cm right, {down:+.1f} cm '
+                f'down ({pair.sigmas:.1f} sigma)'
+            )
+    lines += [f'changed  {_name(p.a)} -> {p.b.id}: another texture' for p in changed]
+    lines += [f'gone     {_name(k)}' for k in comparison.only_a]
+    lines += [f'new      {_name(k)}' for k in comparison.only_b]
+    if same:
+        apart = np.array([np.hypot(*pair.disagreement_m) for pair in same])
+        nees = float(np.mean([pair.sigmas**2 for pair in same]))
+        lines.append(
+            f'{len(same)} in both: {1e3 * np.median(apart):.1f} mm apart in the median, '
+            f'{1e3 * apart.max():.1f} mm at most; NEES {nees:.2f} (2 is ideal)'
+        )
+    lines.append(
+        f'{len(changed)} changed, {len(comparison.only_a)} gone, {len(comparison.only_b)} new, '
+        f'{len(unknown)} overlap too little to tell'
+    )
+    return '\n'.join(lines)
+
+
+def _name(k: Landmark) -> str:
+    x, y, z = k.position
+    return f'{k.id} on {k.wall_id or "no wall"} at ({x:.2f}, {y:.2f}, {z:.2f}) m'
+
+
+def _described_walls(a: tuple[Wall, ...], b: tuple[Wall, ...]) -> list[str]:
+    walls_a, walls_b = ({wall.id: wall for wall in walls} for walls in (a, b))
+    if not walls_a.keys() & walls_b.keys() and a and b:
+        raise LandmarkNavError('the maps have no wall in common: they are of two rooms')
+    lines = []
+    for name in [*walls_a, *(n for n in walls_b if n not in walls_a)]:
+        if name not in walls_b or name not in walls_a:
+            lines.append(f'wall     {name} is in {"A" if name in walls_a else "B"} alone')
+            continue
+        ends = [np.array([walls[name].start, walls[name].end]) for walls in (walls_a, walls_b)]
+        moved = float(np.abs(ends[1] - ends[0]).max())
+        if moved > 0.0:
+            lines.append(f'wall     {name}: an end moved by {100 * moved:.1f} cm')
+    return lines
 
 
 def describe_map(landmarks: LandmarkMap) -> str:

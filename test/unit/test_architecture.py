@@ -29,11 +29,12 @@ BELOW = {
     'messages': GROUND,
     'storage': {*GROUND, 'messages'},
     'simulation': FILES,
+    'upkeep': {*GROUND, 'matching'},
     'evaluation': {*STAGES, *FILES, 'planning'},
     'ros': FILES,
     'nodes': {*STAGES, *FILES, 'simulation', 'ros'},
     'demo': {*STAGES, *FILES, 'simulation', 'evaluation'},
-    'cli': {*STAGES, *FILES, 'planning', 'simulation', 'evaluation', 'demo', 'ros'},
+    'cli': {*STAGES, *FILES, 'planning', 'simulation', 'evaluation', 'upkeep', 'demo', 'ros'},
     'launch': set[str](),
     '__main__': {'cli'},
 }

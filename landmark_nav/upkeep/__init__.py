@@ -1,0 +1,1 @@
+"""Maps that are there: checked, compared, joined."""

@@ -1,0 +1,119 @@
+"""Two maps of one room made one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.types import FloatArray, Landmark, LandmarkMap
+from landmark_nav.upkeep.comparison import compare_maps, Comparison, Pair, Texture
+
+__all__ = ['merge_maps']
+
+_SAME_WALL_M = 1e-3
+_MAX_SIGMAS = 5.0
+# From here on, changed places are more than a poster or two.
+_FEW = 4
+
+
+def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
+    """
+    Join two maps; where both know a place, the better landmark stays.
+
+    Where the texture is the same that is the one that is known better; where it has changed, the
+    newer one; where too little is shared to tell, both. Landmarks of the older map keep their
+    ids, added ones get new ids above them. The errors of the two maps are independent, so the
+    factors of one load nothing in the other.
+
+    Raises
+    ------
+    LandmarkNavError
+        Other frames or walls, a panorama that both were learned from, or maps that contradict
+        each other.
+
+    """
+    _check_same_room(older, newer)
+    comparison = compare_maps(older, newer)
+    _check_agreement(comparison)
+    outdated = {pair.a.id for pair in comparison.pairs if not _older_stays(pair)}
+    kept_out = {
+        pair.b.id
+        for pair in comparison.pairs
+        if pair.texture is not Texture.UNKNOWN and _older_stays(pair)
+    }
+    first_free = int(max(older.ids, default=-1)) + 1
+    factors_older, factors_newer = _factors(older), _factors(newer)
+    added = [k for k in newer.landmarks if k.id not in kept_out]
+    return LandmarkMap(
+        (
+            *(_padded(k, 0, factors_newer) for k in older.landmarks if k.id not in outdated),
+            *(
+                replace(_padded(k, factors_older, 0), id=first_free + i)
+                for i, k in enumerate(added)
+            ),
+        ),
+        older.frame_id,
+        older.walls,
+        (*older.panorama_poses, *newer.panorama_poses),
+        {**newer.provenance, **older.provenance, 'merged': '2 maps'},
+    )
+
+
+def _older_stays(pair: Pair) -> bool:
+    if pair.texture is Texture.CHANGED:
+        return False
+    if pair.texture is Texture.UNKNOWN:
+        return True
+    return bool(np.trace(pair.a.covariance) <= np.trace(pair.b.covariance))
+
+
+def _check_same_room(a: LandmarkMap, b: LandmarkMap) -> None:
+    if a.frame_id != b.frame_id:
+        raise LandmarkNavError(f'the maps have frames {a.frame_id} and {b.frame_id}: not one room')
+    walls_a, walls_b = ({w.id: w for w in m.walls} for m in (a, b))
+    for name in sorted(walls_a.keys() | walls_b.keys()):
+        if name not in walls_a or name not in walls_b:
+            raise LandmarkNavError(f'wall {name} is in one of the maps alone: not one room')
+        ends = [np.array([walls[name].start, walls[name].end]) for walls in (walls_a, walls_b)]
+        moved = float(np.abs(ends[0] - ends[1]).max())
+        if moved > _SAME_WALL_M:
+            raise LandmarkNavError(
+                f'wall {name} lies {moved:.3f} m apart in the maps: they are of two rooms, or '
+                'the room.yaml was changed between them'
+            )
+    common = {p.stamp_ns for p in a.panorama_poses} & {p.stamp_ns for p in b.panorama_poses}
+    if common:
+        raise LandmarkNavError(
+            f'both maps were learned from the sweep of {min(common) * 1e-9:.3f} s, so their '
+            'errors are not independent: learn one map of all sweeps instead'
+        )
+
+
+def _check_agreement(comparison: Comparison) -> None:
+    """Two right maps show the same in most places, as far apart as their covariances say."""
+    pairs, changed = comparison.of(Texture.SAME), comparison.of(Texture.CHANGED)
+    if len(changed) >= max(len(pairs), _FEW):
+        raise LandmarkNavError(
+            f'{len(changed)} of the {len(pairs) + len(changed)} places that both maps know look '
+            'different: one map lies far off, or the room was changed: learn it anew'
+        )
+    wrong = [pair for pair in pairs if pair.sigmas > _MAX_SIGMAS]
+    if len(wrong) > 0.5 * len(pairs):
+        worst = max(float(np.hypot(*pair.disagreement_m)) for pair in wrong)
+        raise LandmarkNavError(
+            f'the maps contradict each other: {len(wrong)} of the {len(pairs)} textures that both '
+            f'know lie over {_MAX_SIGMAS:g} sigma apart (up to {100 * worst:.1f} cm): '
+            'learn again the one that is wrong (`landmark-nav map diff` lists them)'
+        )
+
+
+def _factors(landmarks: LandmarkMap) -> int:
+    return landmarks.landmarks[0].shared_loading.shape[1] if landmarks.landmarks else 0
+
+
+def _padded(k: Landmark, before: int, after: int) -> Landmark:
+    """`k` with columns of zeros for the factors of the other map."""
+    loading: FloatArray = np.pad(k.shared_loading, ((0, 0), (before, after)))
+    return replace(k, shared_loading=loading)
