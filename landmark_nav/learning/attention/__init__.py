@@ -5,16 +5,18 @@ from __future__ import annotations
 from landmark_nav.learning.attention.attend import (
     attend,
     Attention,
-    saliency_map,
     select_candidates,
 )
 from landmark_nav.learning.attention.config import AttentionConfig, FEATURES
+from landmark_nav.learning.attention.maps import attention_maps, AttentionMaps, saliency_map
 
 __all__ = [
     'FEATURES',
     'Attention',
     'AttentionConfig',
+    'AttentionMaps',
     'attend',
+    'attention_maps',
     'saliency_map',
     'select_candidates',
 ]

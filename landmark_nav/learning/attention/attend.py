@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,22 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.attention.config import AttentionConfig, FEATURES
-from landmark_nav.learning.attention.conspicuity import conspicuity_map, fuse
+from landmark_nav.learning.attention.config import AttentionConfig
 from landmark_nav.learning.attention.discriminability import refusal
-from landmark_nav.learning.attention.features import (
-    corner_map,
-    edge_gradients,
-    edge_map,
-    FloatMap,
-    intensity_map,
-    vertical_edge_map,
-)
+from landmark_nav.learning.attention.maps import saliency_map
 from landmark_nav.learning.attention.selection import select
-from landmark_nav.learning.attention.symmetry import halve, line_symmetry_map, point_symmetry_map
 from landmark_nav.types import Candidate, ImageArray, Panorama, Refusal
 
-__all__ = ['Attention', 'attend', 'saliency_map', 'select_candidates']
+__all__ = ['Attention', 'attend', 'select_candidates']
 
 # A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
 _MARGIN_PX = 2
@@ -80,66 +70,6 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
         tuple(replace(c, saliency=c.saliency / first) for c in accepted),
         tuple((replace(c, saliency=c.saliency / first), why) for c, why in refused),
     )
-
-
-def saliency_map(
-    panorama_gray: ImageArray, config: AttentionConfig, feature: str | None = None
-) -> FloatMap:
-    """
-    Saliency of a grey panorama, or the conspicuity of one feature alone.
-
-    Parameters
-    ----------
-    panorama_gray : ndarray of uint8, shape (height, width)
-        Of a full turn: the last column borders on the first.
-    config : AttentionConfig
-    feature : str, optional
-        One of `FEATURES`; all of them with their weights if not given.
-
-    Returns
-    -------
-    ndarray of float32, shape (height, width)
-        In [0, 1].
-
-    Raises
-    ------
-    LandmarkNavError
-        Unknown feature.
-
-    """
-    if feature is not None and feature not in FEATURES:
-        raise LandmarkNavError(
-            f'attention knows no feature {feature!r}: take one of {", ".join(FEATURES)}'
-        )
-    weights = config.weights if feature is None else {feature: 1.0}
-    height, width = panorama_gray.shape
-    # Even sizes, so that half resolution is exact; the surround reaches three sigma.
-    side = 2 * int(np.ceil(1.5 * config.surround_sigma_px)) + 2 * 16
-    columns = np.arange(-side, width + side + width % 2) % width
-    padded = panorama_gray.take(columns, axis=1)
-    padded = cv2.copyMakeBorder(padded, 0, height % 2, 0, 0, cv2.BORDER_REPLICATE)
-    maps = _feature_maps(padded, config, [name for name in weights if weights[name] > 0.0])
-    sigmas = config.center_sigma_px / 2.0, config.surround_sigma_px / 2.0
-    fused = fuse({name: conspicuity_map(m, *sigmas) for name, m in maps.items()}, weights)
-    full = cv2.resize(fused, padded.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(full[:height, side : side + width])
-
-
-def _feature_maps(
-    gray: ImageArray, config: AttentionConfig, names: list[str]
-) -> dict[str, FloatMap]:
-    """Feature maps at half resolution, what they share computed once."""
-    gradients = edge_gradients(gray, config.edge_low, config.edge_high)
-    intensity = intensity_map(gray)
-    compute: dict[str, Callable[[], FloatMap]] = {
-        'intensity': lambda: halve(intensity),
-        'edges': lambda: halve(edge_map(gradients)),
-        'vertical_edges': lambda: halve(vertical_edge_map(gradients)),
-        'corners': lambda: halve(corner_map(gradients)),
-        'symmetry': lambda: point_symmetry_map(gradients),
-        'line_symmetry': lambda: line_symmetry_map(intensity, config.edge_high / 255.0),
-    }
-    return {name: compute[name]() for name in names}
 
 
 def _to_gray(image: ImageArray) -> ImageArray:

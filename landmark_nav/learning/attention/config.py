@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import check_parameters, parameter
@@ -103,6 +104,23 @@ class AttentionConfig:
     def weights(self) -> dict[str, float]:
         """Weight of each of `FEATURES`."""
         return {name: float(getattr(self, f'weight_{name}')) for name in FEATURES}
+
+    def alone(self, feature: str) -> AttentionConfig:
+        """
+        Let one of `FEATURES` alone attract attention.
+
+        Raises
+        ------
+        LandmarkNavError
+            Unknown feature.
+
+        """
+        if feature not in FEATURES:
+            raise LandmarkNavError(
+                f'attention knows no feature {feature!r}: take one of {", ".join(FEATURES)}'
+            )
+        weights: dict[str, Any] = {f'weight_{name}': float(name == feature) for name in FEATURES}
+        return replace(self, **weights)
 
     @property
     def sizes_px(self) -> tuple[int, ...]:

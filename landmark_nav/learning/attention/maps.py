@@ -1,0 +1,112 @@
+"""From a grey panorama to its saliency: features -> conspicuity -> weighted mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from landmark_nav.learning.attention.config import AttentionConfig
+from landmark_nav.learning.attention.conspicuity import conspicuity_map, fuse
+from landmark_nav.learning.attention.features import (
+    corner_map,
+    edge_gradients,
+    edge_map,
+    FloatMap,
+    intensity_map,
+    vertical_edge_map,
+)
+from landmark_nav.learning.attention.symmetry import halve, line_symmetry_map, point_symmetry_map
+from landmark_nav.types import ImageArray
+
+__all__ = ['AttentionMaps', 'attention_maps', 'saliency_map']
+
+
+@dataclass(frozen=True, eq=False)
+class AttentionMaps:
+    """
+    Every step to saliency, float32 in [0, 1].
+
+    `features` and `conspicuities` by name, for weights above 0, at half resolution and with
+    `side` columns of the turn repeated on either side; `saliency` is as large as the panorama.
+    """
+
+    features: dict[str, FloatMap]
+    conspicuities: dict[str, FloatMap]
+    saliency: FloatMap
+    side: int
+
+
+def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> AttentionMaps:
+    """
+    Compute what attracts attention in a grey panorama.
+
+    Parameters
+    ----------
+    panorama_gray : ndarray of uint8, shape (height, width)
+        Of a full turn: the last column borders on the first.
+    config : AttentionConfig
+
+    """
+    weights = {name: weight for name, weight in config.weights.items() if weight > 0.0}
+    height, width = panorama_gray.shape
+    # Even sizes, so that half resolution is exact; the surround reaches three sigma.
+    side = 2 * int(np.ceil(1.5 * config.surround_sigma_px)) + 2 * 16
+    columns = np.arange(-side, width + side + width % 2) % width
+    padded = panorama_gray.take(columns, axis=1)
+    padded = cv2.copyMakeBorder(padded, 0, height % 2, 0, 0, cv2.BORDER_REPLICATE)
+    features = _feature_maps(padded, config, list(weights))
+    sigmas = config.center_sigma_px / 2.0, config.surround_sigma_px / 2.0
+    conspicuities = {name: conspicuity_map(m, *sigmas) for name, m in features.items()}
+    fused = fuse(conspicuities, weights)
+    full = cv2.resize(fused, padded.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    saliency = np.asarray(full[:height, side : side + width], np.float32, order='C')
+    return AttentionMaps(features, conspicuities, saliency, side // 2)
+
+
+def saliency_map(
+    panorama_gray: ImageArray, config: AttentionConfig, feature: str | None = None
+) -> FloatMap:
+    """
+    Saliency of a grey panorama, or the conspicuity of one feature alone.
+
+    Parameters
+    ----------
+    panorama_gray : ndarray of uint8, shape (height, width)
+        Of a full turn: the last column borders on the first.
+    config : AttentionConfig
+    feature : str, optional
+        One of `FEATURES`; all of them with their weights if not given.
+
+    Returns
+    -------
+    ndarray of float32, shape (height, width)
+        In [0, 1].
+
+    Raises
+    ------
+    LandmarkNavError
+        Unknown feature.
+
+    """
+    chosen = config if feature is None else config.alone(feature)
+    return attention_maps(panorama_gray, chosen).saliency
+
+
+def _feature_maps(
+    gray: ImageArray, config: AttentionConfig, names: list[str]
+) -> dict[str, FloatMap]:
+    """Feature maps at half resolution, what they share computed once."""
+    gradients = edge_gradients(gray, config.edge_low, config.edge_high)
+    intensity = intensity_map(gray)
+    compute: dict[str, Callable[[], FloatMap]] = {
+        'intensity': lambda: halve(intensity),
+        'edges': lambda: halve(edge_map(gradients)),
+        'vertical_edges': lambda: halve(vertical_edge_map(gradients)),
+        'corners': lambda: halve(corner_map(gradients)),
+        'symmetry': lambda: point_symmetry_map(gradients),
+        'line_symmetry': lambda: line_symmetry_map(intensity, config.edge_high / 255.0),
+    }
+    return {name: compute[name]() for name in names}
