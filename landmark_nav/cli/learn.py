@@ -165,6 +165,7 @@ def _summary(report: dict[str, Any], folder: Path) -> str:
         f'({report["reconstructed"]} reconstructed): {walls}'
     )
     lines.extend(f'  {count:4d} refused: {why}' for why, count in report['refused'].items())
+    lines.extend(f'  {n:4d} not proposed: {why}' for why, n in report['ambiguous'].items())
     stages = ', '.join(f'{name} {s["seconds"]:.1f}' for name, s in report['stages'].items())
     peak = max(stage['peak_memory_mb'] for stage in report['stages'].values())
     lines.append(f'{report["seconds"]:.1f} s ({stages}), peak memory {peak:.0f} MB')

@@ -69,6 +69,7 @@ def learning_report(
             )
         ],
         'candidates': len(outcomes),
+        'ambiguous': dict(Counter(r.reason for g in result.ambiguous for r in g).most_common()),
         'reconstructed': result.reconstructed,
         'elected': len(result.map.landmarks),
         'refused': dict(refused.most_common()),

@@ -18,7 +18,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
-from landmark_nav.learning.attention import AttentionConfig, select_candidates
+from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig, SweepPlace
@@ -80,7 +80,8 @@ class LearningResult:
     What was learned and what became of every candidate.
 
     `panoramas` carry their adjusted poses. `candidates` and `outcomes` have one tuple a
-    panorama, in the same order: the elected `Landmark` or why there is none.
+    panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` tells,
+    a tuple a panorama too, why attention refused others before.
     """
 
     map: LandmarkMap
@@ -88,6 +89,7 @@ class LearningResult:
     candidates: tuple[tuple[Candidate, ...], ...]
     outcomes: tuple[tuple[Landmark | Refusal, ...], ...]
     reconstructed: int
+    ambiguous: tuple[tuple[Refusal, ...], ...] = ()
 
 
 def panorama_from_sweep(
@@ -219,7 +221,8 @@ def learn_from_panoramas(
         np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for p in panoramas
     ]
     with log.measure('attention'):
-        candidates = tuple(select_candidates(p, config.attention) for p in panoramas)
+        attended = [attend(p, config.attention) for p in panoramas]
+        candidates = tuple(a.candidates for a in attended)
 
     patches: list[WallPatch] = []
     sightings: list[list[Sighting]] = []
@@ -290,6 +293,7 @@ def learn_from_panoramas(
         candidates,
         tuple(tuple(o) for o in outcomes),
         len(patches),
+        tuple(tuple(why for _, why in a.refused) for a in attended),
     )
 
 

@@ -109,6 +109,13 @@ def test_every_candidate_has_its_outcome(learned: LearningResult) -> None:
     assert all(isinstance(o, Landmark) or o.reason not in ('', 'not reached') for o in flat)
 
 
+def test_what_attention_refused_is_counted_with_its_reason(learned: LearningResult) -> None:
+    assert len(learned.ambiguous) == len(learned.panoramas)
+    reasons = {refusal.reason for group in learned.ambiguous for refusal in group}
+    assert reasons <= {'too little contrast along the row', 'looks like a place near by'}
+    assert reasons
+
+
 def errors_of(learned: LearningResult) -> tuple[FloatArray, FloatArray]:
     """Errors (n, 3) of landmarks, and covariances: what is truly seen at their candidates."""
     errors, covariances = [], []
