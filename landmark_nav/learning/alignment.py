@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.panorama import frame_slab, PanoramaConfig, sweep_cylinder
+from landmark_nav.learning.projection import frame_slab, sweep_cylinder
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
 
@@ -117,25 +117,24 @@ class _Matches:
 
 def _matches(sweep: Sweep, mount: PanTiltMount) -> _Matches:
     """Track points between the cylinder images of neighbours, where both look alike."""
-    config = PanoramaConfig()
-    cylinder = sweep_cylinder(sweep, mount, config)
+    cylinder = sweep_cylinder(sweep, mount)
     order = np.argsort([np.mod(frame.pan_rad, 2.0 * np.pi) for frame in sweep.frames])
-    slabs = [frame_slab(sweep.frames[k], mount, cylinder, config, None) for k in order]
+    slabs = [frame_slab(sweep.frames[k], mount, cylinder) for k in order]
     frames, pixels = [], []
     for n, first in enumerate(slabs):
         second = slabs[(n + 1) % len(slabs)]
         # Columns of the second frame, counted in the first's.
         shift = (second.start - first.start + cylinder.width // 2) % cylinder.width
         shift -= cylinder.width // 2
-        low, high = max(0, shift), min(first.weight.shape[1], shift + second.weight.shape[1])
+        low, high = max(0, shift), min(first.width, shift + second.width)
         if high - low < 24:
             continue
         one, other = (
             np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
             for image in (first.image[:, low:high], second.image[:, low - shift : high - shift])
         )
-        both = (first.weight[:, low:high] > 0) & (second.weight[:, low - shift : high - shift] > 0)
-        mask = cv2.erode(both.astype(np.uint8), np.ones((15, 15), np.uint8))
+        both = first.inside[:, low:high] & second.inside[:, low - shift : high - shift]
+        mask = cv2.erode(both, np.ones((15, 15), np.uint8))
         here = cv2.goodFeaturesToTrack(one, _POINTS_PER_PAIR, 0.01, 8, mask=mask)
         if here is None:
             continue

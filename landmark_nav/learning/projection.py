@@ -1,0 +1,172 @@
+"""
+Frames on the cylinder: which cylinder a sweep calls for, and what each frame shows of it.
+
+Inverse mapping after Livatino and Madsen, section 2.2, with the lens model instead of a small
+part of each frame; or with the paper's central part alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
+
+__all__ = ['FrameSlab', 'RangeOfAzimuth', 'frame_slab', 'frame_window', 'sweep_cylinder']
+
+# Spacing of the exact projections; the map between them is interpolated, within 0.02 px.
+_GRID_PX = 8
+
+RangeOfAzimuth = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSlab:
+    """
+    What one frame shows of a cylinder.
+
+    `image` starts at unwrapped column `start`; `inside` is 255 where the frame covers it, 0
+    elsewhere, where the image is made up. `middle` is the unwrapped column of its optical axis.
+    """
+
+    start: int
+    middle: float
+    image: ImageArray
+    inside: npt.NDArray[np.uint8]
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return int(self.inside.shape[1])
+
+
+def sweep_cylinder(
+    sweep: Sweep, mount: PanTiltMount, crop_px: int = 0, px_per_rad: float = 0.0
+) -> Cylinder:
+    """
+    Cylinder as high as the middle columns of the frames see.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Frames with their joint angles.
+    mount : PanTiltMount
+        Where the camera turns.
+    crop_px : int
+        Side of the central square used of each frame; 0 uses all.
+    px_per_rad : float
+        Columns per radian; 0 takes the camera's focal length.
+
+    """
+    camera = sweep.frames[0].camera
+    _, top, _, bottom = frame_window(sweep.frames[0], crop_px)
+    ends = camera.unproject([[camera.cx, top], [camera.cx, bottom]])
+    pan, tilt, roll = (
+        np.array([getattr(frame, name) for frame in sweep.frames])
+        for name in ('pan_rad', 'tilt_rad', 'roll_rad')
+    )
+    rays = np.einsum('kij,nj->kni', mount.camera_pose_base(pan, tilt, roll)[0], ends)
+    tangent = rays[..., 2] / np.hypot(rays[..., 0], rays[..., 1])
+    return Cylinder.with_resolution(
+        px_per_rad or camera.fx, float(tangent.min()), float(tangent.max())
+    )
+
+
+def frame_window(frame: CameraFrame, crop_px: int) -> tuple[float, float, float, float]:
+    """Left, top, right and bottom of the part of a frame that is used, pixels."""
+    camera = frame.camera
+    half = crop_px / 2.0 if crop_px else float(camera.width + camera.height)
+    return (
+        max(camera.cx - half, 0.0),
+        max(camera.cy - half, 0.0),
+        min(camera.cx + half, camera.width - 1.0),
+        min(camera.cy + half, camera.height - 1.0),
+    )
+
+
+def frame_slab(
+    frame: CameraFrame,
+    mount: PanTiltMount,
+    cylinder: Cylinder,
+    crop_px: int = 0,
+    range_m: RangeOfAzimuth | None = None,
+    reach_rad: float = np.inf,
+) -> FrameSlab:
+    """
+    Project one frame on a cylinder.
+
+    Parameters
+    ----------
+    frame : CameraFrame
+        BGR or grey; the slab is alike.
+    mount : PanTiltMount
+        Where the camera turns.
+    cylinder : Cylinder
+        Around the pan axis.
+    crop_px : int
+        Side of the central square that is used; 0 uses all.
+    range_m : callable, optional
+        Horizontal distance of what is seen at azimuths (n,) in the base frame.
+    reach_rad : float
+        How far from its optical axis the frame is used, to both sides.
+
+    """
+    camera = frame.camera
+    rotation, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
+    left, top, right, bottom = frame_window(frame, crop_px)
+    ahead = rotation[:, 2]
+    middle = cylinder.cx - cylinder.fx * np.arctan2(ahead[1], ahead[0])
+
+    # Columns that the frame's border reaches, counted from its central ray.
+    rays = _border_rays(camera, (left, top, right, bottom)) @ rotation.T
+    side = np.arctan2(
+        ahead[0] * rays[:, 1] - ahead[1] * rays[:, 0],
+        ahead[0] * rays[:, 0] + ahead[1] * rays[:, 1],
+    )
+    start = int(np.floor(middle - cylinder.fx * min(float(side.max()), reach_rad)))
+    end = int(np.ceil(middle - cylinder.fx * max(float(side.min()), -reach_rad)))
+    count = end - start + 1
+
+    # Exact projections on a coarse grid whose cells cv2.resize then interpolates.
+    cells = (-(-cylinder.height // _GRID_PX) + 2, -(-count // _GRID_PX) + 2)
+    rows = (np.arange(cells[0]) - 0.5) * _GRID_PX - 0.5
+    columns = start + (np.arange(cells[1]) - 0.5) * _GRID_PX - 0.5
+    points = cylinder.rays(np.stack(np.meshgrid(columns, rows), -1))
+    if range_m is not None:
+        axis = np.array([mount.axis_xyz[0], mount.axis_xyz[1], center[2]])
+        points = points * range_m(cylinder.azimuth_rad(columns))[:, None] - (center - axis)
+    grid = camera.project(points @ rotation).astype(np.float32)
+    size = (cells[1] * _GRID_PX, cells[0] * _GRID_PX)
+    window = (slice(_GRID_PX, _GRID_PX + cylinder.height), slice(_GRID_PX, _GRID_PX + count))
+    pixels = cv2.resize(grid, size, interpolation=cv2.INTER_LINEAR)[window]
+    inside = cv2.inRange(pixels, (left, top), (right, bottom))
+    # Beside what the lens can't see all of a cell is NaN, which lies in no range.
+    cv2.patchNaNs(pixels, -1.0)
+    none = np.empty(0, np.float32)
+    image = cv2.remap(frame.image, pixels, none, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return FrameSlab(
+        start,
+        float(middle),
+        np.asarray(image, dtype=np.uint8),
+        np.asarray(inside, dtype=np.uint8),
+    )
+
+
+@lru_cache(maxsize=4)
+def _border_rays(camera: CameraModel, window: tuple[float, float, float, float]) -> FloatArray:
+    """Rays (36, 3) along the border of a window of the image; the same for a whole sweep."""
+    left, top, right, bottom = window
+    u, v = np.linspace(left, right, 9), np.linspace(top, bottom, 9)
+    return camera.unproject(
+        np.concatenate(
+            [np.stack([u, u * 0 + top], -1), np.stack([u, u * 0 + bottom], -1),
+             np.stack([v * 0 + left, v], -1), np.stack([v * 0 + right, v], -1)]
+        )
+    )  # fmt: skip
