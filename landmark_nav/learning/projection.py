@@ -149,8 +149,8 @@ def frame_slab(
     inside = cv2.inRange(pixels, (left, top), (right, bottom))
     # Beside what the lens can't see all of a cell is NaN, which lies in no range.
     cv2.patchNaNs(pixels, -1.0)
-    none = np.empty(0, np.float32)
-    image = cv2.remap(frame.image, pixels, none, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    map_u, map_v = cv2.split(pixels)
+    image = cv2.remap(frame.image, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return FrameSlab(
         start,
         float(middle),
