@@ -36,6 +36,8 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.uint8]
 
+_NO_IDS = np.empty(0, dtype=np.int64)
+
 
 @dataclass(frozen=True)
 class Refusal:
@@ -304,7 +306,8 @@ class Detections:
     `bearing_rad` (n,) is seen from the pan axis, counter-clockwise from ``base_link`` +x;
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
-    cross-correlation; `uv_px` (n, 2) the place in the picture.
+    cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
+    that should have been in view, were looked for and not found.
     """
 
     stamp_ns: int
@@ -313,6 +316,7 @@ class Detections:
     variance_rad2: FloatArray
     score: FloatArray
     uv_px: FloatArray
+    missed: npt.NDArray[np.int64] = field(default_factory=lambda: _NO_IDS)
 
     def __len__(self) -> int:
         """Return how many were found."""
@@ -327,4 +331,5 @@ class Detections:
             self.variance_rad2[which],
             self.score[which],
             self.uv_px[which],
+            self.missed,
         )

@@ -14,7 +14,7 @@ from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.furnishing import move_one_box
+from landmark_nav.simulation.furnishing import exchange_pictures, move_one_box
 from landmark_nav.simulation.gaze import Gaze
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.recording import drive_messages, Recorded, sweep_messages
@@ -92,6 +92,13 @@ def add_parser(subparsers: Any) -> None:
         action='store_true',
         help='dim one lamp and move one piece of furniture between sweeps and drive',
     )
+    parser.add_argument(
+        '--exchange',
+        type=_at_least(0.0, float),
+        default=0.0,
+        metavar='SHARE',
+        help='of the pictures on the walls, replaced by others between sweeps and drive (0)',
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -102,6 +109,9 @@ def run(args: argparse.Namespace) -> int:
     rng = np.random.default_rng([args.seed, 30])
     poses = _sweep_poses(scene, args.sweeps, rng)
     later = _changed(scene, rng) if args.light_change else scene
+    if args.exchange:
+        other = np.random.default_rng([args.seed, 31])
+        later = replace(later, items=exchange_pictures(scene, args.exchange, other))
     config = WorldConfig(people=args.people)
     with whole_folder(args.out, _FILES) as folder:
         with BagWriter(folder / 'learn') as bag:

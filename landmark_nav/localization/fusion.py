@@ -25,7 +25,14 @@ from landmark_nav.localization.fusion_update import (
 )
 from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.parameters import check_parameters, parameter
-from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate, Refusal
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
 
 __all__ = ['FusionConfig', 'FusionUpdate', 'PoseFilter']
 
@@ -64,10 +71,16 @@ class FusionConfig:
         2.0, 'How late a measurement may come, s.', minimum=0.0, maximum=60.0
     )
     astray_sigma_m: float = parameter(
-        0.15, 'Position noise added with each rejection while lost, m.', minimum=0.0, maximum=10.0
+        0.15,
+        'Position noise added with each picture that contradicts while lost, m.',
+        minimum=0.0,
+        maximum=10.0,
     )
     astray_sigma_rad: float = parameter(
-        0.05, 'Heading noise added with each rejection while lost, rad.', minimum=0.0, maximum=3.0
+        0.05,
+        'Heading noise added with each picture that contradicts while lost, rad.',
+        minimum=0.0,
+        maximum=3.0,
     )
     astray_limit_m: float = parameter(
         2.0, 'Position sigma at which that ends, m.', minimum=0.0, maximum=100.0
@@ -118,7 +131,8 @@ class PoseFilter:
     @property
     def status(self) -> tuple[Status, str]:
         """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
-        return self._health.status(self.estimate())
+        known = self._history.odometry_ns
+        return self._health.status(self.estimate(), None if known is None else known[1])
 
     def initialize(self, start: PoseEstimate) -> None:
         """
@@ -157,6 +171,8 @@ class PoseFilter:
         refusal = self._history.add_odometry(sample)
         if refusal is not None and refusal.reason == 'clock was set back':
             self._health.restart(sample.stamp_ns)
+        if refusal is not None:
+            self._health.note_trouble(sample.stamp_ns, refusal)
         return refusal
 
     def add_detections(self, detections: Detections) -> FusionUpdate:
@@ -166,12 +182,14 @@ class PoseFilter:
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad)
         refusal = self._untimely(stamp)
+        expected = len(detections) + len(detections.missed)
         if refusal is None and not len(frame.columns):
-            refusal = Refusal('no usable bearing')
+            refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
+            self._health.look(stamp, 0, expected)
         if refusal is not None:
             self._health.note(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
-        return self._measure(
+        update = self._measure(
             stamp,
             partial(
                 update_bearings,
@@ -179,10 +197,12 @@ class PoseFilter:
                 ids=self._map.ids,
                 lever=self._lever,
                 probability=self._config.bearing_probability,
-                least=3 if self._health.astray else 1,
+                least=self._health.least(expected),
                 refine=self._config.landmarks == 'refine',
             ),
         )
+        self._health.look(stamp, update.degrees, expected)
+        return update
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:
         """Correct by a triangulated pose of the base, at its time."""
@@ -208,7 +228,19 @@ class PoseFilter:
         newest = self._history.newest
         if newest is None:
             return None
-        return (newest if stamp_ns is None else self._history.at(stamp_ns)).estimate()
+        found = (newest if stamp_ns is None else self._history.at(stamp_ns)).estimate()
+        if not self._health.missing:
+            return found
+        # The place is doubted, not the motion: this goes when landmarks are found here again.
+        doubt = self._health.missing * self._doubt
+        doubt *= min(1.0, self._config.astray_limit_m**2 / (doubt[0] + 1e-300))
+        return replace(found, covariance=found.covariance + np.diag(doubt))
+
+    @property
+    def _doubt(self) -> FloatArray:
+        """Variances (3,) that each picture adds which contradicts a pose that is not believed."""
+        position, heading = self._config.astray_sigma_m, self._config.astray_sigma_rad
+        return np.square([position, position, heading])
 
     def _untimely(self, stamp_ns: int) -> Refusal | None:
         if self._history.newest is None:
@@ -228,9 +260,7 @@ class PoseFilter:
         """Widen a state that measurements keep contradicting, until they can fit again."""
         covariance = state.covariance.copy()
         if np.trace(covariance[:2, :2]) < self._config.astray_limit_m**2:
-            covariance[0, 0] += self._config.astray_sigma_m**2
-            covariance[1, 1] += self._config.astray_sigma_m**2
-            covariance[2, 2] += self._config.astray_sigma_rad**2
+            covariance[range(3), range(3)] += self._doubt
         return replace(state, covariance=covariance), None
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Literal
+from math import ceil
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -37,6 +38,24 @@ class HealthConfig:
     lost_sigma_rad: float = parameter(
         0.5, 'Heading sigma above which the filter is lost, rad.', minimum=0.0
     )
+    trouble_s: float = parameter(
+        2.0, 'How long trouble with the odometry is told, s.', minimum=0.0, maximum=3600.0
+    )
+    missing_s: float = parameter(
+        1.4,
+        'Seconds in which next to nothing of what should be in view is found until lost.',
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    missing_expected: int = parameter(
+        10, 'Landmarks that should have been in view by then, at least.', minimum=1, maximum=10000
+    )
+    missing_share: float = parameter(
+        0.15, 'Share of them that counts as next to nothing.', minimum=0.0, maximum=1.0
+    )
+    found_share: float = parameter(
+        0.4, 'Share of them that has to be found to be no longer lost.', minimum=0.0, maximum=1.0
+    )
     nis_window: int = parameter(
         10, 'Accepted measurements whose innovations are judged together.', minimum=1, maximum=1000
     )
@@ -55,6 +74,14 @@ class HealthConfig:
         check_parameters(self)
 
 
+class _View(NamedTuple):
+    """What a picture showed."""
+
+    stamp_ns: int
+    found: int
+    expected: int
+
+
 class Health:
     """Counts what was accepted and rejected."""
 
@@ -67,6 +94,9 @@ class Health:
         self._astray: str = ''
         self._last_refusal: str = ''
         self._window: deque[tuple[float, int]] = deque(maxlen=config.nis_window)
+        self._views: deque[_View] = deque()
+        self._missing = 0
+        self._trouble: tuple[int, str] | None = None
 
     def restart(self, stamp_ns: int) -> None:
         """Forget everything: a pose was given at that time."""
@@ -74,11 +104,51 @@ class Health:
         self._rejections = self._acceptances = 0
         self._astray = self._last_refusal = ''
         self._window.clear()
+        self._views.clear()
+        self._missing = 0
 
     @property
     def astray(self) -> bool:
         """Whether measurements have contradicted the state for so long that it is not believed."""
         return bool(self._astray)
+
+    @property
+    def missing(self) -> int:
+        """Pictures since lost in which next to nothing was found of what should be there."""
+        return self._missing
+
+    def least(self, expected: int) -> int:
+        """How many bearings must agree with each other where so many should be in view."""
+        return max(3, ceil(self._config.found_share * expected)) if self._astray else 1
+
+    def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
+        """Remember that the odometry cannot be what it says."""
+        self._trouble = (stamp_ns, str(refusal))
+
+    def look(self, stamp_ns: int, found: int, expected: int) -> None:
+        """
+        Count what a picture showed of the landmarks that should be in view.
+
+        A wrong pose finds next to nothing where it looks, for as long as it is wrong; a covered
+        landmark or an exchanged picture leaves the others.
+        """
+        if not expected:
+            return
+        config = self._config
+        self._views.append(_View(stamp_ns, found, expected))
+        while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > config.missing_s:
+            self._views.popleft()
+        found = sum(view.found for view in self._views)
+        expected = sum(view.expected for view in self._views)
+        lasts = (stamp_ns - self._views[0].stamp_ns) * 1e-9 >= 0.6 * config.missing_s
+        enough = lasts and expected >= config.missing_expected
+        if enough and found <= config.missing_share * expected:
+            self._missing += 1
+            self._acceptances = 0
+            self._astray = (
+                f'{found} of {expected} landmarks that should be in the last '
+                f'{len(self._views)} pictures were found'
+            )
 
     def note(self, refusal: Refusal) -> None:
         """Remember why a measurement could not even be tried."""
@@ -94,6 +164,7 @@ class Health:
             self._window.append((update.nis, update.degrees))
             if self._acceptances >= self._config.found_after_acceptances:
                 self._astray = ''
+                self._missing = 0
         elif update.refusal is not None:
             self.note(update.refusal)
             self._rejections += 1
@@ -104,8 +175,14 @@ class Health:
                 )
                 self._window.clear()
 
-    def status(self, estimate: PoseEstimate | None) -> tuple[Status, str]:
-        """Judge the newest estimate; the reason is empty while tracking."""
+    def status(
+        self, estimate: PoseEstimate | None, odometry_ns: int | None = None
+    ) -> tuple[Status, str]:
+        """
+        Judge an estimate; the reason is empty while tracking.
+
+        `odometry_ns` is the time of the last odometry, if any came.
+        """
         if estimate is None or self._accepted_ns is None:
             return 'lost', 'no start pose: give one on initialpose or call relocalize'
         if self._astray:
@@ -126,4 +203,14 @@ class Health:
         waited = (estimate.stamp_ns - self._accepted_ns) * 1e-9
         if waited > self._config.coasting_after_s:
             return 'coasting', f'nothing accepted for {waited:.1f} s{self._last_refusal}'
+        recent = self._config.trouble_s
+        trouble, reason = self._trouble or (-(10**18), '')
+        if (
+            odometry_ns is not None
+            and (blind := (estimate.stamp_ns - odometry_ns) * 1e-9) > self._config.coasting_after_s
+        ):
+            last = f', last: {reason}' if reason else ''
+            return 'coasting', f'no odometry for {blind:.1f} s{last}'
+        if 0.0 <= (estimate.stamp_ns - trouble) * 1e-9 < recent:
+            return 'coasting', reason
         return 'tracking', ''

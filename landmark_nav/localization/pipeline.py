@@ -7,7 +7,7 @@ picture and prior -> triplet, detection, triangulation; bearings and odometry ->
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -114,7 +114,8 @@ def observe(
     fix = fix_from_bearings(
         result.detections, prior, landmark_map, mount, config, common_bearing_sigma_rad
     )
-    return Observation(result.detections, result.refused, fix)
+    missed = np.array(sorted(result.refused), dtype=np.int64)
+    return Observation(replace(result.detections, missed=missed), result.refused, fix)
 
 
 def fix_from_bearings(
@@ -146,7 +147,8 @@ class LocalizationUpdate:
     All that came of one picture.
 
     `triplet` is what the camera would best be turned to from here; `fused` is the filter's
-    estimate at the picture's stamp, after it.
+    estimate at the picture's stamp, after it; `search` is what came of looking for the place, if
+    it was lost.
     """
 
     stamp_ns: int
@@ -156,13 +158,14 @@ class LocalizationUpdate:
     fused: PoseEstimate
     status: str
     reason: str
+    search: PoseEstimate | Refusal | None = None
 
 
 class Localizer:
     """
     The nodes of the navigation phase in one: for bags, and for use without ROS.
 
-    Without `initialize` it gathers pictures until they fit one place only.
+    Without `initialize`, and when lost, it gathers pictures until they fit one place only.
 
     Parameters
     ----------
@@ -182,9 +185,15 @@ class Localizer:
         self._filter = PoseFilter(
             landmark_map, mount, config.fusion, config.odometry, config.health
         )
-        self._relocalizer: Relocalizer | None = Relocalizer(
-            landmark_map, mount, config.relocalization, config.odometry
-        )
+        self._odometry: OdometrySample | None = None
+        self._relocalizer: Relocalizer | None = self._new_search()
+
+    def _new_search(self) -> Relocalizer:
+        config = self._config
+        search = Relocalizer(self._map, self._mount, config.relocalization, config.odometry)
+        if self._odometry is not None:
+            search.add_odometry(self._odometry)
+        return search
 
     def initialize(self, start: PoseEstimate) -> None:
         """Start anew at a pose of the base."""
@@ -193,6 +202,7 @@ class Localizer:
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; why the sample was left out, if it was."""
+        self._odometry = sample
         if self._relocalizer is not None:
             self._relocalizer.add_odometry(sample)
         return self._filter.add_odometry(sample)
@@ -227,7 +237,17 @@ class Localizer:
             config.observation,
             config.fusion.pan_sigma_rad,
         )
-        return self._fused(frame.stamp_ns, triplet, seen)
+        update = self._fused(frame.stamp_ns, triplet, seen)
+        lost = update.status == 'lost' and config.relocalization.when_lost
+        if not lost or not self._map.landmarks:
+            self._relocalizer = None
+            return update
+        self._relocalizer = self._relocalizer or self._new_search()
+        outcome = self._search(frame)
+        if isinstance(outcome, PoseEstimate):
+            status, reason = self._filter.status
+            update = replace(update, fused=outcome, status=status, reason=reason)
+        return replace(update, search=outcome)
 
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Find the place; what the pose was made of is not used again."""

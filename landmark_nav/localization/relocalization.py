@@ -51,6 +51,9 @@ _NEW_PLACE_M = 0.6
 class RelocalizationConfig:
     """How one's place is found, and when it is believed."""
 
+    when_lost: bool = parameter(
+        True, 'look for the place without being asked, when it is not known any more'
+    )
     min_landmarks: int = parameter(
         6, 'least landmarks that must speak for a place', minimum=4, maximum=1000
     )

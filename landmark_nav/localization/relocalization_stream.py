@@ -30,6 +30,10 @@ from landmark_nav.types import (
 __all__ = ['Relocalizer']
 
 
+# Odometry older by this is not late: the clock was set back.
+_CLOCK_STEP_NS = 2 * 10**9
+
+
 class _Glimpse(NamedTuple):
     """A picture that was kept."""
 
@@ -72,6 +76,11 @@ class Relocalizer:
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; why the sample was left out, if it was."""
         refusal = self._track.add(sample)
+        known = self._track.stamps_ns
+        if known is not None and known[1] - sample.stamp_ns > _CLOCK_STEP_NS:
+            # What was seen by another clock helps no more.
+            self._kept, self._track = [], OdometryTrack(self._odometry)
+            self._track.add(sample)
         if self._kept:
             self._track.trim(self._kept[0].frame.stamp_ns)
         return refusal

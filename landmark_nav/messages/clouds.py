@@ -19,7 +19,9 @@ _CODES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8
 _TYPES = {code: name for name, code in _CODES.items()}
 
 
-def pack_cloud(factory: MessageFactory, header: Any, points: npt.NDArray[np.void]) -> Any:
+def pack_cloud(
+    factory: MessageFactory, header: Any, points: npt.NDArray[np.void], dense: bool = True
+) -> Any:
     """
     Build a PointCloud2 out of a structured array.
 
@@ -31,6 +33,8 @@ def pack_cloud(factory: MessageFactory, header: Any, points: npt.NDArray[np.void
         Stamp and frame.
     points : ndarray of a structured dtype, shape (n,)
         Little-endian scalars or one-dimensional sub-arrays.
+    dense : bool
+        Whether all points are valid, that is without NaN.
 
     """
     fields = []
@@ -57,7 +61,7 @@ def pack_cloud(factory: MessageFactory, header: Any, points: npt.NDArray[np.void
         point_step=size,
         row_step=size * len(points),
         data=np.frombuffer(points.tobytes(), dtype=np.uint8),
-        is_dense=True,
+        is_dense=dense,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 
-__all__ = ['furnish', 'move_one_box']
+__all__ = ['exchange_pictures', 'furnish', 'move_one_box']
 
 FloatArray = npt.NDArray[np.float64]
 Generator = np.random.Generator
@@ -20,6 +20,8 @@ _TARGET_SIZE_M = 0.5
 # Free wall between things, and beside a corner.
 _GAP_M = 0.1
 _CORNER_M = 0.12
+
+_PICTURES = ('photo', 'poster')
 
 # Chance of each kind, and the range of its width and height, metres.
 _KINDS: dict[str, tuple[float, tuple[float, float], tuple[float, float]]] = {
@@ -117,6 +119,15 @@ def move_one_box(scene: Scene, rng: Generator) -> tuple[Box, ...]:
         if np.linalg.norm(shift) > 0.3 and _fits(box, rest, scene.room, 0.0):
             return (*rest, box)
     return scene.boxes
+
+
+def exchange_pictures(scene: Scene, share: float, rng: Generator) -> tuple[WallItem, ...]:
+    """Items of `scene`, a share of its pictures replaced by others of the same size."""
+    items = list(scene.items)
+    pictures = [k for k, item in enumerate(items) if item.kind in _PICTURES]
+    for k in rng.permutation(pictures)[: round(share * len(pictures))]:
+        items[k] = replace(items[k], seed=int(rng.integers(2**31)))
+    return tuple(items)
 
 
 def _longest(strips: list[_Strip], bare: list[int], rng: Generator) -> int:

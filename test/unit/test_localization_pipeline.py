@@ -1,15 +1,23 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from picture_drives import (
+    drive,
+    error_of,
+    FRAME_NS,
+    LENS,
+    MAP,
+    MOUNT,
+    picture,
+    ROOM,
+    START,
+    start_of,
+    START_SIGMA,
+)
 import pytest
-from scenes import draw_frame, rectangle_room, textured_room, true_landmark
 
-from landmark_nav.geometry import se2
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig
 from landmark_nav.localization.pipeline import (
     LocalizationConfig,
@@ -22,83 +30,10 @@ from landmark_nav.types import (
     CameraFrame,
     FloatArray,
     LandmarkMap,
-    OdometrySample,
     PoseEstimate,
     Refusal,
     Triplet,
 )
-
-LENS = CameraModel(
-    400, 300, 330.0, 330.0, 200.0, 150.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
-)
-MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15))
-ROOM = rectangle_room(5.0, 4.5)
-SCENE = textured_room(ROOM, seed=7, feature_m=0.045)
-START = np.array([1.6, 1.4, 0.3])
-START_SIGMA = np.array([0.03, 0.03, 0.01])
-MAP_SIGMA_M = 0.003
-FRAME_NS, ODOMETRY_NS = 400_000_000, 50_000_000
-
-
-def known_map(rng: np.random.Generator) -> LandmarkMap:
-    """Six landmarks a wall, each a few millimetres off."""
-    viewpoint = np.array([2.5, 2.2, 1.15])
-    landmarks = []
-    for board in SCENE.boards:
-        for place in (
-            (-0.32, 0.1),
-            (-0.2, -0.25),
-            (-0.05, 0.2),
-            (0.08, -0.2),
-            (0.2, 0.15),
-            (0.33, -0.1),
-        ):
-            exact = true_landmark(
-                SCENE, len(landmarks) + 1, board, place[0] * board.width_m, place[1], viewpoint,
-                sigma_m=MAP_SIGMA_M,
-            )  # fmt: skip
-            error = rng.normal(0.0, MAP_SIGMA_M, 3)
-            landmarks.append(replace(exact, position=exact.position + error))
-    return LandmarkMap(tuple(landmarks), walls=ROOM.walls)
-
-
-MAP = known_map(np.random.default_rng(0))
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Truth and wheel odometry at a time."""
-
-    stamp_ns: int
-    pose: FloatArray
-    odometry: OdometrySample
-
-
-def drive(rng: np.random.Generator, seconds: float) -> Iterator[Step]:
-    """Winding drive whose odometry runs 2 % long, drifts and is noisy."""
-    pose, wheel = START.copy(), np.zeros(3)
-    dt = ODOMETRY_NS * 1e-9
-    for k in range(int(seconds / dt) + 1):
-        speed, rate = 0.3, 0.35 * np.sin(0.8 * k * dt) + 0.1
-        yield Step(k * ODOMETRY_NS, pose, OdometrySample(k * ODOMETRY_NS, wheel, speed, rate))
-        pose = se2.compose(pose, [speed * dt, 0.0, rate * dt])
-        noise = rng.normal(0.0, [2e-4, 1e-4, 4e-4])
-        felt = np.array([1.02 * speed * dt, 0.0, (rate + 0.01 * speed) * dt]) + noise
-        wheel = se2.compose(wheel, felt)
-
-
-def picture(pose: FloatArray, pan: float, rng: np.random.Generator | None = None) -> CameraFrame:
-    return draw_frame(SCENE, LENS, MOUNT, pose, pan, rng=rng)
-
-
-def error_of(estimate: PoseEstimate, pose: FloatArray) -> FloatArray:
-    error = estimate.pose - pose
-    error[2] = wrap_rad(error[2])
-    return np.asarray(error)
-
-
-def start_of(rng: np.random.Generator) -> PoseEstimate:
-    return PoseEstimate(0, START + rng.normal(0.0, START_SIGMA), np.diag(START_SIGMA**2))
 
 
 @dataclass(frozen=True, eq=False)

@@ -270,8 +270,10 @@ def test_detections_come_back(deliver, count):
         rng.random(count),
         rng.random(count),
         rng.random((count, 2)) * 500,
+        np.array([50, 60])[: count // 2],
     )
     again = decode.detections(deliver(encode.detections(FACTORY, found)))
+    np.testing.assert_array_equal(again.missed, found.missed)
     np.testing.assert_array_equal(again.ids, found.ids)
     np.testing.assert_array_equal(again.bearing_rad, found.bearing_rad)
     np.testing.assert_array_equal(again.variance_rad2, found.variance_rad2)

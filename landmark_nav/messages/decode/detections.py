@@ -17,7 +17,7 @@ __all__ = ['detections', 'triplet']
 
 def detections(msg: Any) -> Detections:
     """
-    Landmarks found in one picture, out of ``detections``.
+    Landmarks found in one picture, and those missed in it, out of ``detections``.
 
     Raises
     ------
@@ -27,6 +27,9 @@ def detections(msg: Any) -> Detections:
     """
     points = unpack_cloud(msg, DETECTION.names or ())
     stamp = stamp_ns(msg.header)
+    missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
+    ids_missed = points['id'][missed].astype(np.int64)
+    points = points[~missed]
     return Detections(
         stamp,
         points['id'].astype(np.int64),
@@ -34,6 +37,7 @@ def detections(msg: Any) -> Detections:
         finite(points['bearing_variance'], 'bearing variance', stamp),
         points['score'].astype(np.float64),
         np.stack([points['u'], points['v']], -1).astype(np.float64),
+        ids_missed,
     )
 
 

@@ -16,14 +16,22 @@ __all__ = ['detections', 'triplet']
 
 
 def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base_link') -> Any:
-    """Build the PointCloud2 of ``detections``, stamped with the picture."""
-    points = np.zeros(len(found), dtype=DETECTION)
-    points['id'] = found.ids
-    points['bearing'] = found.bearing_rad
-    points['bearing_variance'] = found.variance_rad2
-    points['score'] = found.score
-    points['u'], points['v'] = found.uv_px[:, 0], found.uv_px[:, 1]
-    return pack_cloud(factory, header(factory, found.stamp_ns, frame_id), points)
+    """
+    Build the PointCloud2 of ``detections``, stamped with the picture.
+
+    What was looked for and not found follows as invalid points: NaN, with a score of 0.
+    """
+    points = np.zeros(len(found) + len(found.missed), dtype=DETECTION)
+    points['id'] = np.concatenate([found.ids, found.missed])
+    for name in ('bearing', 'bearing_variance', 'u', 'v'):
+        points[name] = np.nan
+    seen = points[: len(found)]
+    seen['bearing'] = found.bearing_rad
+    seen['bearing_variance'] = found.variance_rad2
+    seen['score'] = found.score
+    seen['u'], seen['v'] = found.uv_px[:, 0], found.uv_px[:, 1]
+    dense = not len(found.missed)
+    return pack_cloud(factory, header(factory, found.stamp_ns, frame_id), points, dense)
 
 
 def triplet(factory: MessageFactory, chosen: Triplet, frame_id: str = 'base_link') -> Any:

@@ -1,0 +1,295 @@
+"""
+What goes wrong on a real robot, fed to the localizer: it says so, survives, and comes back.
+
+One drive is drawn; every test spoils it in its own way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from picture_drives import drive, error_of, FRAME_NS, MAP, MOUNT, picture, START, START_SIGMA, Step
+import pytest
+
+from landmark_nav.geometry import se2
+from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.relocalization import RelocalizationConfig
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
+
+SECONDS = 12.0
+FAULT_S = 3.2
+
+
+def pan_rad(seconds: float) -> float:
+    """Look about."""
+    return float(1.8 * np.sin(0.6 * seconds))
+
+
+Sensed = tuple[Step, CameraFrame | None]
+Change = Callable[[Step, CameraFrame | None], Sensed]
+
+
+@pytest.fixture(scope='module')
+def sensed() -> list[Sensed]:
+    """A drive: truth and odometry, every eighth time a picture."""
+    rng = np.random.default_rng(5)
+    found: list[Sensed] = []
+    for step in drive(rng, SECONDS):
+        frame = None
+        if step.stamp_ns % FRAME_NS == 0:
+            frame = picture(step.pose, pan_rad(step.stamp_ns * 1e-9), rng)
+            frame = replace(frame, stamp_ns=step.stamp_ns)
+        found.append((step, frame))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """After a picture: seconds since the fault, verdict, error, and sigmas of the pose."""
+
+    after_s: float
+    status: str
+    reason: str
+    error: FloatArray
+    sigma: FloatArray
+    update: LocalizationUpdate
+
+    @property
+    def nees(self) -> float:
+        """Of x, y and heading."""
+        return float(self.error @ np.linalg.solve(self.update.fused.covariance, self.error))
+
+
+def run(
+    sensed: list[Sensed],
+    change: Change,
+    landmarks: LandmarkMap = MAP,
+    start: FloatArray = START,
+    config: LocalizationConfig | None = None,
+) -> Iterator[Moment]:
+    """Drive with what `change` makes of each moment after the fault begins."""
+    localizer = Localizer(landmarks, MOUNT, config or LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, start, np.diag(START_SIGMA**2)))
+    for step, frame in sensed:
+        seconds = step.stamp_ns * 1e-9 - FAULT_S
+        if seconds >= 0.0:
+            step, frame = change(step, frame)
+        localizer.add_odometry(step.odometry)
+        if frame is None:
+            continue
+        update = localizer.add_frame(frame)
+        assert isinstance(update, LocalizationUpdate)
+        assert np.isfinite(update.fused.pose).all()
+        error = error_of(update.fused, step.pose)
+        sigma = np.sqrt(np.diag(update.fused.covariance))
+        yield Moment(seconds, update.status, update.reason, error, sigma, update)
+
+
+def untouched(step: Step, frame: CameraFrame | None) -> Sensed:
+    """No fault."""
+    return step, frame
+
+
+def check_honest(moments: list[Moment]) -> None:
+    """Never sure and wrong: three numbers whose errors are Gaussian reach 40 once in 10^8."""
+    for moment in moments:
+        assert moment.status != 'tracking' or moment.after_s < 2.0 or moment.nees < 40.0
+
+
+def first(moments: list[Moment], status: str) -> Moment:
+    """When a verdict is first given after the fault."""
+    return next(m for m in moments if m.after_s >= 0.0 and m.status == status)
+
+
+def test_without_faults_it_tracks(sensed: list[Sensed]) -> None:
+    moments = list(run(sensed, untouched))
+    check_honest(moments)
+    # Towards the end the camera looks where no landmark is.
+    assert {m.status for m in moments if m.after_s < 6.0} == {'tracking'}
+    assert all(m.update.search is None for m in moments)
+
+
+@pytest.mark.parametrize('offset', [(0.8, 0.6, 0.0), (-0.6, 0.1, 0.8)])
+def test_a_wrong_start_is_noticed_and_put_right(
+    sensed: list[Sensed], offset: tuple[float, float, float]
+) -> None:
+    moments = list(run(sensed, untouched, start=START + np.array(offset)))
+    lost = next(m for m in moments if m.status == 'lost')
+    assert lost.after_s + FAULT_S <= 2.0
+    assert 'were found' in lost.reason
+    found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
+    assert found.status == 'tracking'
+    assert np.hypot(*found.error[:2]) < 0.05
+    assert {m.status for m in moments if found.after_s < m.after_s < 6.0} == {'tracking'}
+    check_honest([m for m in moments if m.after_s >= lost.after_s])
+
+
+def test_a_wrong_start_stays_lost_if_nothing_is_searched(sensed: list[Sensed]) -> None:
+    config = LocalizationConfig(relocalization=RelocalizationConfig(when_lost=False))
+    moments = list(run(sensed, untouched, start=START + np.array([0.8, 0.6, 0.0]), config=config))
+    lost = [m for m in moments if m.after_s + FAULT_S > 2.0]
+    assert {m.status for m in lost} == {'lost'}
+    assert all(m.update.search is None for m in lost)
+    # What is claimed grows until it holds the truth.
+    assert np.hypot(*lost[-1].sigma[:2]) > 0.5
+    assert lost[-1].nees < 16.0
+
+
+def test_a_kidnapped_robot_finds_its_place(sensed: list[Sensed]) -> None:
+    """From one picture to the next it is where it comes seconds later; the wheels know nothing."""
+    skip = 80
+    begin = next(k for k, (step, _) in enumerate(sensed) if step.stamp_ns >= FAULT_S * 1e9)
+    before, after = (sensed[k][0].odometry.pose_odom_base for k in (begin, begin + skip))
+    offset = se2.compose(before, se2.inverse(after))
+    # Carried within the time between two samples: the rest of the drive comes early.
+    early: list[Sensed] = []
+    for (now, _), (later, frame) in zip(sensed[begin:], sensed[begin + skip :], strict=False):
+        wheels = replace(
+            later.odometry,
+            stamp_ns=now.stamp_ns,
+            pose_odom_base=se2.compose(offset, later.odometry.pose_odom_base),
+        )
+        moved = replace(frame, stamp_ns=now.stamp_ns) if frame is not None else None
+        early.append((Step(now.stamp_ns, later.pose, wheels), moved))
+
+    moments = list(run([*sensed[:begin], *early], untouched))
+    lost = first(moments, 'lost')
+    assert lost.after_s <= 2.0
+    assert moments[-1].status == 'tracking'
+    assert np.hypot(*moments[-1].error[:2]) < 0.05
+    check_honest(moments)
+
+
+def test_a_covered_lens_is_told_and_forgotten_when_free(sensed: list[Sensed]) -> None:
+    def covered(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 3.0:
+            frame = replace(frame, image=np.zeros_like(frame.image))
+        return step, frame
+
+    moments = list(run(sensed, covered))
+    lost = first(moments, 'lost')
+    assert lost.after_s <= 2.0
+    assert 'landmarks that should be in the last' in lost.reason
+    hidden = [m for m in moments if 0.0 <= m.after_s < 2.9]
+    assert all(np.diff([np.hypot(*m.sigma[:2]) for m in hidden]) > 0.0)
+    back = next(m for m in moments if m.after_s > 3.0 and m.status == 'tracking')
+    assert back.after_s <= 4.5
+    assert np.hypot(*back.error[:2]) < 0.05
+    check_honest(moments)
+
+
+def test_a_map_of_another_room_is_not_believed(sensed: list[Sensed]) -> None:
+    rng = np.random.default_rng(0)
+    patches = [np.ascontiguousarray(k.patch[::-1, ::-1]) for k in MAP.landmarks]
+    landmarks = tuple(
+        replace(k, patch=patches[p])
+        for k, p in zip(MAP.landmarks, rng.permutation(len(patches)), strict=True)
+    )
+    moments = list(run(sensed, untouched, landmarks=replace(MAP, landmarks=landmarks)))
+    assert all(m.status == 'lost' for m in moments if m.after_s + FAULT_S >= 2.0)
+    assert not any(isinstance(m.update.search, PoseEstimate) for m in moments)
+
+
+def test_a_covered_and_an_exchanged_landmark_do_no_harm(sensed: list[Sensed]) -> None:
+    landmarks = list(MAP.landmarks)
+    rng = np.random.default_rng(1)
+    for k in range(0, len(landmarks), 4):
+        landmarks[k] = replace(landmarks[k], patch=landmarks[k - 1].patch)
+        noise = rng.integers(0, 255, landmarks[k + 1].patch.shape).astype(np.uint8)
+        landmarks[k + 1] = replace(landmarks[k + 1], patch=noise)
+    moments = list(run(sensed, untouched, replace(MAP, landmarks=tuple(landmarks))))
+    assert 'lost' not in {m.status for m in moments}
+    assert np.sqrt(np.mean([np.sum(m.error[:2] ** 2) for m in moments])) < 0.04
+    check_honest(moments)
+
+
+def jumping(k: int, step: Step) -> Step | None:
+    """Odometry that starts anew somewhere else."""
+    moved = se2.compose([5.0, 1.0, 1.0], step.odometry.pose_odom_base)
+    return replace(step, odometry=replace(step.odometry, pose_odom_base=moved))
+
+
+def standing(k: int, step: Step) -> Step | None:
+    """Odometry that repeats its last sample."""
+    return replace(step, odometry=replace(step.odometry, stamp_ns=round(FAULT_S * 1e9)))
+
+
+def silent(k: int, step: Step) -> Step | None:
+    """Odometry that stops."""
+    return None
+
+
+def broken(k: int, step: Step) -> Step | None:
+    """Odometry that is not a number."""
+    bad = replace(step.odometry, pose_odom_base=np.array([np.nan, 0.0, np.inf]))
+    return replace(step, odometry=bad)
+
+
+def behind(k: int, step: Step) -> Step | None:
+    """Stamps that go back, a little more each time."""
+    return replace(step, odometry=replace(step.odometry, stamp_ns=step.stamp_ns - 2 * k * 10**8))
+
+
+@pytest.mark.parametrize(
+    ('fault', 'reason'),
+    [
+        (jumping, 'odometry jumped'),
+        (standing, 'repeated a stamp'),
+        (silent, 'no odometry for'),
+        (broken, 'not a number'),
+        (behind, 'back'),
+    ],
+)
+def test_odometry_that_fails_is_told_while_the_camera_goes_on(
+    sensed: list[Sensed], fault: Callable[[int, Step], Step | None], reason: str
+) -> None:
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    told: list[tuple[float, str, str]] = []
+    for k, (step, frame) in enumerate(sensed):
+        seconds = step.stamp_ns * 1e-9 - FAULT_S
+        wrong = fault(k, step) if 0.0 < seconds < 4.0 else step
+        if seconds > 7.0:
+            break
+        if wrong is not None:
+            localizer.add_odometry(wrong.odometry)
+        if frame is None:
+            continue
+        update = localizer.add_frame(frame)
+        assert isinstance(update, LocalizationUpdate)
+        assert np.isfinite(update.fused.pose).all()
+        told.append((seconds, update.status, update.reason))
+        error = error_of(update.fused, step.pose)
+        spread = np.linalg.solve(update.fused.covariance, error)
+        assert update.status == 'lost' or error @ spread < 40.0
+    assert any(reason in text for seconds, _, text in told if 0.0 <= seconds <= 2.0)
+    assert all(status != 'tracking' for _, status, text in told if reason in text)
+    # It is over soon after the fault is.
+    assert told[-1][1] == 'tracking'
+    assert np.hypot(*error[:2]) < 0.05
+
+
+def test_pictures_that_stop_or_come_from_another_clock(sensed: list[Sensed]) -> None:
+    def shifted(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 2.5:
+            frame = replace(frame, stamp_ns=frame.stamp_ns - 100 * 10**9)
+        return step, frame
+
+    moments = list(run(sensed, shifted))
+    coasting = first(moments, 'coasting')
+    assert coasting.after_s <= 2.0
+    assert 'too late' in coasting.reason
+    assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
+
+
+def test_a_picture_angle_that_is_not_a_number_is_left_out(sensed: list[Sensed]) -> None:
+    def broken_pan(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 2.0:
+            frame = replace(frame, pan_rad=float('nan'))
+        return step, frame
+
+    moments = list(run(sensed, broken_pan))
+    assert first(moments, 'coasting').after_s <= 2.0
+    assert {m.status for m in moments if 2.5 < m.after_s < 6.0} == {'tracking'}
