@@ -131,8 +131,12 @@ class PoseFilter:
     @property
     def status(self) -> tuple[Status, str]:
         """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
+        return self.status_at(None)
+
+    def status_at(self, stamp_ns: int | None) -> tuple[Status, str]:
+        """`status` as it will be at a time if nothing comes until then."""
         known = self._history.odometry_ns
-        return self._health.status(self.estimate(), None if known is None else known[1])
+        return self._health.status(self.estimate(stamp_ns), None if known is None else known[1])
 
     def initialize(self, start: PoseEstimate) -> None:
         """

@@ -35,6 +35,11 @@ class PriorTrack:
         """Take a fused pose and the speeds of the same time."""
         self._known.append((pose, speeds.linear_m_s, speeds.angular_rad_s))
 
+    @property
+    def newest(self) -> PoseEstimate | None:
+        """The last one, if any came."""
+        return self._known[-1][0] if self._known else None
+
     def reaches(self, stamp_ns: int) -> bool:
         """Whether a pose of that time or later is known."""
         return bool(self._known) and self._known[-1][0].stamp_ns >= stamp_ns

@@ -26,6 +26,9 @@ __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 
+# Odometry that is late by this has stopped.
+_SILENCE_NS = 1_200_000_000
+
 
 @dataclass(frozen=True)
 class Parameters:
@@ -60,6 +63,8 @@ class OdometryFusionNode(LandmarkNode):
         self._filter = self._new_filter(LandmarkMap(()))
         self._landmarks = 0
         self._accepted = self._rejected = 0
+        self._last_ns: int | None = None
+        self._heard_ns = 0
         self.listen('odom', self._on_odometry, depth=50)
         # Bearings and the poses made of them are the same information: only one is used.
         if self._config.fusion.mode == 'bearings':
@@ -71,7 +76,12 @@ class OdometryFusionNode(LandmarkNode):
 
     def health(self) -> Health:
         """As the filter judges itself."""
-        status, reason = self._filter.status
+        # Where odometry stays away nothing moves the filter on, but its time passes.
+        waited_ns = self.get_clock().now().nanoseconds - self._heard_ns
+        if self._last_ns is not None and waited_ns > _SILENCE_NS:
+            status, reason = self._filter.status_at(self._last_ns + waited_ns)
+        else:
+            status, reason = self._filter.status
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
         return Health(_LEVELS[status], reason or status, counts | {'rejected': self._rejected})
 
@@ -102,6 +112,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _on_odometry(self, message: Any) -> None:
         sample = decode.odometry(message)
+        self._last_ns, self._heard_ns = sample.stamp_ns, self.get_clock().now().nanoseconds
         refusal = self._filter.add_odometry(sample)
         if refusal is not None:
             raise LandmarkNavError(str(refusal))

@@ -1,4 +1,8 @@
-"""The service ``relocalize``: asked in one thread, answered by the one that looks at pictures."""
+"""
+Finding the place: when the pose is lost, and by the service ``relocalize``.
+
+The service is asked in one thread and answered by the one that looks at pictures.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +32,17 @@ _BACKLOG = 500
 
 @dataclass(frozen=True)
 class PlaceSearchConfig(RelocalizationConfig):
-    """How the place is found, and how long a call may take."""
+    """How the place is found, when unasked, and how long a call may take."""
 
+    lost_sigma_m: float = parameter(
+        0.5, 'position sigma (root of the trace) from which the place is searched, m', minimum=0.01
+    )
     search_s: float = parameter(15.0, 'how long relocalize may look around, s', minimum=0.1)
 
 
 class PlaceSearch:
     """
-    Finds the robot's place when called, and tells it on ``initialpose``.
+    Finds the robot's place when called or lost, and tells it on ``initialpose``.
 
     Parameters
     ----------
@@ -61,6 +68,7 @@ class PlaceSearch:
         self.landmarks = LandmarkMap(())
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._relocalizer: Relocalizer | None = None
+        self._asked = False
         self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
         self._found = Event()
         self._start = node.advertise('initialpose')
@@ -76,6 +84,17 @@ class PlaceSearch:
         """Whether odometry of that time or later is known."""
         return bool(self._odometry) and self._odometry[-1].stamp_ns >= stamp_ns
 
+    def consider(self, fused: PoseEstimate | None) -> None:
+        """Begin by itself where the fused pose is not known, end that where it is again."""
+        if self._asked or not self._config.when_lost or not self.landmarks.landmarks:
+            return
+        lost = fused is None or (np.trace(fused.covariance[:2, :2]) > self._config.lost_sigma_m**2)
+        if not lost:
+            self._relocalizer = None
+        elif self._relocalizer is None:
+            self._odometry.clear()
+            self._relocalizer = self._new_relocalizer()
+
     def look(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Go on with a picture; what is known of the place by now."""
         relocalizer = self._relocalizer
@@ -86,7 +105,7 @@ class PlaceSearch:
         outcome = relocalizer.add_frame(frame)
         self._outcome = outcome
         if isinstance(outcome, PoseEstimate):
-            self._relocalizer = None
+            self._relocalizer, self._asked = None, False
             self._start.publish(encode.pose(ros_factory, outcome, self._map_frame))
             self._found.set()
         return outcome
@@ -95,15 +114,18 @@ class PlaceSearch:
         if self.active:
             self._odometry.append(decode.odometry(message))
 
+    def _new_relocalizer(self) -> Relocalizer:
+        return Relocalizer(self.landmarks, self._mount, self._config)
+
     def _search(self) -> str:
         if not self.landmarks.landmarks:
             raise LandmarkNavError('there are no landmarks: call learn_landmarks or load_map')
         self._found.clear()
         self._odometry.clear()
         self._outcome = Refusal('no picture came')
-        self._relocalizer = Relocalizer(self.landmarks, self._mount, self._config)
+        self._relocalizer, self._asked = self._new_relocalizer(), True
         self._found.wait(self._config.search_s)
-        self._relocalizer = None
+        self._relocalizer, self._asked = None, False
         outcome = self._outcome
         if isinstance(outcome, Refusal):
             raise LandmarkNavError(

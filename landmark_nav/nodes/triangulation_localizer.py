@@ -96,9 +96,11 @@ class TriangulationLocalizerNode(LandmarkNode):
             )
 
     def _on_image(self, message: Any) -> None:
+        self._search.consider(self._prior.newest)
         if self._search.active:
             self._look(message)
-            return
+            if self._prior.newest is None:
+                return
         start = time.monotonic()
         try:
             seen = self._observe(message)

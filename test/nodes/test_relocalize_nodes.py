@@ -1,4 +1,4 @@
-"""A robot that nobody told where it is finds its place by service call, over DDS."""
+"""A robot that nobody told where it is finds its place, asked by service or not, over DDS."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 
 
-def test_relocalize_starts_the_fusion(
-    start: Callable[..., None], client: RobotClient, domain_id: int, tmp_path: Path
+@pytest.mark.parametrize('asked', [True, False])
+def test_the_place_found_starts_the_fusion(
+    start: Callable[..., None], client: RobotClient, domain_id: int, tmp_path: Path, asked: bool
 ) -> None:
     room, robot = str(RECORDED / 'room.yaml'), str(RECORDED / 'robot.yaml')
     learned = str(tmp_path / 'map')
@@ -36,7 +37,8 @@ def test_relocalize_starts_the_fusion(
     assert main(['learn', str(RECORDED / 'learn'), *inputs, '--out', learned]) == 0
     localizer = 'triangulation_localizer'
     start('landmark_learner', room_file=room, map_folder=learned)
-    start(localizer, robot_file=robot, **{'relocalization.search_s': 30.0})
+    search = {'relocalization.search_s': 30.0, 'relocalization.when_lost': not asked}
+    start(localizer, robot_file=robot, **search)
     start('odometry_fusion', robot_file=robot)
     client.wait(lambda: client.said('odometry_fusion').reason != '', 60.0, 'the nodes')
     assert 'landmarks loaded' in client.call('load_map', 30.0)
@@ -48,8 +50,9 @@ def test_relocalize_starts_the_fusion(
     command += ['-p', f'bag:={bag}', '-p', 'rate:=0.5', '-p', 'start_delay_s:=3.0']
     player = subprocess.Popen(command, env=node_environment(domain_id))
     try:
-        assert client.call('relocalize', 40.0).startswith('found at')
-        client.wait(lambda: client.fused is not None, 5.0, 'a fused pose')
+        if asked:
+            assert client.call('relocalize', 40.0).startswith('found at')
+        client.wait(lambda: client.fused is not None, 5.0 if asked else 40.0, 'a fused pose')
         assert client.fused is not None
         fused = client.fused
     finally:
