@@ -17,6 +17,7 @@ from landmark_nav.types import FloatArray, Refusal
 __all__ = ['Match', 'blur_to', 'match_template']
 
 Float32Image = npt.NDArray[np.float32]
+Pair = tuple[float, float] | FloatArray
 
 # Bilinear interpolation of raw pixels pulls the optimum towards whole pixels; this blur of both
 # images takes that below 0.01 px (Gaussian sigma, pixels).
@@ -28,6 +29,9 @@ _CORRELATION_AREA = 5.0
 _FLOOR_PX = 0.02
 _ITERATIONS = 12
 _CONVERGED_PX = 2e-3
+# Blur that a pixel stands for, as a share of its width (Gaussian sigma).
+_BLUR_SHARE = 0.5
+_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +85,9 @@ def match_template(
     covariance.
 
     """
-    if float(np.std(template)) < min_contrast:
-        return Refusal('blank template', f'contrast {np.std(template):.1f}')
+    contrast = float(cv2.meanStdDev(template)[1][0, 0])
+    if contrast < min_contrast:
+        return Refusal('blank template', f'contrast {contrast:.1f}')
     search, template = _smooth(search), _smooth(template)
     scores = np.asarray(
         cv2.matchTemplate(search, template, cv2.TM_CCOEFF_NORMED), dtype=np.float32
@@ -95,27 +100,25 @@ def match_template(
     second = _second_peak(scores, column, row, template.shape)
     if second > max_second_ratio * score:
         return Refusal('ambiguous', f'second peak {second:.2f} of {score:.2f}')
-    aligned = _align(search, template, column, row)
+    aligned = _align(search, template, *_parabola_peak(scores, column, row))
     if aligned is None:
         return Refusal('alignment failed')
-    shift, covariance, fine_score = aligned
-    center = np.array([(template.shape[1] - 1) / 2.0, (template.shape[0] - 1) / 2.0])
-    return Match(center + shift, covariance, max(float(score), fine_score), second)
+    center, covariance, fine_score = aligned
+    return Match(center, covariance, max(float(score), fine_score), second)
 
 
-def blur_to(
-    image: Float32Image, step: FloatArray, own_step: FloatArray | float = 1.0
-) -> Float32Image:
+def blur_to(image: Float32Image, step: Pair, own_step: Pair = (1.0, 1.0)) -> Float32Image:
     """
-    Blur an image that resolves `own_step` (2,) pixels to one that resolves `step`, across, down.
+    Blur an image that resolves `own_step` pixels to one that resolves `step`, across and down.
 
     Where `step` is not the wider one nothing is to do; without it, sampling wider would alias.
     """
-    sigma = 0.5 * np.sqrt(np.maximum(np.square(step) - np.square(own_step), 0.0))
-    if sigma.max() < 0.3:
+    across = max(float(step[0]) ** 2 - float(own_step[0]) ** 2, 0.0) ** 0.5 * _BLUR_SHARE
+    down = max(float(step[1]) ** 2 - float(own_step[1]) ** 2, 0.0) ** 0.5 * _BLUR_SHARE
+    if max(across, down) < 0.3:
         return image
-    x, y = np.maximum(sigma, 0.01)
-    blurred = cv2.GaussianBlur(image, (0, 0), sigmaX=float(x), sigmaY=float(y))
+    sigmas = max(across, 0.01), max(down, 0.01)
+    blurred = cv2.GaussianBlur(image, (0, 0), sigmaX=sigmas[0], sigmaY=sigmas[1])
     return np.asarray(blurred, dtype=np.float32)
 
 
@@ -126,63 +129,82 @@ def _smooth(image: Float32Image) -> Float32Image:
 def _second_peak(scores: Float32Image, column: int, row: int, shape: tuple[int, ...]) -> float:
     """Best score away from the peak by more than a fifth of the template."""
     away_x, away_y = max(3, shape[1] // 5), max(3, shape[0] // 5)
-    rest = scores.copy()
-    rows = slice(max(0, row - away_y), row + away_y + 1)
-    rest[rows, max(0, column - away_x) : column + away_x + 1] = -1.0
-    # A slope down from the main peak is no peak of its own.
-    inner = rest[1:-1, 1:-1]
-    if inner.size == 0:
+    rows, columns = scores.shape
+    if max(column, columns - 2 - column) <= away_x and max(row, rows - 2 - row) <= away_y:
         return -1.0
-    is_peak = inner >= cv2.dilate(scores, np.ones((3, 3), np.uint8))[1:-1, 1:-1]
-    return float(np.max(inner, where=is_peak, initial=-1.0))
+    # A slope down from the main peak is no peak of its own.
+    is_peak = scores >= cv2.dilate(scores, _NEIGHBOURS)
+    is_peak[
+        max(0, row - away_y) : row + away_y + 1, max(0, column - away_x) : column + away_x + 1
+    ] = False
+    inner = (slice(1, -1), slice(1, -1))
+    return float(np.max(scores[inner], where=is_peak[inner], initial=-1.0))
+
+
+def _parabola_peak(scores: Float32Image, column: int, row: int) -> tuple[float, float]:
+    """Where parabolas through the peak of the scores and its neighbours are highest."""
+    top = float(scores[row, column])
+    left, right = float(scores[row, column - 1]), float(scores[row, column + 1])
+    above, below = float(scores[row - 1, column]), float(scores[row + 1, column])
+    bend_x, bend_y = left - 2.0 * top + right, above - 2.0 * top + below
+    return (
+        column + (0.5 * (left - right) / bend_x if bend_x < 0.0 else 0.0),
+        row + (0.5 * (above - below) / bend_y if bend_y < 0.0 else 0.0),
+    )
 
 
 def _align(
-    search: Float32Image, template: Float32Image, column: int, row: int
+    search: Float32Image, template: Float32Image, column: float, row: float
 ) -> tuple[FloatArray, FloatArray, float] | None:
-    """Shift (2,) of the template's corner, its covariance, and the correlation there."""
-    height, width = template.shape
-    inner = (slice(1, -1), slice(1, -1))
-    reference = template[inner].ravel()
-    reference = reference - reference.mean()
-    power = float(reference @ reference)
-    # What gain and offset explain is taken out of the gradients once and for all, so that each
-    # step needs no more than two products with the picture.
-    gradient = np.stack(_gradients(template))
-    gradient -= gradient.mean(1, keepdims=True)
-    gradient -= np.outer(gradient @ reference / power, reference)
-    normal = (gradient @ gradient.T).astype(np.float64)
-    if np.linalg.det(normal) < 1e-6 * np.trace(normal) ** 2:
+    """Centre (2,) of the template in the search image, its covariance, the correlation there."""
+    height, width = template.shape[0] - 2, template.shape[1] - 2
+    # Twice the gradients, and the template itself. What gain and offset explain is taken out of
+    # the gradients once and for all, so that each step needs one product with the picture.
+    rows = np.empty((3, height * width), np.float32)
+    grad_x, grad_y, reference = rows.reshape(3, height, width)
+    np.subtract(template[1:-1, 2:], template[1:-1, :-2], out=grad_x)
+    np.subtract(template[2:, 1:-1], template[:-2, 1:-1], out=grad_y)
+    reference[...] = template[1:-1, 1:-1]
+    rows -= rows.mean(axis=1, keepdims=True)
+    (xx, xy, xr), (_, yy, yr), (_, _, power) = (rows @ rows.T).astype(np.float64).tolist()
+    xx, xy, yy = (
+        0.25 * (xx - xr * xr / power),
+        0.25 * (xy - xr * yr / power),
+        0.25 * (yy - yr * yr / power),
+    )
+    determinant = xx * yy - xy * xy
+    if not determinant > 1e-6 * (xx + yy) ** 2:
         return None
-    inverse = np.linalg.inv(normal)
 
-    corner = np.array([column, row], dtype=np.float64)
-    center = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
-    shift, step, gain = np.zeros(2), np.zeros(2), 1.0
+    x0, y0 = column + 0.5 * (width + 1), row + 0.5 * (height + 1)
+    x, y = x0, y0
     for _ in range(_ITERATIONS):
-        x, y = corner + center + shift
-        seen = cv2.getRectSubPix(search, (width, height), (float(x), float(y)))
-        value = np.asarray(seen, dtype=np.float32)[inner].ravel()
-        gain = float(reference @ value) / power
-        if gain <= 0.0:
+        seen = cv2.getRectSubPix(search, (width, height), (x, y))
+        by_x, by_y, by_reference = (rows @ seen.ravel()).tolist()
+        gain = by_reference / power
+        if not gain > 0.0:
             return None
         # value(x) ~ gain * reference(x - d) + offset
-        step = -inverse @ (gradient @ value).astype(np.float64) / gain
-        shift += step
-        if not np.hypot(*shift) < 2.0:
+        right = 0.5 * (by_x - xr * gain) / gain
+        down = 0.5 * (by_y - yr * gain) / gain
+        step_x = (xy * down - yy * right) / determinant
+        step_y = (xy * right - xx * down) / determinant
+        x, y = x + step_x, y + step_y
+        if not (abs(x - x0) < 2.0 and abs(y - y0) < 2.0):
             return None
-        if np.hypot(*step) < _CONVERGED_PX:
+        if abs(step_x) + abs(step_y) < _CONVERGED_PX:
             break
-    value = value - value.mean()
-    left = value - gain * reference + gain * (step @ gradient)
-    variance = float(left @ left) / max(len(left) - 4, 1) * _CORRELATION_AREA / gain**2
-    covariance = variance * inverse + np.eye(2) * _FLOOR_PX**2
-    score = gain * np.sqrt(power / max(float(value @ value), 1e-12))
-    return corner + shift, covariance, float(score)
-
-
-def _gradients(image: Float32Image) -> tuple[Float32Image, Float32Image]:
-    """Central differences inside the border, flattened."""
-    grad_x = 0.5 * (image[1:-1, 2:] - image[1:-1, :-2])
-    grad_y = 0.5 * (image[2:, 1:-1] - image[:-2, 1:-1])
-    return grad_x.ravel(), grad_y.ravel()
+    value = seen.ravel() - seen.mean()
+    total = float(value @ value)
+    explained = (
+        gain
+        * gain
+        * (power + xx * step_x * step_x + 2.0 * xy * step_x * step_y + yy * step_y * step_y)
+    )
+    count = max(value.size - 4, 1)
+    variance = max(total - explained, 0.0) / count * _CORRELATION_AREA / gain**2 / determinant
+    floor = _FLOOR_PX**2
+    covariance = np.array(
+        [[variance * yy + floor, -variance * xy], [-variance * xy, variance * xx + floor]]
+    )
+    return np.array([x, y]), covariance, gain * (power / max(total, 1e-12)) ** 0.5

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import patch_axes, rays_to_patch
-from landmark_nav.matching import blur_to, match_template
+from landmark_nav.matching import blur_to, Match, match_template
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
@@ -31,7 +33,9 @@ from landmark_nav.types import (
 
 __all__ = ['DetectionConfig', 'DetectionResult', 'camera_in_map', 'detect_landmarks']
 
-Float32Image = npt.NDArray[np.float32]
+# The centre of a patch and its corners, clockwise from the upper left.
+_CORNERS = np.array([[0.0, 0.0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
+_HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
 
 @dataclass(frozen=True)
@@ -112,24 +116,28 @@ def detect_landmarks(
 
     """
     view = _View(frame, prior, mount)
+    chosen = [landmark_map.landmarks[k] for k in indices]
     refused: dict[int, Refusal] = {}
-    found: list[tuple[int, float, float, float, FloatArray]] = []
-    if len(indices):
-        chosen = [landmark_map.landmarks[k] for k in indices]
-        for landmark, expectation in zip(chosen, _expect(chosen, view, config), strict=True):
-            outcome = _detect(landmark, expectation, view, config)
-            if isinstance(outcome, Refusal):
-                refused[landmark.id] = outcome
-            else:
-                found.append((landmark.id, *outcome))
+    found: list[tuple[Landmark, FloatArray, Match]] = []
+    for landmark, expected in zip(
+        chosen, _expect(landmark_map, indices, view, config), strict=True
+    ):
+        match = _detect(landmark, expected, view, config)
+        if isinstance(match, Refusal):
+            refused[landmark.id] = match
+        else:
+            found.append((landmark, *match))
+    uv = np.array([f[1] for f in found]).reshape(-1, 2)
+    covariance = np.array([f[2].covariance for f in found]).reshape(-1, 2, 2)
+    bearing, variance = _bearings([f[0] for f in found], uv, covariance, view, config)
     return DetectionResult(
         Detections(
             frame.stamp_ns,
-            np.array([f[0] for f in found], dtype=np.int64),
-            np.array([f[1] for f in found], dtype=np.float64),
-            np.array([f[2] for f in found], dtype=np.float64),
-            np.array([f[3] for f in found], dtype=np.float64),
-            np.array([f[4] for f in found], dtype=np.float64).reshape(-1, 2),
+            np.array([f[0].id for f in found], dtype=np.int64),
+            bearing,
+            variance,
+            np.array([f[2].score for f in found], dtype=np.float64),
+            uv,
         ),
         refused,
     )
@@ -150,144 +158,164 @@ class _View:
         self.axis = se2.compose(prior.pose, [*mount.axis_xyz[:2], 0.0])[:2]
 
 
-@dataclass(frozen=True, eq=False)
-class _Expectation:
-    """Where a landmark should appear and how it maps to texels."""
+class _Expectation(NamedTuple):
+    """
+    Where a landmark should appear: `uv` (2,), pixels.
+
+    `left`, `top`, `right`, `bottom` are the template's rectangle in the picture, empty if nothing
+    of the patch is in view; `window` (2,) the half width and height of the search around it;
+    `ray_to_texel` (3, 3) maps rays (x, y, 1) of the camera to columns and rows of the patch.
+    """
 
     uv: FloatArray
-    corners: FloatArray
-    window: FloatArray
-    ray_to_metres: FloatArray
+    left: int
+    top: int
+    right: int
+    bottom: int
+    window: tuple[int, int]
+    ray_to_texel: FloatArray
 
 
 def _expect(
-    landmarks: Sequence[Landmark], view: _View, config: DetectionConfig
+    landmark_map: LandmarkMap,
+    indices: npt.NDArray[np.intp],
+    view: _View,
+    config: DetectionConfig,
 ) -> list[_Expectation]:
     """Predict all landmarks at once."""
-    position = np.array([k.position for k in landmarks])
-    normal = np.array([k.normal for k in landmarks])
-    half = np.array([(k.width_m, k.height_m) for k in landmarks]) / 2.0
-    covariance = np.array([k.covariance for k in landmarks])
+    if not len(indices):
+        return []
+    position, normal = landmark_map.positions[indices], landmark_map.normals[indices]
+    half = 0.5 * landmark_map.sizes_m[indices]
     right, down = patch_axes(normal)
-    signs = np.array([[0.0, 0.0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
     points = position[:, None] + (
-        signs[:, :1] * half[:, None, :1] * right[:, None]
-        + signs[:, 1:] * half[:, None, 1:] * down[:, None]
+        _CORNERS[:, :1] * half[:, None, :1] * right[:, None]
+        + _CORNERS[:, 1:] * half[:, None, 1:] * down[:, None]
     )
     pixels = view.camera.project((points - view.center) @ view.rotation)
+    u, v = pixels[:, 1:, 0], pixels[:, 1:, 1]
+    width, height = view.camera.width, view.camera.height
+    # The largest upright rectangle inside the patch's quadrilateral, cut by the picture.
+    low = [u[:, [0, 3]].max(1), v[:, :2].max(1)]
+    high = [u[:, 1:3].min(1), v[:, 2:].min(1)]
+    corners = np.stack(
+        [
+            np.ceil(np.maximum(low, 1.0)),
+            np.floor(np.minimum(high, np.array([[width - 2.0], [height - 2.0]]))),
+        ]
+    )
+    # What is behind the camera has no pixels.
+    corners[:, :, ~np.isfinite(pixels).all((1, 2))] = np.array([0.0, -1.0])[:, None, None]
+    (left, top), (end_x, end_y) = corners.astype(int).tolist()
+    window = _windows(position, landmark_map.covariances[indices], view, config)
+    maps = rays_to_patch(position, normal, view.rotation, view.center)
+    texel = np.array(
+        [k.patch.shape[::-1] for k in map(landmark_map.landmarks.__getitem__, indices)]
+    )
+    to_texel = np.zeros((len(indices), 3, 3))
+    # Metres on the wall -> texels, in the same homography.
+    to_texel[:, 0, 0] = to_texel[:, 1, 1] = texel[:, 0] / (2.0 * half[:, 0])
+    to_texel[:, :2, 2] = 0.5 * (texel - 1)
+    to_texel[:, 2, 2] = 1.0
+    places = zip(pixels[:, 0], left, top, end_x, end_y, window, to_texel @ maps, strict=True)
+    return [_Expectation(*place) for place in places]
 
-    # The prior's spread as pixels: across by the bearing, up and down by the range.
+
+def _windows(
+    position: FloatArray, covariance: FloatArray, view: _View, config: DetectionConfig
+) -> list[tuple[int, int]]:
+    """Half width and height of the search: what prior and map leave open, as pixels."""
     d = position - view.center
     reach = np.hypot(d[:, 0], d[:, 1])
     from_base = position[:, :2] - view.prior.pose[:2]
     by_pose = np.stack([d[:, 1] / reach**2, -d[:, 0] / reach**2, -np.ones(len(d))], 1)
     across = by_pose[:, :2]
-    bearing_var = np.einsum('ni,ij,nj->n', by_pose, view.prior.covariance, by_pose)
-    bearing_var += np.einsum('ni,nij,nj->n', across, covariance[:, :2, :2], across)
+    bearing_var = _quadratic(by_pose, view.prior.covariance)
+    bearing_var += _quadratic(across, covariance[:, :2, :2])
     along = from_base / np.hypot(from_base[:, 0], from_base[:, 1])[:, None]
-    range_var = np.einsum('ni,ij,nj->n', along, view.prior.covariance[:2, :2], along)
-    range_var += np.einsum('ni,nij,nj->n', along, covariance[:, :2, :2], along)
+    range_var = _quadratic(along, view.prior.covariance[:2, :2])
+    range_var += _quadratic(along, covariance[:, :2, :2])
     optical = d @ view.rotation
-    stretch = 1.0 + (optical[:, 0] / optical[:, 2]) ** 2
-    sigma_u = view.camera.fx * stretch * np.sqrt(bearing_var)
+    aside = optical[:, 0] / optical[:, 2]
+    sigma_u = view.camera.fx * (1.0 + aside**2) * np.sqrt(bearing_var)
     rise = np.abs(d[:, 2] / reach)
     sigma_v = view.camera.fy * np.sqrt(
         rise**2 * range_var / reach**2 + covariance[:, 2, 2] / reach**2
     )
     # Turning by the bearing's error moves what is off the axis up and down as well.
-    sigma_v += np.abs(optical[:, 0] / optical[:, 2]) * rise * sigma_u
+    sigma_v += np.abs(aside) * rise * sigma_u
     window = config.window_sigmas * np.stack(
         [sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)], 1
     )
     window = np.clip(np.ceil(window + 2.0), 4, config.max_window_px)
-    maps = rays_to_patch(position, normal, view.rotation, view.center)
-    return [_Expectation(p[0], p[1:], w, h) for p, w, h in zip(pixels, window, maps, strict=True)]
+    return [(int(u), int(v)) for u, v in window.tolist()]
+
+
+def _quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Variance (n,) along rows (n, k) of one matrix or of one each, (k, k) or (n, k, k)."""
+    return np.asarray(np.sum((rows[:, None] @ matrix)[:, 0] * rows, -1))
 
 
 def _detect(
     landmark: Landmark, expected: _Expectation, view: _View, config: DetectionConfig
-) -> tuple[float, float, float, FloatArray] | Refusal:
-    """Bearing, its variance, correlation and pixel of one landmark."""
-    if not np.all(np.isfinite(expected.corners)):
-        return Refusal('out of view')
-    # The largest upright rectangle inside the patch's quadrilateral, cut by the picture.
-    (u_tl, v_tl), (u_tr, v_tr), (u_br, v_br), (u_bl, v_bl) = expected.corners
-    width, height = view.camera.width, view.camera.height
-    left, right = int(np.ceil(max(u_tl, u_bl, 1.0))), int(min(u_tr, u_br, width - 2.0))
-    top, bottom = int(np.ceil(max(v_tl, v_tr, 1.0))), int(min(v_bl, v_br, height - 2.0))
+) -> tuple[FloatArray, Match] | Refusal:
+    """Pixel (2,) of the landmark's centre, and how its template was found."""
+    _, left, top, right, bottom, (window_u, window_v), ray_to_texel = expected
     size = (right - left + 1, bottom - top + 1)
+    if right < left and bottom < top:
+        return Refusal('out of view')
     if min(size) < config.min_size_px:
         return Refusal('too small or cut off', f'{size[0]} x {size[1]} px')
-    window_u, window_v = (int(w) for w in expected.window)
-    x0, x1 = max(0, left - window_u), min(width, right + window_u + 1)
-    y0, y1 = max(0, top - window_v), min(height, bottom + window_v + 1)
-
-    template, pixel_texels = _render(landmark, expected.ray_to_metres, view, left, top, size)
+    x0, x1 = max(0, left - window_u), min(view.camera.width, right + window_u + 1)
+    y0, y1 = max(0, top - window_v), min(view.camera.height, bottom + window_v + 1)
+    texel = cv2.perspectiveTransform(
+        view.camera.ray_grid[top : bottom + 1, left : right + 1], ray_to_texel
+    )
+    # Texels a pixel, across and down.
+    step = (
+        max(float(texel[size[1] // 2, -1, 0] - texel[size[1] // 2, 0, 0]) / (size[0] - 1), 1e-2),
+        max(float(texel[-1, size[0] // 2, 1] - texel[0, size[0] // 2, 1]) / (size[1] - 1), 1e-2),
+    )
+    template = cv2.remap(
+        blur_to(landmark.patch.astype(np.float32), step),
+        *cv2.split(texel),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
     # A patch seen closer than it was learned is less sharp than the picture.
-    search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), pixel_texels**-1)
+    search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), (1.0 / step[0], 1.0 / step[1]))
     match = match_template(
         search,
-        template,
+        np.asarray(template, dtype=np.float32),
         min_score=landmark.threshold,
         max_second_ratio=config.max_second_ratio,
     )
     if isinstance(match, Refusal):
         return match
-    expected_at = np.array([(left + right) / 2.0 - x0, (top + bottom) / 2.0 - y0])
-    shift = match.xy - expected_at
-    if abs(shift[1]) > expected.window[1]:
+    shift = match.xy - ((left + right) / 2.0 - x0, (top + bottom) / 2.0 - y0)
+    if abs(shift[1]) > window_v:
         return Refusal('wrong height', f'{shift[1]:.1f} px off')
-    uv = expected.uv + shift
-    bearing, by_uv = _bearing(landmark, uv, view)
-    variance = float(by_uv @ (match.covariance + np.eye(2) * config.lens_sigma_px**2) @ by_uv)
-    return bearing, variance, match.score, uv
+    return expected.uv + shift, match
 
 
-def _render(
-    landmark: Landmark,
-    ray_to_metres: FloatArray,
+def _bearings(
+    landmarks: Sequence[Landmark],
+    uv: FloatArray,
+    covariance: FloatArray,
     view: _View,
-    left: int,
-    top: int,
-    size: tuple[int, int],
-) -> tuple[Float32Image, FloatArray]:
-    """The patch as the picture should show it, and texels a pixel across and down."""
-    rays = view.camera.ray_grid[top : top + size[1], left : left + size[0]]
-    texel_m = landmark.width_m / landmark.patch.shape[1]
-    # Metres on the wall -> texels, in the same homography.
-    to_texel = np.array(
-        [
-            [1.0 / texel_m, 0.0, (landmark.patch.shape[1] - 1) / 2.0],
-            [0.0, 1.0 / texel_m, (landmark.patch.shape[0] - 1) / 2.0],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    h = (to_texel @ ray_to_metres).astype(np.float32)
-    x, y = rays[..., 0], rays[..., 1]
-    w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-    column = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
-    row = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
-    texels = np.array(
-        [
-            abs(float(column[size[1] // 2, -1] - column[size[1] // 2, 0])) / (size[0] - 1),
-            abs(float(row[-1, size[0] // 2] - row[0, size[0] // 2])) / (size[1] - 1),
-        ]
-    )
-    texels = np.maximum(texels, 1e-2)
-    patch = blur_to(landmark.patch.astype(np.float32), texels)
-    template = cv2.remap(patch, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(template, dtype=np.float32), texels
-
-
-def _bearing(landmark: Landmark, uv: FloatArray, view: _View) -> tuple[float, FloatArray]:
-    """Bearing at the pan axis in the base frame, and its derivative by the pixel (2,)."""
-    rays = view.camera.unproject(uv + np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]))
+    config: DetectionConfig,
+) -> tuple[FloatArray, FloatArray]:
+    """Bearings (n,) at the pan axis in the base frame, and their variances (n,)."""
+    if not landmarks:
+        return np.empty(0), np.empty(0)
+    rays = view.camera.unproject(uv[:, None] + _HALF_PIXEL)
     directions = rays @ view.rotation.T
-    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
-    by_uv = np.angle(np.exp(1j * (azimuth[1:] - azimuth[0]))) / 0.5
+    azimuth = np.arctan2(directions[..., 1], directions[..., 0])
+    by_uv = 2.0 * wrap_rad(azimuth[:, 1:] - azimuth[:, :1])
     # From the optical centre to the axis: exact if the range is, and the centre is close to it.
-    reach = float(np.hypot(*(landmark.position - view.center)[:2]))
-    point = view.center[:2] + reach * np.array([np.cos(azimuth[0]), np.sin(azimuth[0])])
-    at_axis = point - view.axis
-    bearing = np.arctan2(at_axis[1], at_axis[0]) - view.prior.pose[2]
-    return float(np.angle(np.exp(1j * bearing))), by_uv
+    position = np.array([k.position[:2] for k in landmarks])
+    reach = np.hypot(*(position - view.center[:2]).T)
+    toward = np.stack([np.cos(azimuth[:, 0]), np.sin(azimuth[:, 0])], -1)
+    at_axis = view.center[:2] + reach[:, None] * toward - view.axis
+    bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - view.prior.pose[2])
+    return bearing, _quadratic(by_uv, covariance + np.eye(2) * config.lens_sigma_px**2)
