@@ -276,9 +276,11 @@ def _detect(
         max(float(texel[size[1] // 2, -1, 0] - texel[size[1] // 2, 0, 0]) / (size[0] - 1), 1e-2),
         max(float(texel[-1, size[0] // 2, 1] - texel[0, size[0] // 2, 1]) / (size[1] - 1), 1e-2),
     )
+    column, row = cv2.split(texel)
     template = cv2.remap(
         blur_to(landmark.patch.astype(np.float32), step),
-        *cv2.split(texel),
+        column,
+        row,
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )

@@ -7,6 +7,7 @@ is that of the axis with the orientation of the base.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -113,11 +114,13 @@ def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[flo
     return float(distance), float(distance * max(curvature, 1.0 / np.sqrt(square.max())))
 
 
+@lru_cache(maxsize=256)
 def triples(n: int, limit: int | None = None) -> npt.NDArray[np.intp]:
     """Index triples (m, 3) out of n, evenly thinned to `limit`."""
     found = np.array(list(combinations(range(n), 3)), dtype=np.intp).reshape(-1, 3)
     if limit is not None and len(found) > limit:
         found = found[np.linspace(0, len(found) - 1, limit).astype(np.intp)]
+    found.flags.writeable = False  # it is remembered
     return found
 
 

@@ -74,7 +74,7 @@ class CameraFrames:
         if joints is None or self._camera is None:
             missing = 'joint_states' if joints is None else 'camera/camera_info'
             raise LandmarkNavError(f'nothing on {missing} near its stamp')
-        picture = decode.image(message)
+        picture = decode.image(message, grey=True)
         camera = CameraInfos([(stamp, self._camera)]).for_picture(stamp, picture.shape)
         return CameraFrame(stamp, picture, camera, joints.pan_rad, joints.tilt_rad)
 

@@ -78,6 +78,20 @@ def test_every_encoding_becomes_bgr_or_grey(deliver):
         np.testing.assert_array_equal(decode.image(deliver(msg)), bgr)
 
 
+@pytest.mark.parametrize('packed', [False, True])
+def test_pictures_are_grey_on_request(packed):
+    bgr = np.zeros((8, 16, 3), np.uint8)
+    bgr[:, 8:] = [40, 120, 200]
+    if packed:
+        data = cv2.imencode('.png', bgr)[1].reshape(-1)
+        msg = FACTORY('sensor_msgs/msg/CompressedImage', format='png', data=data)
+    else:
+        msg = encode.image(FACTORY, bgr, STAMP, '')
+    grey = decode.image(msg, grey=True)
+    np.testing.assert_allclose(grey, cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), atol=1)
+    np.testing.assert_array_equal(decode.image(msg), bgr)
+
+
 @pytest.mark.parametrize('big', [False, True])
 def test_mono16_keeps_the_high_byte_and_padding_of_rows_is_dropped(big):
     words = np.arange(12).reshape(3, 4) * 5000

@@ -30,9 +30,10 @@ def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
     """
     What a drive's bag holds, in the order it was recorded.
 
-    Pan and tilt of a frame are interpolated at its stamp. Ground truth, if there is any, comes as
-    `PoseEstimate`. Pictures that cannot be used are left out and reported through ``bag.warn``.
-    A bag without pictures may bring ``detections`` instead, of this package or another sensor.
+    Pictures are grey; pan and tilt are interpolated at their stamps. Ground truth, if there is any,
+    comes as `PoseEstimate`. Pictures that cannot be used are left out and reported through
+    ``bag.warn``. A bag without pictures may bring ``detections`` instead, of this package or
+    another sensor.
 
     Raises
     ------
@@ -99,7 +100,7 @@ def _frame(bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointHisto
     stamp = decode.stamp_ns(entry.message.header)
     try:
         with naming(bag, entry.topic):
-            picture = decode.image(entry.message)
+            picture = decode.image(entry.message, grey=True)
     except LandmarkNavError as error:
         raise _UnusableFrameError(str(error)) from error
     sample = joints.at(stamp)
