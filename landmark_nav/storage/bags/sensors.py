@@ -30,8 +30,8 @@ def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
     """
     What a drive's bag holds, in the order it was recorded.
 
-    Pictures are grey; pan and tilt are interpolated at their stamps. Ground truth, if there is any,
-    comes as `PoseEstimate`. Pictures that cannot be used are left out and reported through
+    Pictures are grey, with pan and tilt interpolated at their stamps. Ground truth, if there is
+    any, comes as `PoseEstimate`. Pictures that cannot be used are left out and reported through
     ``bag.warn``. A bag without pictures may bring ``detections`` instead, of this package or
     another sensor.
 
