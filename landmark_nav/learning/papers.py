@@ -1,4 +1,10 @@
-"""Coloured papers in a cylinder image: blobs by hue, then their edges to sub-pixel."""
+"""
+Coloured papers in a cylinder image, roughly: blobs of a hue, whatever the light.
+
+Colours are judged relative to what is grey around them (von Kries), so that a warm lamp does not
+turn them; thresholds are tried at several levels, as paper stands out differently in light and
+in shade (after Matas et al., Robust wide baseline stereo, 2004).
+"""
 
 from __future__ import annotations
 
@@ -8,161 +14,156 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
-from landmark_nav.types import FloatArray, ImageArray
+from landmark_nav.types import FloatArray
 
-__all__ = ['HUES', 'EdgeSamples', 'PaperBlobs', 'find_blobs', 'locate_edges', 'opponent_image']
+__all__ = ['ColorSearch', 'PaperBlobs', 'hue_direction']
 
-# Hue of each colour name, in OpenCV's half degrees.
-HUES = {'red': 0, 'orange': 12, 'yellow': 30, 'green': 60, 'cyan': 90, 'blue': 120, 'magenta': 150}
+# Columns per radian that are enough to find papers in.
+_SEARCH_PX_PER_RAD = 280.0
 
-_HUE_TOLERANCE = 14
-_SEARCH_PX = 7.0
-_STEP_PX = 0.25
+_PURITIES = (0.15, 0.25, 0.35, 0.45, 0.55, 0.7)
+
+# Hues that could be the paper's in some light; the nearest fits best.
+_WIDEST_TURN_RAD = np.radians(38.0)
+_TURN_SIGMA_RAD = np.radians(13.0)
+
+# Darker than that there is no hue, brighter is burnt out.
+_DARKEST, _BRIGHTEST = 14.0, 250.0
+
+# A paper looks so much like its bounding box: less is left of one that is partly covered.
+_SOLID = 0.55
+_LEAST_AREA_PX = 40.0
+_MOST_BLOBS = 40
 
 
 @dataclass(frozen=True, eq=False)
 class PaperBlobs:
     """
-    Blobs of one colour, largest first, arrays over the blobs.
+    Blobs that could be a paper of one colour, arrays over n blobs.
 
-    `azimuth_rad` (n,) in the base frame; `tangent` (n, 2) of the elevation of top and bottom.
+    `azimuth_rad` (n,) of their middles in the base frame; `tangent` (n, 2) of the elevation of
+    top and bottom; `misfit` (n,) of their hues, in squared standard deviations.
     """
 
     azimuth_rad: FloatArray
     tangent: FloatArray
+    misfit: FloatArray
+
+    def chosen(self, which: npt.NDArray[np.intp]) -> PaperBlobs:
+        """Some of them, in the order of `which`."""
+        return PaperBlobs(self.azimuth_rad[which], self.tangent[which], self.misfit[which])
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeSamples:
+def hue_direction(color: str) -> FloatArray:
     """
-    Where an edge was found along profiles across it, arrays over the profiles.
+    Direction (3,) in blue, green, red that measures how much of a paper's hue there is.
 
-    `offset_px` (n,) is measured from the expected place outwards, NaN where there is no clear
-    edge; `sigma_px` (n,) its standard deviation.
+    0 on any grey, 1 on the purest and brightest (1.0) colour of the hue.
     """
-
-    offset_px: FloatArray
-    sigma_px: FloatArray
-
-
-def find_blobs(view: CylinderImage, color: str) -> PaperBlobs:
-    """
-    Compact blobs of a colour that could be a paper.
-
-    Raises
-    ------
-    LandmarkNavError
-        The colour has no known hue.
-
-    """
-    if color not in HUES:
-        raise LandmarkNavError(
-            f'paper colour {color!r} is not known: take one of {", ".join(HUES)}'
-        )
-    cylinder = view.cylinder
-    pad = cylinder.width // 8
-    image = cv2.copyMakeBorder(view.image, 0, 0, 0, pad, cv2.BORDER_WRAP)
-    # Sensor noise on grey walls has hue and saturation too; a small median takes it away.
-    hue, saturation, value = cv2.split(cv2.cvtColor(cv2.medianBlur(image, 5), cv2.COLOR_BGR2HSV))
-    distance = np.abs((hue.astype(np.int16) - HUES[color] + 90) % 180 - 90)
-    mask = (distance <= _HUE_TOLERANCE) & (saturation > 90) & (value > 25)
-    _, _, stats, centers = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    found = []
-    for (left, top, width, height, area), center in zip(stats[1:], centers[1:], strict=True):
-        # Each blob of the turn starts once in (0, width]; what crosses the seam is whole there.
-        whole = 0 < left <= cylinder.width and left + width < image.shape[1]
-        solid = area >= 60 and area >= 0.55 * width * height
-        if whole and solid and 0.15 < width / height < 6.0:
-            found.append((float(area), float(center[0]), top - 0.5, top + height - 0.5))
-    found.sort(reverse=True)
-    rows = np.array(found).reshape(-1, 4)
-    return PaperBlobs(cylinder.azimuth_rad(rows[:, 1]), cylinder.tangent(rows[:, 2:]))
-
-
-def opponent_image(image: ImageArray, color: str) -> FloatArray:
-    """How much of the hue each pixel of a BGR image has; zero on grey, so shadows don't count."""
-    hue = np.array([[[HUES[color], 255, 255]]], dtype=np.uint8)
-    direction = cv2.cvtColor(hue, cv2.COLOR_HSV2BGR)[0, 0].astype(np.float64)
+    direction = np.array(paper_bgr(color))
+    direction -= direction.min()
+    pure = direction / direction.max()
     direction -= direction.mean()
-    direction /= np.abs(direction).sum() / 2.0
-    return np.asarray(image.astype(np.float64) @ direction)
+    return np.asarray(direction / (direction @ pure))
 
 
-def locate_edges(
-    luminance: FloatArray,
-    opponent: FloatArray,
-    cylinder: Cylinder,
-    points: FloatArray,
-    outwards: FloatArray,
-) -> EdgeSamples:
+class ColorSearch:
     """
-    Find a paper's edge along short profiles that cross it.
-
-    Luminance decides where the wall next to the edge is as bright as farther out. Where a shadow
-    or a neighbour touches the edge, the colour decides, with the larger error of an image whose
-    chroma was halved.
+    Looks for papers of any colour in one cylinder image.
 
     Parameters
     ----------
-    luminance, opponent : ndarray, shape (height, width)
-        Brightness, and how much of the paper's hue there is; float32.
-    cylinder : Cylinder
-        Geometry of both.
-    points : ndarray, shape (n, 2)
-        Expected places (column, row).
-    outwards : ndarray, shape (n, 2)
-        Unit directions from the paper to the wall.
-
-    Returns
-    -------
-    EdgeSamples
+    view : CylinderImage
+        The sweep as a cylinder in the base frame.
 
     """
-    offset = np.arange(-_SEARCH_PX, _SEARCH_PX + _STEP_PX / 2, _STEP_PX)
-    where = points[:, None] + offset[:, None] * outwards[:, None]
-    where[..., 0] = cylinder.wrap_column(where[..., 0])
-    bright, bright_clear = _crossing(_sample(luminance, where), offset)
-    color, color_clear = _crossing(_sample(opponent, where), offset)
-    # Both must mean the same edge: a shadow's border is not a change of hue.
-    agree = bright_clear & color_clear & (np.abs(bright - color) < 0.7)
-    place = np.where(agree, bright, np.where(color_clear, color, np.nan))
-    return EdgeSamples(place, np.where(agree, 0.15, 0.5))
+
+    def __init__(self, view: CylinderImage) -> None:
+        self._cylinder = view.cylinder
+        step = max(1, round(view.cylinder.fx / _SEARCH_PX_PER_RAD))
+        self._step = step
+        # What crosses the seam is whole in the padded part.
+        pad = view.cylinder.width // 8 + (-view.cylinder.width * 9 // 8) % step
+        image = cv2.copyMakeBorder(view.image, 0, 0, 0, pad, cv2.BORDER_WRAP)
+        size = (image.shape[1] // step, image.shape[0] // step)
+        small = cv2.resize(
+            image[: size[1] * step, : size[0] * step], size, interpolation=cv2.INTER_AREA
+        )
+        small = cv2.medianBlur(small, 5 if step == 1 else 3)
+        brightest = small.max(axis=2)
+        usable = (brightest > 2 * _DARKEST) & (brightest < _BRIGHTEST)
+        grey = np.median(small[usable], axis=0) if usable.any() else np.full(3, 128.0)
+        self._lit = brightest > _DARKEST
+        self._balanced = (small / np.maximum(grey, 1.0)).astype(np.float32)
+        self._value = self._balanced.max(axis=2)
+
+    def blobs(self, color: str) -> PaperBlobs:
+        """Compact blobs that could be papers of a colour, those of the most fitting hue first."""
+        along = hue_direction(color)
+        across = np.cross(np.full(3, 3.0**-0.5), along)
+        pure = self._balanced @ along.astype(np.float32)
+        turned = np.abs(self._balanced @ across.astype(np.float32))
+        hue = self._lit & (turned < np.tan(_WIDEST_TURN_RAD) * pure)
+        purity = np.where(hue, pure / np.maximum(self._value, 1e-6), 0.0)
+        boxes = np.concatenate([self._boxes(purity > level) for level in _PURITIES])
+        boxes = _distinct(boxes)
+        misfit = np.array([self._misfit(box, along, across) for box in boxes[:, :4].astype(int)])
+        order = np.argsort(misfit)[:_MOST_BLOBS]
+        left, top, width, height = boxes[order, :4].T * self._step
+        return PaperBlobs(
+            self._cylinder.azimuth_rad(left + 0.5 * width - 0.5),
+            self._cylinder.tangent(np.stack([top - 0.5, top + height - 0.5], 1)),
+            misfit[order],
+        )
+
+    def _boxes(self, mask: npt.NDArray[np.bool_]) -> FloatArray:
+        """Left, top, width, height and share filled of compact components, (n, 5)."""
+        _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+        left, top, width, height, area = stats[1:].astype(np.float64).T
+        filled = area / (width * height)
+        turn = self._cylinder.width / self._step
+        # Each blob of the turn starts once in (0, turn]; what crosses the seam is whole there.
+        good = (left > 0) & (left <= turn) & (left + width < mask.shape[1])
+        good &= (filled >= _SOLID) & (area >= max(_LEAST_AREA_PX / self._step**2, 10.0))
+        good &= (width > 0.12 * height) & (width < 6.0 * height)
+        return np.asarray(np.stack([left, top, width, height, filled], 1)[good])
+
+    def _misfit(self, box: npt.NDArray[np.intp], along: FloatArray, across: FloatArray) -> float:
+        """Squared deviation of a blob's hue, as it is beside the grey of its surroundings."""
+        left, top, width, height = box
+        core = self._balanced[
+            top + height // 4 : top + max(1, height - height // 4),
+            left + width // 4 : left + max(1, width - width // 4),
+        ]
+        color = np.median(core.reshape(-1, 3), axis=0)
+        ring = 3 + (width + height) // 8
+        rows = slice(max(0, top - ring), top + height + ring)
+        around = [
+            self._balanced[rows, max(0, left - ring) : max(0, left - 1)],
+            self._balanced[rows, left + width + 1 : left + width + ring],
+        ]
+        beside = np.concatenate([part.reshape(-1, 3) for part in around])
+        if len(beside):
+            grey = np.median(beside, axis=0)
+            if grey.min() > 0.7 * grey.max() and grey.max() > 0.1:
+                color = color / grey
+        turn = np.arctan2(color @ across, color @ along)
+        return float((turn / _TURN_SIGMA_RAD) ** 2)
 
 
-def _sample(image: FloatArray, where: FloatArray) -> FloatArray:
-    column, row = np.moveaxis(where.astype(np.float32), -1, 0)
-    found = cv2.remap(
-        image.astype(np.float32), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
-    )
-    return np.asarray(found, dtype=np.float64)
-
-
-def _crossing(
-    profiles: FloatArray, offset: FloatArray
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Half-way crossing nearest to the middle of each profile (n, m), and whether it is clear."""
-    inner = np.median(profiles[:, offset < -0.6 * _SEARCH_PX], axis=1)
-    outer = np.median(profiles[:, offset > 0.6 * _SEARCH_PX], axis=1)
-    step = outer - inner
-    share = (profiles - inner[:, None]) / np.where(np.abs(step) < 1e-6, 1e-6, step)[:, None]
-    # The last place, going outwards, before which everything is still paper.
-    beyond = share > 0.5
-    first = np.argmax(beyond, axis=1)
-    at = np.clip(first, 1, len(offset) - 1)
-    rows = np.arange(len(profiles))
-    low, high = share[rows, at - 1], share[rows, at]
-    place = offset[at - 1] + (0.5 - low) / np.maximum(high - low, 1e-6) * _STEP_PX
-    spread = np.std(profiles[:, offset < -0.6 * _SEARCH_PX], axis=1)
-    # Past the edge a clear profile stays near the level of the wall: no shadow, no neighbour.
-    past = offset[None] > place[:, None] + 2.0
-    wander = np.max(np.where(past, np.abs(share - 1.0), 0.0), axis=1)
-    clear = (
-        (np.abs(step) > np.maximum(10.0, 4.0 * spread))
-        & beyond.any(axis=1)
-        & (first > 0)
-        & (wander < 0.35)
-    )
-    return place, clear
+def _distinct(boxes: FloatArray) -> FloatArray:
+    """Of boxes (n, 5) that nearly coincide the one that is filled best."""
+    boxes = boxes[np.argsort(-boxes[:, 4])]
+    low, high = boxes[:, :2], boxes[:, :2] + boxes[:, 2:4]
+    shared = np.clip(
+        np.minimum(high[:, None], high) - np.maximum(low[:, None], low), 0.0, None
+    ).prod(-1)
+    area = boxes[:, 2] * boxes[:, 3]
+    alike = shared > 0.7 * np.maximum(area[:, None], area)
+    keep = np.ones(len(boxes), bool)
+    for k in range(len(boxes)):
+        if keep[k]:
+            keep[k + 1 :] &= ~alike[k, k + 1 :]
+    return boxes[keep]

@@ -21,7 +21,12 @@ from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig, SweepPlace
+from landmark_nav.learning.reference_area import (
+    locate_sweep,
+    optical_height,
+    ReferenceAreaConfig,
+    SweepPlace,
+)
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import (
     hypothesize,
@@ -133,8 +138,7 @@ def panorama_from_sweep(
     with log.measure('reference_area'):
         place = _place(view, sweep, room, mount, config)
     if any(mount.optical_center_offset[:2]):
-        # The optical centre swings around the axis: with the walls' distance that is undone,
-        # which needs the place, which the undoing makes a little better in turn.
+        # The optical centre swings around the axis: with the walls' distance that is undone.
         with log.measure('panorama'):
             heading = place.pose_map_base[2]
             axis = _axis(place, mount)
@@ -144,8 +148,6 @@ def panorama_from_sweep(
                 config.panorama,
                 lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], 50.0),
             )
-        with log.measure('reference_area'):
-            place = _place(view, sweep, room, mount, config)
     return Panorama(
         sweep.stamp_ns,
         view.image,
@@ -162,14 +164,12 @@ def _place(
 ) -> SweepPlace:
     known = sweep.pose_map_base
     if known is None:
-        return locate_sweep(view, room, mount, config.reference_area)
+        return locate_sweep(sweep, view, room, mount, config.reference_area)
     covariance = np.zeros((4, 4))
     plane = np.ix_([0, 1, 3], [0, 1, 3])
     covariance[plane] = known.covariance + 1e-10 * np.eye(3)
     covariance[2, 2] = config.reference_area.height_sigma_m**2
-    tilt = sweep.frames[0].tilt_rad
-    height = float(mount.camera_pose_base(0.0, tilt)[1][2])
-    return SweepPlace(known.pose, height, covariance)
+    return SweepPlace(known.pose, optical_height(sweep, mount), covariance)
 
 
 def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:

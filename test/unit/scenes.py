@@ -35,6 +35,8 @@ COLORS: dict[str, Color] = {
     'green': (50.0, 170.0, 50.0),
     'blue': (190.0, 70.0, 40.0),
     'yellow': (40.0, 200.0, 210.0),
+    '#d07010': (16.0, 112.0, 208.0),
+    'hsv(280, 60, 60)': (153.0, 61.0, 122.0),
 }
 
 # Rays of a pixel at an edge: no two share a column or a row, so that coverage has 48 levels.

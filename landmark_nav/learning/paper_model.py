@@ -1,0 +1,187 @@
+"""
+Where a camera on a pan-tilt unit sees points of papers, given all that is not exactly known.
+
+Unknown beside the place are height and tilt of the pan axis, the camera's response to light, how
+far its colours lie beside its brightness, how each paper hangs, what shifts each edge as a whole,
+and the joint angles of each frame; all with priors, so that the covariance of a place holds their
+share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.types import FloatArray, Sweep
+
+__all__ = ['EDGES', 'GAMMA', 'SHIFT', 'IntArray', 'PaperModel', 'PaperPriors', 'edge_sigma_px']
+
+IntArray = npt.NDArray[np.intp]
+
+# Right, left, top and bottom as seen along the wall.
+EDGES = 4
+
+# x, y, heading of the base; height and two tilts of the axis; gamma; shift of colours, two pixels.
+_PLACE, _COMMON, GAMMA, SHIFT = 6, 9, 6, 7
+
+# What the response to light usually is, between none and that of sRGB.
+_USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
+_SHIFT_SIGMA_PX = 0.15
+# What shadows do to edges that are found by brightness.
+_BRIGHT_SIGMA_PX = 0.2
+
+
+@dataclass(frozen=True)
+class PaperPriors:
+    """Standard deviations of what is not exactly known: metres, radians, pixels."""
+
+    paper_m: float
+    height_m: float
+    tilt_rad: float
+    edge_px: float
+    angle_rad: float
+
+
+class PaperModel:
+    """
+    Projection of the papers' edges into the frames of a sweep.
+
+    Unknowns are one array, see the indices below; of points, `points` (papers, n, 3) lie on the
+    edges in turn, `outwards` (papers, n, 3) are their directions from the paper to the wall.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Its frames.
+    room : Room
+        Papers and walls.
+    mount : PanTiltMount
+        Where the camera turns.
+    per_edge : int
+        Points on each edge.
+
+    """
+
+    def __init__(self, sweep: Sweep, room: Room, mount: PanTiltMount, per_edge: int) -> None:
+        self._mount = mount
+        self._camera = sweep.frames[0].camera
+        self._angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in sweep.frames])
+        outlines = [_outline(paper, room, per_edge) for paper in room.papers]
+        self.points = np.array([points for points, _, _ in outlines])
+        self.outwards = np.array([outwards for _, outwards, _ in outlines])
+        self._along = np.array([along for _, _, along in outlines])
+        self.papers = len(room.papers)
+        self._edge = _COMMON + 2 * self.papers
+        self._frame = self._edge + 2 * EDGES * self.papers
+        self.size = self._frame + 2 * len(sweep.frames)
+
+    def start(self, pose_map_base: FloatArray) -> FloatArray:
+        """Unknowns as they are before anything is measured, at a pose (3,)."""
+        state = np.zeros(self.size)
+        state[:3] = pose_map_base
+        state[GAMMA] = _USUAL_GAMMA
+        return state
+
+    def hang(self, state: FloatArray) -> FloatArray:
+        """How far along the wall and up papers hang from where they should, (papers, 2)."""
+        return state[_COMMON : self._edge].reshape(self.papers, 2)
+
+    def angles(self, state: FloatArray) -> FloatArray:
+        """Corrections of pan and tilt, (frames, 2)."""
+        return state[self._frame :].reshape(-1, 2)
+
+    def edge_index(self, paper: IntArray, edge: IntArray, bright: IntArray) -> IntArray:
+        """Index of what shifts an edge as a whole, in its standard deviations."""
+        return np.asarray(self._edge + EDGES * (2 * paper + bright) + edge)
+
+    def axis_xy(self, state: FloatArray) -> FloatArray:
+        """Place (2,) of the pan axis in map."""
+        cos, sin = np.cos(state[2]), np.sin(state[2])
+        x, y = self._mount.axis_xyz[:2]
+        return np.array([state[0] + cos * x - sin * y, state[1] + sin * x + cos * y])
+
+    def project(
+        self, state: FloatArray, frame: IntArray, paper: IntArray, points: FloatArray
+    ) -> FloatArray:
+        """Pixels (n, 2) of points (n, 3) of papers (n,) in frames (n,)."""
+        used = np.unique(frame)
+        turn = self.angles(state)[used]
+        rotation, center = self._mount.camera_pose_base(
+            self._angles[used, 0] + turn[:, 0],
+            self._angles[used, 1] + turn[:, 1],
+            self._angles[used, 2],
+        )
+        hang = self.hang(state)[paper]
+        offset = points + hang[:, :1] * self._along[paper]
+        offset[:, 2] += hang[:, 1] - state[3]
+        offset[:, :2] -= state[:2]
+        cos, sin = np.cos(state[2]), np.sin(state[2])
+        axis = np.asarray(self._mount.axis_xyz)
+        base = offset @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) - axis
+        # Small tilts of the axis, about the base's x and y.
+        base = base - np.cross([state[4], state[5], 0.0], base) + axis
+        place = np.searchsorted(used, frame)
+        seen = np.einsum('nji,nj->ni', rotation[place], base - center[place])
+        return self._camera.project(seen)
+
+    def jacobian(
+        self,
+        state: FloatArray,
+        frame: IntArray,
+        paper: IntArray,
+        points: FloatArray,
+        normal: FloatArray,
+    ) -> FloatArray:
+        """Derivative (n, size) of `project` along `normal` (n, 2), by finite differences."""
+        here = self.project(state, frame, paper, points)
+        rows = np.arange(len(points))
+        columns = [np.full(len(points), k) for k in range(_PLACE)]
+        columns += [_COMMON + 2 * paper + k for k in (0, 1)]
+        columns += [self._frame + 2 * frame + k for k in (0, 1)]
+        jacobian = np.zeros((len(points), self.size))
+        for column in columns:
+            # Each point depends on one unknown of each kind: all of a kind are moved at once.
+            moved = state.copy()
+            moved[np.unique(column)] += 1e-5
+            change = self.project(moved, frame, paper, points) - here
+            jacobian[rows, column] = np.sum(change * normal, 1) / 1e-5
+        return jacobian
+
+    def prior(self, priors: PaperPriors, angle_sigma_rad: FloatArray) -> FloatArray:
+        """Information (size,) of the unknowns; `angle_sigma_rad` (2,) of pan and tilt."""
+        sigma = np.ones(self.size)
+        sigma[3:_PLACE] = priors.height_m, priors.tilt_rad, priors.tilt_rad
+        sigma[GAMMA], sigma[SHIFT : SHIFT + 2] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
+        sigma[_COMMON : self._edge] = max(priors.paper_m, 1e-6)
+        sigma[self._frame :].reshape(-1, 2)[:] = angle_sigma_rad
+        information = sigma**-2.0
+        information[:3] = 1e-4  # for what no measurement says anything about
+        return np.asarray(information)
+
+
+def edge_sigma_px(priors: PaperPriors, bright: IntArray) -> FloatArray:
+    """Standard deviation of what shifts edges (n,) as a whole."""
+    return np.hypot(priors.edge_px, np.where(bright > 0, _BRIGHT_SIGMA_PX, 0.0))
+
+
+def _outline(paper: Paper, room: Room, per_edge: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points on the four edges (n, 3) in map, the outward direction of each, and the wall's."""
+    wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
+    along = np.append(np.subtract(wall.end, wall.start) / wall.length, 0.0)
+    up = np.array([0.0, 0.0, 1.0])
+    share = np.linspace(-0.44, 0.44, per_edge)[:, None]
+    center = np.asarray(paper.center)
+    points, outwards = [], []
+    for side, other, half, length in (
+        (along, up, paper.width / 2, paper.height),
+        (-along, up, paper.width / 2, paper.height),
+        (up, along, paper.height / 2, paper.width),
+        (-up, along, paper.height / 2, paper.width),
+    ):
+        points.append(center + half * side + share * length * other)
+        outwards.append(np.tile(side, (per_edge, 1)))
+    return np.concatenate(points), np.concatenate(outwards), along
