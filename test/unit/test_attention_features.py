@@ -14,7 +14,11 @@ from landmark_nav.learning.attention.features import (
     intensity_map,
     vertical_edge_map,
 )
-from landmark_nav.learning.attention.symmetry import line_symmetry_map, point_symmetry_map
+from landmark_nav.learning.attention.symmetry import (
+    line_symmetry_map,
+    point_symmetry_map,
+    radial_symmetry_map,
+)
 
 SIZE = 200
 
@@ -90,6 +94,16 @@ def test_point_symmetry_peaks_at_the_centre_of_rings(slant_deg, dark):
 def test_point_symmetry_ignores_horizontal_edges():
     inside = point_symmetry_map(gradients(horizontal_bars()))[20:-20, 20:-20]
     assert inside.max() < 0.05
+
+
+@pytest.mark.parametrize('dark', [False, True])
+def test_radial_symmetry_peaks_at_the_centre_of_rings_and_hardly_beside_edges(dark):
+    symmetry = radial_symmetry_map(gradients(rings(30.0, dark=dark)))
+    row, column = np.unravel_index(symmetry.argmax(), symmetry.shape)
+    assert abs(2 * row - SIZE / 2) <= 4
+    assert abs(2 * column - SIZE / 2) <= 4
+    assert symmetry.max() > 0.35
+    assert radial_symmetry_map(gradients(horizontal_bars())).max() < 0.06
 
 
 def test_line_symmetry_is_high_on_the_axis_and_ignores_horizontal_bars():

@@ -16,6 +16,7 @@ FEATURES = (
     'vertical_edges',
     'corners',
     'symmetry',
+    'radial_symmetry',
     'line_symmetry',
 )
 
@@ -40,6 +41,9 @@ class AttentionConfig:
     weight_corners: float = parameter(0.3, 'weight of corners', minimum=0, maximum=10)
     weight_symmetry: float = parameter(
         0.3, 'weight of symmetry about a point', minimum=0, maximum=10
+    )
+    weight_radial_symmetry: float = parameter(
+        0.0, 'weight of symmetry about a point that edges vote for', minimum=0, maximum=10
     )
     weight_line_symmetry: float = parameter(
         0.05, 'weight of symmetry about vertical lines', minimum=0, maximum=10

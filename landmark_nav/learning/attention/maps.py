@@ -18,7 +18,12 @@ from landmark_nav.learning.attention.features import (
     intensity_map,
     vertical_edge_map,
 )
-from landmark_nav.learning.attention.symmetry import halve, line_symmetry_map, point_symmetry_map
+from landmark_nav.learning.attention.symmetry import (
+    halve,
+    line_symmetry_map,
+    point_symmetry_map,
+    radial_symmetry_map,
+)
 from landmark_nav.types import ImageArray
 
 __all__ = ['AttentionMaps', 'attention_maps', 'saliency_map']
@@ -107,6 +112,7 @@ def _feature_maps(
         'vertical_edges': lambda: halve(vertical_edge_map(gradients)),
         'corners': lambda: halve(corner_map(gradients)),
         'symmetry': lambda: point_symmetry_map(gradients),
+        'radial_symmetry': lambda: radial_symmetry_map(gradients),
         'line_symmetry': lambda: line_symmetry_map(intensity, config.edge_high / 255.0),
     }
     return {name: compute[name]() for name in names}

@@ -11,13 +11,19 @@ import numpy as np
 
 from landmark_nav.learning.attention.features import EdgeGradients, FloatMap
 
-__all__ = ['line_symmetry_map', 'point_symmetry_map']
+__all__ = ['halve', 'line_symmetry_map', 'point_symmetry_map', 'radial_symmetry_map']
 
 # Scales of the ring that collects edges about a point, in px of the full picture; it weighs most
 # at sqrt(2) times as much.
 _RING_SIGMAS_PX = (4.0, 8.0, 16.0)
 # Mean edge strength, as a share of a strong edge everywhere, below which a ring is empty.
 _EMPTY = 0.02
+# Radii of the circles that edges vote for, in px of the full picture.
+_RADII_PX = (4, 8, 16)
+# Votes that make a point fully symmetric, and how strictly they must come from all sides: Loy and
+# Zelinsky's values, and strict enough to leave straight edges out.
+_FULL_VOTES = 9.9
+_STRICTNESS = 2
 # Half the width and height over which two sides of a vertical line are compared, full px.
 _HALF_WIDTH_PX = 16
 _HALF_HEIGHT_PX = 16
@@ -70,6 +76,40 @@ def _ring_symmetry(
     total = np.maximum(total, np.float32(1e-6))
     symmetry = np.maximum(circular, 0.0) * np.maximum(total - linear, 0.0) / (total * total)
     return np.asarray(symmetry * certainty, dtype=np.float32)
+
+
+def radial_symmetry_map(gradients: EdgeGradients) -> FloatMap:
+    """
+    Symmetry about a point at half resolution: edges vote for what they lie on a circle around.
+
+    Each edge pixel votes for the points that lie one radius up and one down its gradient, with
+    opposite signs: bright and dark centres collect votes of one sign, from all sides; points
+    beside a straight edge get one vote each. The largest over the radii. Loy and Zelinsky, Fast
+    Radial Symmetry for Detecting Points of Interest, PAMI 25(8), 2003, the fast form of Reisfeld,
+    Wolfson and Yeshurun, Context-Free Attentional Operators, IJCV 14, 1995.
+    """
+    height, width = (side // 2 for side in gradients.magnitude.shape)
+    row, column = np.nonzero(gradients.magnitude)
+    magnitude = gradients.magnitude[row, column]
+    up_x = gradients.dx[row, column] / magnitude
+    up_y = gradients.dy[row, column] / magnitude
+    strength = np.minimum(magnitude / np.float32(gradients.strong), np.float32(1.0))
+    best = np.zeros((height, width), np.float32)
+    for radius in _RADII_PX:
+        votes, weight = np.zeros(height * width), np.zeros(height * width)
+        for sign in (1, -1):
+            at_row = (row + np.rint(sign * radius * up_y).astype(np.intp)) // 2
+            at_column = (column + np.rint(sign * radius * up_x).astype(np.intp)) // 2
+            inside = (at_row >= 0) & (at_row < height) & (at_column >= 0) & (at_column < width)
+            at = at_row[inside] * width + at_column[inside]
+            votes += sign * np.bincount(at, minlength=len(votes))
+            weight += sign * np.bincount(at, strength[inside], minlength=len(weight))
+        share = np.minimum(np.abs(votes) / _FULL_VOTES, 1.0) ** _STRICTNESS
+        share *= np.minimum(np.abs(weight) / _FULL_VOTES, 1.0)
+        ring = share.reshape(height, width).astype(np.float32)
+        # A quarter of the radius, at half resolution.
+        np.maximum(best, cv2.GaussianBlur(ring, (0, 0), radius / 8.0), out=best)
+    return best
 
 
 def line_symmetry_map(intensity: FloatMap, contrast: float) -> FloatMap:
