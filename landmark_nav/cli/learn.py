@@ -15,7 +15,7 @@ from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.true_places import truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import (
@@ -26,7 +26,6 @@ from landmark_nav.learning.pipeline import (
     PanoramaStages,
 )
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.setup_files import load_robot, load_room
@@ -69,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         with shown.measure('drawing'):  # one more than the bar has: it is gone by then
             _draw(result, room, folder)
         write_map(result.map, folder)
-    truth = _truth(bag)
+    truth = truth_of_bag(bag)
     report = learning_report(result, frames, truth, mount, log, time.perf_counter() - begin)
     if args.json:
         write_whole(args.json, json.dumps(report, indent=2) + '\n')
@@ -120,14 +119,6 @@ def _draw(result: LearningResult, room: Room, folder: Path) -> None:
     for k, panorama in enumerate(result.panoramas):
         path = folder / f'panorama_{k + 1}.png'
         draw_panorama(panorama, result.candidates[k], result.outcomes[k], k + 1, path)
-
-
-def _truth(bag: Bag) -> PoseTrack:
-    """Ground truth of a bag; empty where it has none."""
-    topic = bag.find('ground_truth/odom')
-    entries = bag.messages([topic]) if topic else iter(())
-    poses = (decode.pose_estimate(entry.message) for entry in entries)
-    return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses)
 
 
 def _provenance(args: argparse.Namespace) -> dict[str, str]:

@@ -31,6 +31,7 @@ COMMANDS = {
     'convert': ('convert', 'make a bag and a map of a foreign log'),
     'play': ('play', 'play a bag onto topics with /clock (ROS)'),
     'map': ('maps', 'look into maps'),
+    'figures': ('figures', 'draw the figures of the paper from own data'),
     'bench': ('bench', 'time every stage beside a reference'),
 }
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
-from landmark_nav.evaluation.figures.map_figure import _places_of_numbers
+from landmark_nav.evaluation.figures.map_figure import places_of_numbers
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.evaluation.tracks import PoseTrack
@@ -78,7 +78,7 @@ def test_numbers_of_neighbours_do_not_lie_on_each_other():
     along = np.cumsum(np.random.default_rng(0).uniform(0.06, 0.3, 12))
     positions = np.column_stack([along, np.zeros(12)])
     normals = np.tile([0.0, 1.0], (12, 1))
-    places = _places_of_numbers(positions, normals)
+    places = places_of_numbers(positions, normals)
     assert np.all(places[:, 1] < 0.0)
     apart = np.abs(places[:, None] - places[None])
     clear = (apart[..., 0] > 0.16) | (apart[..., 1] > 0.09) | np.eye(12, dtype=bool)

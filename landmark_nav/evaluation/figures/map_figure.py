@@ -23,7 +23,7 @@ from landmark_nav.evaluation.figures.style import (
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['draw_landmarks', 'draw_map']
+__all__ = ['draw_landmarks', 'draw_map', 'places_of_numbers']
 
 # Ellipses of millimetres would not be seen in a room: they are drawn this many times as large.
 _MAGNIFIED = 10.0
@@ -91,7 +91,7 @@ def draw_landmarks(axes: Axes, landmarks: LandmarkMap, *, detailed: bool) -> Non
     for base, tip in zip(positions, tips, strict=True):
         axes.plot(*np.stack([base, tip], -1), color=LANDMARK, linewidth=1.0, zorder=5)
     for landmark, place in zip(
-        landmarks.landmarks, _places_of_numbers(positions, normals), strict=True
+        landmarks.landmarks, places_of_numbers(positions, normals), strict=True
     ):
         add_ellipse(
             axes, landmark.position, landmark.covariance[:2, :2], 3.0, LANDMARK, _MAGNIFIED
@@ -107,7 +107,7 @@ def draw_landmarks(axes: Axes, landmarks: LandmarkMap, *, detailed: bool) -> Non
         )
 
 
-def _places_of_numbers(positions: FloatArray, normals: FloatArray) -> FloatArray:
+def places_of_numbers(positions: FloatArray, normals: FloatArray) -> FloatArray:
     """Places (n, 2) outside the walls, each in the first row where there is still room."""
     along = np.stack([-normals[:, 1], normals[:, 0]], -1)
     # Numbers are wider than high, whichever way the wall runs.

@@ -15,7 +15,9 @@ __all__ = ['conspicuity_map', 'fuse']
 _LEAST_PEAK = 1e-3
 
 
-def conspicuity_map(feature: FloatMap, center_sigma: float, surround_sigma: float) -> FloatMap:
+def conspicuity_map(
+    feature: FloatMap, center_sigma: float, surround_sigma: float, side: int = 0
+) -> FloatMap:
     """
     Where a feature stands out from its surround, in [0, 1].
 
@@ -28,18 +30,22 @@ def conspicuity_map(feature: FloatMap, center_sigma: float, surround_sigma: floa
     feature : ndarray of float32, shape (height, width)
     center_sigma, surround_sigma : float
         In pixels of `feature`.
+    side : int
+        Columns at either end that are there twice, and count once.
 
     """
+    turn = slice(side, feature.shape[1] - side)
     center = cv2.GaussianBlur(feature, (0, 0), center_sigma)
     surround = cv2.GaussianBlur(feature, (0, 0), surround_sigma)
     stands_out = np.maximum(center - surround, 0.0)
-    peak = float(stands_out.max())
+    peak = float(stands_out[:, turn].max())
     if peak < _LEAST_PEAK:
         return np.zeros_like(feature)
     stands_out /= np.float32(peak)
     reach = 2 * int(np.ceil(surround_sigma)) + 1
     highest = cv2.dilate(stands_out, np.ones((reach, reach), np.uint8))
-    maxima = stands_out[(stands_out == highest) & (stands_out > 0.0)]
+    is_peak = (stands_out == highest) & (stands_out > 0.0)
+    maxima = stands_out[:, turn][is_peak[:, turn]]
     others = float(maxima[maxima < 1.0].mean()) if np.any(maxima < 1.0) else 0.0
     return np.asarray(stands_out * np.float32((1.0 - others) ** 2), dtype=np.float32)
 

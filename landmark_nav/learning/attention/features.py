@@ -54,12 +54,13 @@ class EdgeGradients:
     strong: float
 
 
-def edge_gradients(gray: ImageArray, low: float, high: float) -> EdgeGradients:
+def edge_gradients(gray: ImageArray, low: float, high: float, side: int = 0) -> EdgeGradients:
     """
     Gradients on the Canny edges of a grey picture (height, width).
 
-    `low` and `high` are the thresholds of the hysteresis in grey levels per px. Canny, A
-    Computational Approach to Edge Detection, PAMI 8(6), 1986.
+    `low` and `high` are the thresholds of the hysteresis in grey levels per px; `side` columns at
+    either end are there twice, and count once. Canny, A Computational Approach to Edge
+    Detection, PAMI 8(6), 1986.
     """
     smooth = cv2.GaussianBlur(gray, (0, 0), 1.0)
     sobel_x = cv2.Sobel(smooth, cv2.CV_16S, 1, 0)
@@ -71,7 +72,8 @@ def edge_gradients(gray: ImageArray, low: float, high: float) -> EdgeGradients:
     dy = np.where(edge, sobel_y, 0).astype(np.float32) / np.float32(_SOBEL_GAIN)
     # Not cv2.magnitude: its last bit depends on where the arrays lie in memory.
     magnitude = np.sqrt(dx * dx + dy * dy)
-    found = magnitude[edge]
+    turn = slice(side, edge.shape[1] - side)
+    found = magnitude[:, turn][edge[:, turn]]
     strong = float(np.percentile(found, _STRONG_EDGE_PERCENT)) if found.size else 1.0
     return EdgeGradients(dx, dy, magnitude, strong)
 

@@ -62,9 +62,9 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     columns = np.arange(-side, width + side + width % 2) % width
     padded = panorama_gray.take(columns, axis=1)
     padded = cv2.copyMakeBorder(padded, 0, height % 2, 0, 0, cv2.BORDER_REPLICATE)
-    features = _feature_maps(padded, config, list(weights))
+    features = _feature_maps(padded, config, list(weights), side)
     sigmas = config.center_sigma_px / 2.0, config.surround_sigma_px / 2.0
-    conspicuities = {name: conspicuity_map(m, *sigmas) for name, m in features.items()}
+    conspicuities = {name: conspicuity_map(m, *sigmas, side // 2) for name, m in features.items()}
     fused = fuse(conspicuities, weights)
     full = cv2.resize(fused, padded.shape[::-1], interpolation=cv2.INTER_LINEAR)
     saliency = np.asarray(full[:height, side : side + width], np.float32, order='C')
@@ -101,10 +101,10 @@ def saliency_map(
 
 
 def _feature_maps(
-    gray: ImageArray, config: AttentionConfig, names: list[str]
+    gray: ImageArray, config: AttentionConfig, names: list[str], side: int
 ) -> dict[str, FloatMap]:
     """Feature maps at half resolution, what they share computed once."""
-    gradients = edge_gradients(gray, config.edge_low, config.edge_high)
+    gradients = edge_gradients(gray, config.edge_low, config.edge_high, side)
     intensity = intensity_map(gray)
     compute: dict[str, Callable[[], FloatMap]] = {
         'intensity': lambda: halve(intensity),

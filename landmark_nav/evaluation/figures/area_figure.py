@@ -1,0 +1,184 @@
+"""Counterpart of Figure 6 of Livatino and Madsen: from where landmarks can be observed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.evaluation.figures.strips import caption, show
+from landmark_nav.evaluation.figures.style import (
+    draw_papers,
+    draw_walls,
+    FIX,
+    FUSED,
+    LANDMARK,
+    new_figure,
+    ODOMETRY,
+    save,
+)
+from landmark_nav.geometry.observation import observed_well
+from landmark_nav.geometry.walls import Room
+from landmark_nav.types import FloatArray, Landmark, LandmarkMap
+
+__all__ = ['AreaTest', 'draw_observation_areas', 'typical_landmarks']
+
+_COUNT = 3
+_CELL_M = 0.04
+_MARGIN_M = 0.3
+_LEVELS = (0.5, 1.5)
+
+
+@dataclass(frozen=True, eq=False)
+class AreaTest:
+    """Whether a landmark was `found` (c,) where it is, from places `xy` (c, 2) of a robot."""
+
+    landmark: int
+    xy: FloatArray
+    found: npt.NDArray[np.bool_]
+
+
+def typical_landmarks(landmarks: LandmarkMap) -> list[Landmark]:
+    """The strongest landmark of each wall, three at most, the strongest first."""
+    ranked = sorted(landmarks.landmarks, key=lambda k: -k.saliency)
+    chosen: list[Landmark] = []
+    for landmark in [*ranked, *ranked]:
+        walls = {k.wall_id for k in chosen}
+        fresh = landmark.wall_id not in walls or len(walls) == len({k.wall_id for k in ranked})
+        if len(chosen) < _COUNT and landmark not in chosen and fresh:
+            chosen.append(landmark)
+    return chosen
+
+
+def draw_observation_areas(
+    landmarks: LandmarkMap, room: Room, path: Path, tests: Sequence[AreaTest] = ()
+) -> str:
+    """
+    Draw observation areas of three landmarks and the places of the sweeps; return the caption.
+
+    Parameters
+    ----------
+    landmarks : LandmarkMap
+        What was learned.
+    room : Room
+        Walls and papers.
+    path : Path
+        PNG to write.
+    tests : sequence of AreaTest
+        From where the landmarks were found, if that was tried.
+
+    """
+    chosen = typical_landmarks(landmarks)
+    tried = {test.landmark: test for test in tests}
+    corners = np.array([wall.start for wall in room.walls])
+    width, height = np.ptp(corners, axis=0) + 2.0 * _MARGIN_M
+    figure = new_figure(15.0, 15.0 * height / width + 1.6)
+    panels = np.ravel(np.asarray(figure.subplots(2, 2)))
+    agree: list[tuple[int, int]] = []
+    for axes, landmark in zip(panels, chosen, strict=False):
+        agree.append(_draw_area(axes, landmark, room, tried.get(landmark.id)))
+    for axes in panels[len(chosen) : -1]:
+        axes.set_axis_off()
+    _draw_places(panels[-1], landmarks, room)
+    handles = [
+        Patch(color=FIX, alpha=0.45, label='observation area as predicted'),
+        Line2D([], [], color=FUSED, marker='^', linestyle='', label='where it was learned'),
+    ]
+    if tests:
+        handles += [
+            Line2D([], [], color=LANDMARK, marker='o', linestyle='', label='found from here'),
+            Line2D([], [], color=ODOMETRY, marker='x', linestyle='', label='not found'),
+        ]
+    figure.legend(handles=handles, loc='outside upper center', ncols=len(handles), frameon=False)
+    text = (
+        f'Figure 6. Observation areas of {len(chosen)} landmarks: there neither width nor height '
+        'of the patch is seen with less than half or more than twice the resolution of the view '
+        'that it was learned from.'
+    )
+    if tests:
+        same, total = np.sum(agree, axis=0)
+        text += (
+            f' Looked for from {total} places on another day (a lamp dimmed, a piece of furniture '
+            f'moved), the area tells from {same / total:.0%} of them whether a patch is found.'
+        )
+    text += ' Bottom right: the places of the sweeps, and how many landmarks each wall has.'
+    caption(figure, text)
+    save(figure, path)
+    return text
+
+
+def _draw_area(
+    axes: Axes, landmark: Landmark, room: Room, test: AreaTest | None
+) -> tuple[int, int]:
+    """One landmark; at how many places prediction and test agree, of how many."""
+    corners = np.array([wall.start for wall in room.walls])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    x, y = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(low, high, strict=True))
+    cells = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    area = _predicted(landmark, room, cells).reshape(len(y), len(x)).astype(float)
+    axes.contourf(x, y, area, _LEVELS, colors=FIX, alpha=0.45, zorder=1)
+    draw_walls(axes, room.walls, _MARGIN_M)
+    axes.plot(*landmark.position[:2], 's', color=LANDMARK, markersize=8, zorder=6)
+    axes.plot(*landmark.viewpoint[:2], '^', color=FUSED, markersize=10, zorder=6)
+    title = f'landmark {landmark.id} on wall {landmark.wall_id}'
+    agree = (0, 0)
+    if test is not None:
+        axes.plot(*test.xy[test.found].T, 'o', color=LANDMARK, markersize=4, zorder=4)
+        axes.plot(*test.xy[~test.found].T, 'x', color=ODOMETRY, markersize=4, zorder=3)
+        predicted = _predicted(landmark, room, test.xy)
+        agree = int(np.sum(predicted == test.found)), len(predicted)
+        title += (
+            f': found from {test.found[predicted].mean():.0%} of the places inside, '
+            f'{test.found[~predicted].mean():.0%} outside'
+        )
+    axes.set_title(title, fontsize=11)
+    _draw_patch(axes, landmark, low, high)
+    return agree
+
+
+def _predicted(landmark: Landmark, room: Room, xy: FloatArray) -> npt.NDArray[np.bool_]:
+    seen = observed_well(
+        landmark.position[None], landmark.normal[None], landmark.viewpoint[None], xy
+    )[:, 0]
+    return np.asarray(seen & room.contains(xy) & room.visible(xy, landmark.position[:2]))
+
+
+def _draw_patch(axes: Axes, landmark: Landmark, low: FloatArray, high: FloatArray) -> None:
+    """The patch, in the corner of the plan that is farthest from it."""
+    share = (landmark.position[:2] - low) / (high - low)
+    inset = axes.inset_axes(
+        (0.8 if share[0] < 0.5 else 0.03, 0.72 if share[1] < 0.5 else 0.05, 0.17, 0.23)
+    )
+    show(inset, landmark.patch)
+    for spine in inset.spines.values():
+        spine.set_visible(True)
+        spine.set_color(LANDMARK)
+        spine.set_linewidth(2.0)
+
+
+def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:
+    draw_walls(axes, room.walls, _MARGIN_M)
+    draw_papers(axes, room.papers)
+    axes.plot(*landmarks.positions[:, :2].T, '.', color=LANDMARK, markersize=6, zorder=4)
+    names = 'LR' if len(landmarks.panorama_poses) <= 2 else '123456789'
+    for name, place in zip(names, landmarks.panorama_poses, strict=False):
+        x, y = place.pose[:2]
+        axes.plot(x, y, '^', color=FUSED, markersize=13, zorder=6)
+        axes.annotate(
+            name, (x, y), (10, 6), textcoords='offset points', color=FUSED, weight='bold',
+            fontsize=15,
+        )  # fmt: skip
+    for wall, normal in zip(room.walls, room.normals, strict=True):
+        count = Counter(k.wall_id for k in landmarks.landmarks)[wall.id]
+        middle = 0.5 * np.add(wall.start, wall.end) + normal[:2] * (0.9, 0.4)
+        axes.annotate(
+            f'{wall.id}: {count}', (middle[0], middle[1]), ha='center', va='center', fontsize=12
+        )
+    axes.set_title(f'{len(landmarks.landmarks)} landmarks', fontsize=11)

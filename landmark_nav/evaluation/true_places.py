@@ -1,0 +1,61 @@
+"""Ground truth of learning: where sweeps were taken, and where landmarks then really are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.pipeline import LearningResult
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag
+from landmark_nav.types import FloatArray, Landmark
+
+__all__ = ['true_places', 'truth_of_bag']
+
+
+def truth_of_bag(bag: Bag) -> PoseTrack:
+    """Ground truth of a bag; empty where it has none."""
+    topic = bag.find('ground_truth/odom')
+    entries = bag.messages([topic]) if topic else iter(())
+    poses = (decode.pose_estimate(entry.message) for entry in entries)
+    return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses)
+
+
+def true_places(
+    result: LearningResult, true_poses: FloatArray, room: Room, mount: PanTiltMount
+) -> FloatArray:
+    """
+    Where the patches of the landmarks lie on the walls.
+
+    Parameters
+    ----------
+    result : LearningResult
+        What was learned.
+    true_poses : ndarray, shape (k, 3)
+        Of the base, one a panorama.
+    room : Room
+        The walls, which pictures hang a finger's breadth off at most.
+    mount : PanTiltMount
+        Where the camera turns.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        In the order of the map.
+
+    """
+    truth = np.zeros((len(result.map.landmarks), 2))
+    for pose, panorama, candidates, outcomes in zip(
+        true_poses, result.panoramas, result.candidates, result.outcomes, strict=True
+    ):
+        axis = se2.compose(pose, [*mount.axis_xyz[:2], 0.0])[:2]
+        for candidate, outcome in zip(candidates, outcomes, strict=True):
+            if isinstance(outcome, Landmark):
+                azimuth = float(panorama.cylinder.azimuth_rad(candidate.column)) + pose[2]
+                reach = float(room.raycast(axis, azimuth)[0])
+                place = axis + reach * np.array([np.cos(azimuth), np.sin(azimuth)])
+                truth[result.map.indices(np.array([outcome.id]))[0]] = place
+    return truth
