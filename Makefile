@@ -21,7 +21,7 @@ NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector tri
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-offline test-nodes lint bench rooms config test-oldest clean
+.PHONY: install demo test test-offline test-nodes lint bench rooms landmarks config test-oldest clean
 
 install: .venv/installed
 
@@ -57,6 +57,10 @@ bench: install
 SEEDS ?= 901 902 903 904 905
 rooms: install
 	$(BIN)/python test/rooms.py --seeds $(SEEDS)
+
+# Landmarks of the same rooms against the truth: where they are, and from where they are found.
+landmarks: install
+	$(BIN)/python test/landmark_check.py --area --seeds $(SEEDS)
 
 # The parameter files say what the code says; run it after changing a parameter.
 config: install

@@ -2,7 +2,8 @@
 Joint least squares of landmarks and panorama poses: a small bundle adjustment.
 
 What landmarks share (the pose errors of the panoramas) is kept apart from what each has alone,
-so that the map can say both (Triggs et al., Bundle Adjustment, 2000, for the Schur complement).
+so that the map can say both. How precise panoramas are, and how differently things hang, is
+estimated from the residuals themselves, room by room.
 """
 
 from __future__ import annotations
@@ -12,25 +13,31 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import chi2
 
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment_problem import Linearized, Problem
 from landmark_nav.learning.stereo import Sighting
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['Adjustment', 'AdjustmentConfig', 'adjust']
 
-# x, y, z, heading of each panorama; after all of them, how far things hang off the walls.
-_POSE = 4
 _MAX_ITERATIONS = 15
 # Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
 _DOUBT_AT_FIRST, _DOUBT = 100.0, 6.0
+# A landmark that misses by more than this probability allows has no say in what is shared.
+_OUTLIER_PROBABILITY = 0.01
+_NO_SAY = 1e-6
+# What misses by more sigmas than this is taken to be less certain, until it does not.
+_TAIL_SIGMAS = 2.5
+_NOISE_ITERATIONS = 60
+_NOISE_CONVERGED = 1e-3
 
 
 @dataclass(frozen=True)
 class AdjustmentConfig:
-    """What is known beside the sightings."""
+    """What is expected before there are sightings; they tell more."""
 
     azimuth_sigma_rad: float = parameter(
         1.5e-4, 'what a panorama adds to each azimuth', minimum=0, maximum=0.1
@@ -43,6 +50,18 @@ class AdjustmentConfig:
     )
     common_hanging_sigma_m: float = parameter(
         0.015, 'how far from the wall things hang on average', minimum=1e-4, maximum=1
+    )
+    camera_weight: float = parameter(
+        1.0,
+        'how many measurements the expected sigmas of panoramas count for',
+        minimum=1e-3,
+        maximum=1e9,
+    )
+    room_weight: float = parameter(
+        0.2,
+        'how many measurements the expected sigmas of hanging and of places count for',
+        minimum=1e-3,
+        maximum=1e9,
     )
 
     def __post_init__(self) -> None:
@@ -69,6 +88,9 @@ class Adjustment:
         How far before its wall each landmark lies.
     chi_square : ndarray, shape (n,)
         Misfit of its sightings and its wall.
+    noise : ndarray, shape (4,)
+        Sigmas found: of azimuths, of tangents, of hanging; and the factor on the sigmas that
+        panoramas say their places have.
 
     """
 
@@ -79,6 +101,7 @@ class Adjustment:
     pose_covariance: FloatArray
     off_wall_m: FloatArray
     chi_square: FloatArray
+    noise: FloatArray
 
 
 def adjust(
@@ -105,175 +128,151 @@ def adjust(
     room : Room
         The walls; what hangs on them lies near them, not on them.
     config : AdjustmentConfig
-        Prior standard deviations.
+        Standard deviations to expect.
 
     Returns
     -------
     Adjustment
 
     """
-    problem = _Problem(sightings, walls, panoramas, room, config)
+    problem = Problem(sightings, walls, panoramas, room, config.common_hanging_sigma_m)
+    expected = np.array(
+        [config.azimuth_sigma_rad, config.tangent_sigma, config.hanging_sigma_m, 1.0]
+    )
+    points, shared = _settle(problem, start, expected)
+    trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
+    say = np.where(trusted, 1.0, _NO_SAY)
+    weight = np.repeat([config.camera_weight, config.room_weight], 2)
+    noise = expected
+    for _ in range(_NOISE_ITERATIONS):
+        at = problem.linearize(points, shared)
+        equations = problem.normal_equations(
+            at, shared, *_information(problem, at, noise, say), noise[3]
+        )
+        point_step, shared_step = equations.solve()
+        points, shared = points + point_step, shared + shared_step
+        better, fewness = _noise(problem, points, shared, noise, expected, say, weight)
+        still = np.abs(better / noise - 1.0).max() < _NOISE_CONVERGED
+        noise = better
+        if still and max(np.abs(point_step).max(), np.abs(shared_step).max()) < 1e-7:
+            break
+    # The fewer residuals tell of a variance, the farther is its mean from its likeliest value.
+    noise = noise * np.sqrt(fewness)
+    at = problem.linearize(points, shared)
+    equations = problem.normal_equations(
+        at, shared, *_information(problem, at, noise, say), noise[3]
+    )
+    covariance = equations.shared_covariance()
+    return Adjustment(
+        points,
+        say[:, None, None] * equations.own_covariance(),
+        -equations.gain @ np.linalg.cholesky(covariance),
+        problem.poses(shared),
+        problem.pose_covariance(covariance),
+        problem.off_wall(points),
+        _misfit(problem, at, noise, trusted),
+        noise,
+    )
+
+
+def _settle(
+    problem: Problem, start: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Landmarks (n, 3) and shared unknowns (m,) that most landmarks agree on."""
     points, shared = start.copy(), problem.prior
     for step in range(_MAX_ITERATIONS):
         # False matches, and what hangs off the walls, must bend neither their neighbours nor the
         # poses, even where they are many: a weight that falls faster than the pull grows (Geman
         # and McClure, 1987), stricter with each step, as the poses explain more of the misfit.
         doubt = max(_DOUBT_AT_FIRST / 2**step, _DOUBT)
-        weight = (1.0 + problem.misfit(points, shared) / doubt) ** -2.0
-        equations = problem.normal_equations(points, shared, weight)
+        at = problem.linearize(points, shared)
+        weight = (1.0 + _misfit(problem, at, sigma) / doubt) ** -2.0
+        seen, wall = _variances(problem, sigma)
+        equations = problem.normal_equations(
+            at, shared, weight[problem.landmark, None] / seen, weight / wall
+        )
         point_step, shared_step = equations.solve()
         points, shared = points + point_step, shared + shared_step
         if step > 4 and max(np.abs(point_step).max(), np.abs(shared_step).max()) < 1e-7:
             break
-    views = len(panoramas)
-    covariance = equations.shared_covariance()
-    diagonal = np.arange(views)
-    return Adjustment(
-        points,
-        np.asarray(np.linalg.inv(equations.h_xx), dtype=np.float64),
-        -equations.gain @ np.linalg.cholesky(covariance),
-        shared[:-1].reshape(views, _POSE),
-        covariance[:-1, :-1].reshape(views, _POSE, views, _POSE)[diagonal, :, diagonal],
-        problem.off_wall(points),
-        problem.misfit(points, shared),
+    return points, shared
+
+
+def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Variances of sightings (k, 2) and walls (n,)."""
+    return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[2] ** 2)
+
+
+def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
+    """Share of its information that a residual keeps."""
+    with np.errstate(divide='ignore'):
+        return np.asarray(np.minimum(1.0, _TAIL_SIGMAS**2 * variance / residual**2))
+
+
+def _information(
+    problem: Problem, at: Linearized, noise: FloatArray, say: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    seen, wall = _variances(problem, noise)
+    return (
+        say[problem.landmark, None] * _tail(at.seen, seen) / seen,
+        say * _tail(at.wall, wall) / wall,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _NormalEquations:
-    """Blocks of landmarks (x) and of what they share (s): ``H d = b``."""
-
-    h_xx: FloatArray
-    h_xs: FloatArray
-    h_ss: FloatArray
-    b_x: FloatArray
-    b_s: FloatArray
-
-    @property
-    def gain(self) -> FloatArray:
-        """How the shared unknowns move each landmark, (n, 3, m), with the opposite sign."""
-        return np.asarray(np.linalg.solve(self.h_xx, self.h_xs), dtype=np.float64)
-
-    def _schur(self) -> FloatArray:
-        return np.asarray(self.h_ss - np.einsum('nip,niq->pq', self.h_xs, self.gain))
-
-    def solve(self) -> tuple[FloatArray, FloatArray]:
-        """Steps of landmarks (n, 3) and shared unknowns (m,)."""
-        alone = np.linalg.solve(self.h_xx, self.b_x[..., None])[..., 0]
-        rhs = self.b_s - np.einsum('nip,ni->p', self.h_xs, alone)
-        shared = np.linalg.solve(self._schur(), rhs)
-        return alone - self.gain @ shared, shared
-
-    def shared_covariance(self) -> FloatArray:
-        """Covariance of the shared unknowns, (m, m)."""
-        return np.asarray(np.linalg.inv(self._schur()))
+def _misfit(
+    problem: Problem,
+    at: Linearized,
+    noise: FloatArray,
+    trusted: npt.NDArray[np.bool_] | bool = False,
+) -> FloatArray:
+    """Squared misfit of each landmark (n,); those `trusted` may hang off in the tail."""
+    seen, wall = _variances(problem, noise)
+    share = np.where(trusted, _tail(at.wall, wall), 1.0)
+    sums = np.bincount(problem.landmark, np.sum(at.seen**2 / seen, 1), problem.count)
+    return np.asarray(sums + share * at.wall**2 / wall)
 
 
-class _Problem:
-    """The measurements; unknowns are points (n, 3) and the shared (4 * views + 1,)."""
-
-    def __init__(
-        self,
-        sightings: Sequence[Sequence[Sighting]],
-        walls: Sequence[int],
-        panoramas: Sequence[Panorama],
-        room: Room,
-        config: AdjustmentConfig,
-    ) -> None:
-        flat = [(k, s) for k, group in enumerate(sightings) for s in group]
-        self._landmark = np.array([k for k, _ in flat], dtype=np.intp)
-        self._view = np.array([s.panorama for _, s in flat], dtype=np.intp)
-        self._seen = np.array([(s.azimuth_rad, s.tangent) for _, s in flat])
-        own = np.array([(s.sigma_azimuth_rad, s.sigma_tangent) for _, s in flat])
-        self._sigma = np.hypot(own, [config.azimuth_sigma_rad, config.tangent_sigma])
-        self._count, self._views = len(sightings), len(panoramas)
-
-        self._normal = room.normals[np.asarray(walls, dtype=np.intp)]
-        starts = np.array([room.walls[w].start for w in walls])
-        self._level = np.sum(self._normal[:, :2] * starts, 1)
-        self._hanging_sigma = config.hanging_sigma_m
-
-        poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
-        self.prior = np.append(poses.ravel(), 0.0)
-        self._information = np.zeros((len(self.prior), len(self.prior)))
-        for i, panorama in enumerate(panoramas):
-            part = slice(_POSE * i, _POSE * (i + 1))
-            self._information[part, part] = np.linalg.inv(
-                panorama.covariance + 1e-12 * np.eye(_POSE)
-            )
-        self._information[-1, -1] = config.common_hanging_sigma_m**-2
-
-    def off_wall(self, points: FloatArray) -> FloatArray:
-        """How far before their walls points (n, 3) lie, metres."""
-        return np.asarray(np.sum(points * self._normal, 1) - self._level)
-
-    def misfit(self, points: FloatArray, shared: FloatArray) -> FloatArray:
-        """Squared misfit of each landmark, in standard deviations, (n,)."""
-        residual = self._residual(points, shared)[0] / self._sigma
-        wall = (shared[-1] - self.off_wall(points)) / self._hanging_sigma
-        sums = np.bincount(self._landmark, np.sum(residual**2, 1), self._count)
-        return np.asarray(sums + wall**2)
-
-    def normal_equations(
-        self, points: FloatArray, shared: FloatArray, weight: FloatArray
-    ) -> _NormalEquations:
-        """Linearize; `weight` (n,) scales all measurements of a landmark."""
-        residual, by_point, by_pose = self._residual(points, shared)
-        scale = np.sqrt(weight[self._landmark])[:, None] / self._sigma
-        r = residual * scale
-        jx, jp = by_point * scale[..., None], by_pose * scale[..., None]
-
-        wall_weight = weight / self._hanging_sigma**2
-        wall_pull = wall_weight * (shared[-1] - self.off_wall(points))
-        h_xx = _sum_by(self._landmark, np.einsum('nki,nkj->nij', jx, jx), self._count)
-        h_xx += np.einsum('n,ni,nj->nij', wall_weight, self._normal, self._normal)
-        b_x = _sum_by(self._landmark, np.einsum('nki,nk->ni', jx, r), self._count)
-        b_x += wall_pull[:, None] * self._normal
-
-        pair = self._landmark * self._views + self._view
-        h_xp = _sum_by(pair, np.einsum('nki,nkj->nij', jx, jp), self._count * self._views)
-        h_xp = h_xp.reshape(self._count, self._views, 3, _POSE).transpose(0, 2, 1, 3)
-        h_xs = np.concatenate(
-            [
-                h_xp.reshape(self._count, 3, -1),
-                -(wall_weight[:, None] * self._normal)[..., None],
-            ],
-            2,
-        )
-        h_ss = self._information.copy()
-        b_s = self._information @ (self.prior - shared)
-        blocks = _sum_by(self._view, np.einsum('nki,nkj->nij', jp, jp), self._views)
-        for i, block in enumerate(blocks):
-            part = slice(_POSE * i, _POSE * (i + 1))
-            h_ss[part, part] += block
-        b_s[:-1] += _sum_by(self._view, np.einsum('nki,nk->ni', jp, r), self._views).ravel()
-        h_ss[-1, -1] += wall_weight.sum()
-        b_s[-1] -= wall_pull.sum()
-        return _NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
-
-    def _residual(
-        self, points: FloatArray, shared: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Azimuth and tangent residuals (k, 2), derivatives by point and pose of the model."""
-        poses = shared[:-1].reshape(-1, _POSE)[self._view]
-        d = points[self._landmark] - poses[:, :3]
-        reach = np.hypot(d[:, 0], d[:, 1])
-        residual = self._seen - np.stack(
-            [np.arctan2(d[:, 1], d[:, 0]) - poses[:, 3], d[:, 2] / reach], 1
-        )
-        residual[:, 0] = wrap_rad(residual[:, 0])
-        by_point = np.zeros((len(d), 2, 3))
-        by_point[:, 0, 0] = -d[:, 1] / reach**2
-        by_point[:, 0, 1] = d[:, 0] / reach**2
-        by_point[:, 1, :2] = -(d[:, 2] / reach**3)[:, None] * d[:, :2]
-        by_point[:, 1, 2] = 1.0 / reach
-        by_pose = np.concatenate([-by_point, np.zeros((len(d), 2, 1))], 2)
-        by_pose[:, 0, 3] = -1.0
-        return residual, by_point, by_pose
+def _bound(problem: Problem) -> FloatArray:
+    """Largest misfit (n,) of what is no outlier: a place takes three of the numbers seen."""
+    freedom = 2 * np.bincount(problem.landmark, minlength=problem.count) + 1 - 3
+    return np.asarray(chi2.isf(_OUTLIER_PROBABILITY, freedom))
 
 
-def _sum_by(index: npt.NDArray[np.intp], values: FloatArray, count: int) -> FloatArray:
-    """Sum values (k, ...) into rows (count, ...) by their index (k,)."""
-    out = np.zeros((count, *values.shape[1:]))
-    np.add.at(out, index, values)
-    return out
+def _noise(
+    problem: Problem,
+    points: FloatArray,
+    shared: FloatArray,
+    noise: FloatArray,
+    expected: FloatArray,
+    say: FloatArray,
+    weight: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Sigmas of azimuths, tangents and hanging that the residuals speak for, one step nearer.
+
+    Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
+    Foerstner's form): squared residuals count against their redundancy, which is what the
+    unknowns did not take from them. Expected sigmas join in as `weight` residuals each. Returned
+    with the mean of each variance, given how many tell of it, over its likeliest value.
+    """
+    at = problem.linearize(points, shared)
+    information = _information(problem, at, noise, say)
+    equations = problem.normal_equations(at, shared, *information, noise[3])
+    predicted = problem.predicted_variance(at, equations)
+    voice = say > 0.5
+    seen_voice = voice[problem.landmark]
+    variances = _variances(problem, noise)
+    groups = [
+        (at.seen[:, 0], variances[0][:, 0], information[0][:, 0], predicted[0][:, 0], seen_voice),
+        (at.seen[:, 1], variances[0][:, 1], information[0][:, 1], predicted[0][:, 1], seen_voice),
+        (at.wall, variances[1], information[1], predicted[1], voice),
+    ]
+    squares, counts = np.zeros((2, len(noise)))
+    for k, (residual, variance, trust, explained, who) in enumerate(groups):
+        part = noise[k] ** 2 / variance[who]
+        squares[k] = np.sum((trust * residual**2)[who] * part)
+        counts[k] = np.sum(np.maximum(1.0 - trust * explained, 0.0)[who] * part)
+    squares[-1], counts[-1] = problem.place_misfit(shared, equations, noise[-1])
+    pull = weight * (expected / noise) ** 2
+    better = noise * np.sqrt((squares + pull) / (counts + weight))
+    return better, 1.0 + 2.0 * counts / (counts + weight) ** 2

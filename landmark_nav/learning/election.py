@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
@@ -39,7 +40,10 @@ class ElectionConfig:
         0.03, 'greatest standard deviation of its place along any axis', minimum=1e-4, maximum=1
     )
     max_chi_square: float = parameter(
-        13.8, 'greatest misfit between its sightings and its wall', minimum=1, maximum=1000
+        13.8,
+        'greatest misfit of two sightings and a wall, squared; more views may add to it',
+        minimum=1,
+        maximum=1000,
     )
     max_overlap: float = parameter(
         0.4, 'greatest share of a patch that another may cover', minimum=0, maximum=1
@@ -95,7 +99,9 @@ def elect(
     taken: list[Landmark] = []
     for k in np.argsort([-patch.candidate.saliency for patch in patches], kind='stable'):
         patch = patches[k]
-        refusal = _refuse(patch, k, adjustment, covariance[k], panoramas[patch.source], config)
+        refusal = _refuse(
+            patch, k, adjustment, covariance[k], panoramas[patch.source], len(sightings[k]), config
+        )
         if refusal is None and any(
             _overlap(patch, adjustment.positions[k], other) > config.max_overlap
             for other in taken
@@ -129,10 +135,14 @@ def _refuse(
     adjustment: Adjustment,
     covariance: FloatArray,
     panorama: Panorama,
+    views: int,
     config: ElectionConfig,
 ) -> Refusal | None:
+    # Two views and a wall leave two numbers more than a place takes; each other view adds two.
+    likelihood = chi2.sf(config.max_chi_square, 2)
+    most = float(chi2.isf(likelihood, 2 * views - 2))
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
-    if abs(off_wall) > config.max_off_wall_m or misfit > config.max_chi_square:
+    if abs(off_wall) > config.max_off_wall_m or misfit > most:
         return Refusal('not on a wall', f'{off_wall * 100:.0f} cm off, misfit {misfit:.0f}')
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
     if sigma > config.max_sigma_m:

@@ -58,6 +58,8 @@ __all__ = [
 
 # So far from its wall a patch may be when stereo alone places it.
 _NO_WALL_M = 1.0
+# Weight of expected sigmas that leaves nothing to estimate.
+_AS_EXPECTED = 1e9
 
 
 @dataclass(frozen=True)
@@ -257,7 +259,12 @@ def learn_from_panoramas(
     with log.measure('adjustment'):
         start = np.array([patch.position for patch in patches])
         walls = [patch.wall for patch in patches]
-        without_walls = replace(config.adjustment, hanging_sigma_m=_NO_WALL_M)
+        without_walls = replace(
+            config.adjustment,
+            hanging_sigma_m=_NO_WALL_M,
+            camera_weight=_AS_EXPECTED,
+            room_weight=_AS_EXPECTED,
+        )
         free = adjust(sightings, walls, start, panoramas, room, without_walls)
         check_walls(free, walls, room, config.wall_fit)
         adjustment = adjust(sightings, walls, start, panoramas, room, config.adjustment)

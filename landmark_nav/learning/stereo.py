@@ -108,8 +108,6 @@ def hypothesize(
     if wall < 0:
         return Refusal('no wall behind it')
     height = float(panorama.center_map[2]) + distance * tangent
-    if not 0.05 < height < room.walls[wall].height - 0.05:
-        return Refusal('floor or ceiling', f'height {height:.2f} m')
     normal = room.normals[wall]
     direction = np.array([np.cos(azimuth), np.sin(azimuth)])
     cosine = float(-direction @ normal[:2])
@@ -117,6 +115,9 @@ def hypothesize(
         return Refusal('too oblique', f'{np.degrees(np.arccos(cosine)):.0f} deg')
     texel = distance / cylinder.fy
     shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))
+    half = 0.5 * shape[0] * texel
+    if not half < height < room.walls[wall].height - half:
+        return Refusal('floor or ceiling', f'height {height:.2f} m')
     position = np.append(panorama.center_map[:2] + distance * direction, height)
     right, _ = patch_axes(normal)
     ends = position[:2] + np.array([[-0.5], [0.5]]) * shape[1] * texel * right[:2]

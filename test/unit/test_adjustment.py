@@ -5,15 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from scenes import rectangle_room
+from scipy.optimize import least_squares
+from scipy.sparse import lil_matrix
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
+from landmark_nav.learning.adjustment_problem import Problem
 from landmark_nav.learning.stereo import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
 ROOM = rectangle_room(6.0, 5.0)
 CONFIG = AdjustmentConfig()
+# Sigmas are what they are said to be: nothing of them is estimated.
+AS_EXPECTED = AdjustmentConfig(camera_weight=1e9, room_weight=1e9)
 # x, y, z, heading: one at the seam of angles.
 POSES = np.array([[2.1, 1.9, 1.1, 3.12], [3.9, 2.8, 1.1, -1.4]])
 PRIOR = np.diag([0.008, 0.008, 0.005, 0.003]) ** 2
@@ -29,14 +34,20 @@ class World:
     poses: FloatArray
 
 
-def world_of(rng: np.random.Generator, count: int, *, flat: bool = False) -> World:
+def world_of(
+    rng: np.random.Generator,
+    count: int,
+    *,
+    flat: bool = False,
+    hanging_m: float = CONFIG.hanging_sigma_m,
+) -> World:
     walls = [k % 4 for k in range(count)]
     points = np.empty((count, 3))
     common = 0.0 if flat else rng.normal(0.0, CONFIG.common_hanging_sigma_m)
     for k, index in enumerate(walls):
         wall = ROOM.walls[index]
         foot = np.array(wall.start) + rng.uniform(0.15, 0.85) * np.subtract(wall.end, wall.start)
-        off = common + (0.0 if flat else rng.normal(0.0, CONFIG.hanging_sigma_m))
+        off = common + (0.0 if flat else rng.normal(0.0, hanging_m))
         points[k] = [*(foot + off * wall.normal[:2]), rng.uniform(0.6, 1.7)]
     return World(points, walls, POSES)
 
@@ -51,9 +62,12 @@ def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Pano
     ]
 
 
-def sightings_of(world: World, rng: np.random.Generator | None) -> list[list[Sighting]]:
+def sightings_of(
+    world: World,
+    rng: np.random.Generator | None,
+    common: tuple[float, float] = (CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma),
+) -> list[list[Sighting]]:
     """The first view proposed each landmark; the other found it with its own noise as well."""
-    common = np.array([CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
     groups = []
     for point in world.points:
         group = []
@@ -72,10 +86,15 @@ def sightings_of(world: World, rng: np.random.Generator | None) -> list[list[Sig
     return groups
 
 
-def solve(world: World, sightings: list[list[Sighting]], prior_poses: FloatArray) -> Adjustment:
+def solve(
+    world: World,
+    sightings: list[list[Sighting]],
+    prior_poses: FloatArray,
+    config: AdjustmentConfig = CONFIG,
+) -> Adjustment:
     # From anywhere on the wall near by.
     start = world.points + 0.05
-    return adjust(sightings, world.walls, start, panoramas_at(prior_poses), ROOM, CONFIG)
+    return adjust(sightings, world.walls, start, panoramas_at(prior_poses), ROOM, config)
 
 
 def draw(rng: np.random.Generator, world: World) -> Adjustment:
@@ -120,6 +139,78 @@ def test_landmarks_and_poses_err_as_their_covariances_say() -> None:
     assert 1.0 < np.mean(misfit) < 3.0
 
 
+@pytest.mark.parametrize(
+    ('azimuth', 'tangent', 'hanging'), [(4e-4, 2e-4, 0.003), (3e-4, 6e-4, 0.008)]
+)
+def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, hanging: float) -> None:
+    rng = np.random.default_rng(8)
+    noise, of_landmarks = [], []
+    for _ in range(12):
+        world = world_of(rng, 100, hanging_m=hanging)
+        prior = world.poses + rng.multivariate_normal(np.zeros(4), PRIOR, 2)
+        sightings = sightings_of(world, rng, (azimuth, tangent))
+        for group in sightings[:5]:  # false matches say nothing of it
+            group[1] = replace(group[1], azimuth_rad=group[1].azimuth_rad + 0.06)
+        found = solve(world, sightings, prior)
+        noise.append(found.noise)
+        error = found.positions - world.points
+        of_landmarks.append(nees(error, total_covariance(found))[5:].mean())
+        assert found.chi_square[:5].min() > 13.8
+    median = np.median(noise, axis=0)
+    np.testing.assert_allclose(median[:3], [azimuth, tangent, hanging], rtol=0.3)
+    assert 2.0 < np.mean(of_landmarks) < 4.5
+
+
+def test_places_of_panoramas_that_err_more_than_they_say_are_trusted_less() -> None:
+    rng = np.random.default_rng(9)
+    world = world_of(rng, 100, hanging_m=0.002)
+    scales = []
+    for factor in (0.3, 1.0, 3.0):
+        found = []
+        for _ in range(12):
+            error = factor * rng.multivariate_normal(np.zeros(4), PRIOR, 2)
+            found.append(solve(world, sightings_of(world, rng), world.poses + error).noise[3])
+        scales.append(np.median(found))
+    assert 0.2 < scales[0] < 0.6 < scales[1] < 1.6 < scales[2] < 4.5
+
+
+def test_the_solution_is_that_of_sparse_least_squares() -> None:
+    rng = np.random.default_rng(10)
+    third = [3.0, 1.2, 1.1, 0.3]
+    # So little noise that nothing is taken for less certain than it says.
+    world = replace(world_of(rng, 10, flat=True), poses=np.vstack([POSES, [third]]))
+    prior = world.poses + rng.multivariate_normal(np.zeros(4), PRIOR, 3)
+    sightings = sightings_of(world, None)
+    found = solve(world, sightings, prior, AS_EXPECTED)
+    problem = Problem(
+        sightings, world.walls, panoramas_at(prior), ROOM, CONFIG.common_hanging_sigma_m
+    )
+    sigma = np.hypot(problem.own_sigma, [CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
+    root = np.linalg.inv(np.sqrt(PRIOR))
+    count, shared = len(world.points), problem.prior
+
+    def residuals(x: FloatArray) -> FloatArray:
+        at = problem.linearize(x[: 3 * count].reshape(-1, 3), x[3 * count :])
+        seen, wall = at.seen / sigma, at.wall / CONFIG.hanging_sigma_m
+        moved = (x[3 * count :] - shared)[:-1].reshape(-1, 4) @ root
+        common = x[-1] / CONFIG.common_hanging_sigma_m
+        return np.concatenate([seen.ravel(), wall, moved.ravel(), [common]])
+
+    size = 3 * count + len(shared)
+    pattern = lil_matrix((len(residuals(np.append(world.points, shared))), size), dtype=int)
+    for k, landmark in enumerate(problem.landmark):
+        pattern[2 * k : 2 * k + 2, 3 * landmark : 3 * landmark + 3] = 1
+    for k in range(count):
+        pattern[2 * len(problem.landmark) + k, 3 * k : 3 * k + 3] = 1
+    pattern[:, 3 * count :] = 1
+    start = np.append(world.points.ravel(), shared)
+    best = least_squares(
+        residuals, start, jac_sparsity=pattern, xtol=1e-12, ftol=1e-12, x_scale='jac'
+    )
+    position = best.x[: 3 * count].reshape(-1, 3)
+    np.testing.assert_allclose(position, found.positions, atol=3e-6)
+
+
 def test_landmarks_share_what_the_poses_err() -> None:
     rng = np.random.default_rng(2)
     world = world_of(rng, 10, flat=True)
@@ -128,7 +219,7 @@ def test_landmarks_share_what_the_poses_err() -> None:
         # What hangs there is fixed: what varies is what a map of this world would.
         prior = world.poses + rng.multivariate_normal(np.zeros(4), PRIOR, 2)
         hung = world_hung(world, rng)
-        found = solve(hung, sightings_of(hung, rng), prior)
+        found = solve(hung, sightings_of(hung, rng), prior, AS_EXPECTED)
         errors.append(found.positions - hung.points)
         loadings.append(found.shared_loading)
         owns.append(found.own_covariance)
@@ -174,10 +265,10 @@ def test_one_false_match_does_not_bend_the_rest() -> None:
     world = world_of(rng, 24)
     sightings = sightings_of(world, rng)
     prior = world.poses + rng.multivariate_normal(np.zeros(4), PRIOR, 2)
-    clean = solve(world, sightings, prior)
+    clean = solve(world, sightings, prior, AS_EXPECTED)
     false = replace(sightings[5][1], azimuth_rad=sightings[5][1].azimuth_rad + 0.06)
     sightings[5] = [sightings[5][0], false]
-    bent = solve(world, sightings, prior)
+    bent = solve(world, sightings, prior, AS_EXPECTED)
 
     others = np.arange(24) != 5
     sigma = np.sqrt(np.diagonal(total_covariance(clean), axis1=1, axis2=2))

@@ -70,6 +70,7 @@ def perfect(patches: Sequence[WallPatch], **changes: Any) -> Adjustment:
         np.tile(np.eye(4) * 1e-4, (2, 1, 1)),
         np.zeros(n),
         np.ones(n),
+        np.ones(4),
     )
     return replace(found, **changes)
 

@@ -110,7 +110,7 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
         for k in range(24)
     ]
     spread = pose_covariance(np.column_stack([poses[:, :2], np.full(3, 1.1)]), ROOM, CONFIG)
-    config = AdjustmentConfig()
+    config = AdjustmentConfig(camera_weight=1e9, room_weight=1e9)
     done = adjust(sightings, list(walls), points, panoramas(poses, spread), ROOM, config)
     own, loading = landmark_errors(
         azimuth,

@@ -34,6 +34,7 @@ def placed(south: np.ndarray, along: np.ndarray, shared_m: float = 0.001) -> Adj
         pose_covariance=np.zeros((2, 4, 4)),
         off_wall_m=np.where(np.arange(count) < len(along), y, 4.0 - y),
         chi_square=np.zeros(count),
+        noise=np.ones(4),
     )
 
 

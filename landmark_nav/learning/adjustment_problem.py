@@ -1,0 +1,217 @@
+"""
+The measurements of an adjustment, linearized, and their normal equations.
+
+Unknowns are the landmarks, and what they share: poses of panoramas, and how far things hang
+before their walls on average. Landmarks are eliminated first (Schur complement; Triggs et al.,
+Bundle Adjustment, 2000): each meets the shared ones alone, so that the sparse structure is a
+stack of blocks of 3 x 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.stereo import Sighting
+from landmark_nav.types import FloatArray, Panorama
+
+__all__ = ['Linearized', 'NormalEquations', 'Problem']
+
+# x, y, z, heading of each panorama; after all of them, how far things hang off the walls.
+_POSE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized:
+    """
+    Residuals at a point, and the model's derivatives.
+
+    `seen` (k, 2) are azimuths and tangents, by landmark `by_point` (k, 2, 3) and by what is
+    shared `by_shared` (k, 2, m); `wall` (n,) says how much nearer to their walls the landmarks
+    should be than they are.
+    """
+
+    seen: FloatArray
+    wall: FloatArray
+    by_point: FloatArray
+    by_shared: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Blocks of landmarks (x) and of what they share (s): ``H d = b``."""
+
+    h_xx: FloatArray
+    h_xs: FloatArray
+    h_ss: FloatArray
+    b_x: FloatArray
+    b_s: FloatArray
+
+    @property
+    def gain(self) -> FloatArray:
+        """How the shared unknowns move each landmark, (n, 3, m), with the opposite sign."""
+        return np.asarray(np.linalg.solve(self.h_xx, self.h_xs), dtype=np.float64)
+
+    def _schur(self) -> FloatArray:
+        return np.asarray(self.h_ss - np.einsum('nip,niq->pq', self.h_xs, self.gain))
+
+    def solve(self) -> tuple[FloatArray, FloatArray]:
+        """Steps of landmarks (n, 3) and shared unknowns (m,)."""
+        alone = np.linalg.solve(self.h_xx, self.b_x[..., None])[..., 0]
+        rhs = self.b_s - np.einsum('nip,ni->p', self.h_xs, alone)
+        shared = np.linalg.solve(self._schur(), rhs)
+        return alone - self.gain @ shared, shared
+
+    def own_covariance(self) -> FloatArray:
+        """Covariance of each landmark were the shared unknowns known, (n, 3, 3)."""
+        return np.asarray(np.linalg.inv(self.h_xx), dtype=np.float64)
+
+    def shared_covariance(self) -> FloatArray:
+        """Covariance of the shared unknowns, (m, m)."""
+        return np.asarray(np.linalg.inv(self._schur()))
+
+
+class Problem:
+    """
+    Sightings of n landmarks, the walls they hang on, and what is known of the panoramas.
+
+    `own_sigma` (k, 2) is what matching says of each sighting; `landmark` and `view` (k,) tell
+    what it is of.
+    """
+
+    def __init__(
+        self,
+        sightings: Sequence[Sequence[Sighting]],
+        walls: Sequence[int],
+        panoramas: Sequence[Panorama],
+        room: Room,
+        common_hanging_sigma_m: float,
+    ) -> None:
+        """Collect what does not change while it is solved."""
+        flat = [(k, s) for k, group in enumerate(sightings) for s in group]
+        self.landmark = np.array([k for k, _ in flat], dtype=np.intp)
+        self.view = np.array([s.panorama for _, s in flat], dtype=np.intp)
+        self.own_sigma = np.array([(s.sigma_azimuth_rad, s.sigma_tangent) for _, s in flat])
+        self.count, self.views = len(sightings), len(panoramas)
+        self._seen = np.array([(s.azimuth_rad, s.tangent) for _, s in flat])
+
+        self.normal = room.normals[np.asarray(walls, dtype=np.intp)]
+        starts = np.array([room.walls[w].start for w in walls])
+        self._level = np.sum(self.normal[:, :2] * starts, 1)
+
+        poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
+        self.prior = np.append(poses.ravel(), 0.0)
+        self._information = np.zeros((len(self.prior), len(self.prior)))
+        for i, panorama in enumerate(panoramas):
+            part = slice(_POSE * i, _POSE * (i + 1))
+            self._information[part, part] = np.linalg.inv(
+                panorama.covariance + 1e-12 * np.eye(_POSE)
+            )
+        self._information[-1, -1] = common_hanging_sigma_m**-2
+
+    def off_wall(self, points: FloatArray) -> FloatArray:
+        """How far before their walls points (n, 3) lie, metres."""
+        return np.asarray(np.sum(points * self.normal, 1) - self._level)
+
+    def poses(self, shared: FloatArray) -> FloatArray:
+        """Poses (views, 4) among the shared unknowns."""
+        return np.asarray(shared[:-1].reshape(self.views, _POSE))
+
+    def pose_covariance(self, covariance: FloatArray) -> FloatArray:
+        """Covariance (views, 4, 4) of each pose out of that of all that is shared."""
+        blocks = covariance[:-1, :-1].reshape(self.views, _POSE, self.views, _POSE)
+        diagonal = np.arange(self.views)
+        return np.asarray(blocks[diagonal, :, diagonal])
+
+    def linearize(self, points: FloatArray, shared: FloatArray) -> Linearized:
+        """Residuals and derivatives at landmarks (n, 3) and shared unknowns (m,)."""
+        poses = self.poses(shared)[self.view]
+        d = points[self.landmark] - poses[:, :3]
+        reach = np.hypot(d[:, 0], d[:, 1])
+        seen = self._seen - np.stack(
+            [np.arctan2(d[:, 1], d[:, 0]) - poses[:, 3], d[:, 2] / reach], 1
+        )
+        seen[:, 0] = wrap_rad(seen[:, 0])
+        by_point = np.zeros((len(d), 2, 3))
+        by_point[:, 0, 0] = -d[:, 1] / reach**2
+        by_point[:, 0, 1] = d[:, 0] / reach**2
+        by_point[:, 1, :2] = -(d[:, 2] / reach**3)[:, None] * d[:, :2]
+        by_point[:, 1, 2] = 1.0 / reach
+        by_shared = np.zeros((len(d), 2, len(shared)))
+        by_pose = by_shared[..., :-1].reshape(len(d), 2, self.views, _POSE)
+        rows = np.arange(len(d))
+        by_pose[rows, :, self.view, :3] = -by_point
+        by_pose[rows, 0, self.view, 3] = -1.0
+        by_shared[..., :-1] = by_pose.reshape(len(d), 2, -1)
+        return Linearized(seen, shared[-1] - self.off_wall(points), by_point, by_shared)
+
+    def normal_equations(
+        self,
+        at: Linearized,
+        shared: FloatArray,
+        seen: FloatArray,
+        wall: FloatArray,
+        place_scale: float = 1.0,
+    ) -> NormalEquations:
+        """
+        Normal equations.
+
+        `seen` (k, 2) and `wall` (n,) are the information of sightings and walls; `place_scale`
+        multiplies the sigmas that panoramas say their places have.
+        """
+        prior = self._prior_information(place_scale)
+        jx = at.by_point * seen[..., None]
+        h_xx = _sum_by(self.landmark, np.einsum('nki,nkj->nij', jx, at.by_point), self.count)
+        h_xx += np.einsum('n,ni,nj->nij', wall, self.normal, self.normal)
+        b_x = _sum_by(self.landmark, np.einsum('nki,nk->ni', jx, at.seen), self.count)
+        b_x += (wall * at.wall)[:, None] * self.normal
+        h_xs = _sum_by(self.landmark, np.einsum('nki,nkp->nip', jx, at.by_shared), self.count)
+        h_xs[..., -1] -= wall[:, None] * self.normal
+        flat = at.by_shared.reshape(-1, len(shared))
+        weighted = flat * seen.reshape(-1, 1)
+        h_ss = prior + weighted.T @ flat
+        h_ss[-1, -1] += wall.sum()
+        b_s = prior @ (self.prior - shared) + weighted.T @ at.seen.ravel()
+        b_s[-1] -= wall @ at.wall
+        return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
+
+    def _prior_information(self, place_scale: float) -> FloatArray:
+        scale = np.full(len(self.prior), place_scale)
+        scale[-1] = 1.0
+        return np.asarray(self._information / np.outer(scale, scale))
+
+    def place_misfit(
+        self, shared: FloatArray, equations: NormalEquations, place_scale: float
+    ) -> tuple[float, float]:
+        """Squared misfit of the places that panoramas say they have, and its redundancy."""
+        moved = (shared - self.prior)[:-1]
+        information = self._prior_information(place_scale)[:-1, :-1]
+        taken = np.sum(information * equations.shared_covariance()[:-1, :-1])
+        return float(moved @ information @ moved), float(len(moved) - taken)
+
+    def predicted_variance(
+        self, at: Linearized, equations: NormalEquations
+    ) -> tuple[FloatArray, FloatArray]:
+        """Variance of what the solution says of each sighting (k, 2) and each wall (n,)."""
+        own, gain = equations.own_covariance(), equations.gain
+        shared = equations.shared_covariance()
+        by_shared = at.by_shared - at.by_point @ gain[self.landmark]
+        seen = np.einsum('nki,nij,nkj->nk', at.by_point, own[self.landmark], at.by_point)
+        seen += np.einsum('nkp,pq,nkq->nk', by_shared, shared, by_shared)
+        by_shared_wall = -np.einsum('ni,nip->np', self.normal, gain)
+        by_shared_wall[:, -1] -= 1.0
+        wall = np.einsum('ni,nij,nj->n', self.normal, own, self.normal)
+        wall += np.einsum('np,pq,nq->n', by_shared_wall, shared, by_shared_wall)
+        return seen, wall
+
+
+def _sum_by(index: npt.NDArray[np.intp], values: FloatArray, count: int) -> FloatArray:
+    """Sum values (k, ...) into rows (count, ...) by their index (k,)."""
+    out = np.zeros((count, *values.shape[1:]))
+    np.add.at(out, index, values)
+    return out

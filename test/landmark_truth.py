@@ -1,0 +1,97 @@
+"""What a simulated room truly shows where a landmark is said to be; for `landmark_check.py`."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.patches import patch_axes, patch_points
+from landmark_nav.matching import blur_to, Match, match_template
+from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.solids import wall_solids
+from landmark_nav.types import FloatArray, Landmark
+
+# How far along its wall a landmark's texture is looked for.
+_SEARCH_M = 0.06
+_MIN_SCORE = 0.6
+
+
+class TrueWalls:
+    """
+    Walls of a scene as they are, to find the textures of landmarks on them.
+
+    A landmark is right where its texture is: its patch is found again in the wall's own picture,
+    as fine as 2 mm, whatever panorama it was cut from. So errors of the panorama count as well
+    as errors of its place, along the wall and up; before the wall, things in the simulator hang
+    at a distance of zero.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Draw the walls; takes a second."""
+        self.scene = scene
+        self._walls = {}
+        for wall, solid in zip(scene.room.walls, wall_solids(scene), strict=True):
+            base, *papers = solid.surfaces
+            picture = base.albedo.copy()
+            scale = picture.shape[1] / base.width_m
+            for paper in papers:
+                corner = paper.corner - base.corner
+                left, top = corner @ base.across * scale, corner @ base.down * scale
+                right, bottom = left + paper.width_m * scale, top + paper.height_m * scale
+                color = paper.albedo[0, 0, :3]
+                picture[round(top) : round(bottom), round(left) : round(right)] = color
+            grey = cv2.cvtColor(picture[..., :3], cv2.COLOR_BGR2GRAY).astype(np.float32)
+            self._walls[wall.id] = (wall, base, grey)
+
+    def place(self, landmark: Landmark) -> FloatArray | None:
+        """
+        Where its texture truly is, (3,).
+
+        None if its wall does not show it within 6 cm: it stands before the wall, or is no texture
+        of one place.
+        """
+        wall, base, grey = self._walls[landmark.wall_id]
+        texel = landmark.width_m / landmark.patch.shape[1]
+        margin = round(_SEARCH_M / texel) + 2
+        shape = (landmark.patch.shape[0] + 2 * margin, landmark.patch.shape[1] + 2 * margin)
+        offset = patch_points(landmark.position, landmark.normal, shape, texel) - base.corner
+        step = base.width_m / grey.shape[1], base.height_m / grey.shape[0]
+        columns = (offset @ base.across / step[0] - 0.5).astype(np.float32)
+        rows = (offset @ base.down / step[1] - 0.5).astype(np.float32)
+        # As sharp as the panorama that it was cut from.
+        ray = landmark.viewpoint - landmark.position
+        slant = float(np.hypot(*ray[:2]) / abs(ray @ landmark.normal))
+        wide = blur_to(grey, 1.5 * texel * np.array([slant, 1.0]) / step)
+        search = cv2.remap(wide, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        found = match_template(
+            np.asarray(search, np.float32),
+            landmark.patch.astype(np.float32),
+            min_score=_MIN_SCORE,
+            max_second_ratio=1.0,
+        )
+        if not isinstance(found, Match):
+            return None
+        right, down = patch_axes(landmark.normal)
+        across, below = (found.xy - (np.array(shape[::-1]) - 1) / 2.0) * texel
+        point = landmark.position + across * right + below * down
+        before = (point[:2] - wall.start) @ wall.normal[:2]
+        return np.asarray(point - before * wall.normal)
+
+    def hidden(self, eye: FloatArray, points: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether furniture or walls stand between an eye (3,) and points (..., 3)."""
+        way = points - eye
+        hidden = ~self.scene.room.visible(
+            np.broadcast_to(eye[:2], points[..., :2].shape), points[..., :2]
+        )
+        for box in self.scene.boxes:
+            turn = np.array([np.cos(box.yaw_rad), np.sin(box.yaw_rad)])
+            axes = np.array([[*turn, 0.0], [-turn[1], turn[0], 0.0], [0.0, 0.0, 1.0]])
+            half = np.array(box.size_m) / 2.0
+            start = axes @ (eye - [*box.center_xy, half[2]])
+            slope = way @ axes.T
+            with np.errstate(divide='ignore', invalid='ignore'):
+                ends = (np.stack([-half, half]) - start) / slope[..., None, :]
+            enter, leave = ends.min(-2).max(-1), ends.max(-2).min(-1)
+            hidden |= (enter < leave) & (enter < 1.0 - 1e-6) & (leave > 0.0)
+        return np.asarray(hidden)
