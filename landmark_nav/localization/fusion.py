@@ -187,11 +187,15 @@ class PoseFilter:
         frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad)
         refusal = self._untimely(stamp)
         expected = len(detections) + len(detections.missed)
+        known = [k for k in detections.missed.tolist() if k in self._columns]
+        missed = self._map.positions[[self._columns[k] for k in known]]
         if refusal is None and not len(frame.columns):
             refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
-            self._health.look(stamp, 0, expected)
+        elif refusal is None and self._health.too_few(len(frame.columns), expected):
+            refusal = Refusal('too few found', f'{len(frame.columns)} of {expected} landmarks')
         if refusal is not None:
             self._health.note(refusal)
+            self._health.look(stamp, 0, missed)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         update = self._measure(
             stamp,
@@ -205,7 +209,7 @@ class PoseFilter:
                 refine=self._config.landmarks == 'refine',
             ),
         )
-        self._health.look(stamp, update.degrees, expected)
+        self._health.look(stamp, update.degrees, missed)
         return update
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:

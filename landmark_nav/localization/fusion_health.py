@@ -12,7 +12,7 @@ from scipy.special import chdtri
 
 from landmark_nav.localization.fusion_update import FusionUpdate
 from landmark_nav.parameters import check_parameters, parameter
-from landmark_nav.types import PoseEstimate, Refusal
+from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Health', 'HealthConfig', 'Status']
 
@@ -53,6 +53,18 @@ class HealthConfig:
     missing_share: float = parameter(
         0.15, 'Share of them that counts as next to nothing.', minimum=0.0, maximum=1.0
     )
+    missing_extent_m: float = parameter(
+        0.9,
+        'What is missing must reach further along the walls, m: one picture may be exchanged.',
+        minimum=0.0,
+        maximum=100.0,
+    )
+    usable_share: float = parameter(
+        0.3,
+        'Share of what should be in a picture that has to be found for it to be used.',
+        minimum=0.0,
+        maximum=1.0,
+    )
     found_share: float = parameter(
         0.4, 'Share of them that has to be found to be no longer lost.', minimum=0.0, maximum=1.0
     )
@@ -79,7 +91,7 @@ class _View(NamedTuple):
 
     stamp_ns: int
     found: int
-    expected: int
+    missed: FloatArray
 
 
 class Health:
@@ -118,31 +130,46 @@ class Health:
         return self._missing
 
     def least(self, expected: int) -> int:
-        """How many bearings must agree with each other where so many should be in view."""
-        return max(3, ceil(self._config.found_share * expected)) if self._astray else 1
+        """
+        How many bearings must agree with each other where so many should be in view.
+
+        What agrees with a pose that was contradicted before may be mistaken: three bearings have
+        a say of their own.
+        """
+        if self._astray:
+            return max(3, ceil(self._config.found_share * expected))
+        return 3 if self._rejections and expected >= 3 else 1
+
+    def too_few(self, found: int, expected: int) -> bool:
+        """Whether those found among so many that are missing may be mistaken themselves."""
+        return found < self._config.usable_share * expected
 
     def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
         """Remember that the odometry cannot be what it says."""
         self._trouble = (stamp_ns, str(refusal))
 
-    def look(self, stamp_ns: int, found: int, expected: int) -> None:
+    def look(self, stamp_ns: int, found: int, missed: FloatArray) -> None:
         """
         Count what a picture showed of the landmarks that should be in view.
 
         A wrong pose finds next to nothing where it looks, for as long as it is wrong; a covered
-        landmark or an exchanged picture leaves the others.
+        landmark or an exchanged picture leaves the others. `missed` (n, 3) are the places of those
+        not found.
         """
-        if not expected:
+        if not found and not len(missed):
             return
         config = self._config
-        self._views.append(_View(stamp_ns, found, expected))
+        self._views.append(_View(stamp_ns, found, missed))
         while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > config.missing_s:
             self._views.popleft()
+        places = np.concatenate([view.missed for view in self._views])
         found = sum(view.found for view in self._views)
-        expected = sum(view.expected for view in self._views)
+        expected = found + len(places)
         lasts = (stamp_ns - self._views[0].stamp_ns) * 1e-9 >= 0.6 * config.missing_s
         enough = lasts and expected >= config.missing_expected
-        if enough and found <= config.missing_share * expected:
+        if not enough or found > config.missing_share * expected:
+            return
+        if np.linalg.norm(np.ptp(places[:, :2], axis=0)) > config.missing_extent_m:
             self._missing += 1
             self._acceptances = 0
             self._astray = (
