@@ -69,7 +69,8 @@ def run(args: argparse.Namespace) -> int:
             _draw(result, room, folder)
         write_map(result.map, folder)
     truth = truth_of_bag(bag)
-    report = learning_report(result, frames, truth, mount, log, time.perf_counter() - begin)
+    seconds = time.perf_counter() - begin
+    report = learning_report(result, panoramas, frames, truth, mount, log, seconds)
     if args.json:
         write_whole(args.json, json.dumps(report, indent=2) + '\n')
     print(_summary(report, args.out))
@@ -145,9 +146,12 @@ def _summary(report: dict[str, Any], folder: Path) -> str:
             f'{sweep["elected"]} elected'
         )
         if 'error' in sweep:
+            before = sweep['measured']
             line += (
-                f'; error {100 * sweep["error_position_m"]:.2f} cm, '
-                f'{sweep["error_heading_deg"]:.3f} deg'
+                f'; error {1e3 * sweep["error_position_m"]:.1f} mm, '
+                f'{sweep["error_heading_deg"]:.3f} deg, '
+                f'before the refinement {1e3 * before["error_position_m"]:.1f} mm, '
+                f'{before["error_heading_deg"]:.3f} deg'
             )
         lines.append(line)
     walls = ', '.join(f'{wall} {count}' for wall, count in report['landmarks_per_wall'].items())

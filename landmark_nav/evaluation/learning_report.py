@@ -32,6 +32,7 @@ def base_pose(panorama: Panorama, mount: PanTiltMount) -> tuple[FloatArray, Floa
 
 def learning_report(
     result: LearningResult,
+    measured: Sequence[Panorama],
     frames: Sequence[int],
     truth: PoseTrack,
     mount: PanTiltMount,
@@ -45,6 +46,9 @@ def learning_report(
     ----------
     result : LearningResult
         What was learned.
+    measured : sequence of Panorama
+        The panoramas as they were before: their poses are those that the papers tell alone, or
+        ``sweep/pose``.
     frames : sequence of int
         How many frames each sweep had.
     truth : PoseTrack
@@ -63,9 +67,9 @@ def learning_report(
     return {
         'schema': SCHEMA,
         'sweeps': [
-            _sweep(panorama, count, group, truth, mount)
-            for panorama, count, group in zip(
-                result.panoramas, frames, result.outcomes, strict=True
+            _sweep(panorama, before, count, group, truth, mount)
+            for panorama, before, count, group in zip(
+                result.panoramas, measured, frames, result.outcomes, strict=True
             )
         ],
         'candidates': len(outcomes),
@@ -84,24 +88,31 @@ def learning_report(
 
 def _sweep(
     panorama: Panorama,
+    measured: Panorama,
     frames: int,
     outcomes: Sequence[Landmark | Refusal],
     truth: PoseTrack,
     mount: PanTiltMount,
 ) -> dict[str, Any]:
-    """Tell of one sweep: x [m], y [m] and heading [rad] of the base, and what it led to."""
-    pose, covariance = base_pose(panorama, mount)
-    told: dict[str, Any] = {
+    """Tell of one sweep: where it was taken, and what it led to."""
+    return {
         'stamp_ns': panorama.stamp_ns,
         'frames': frames,
-        'pose': pose.tolist(),
-        'sigma': np.sqrt(np.diag(covariance)).tolist(),
+        **_place(panorama, truth, mount),
+        'measured': _place(measured, truth, mount),
         'candidates': len(outcomes),
         'elected': sum(isinstance(outcome, Landmark) for outcome in outcomes),
     }
+
+
+def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[str, Any]:
+    """X [m], y [m] and heading [rad] of the base, and their errors."""
+    pose, covariance = base_pose(panorama, mount)
+    told: dict[str, Any] = {'pose': pose.tolist(), 'sigma': np.sqrt(np.diag(covariance)).tolist()}
     error = pose_errors(pose[None], truth.at([panorama.stamp_ns]))[0]
     if np.all(np.isfinite(error)):
         told['error'] = error.tolist()
         told['error_position_m'] = float(np.hypot(error[0], error[1]))
         told['error_heading_deg'] = float(np.degrees(abs(error[2])))
+        told['nees'] = float(error @ np.linalg.solve(covariance, error))
     return told

@@ -22,6 +22,7 @@ from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.reference_area import (
+    check_agreement,
     locate_sweep,
     optical_height,
     ReferenceAreaConfig,
@@ -170,6 +171,7 @@ def _place(
     covariance = np.zeros((4, 4))
     plane = np.ix_([0, 1, 3], [0, 1, 3])
     covariance[plane] = known.covariance + 1e-10 * np.eye(3)
+    check_agreement(known.pose, covariance[plane], sweep, view, room, mount, config.reference_area)
     covariance[2, 2] = config.reference_area.height_sigma_m**2
     return SweepPlace(known.pose, optical_height(sweep, mount), covariance)
 

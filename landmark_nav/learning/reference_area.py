@@ -15,6 +15,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.panorama import CylinderImage
@@ -32,13 +33,21 @@ from landmark_nav.learning.papers import ColorSearch
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Sweep
 
-__all__ = ['ReferenceAreaConfig', 'SweepPlace', 'locate_sweep', 'optical_height']
+__all__ = [
+    'ReferenceAreaConfig',
+    'SweepPlace',
+    'check_agreement',
+    'locate_sweep',
+    'optical_height',
+]
 
 # Papers that it takes; with two there is no telling whether one hangs elsewhere.
 _LEAST_PAPERS = 3
 _MOST_MISFIT = 6.0
 # A place that costs so much more than one that fits is not worth a look.
 _HOPELESS = 60.0
+# Squared deviation of two places that are one: chi-square of 3 beyond all doubt.
+_DISAGREEMENT = 35.0
 # Places are told apart with so many frames a paper.
 _QUICK_FRAMES = 2
 
@@ -164,6 +173,39 @@ def locate_sweep(
     if wrong:
         raise LandmarkNavError(wrong)
     return SweepPlace(fit.pose_map_base, height + fit.rise_m, fit.covariance)
+
+
+def check_agreement(
+    pose_map_base: FloatArray,
+    covariance: FloatArray,
+    sweep: Sweep,
+    view: CylinderImage,
+    room: Room,
+    mount: PanTiltMount,
+    config: ReferenceAreaConfig,
+) -> None:
+    """
+    Compare a place that is given, (3,) and (3, 3), with what papers tell, where they are in sight.
+
+    Raises
+    ------
+    LandmarkNavError
+        They disagree.
+
+    """
+    try:
+        seen = locate_sweep(sweep, view, room, mount, config)
+    except LandmarkNavError:
+        return
+    plane = np.ix_([0, 1, 3], [0, 1, 3])
+    off = seen.pose_map_base - pose_map_base
+    off[2] = wrap_rad(off[2])
+    if off @ np.linalg.solve(covariance + seen.covariance[plane], off) > _DISAGREEMENT:
+        raise LandmarkNavError(
+            f'sweep/pose and the papers disagree by {100 * np.hypot(off[0], off[1]):.1f} cm and '
+            f'{np.degrees(abs(off[2])):.2f} deg, more than their covariances allow: mend the '
+            'pose or its covariance, or the papers in room.yaml'
+        )
 
 
 def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:

@@ -28,7 +28,8 @@ class WallItem:
     Parameters
     ----------
     kind : str
-        ``photo``, ``poster``, ``shelf``, ``blinds``, ``door`` or ``target``.
+        ``photo``, ``poster``, ``shelf``, ``blinds``, ``door``, ``target``, or ``sheet``: a paper
+        of one colour, of which nobody told the robot.
     wall : int
         Index of the wall that carries it.
     along_m : float
@@ -62,7 +63,7 @@ class Box:
     A piece of furniture: an upright box on the floor.
 
     `center_xy` and `yaw_rad` place it in map; `size_m` is its length, depth and height;
-    `material` is ``wood``, ``books`` or ``paint``.
+    `material` is ``wood``, ``books``, ``paint`` or a colour.
     """
 
     center_xy: tuple[float, float]

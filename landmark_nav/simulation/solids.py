@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 from landmark_nav.simulation.surfaces import ImageArray, Surface
@@ -26,7 +27,7 @@ _CEILING_TEXEL_M = 0.008
 # Foreshortening of walls that their pyramids can follow: up to a factor of eight.
 _WALL_SLANTS = 4
 
-# Papers are matt and evenly coloured; blue, green, red.
+# Papers are matt and evenly coloured; blue, green, red. Those of other colours are as told.
 _PAPER_COLORS = {
     'red': (38.0, 36.0, 196.0),
     'green': (58.0, 150.0, 34.0),
@@ -95,7 +96,7 @@ def _hang(
 
 def _paper_surface(paper: Paper, across: FloatArray) -> Surface:
     corner = np.array(paper.center) - across * paper.width / 2 + _UP * paper.height / 2
-    color = np.array(_PAPER_COLORS.get(paper.color, (235.0, 235.0, 235.0)))
+    color = np.array(_PAPER_COLORS.get(paper.color) or paper_bgr(paper.color))
     texture = np.tile(np.rint(color).astype(np.uint8), (64, 48, 1))
     return Surface(corner, across, -_UP, paper.width, paper.height, texture)
 
@@ -107,6 +108,8 @@ def box_solid(box: Box) -> Solid:
     color = (float(base[0]), float(base[1]), float(base[2]))
     if box.material == 'paint':
         color = random_color(rng, (0.1, 0.5), (0.4, 0.8))
+    elif box.material not in ('wood', 'books'):
+        color = paper_bgr(box.material)
     corners, height = box.footprint, box.size_m[2]
     surfaces = []
     for k in range(4):
@@ -135,7 +138,7 @@ def _box_texture(
     tone = (color[0], color[1], color[2])
     if box.material == 'books' and side < 4:
         return draw_item('books', int(rng.integers(2**31)), shape)
-    if box.material == 'paint':
+    if box.material not in ('wood', 'books'):
         texture = plaster(rng, shape, tone, _BOX_TEXEL_M)
     else:
         texture = wood(rng, shape, tone, _BOX_TEXEL_M)

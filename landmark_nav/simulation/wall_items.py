@@ -8,6 +8,7 @@ import itertools
 import cv2
 import numpy as np
 
+from landmark_nav.geometry.paper_colors import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.simulation.photos import draw_photo
 from landmark_nav.simulation.textures import (
     Color,
@@ -151,6 +152,12 @@ def _target(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     return np.asarray(np.repeat(image[..., None], 3, axis=2))
 
 
+def _sheet(rng: Generator, shape: tuple[int, int]) -> ImageArray:
+    """A sheet of paper of one vivid colour."""
+    color = paper_bgr(str(rng.choice(list(NAMED_HUES_DEG))))
+    return np.tile(np.rint(color).astype(np.uint8), (*shape, 1))
+
+
 def _blinds(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     """A window behind closed blinds, in a dark frame."""
     rows, columns = shape
@@ -192,4 +199,5 @@ _PAINTERS: dict[str, Callable[[Generator, tuple[int, int]], ImageArray]] = {
     'target': _target,
     'blinds': _blinds,
     'door': _door,
+    'sheet': _sheet,
 }

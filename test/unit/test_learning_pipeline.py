@@ -183,6 +183,21 @@ def test_a_place_known_from_elsewhere_needs_no_papers() -> None:
     np.testing.assert_allclose(panorama.covariance[:2, 3], cross, rtol=1e-3)
 
 
+def test_a_place_that_papers_contradict_is_refused() -> None:
+    away = replace(
+        sweep_at(POSES[0]),
+        pose_map_base=PoseEstimate(
+            0, POSES[0] + [0.1, 0.0, 0.0], np.diag([0.01, 0.01, 0.004]) ** 2
+        ),
+    )
+    with pytest.raises(LandmarkNavError, match=r'sweep/pose and the papers disagree by \d'):
+        panorama_from_sweep(away, ROOM, MOUNT, PanoramaStages())
+    near = replace(
+        away, pose_map_base=PoseEstimate(0, POSES[0], np.diag([0.01, 0.01, 0.004]) ** 2)
+    )
+    panorama_from_sweep(near, ROOM, MOUNT, PanoramaStages())
+
+
 def test_an_optical_centre_off_the_axis_is_undone() -> None:
     mount = replace(MOUNT, optical_center_offset=(0.06, 0.0, 0.0))
     panorama = panorama_from_sweep(sweep_at(POSES[0], mount), ROOM, mount, PanoramaStages())
