@@ -186,9 +186,9 @@ class PoseFilter:
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad)
         refusal = self._untimely(stamp)
-        expected = len(detections) + len(detections.missed)
         known = [k for k in detections.missed.tolist() if k in self._columns]
         missed = self._map.positions[[self._columns[k] for k in known]]
+        expected = len(frame.columns) + len(missed)
         if refusal is None and not len(frame.columns):
             refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
         elif refusal is None and self._health.too_few(len(frame.columns), expected):
