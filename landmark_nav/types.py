@@ -268,12 +268,19 @@ class LandmarkMap:
         return np.array([k.covariance for k in self.landmarks]).reshape(-1, 3, 3)
 
     @cached_property
+    def shared_loadings(self) -> FloatArray:
+        """What they have in common, (n, 3, m)."""
+        if not self.landmarks:
+            return np.zeros((0, 3, 0))
+        return np.array([k.shared_loading for k in self.landmarks], dtype=np.float64)
+
+    @cached_property
     def joint_covariance_xy(self) -> FloatArray:
         """Joint covariance of all (x, y), (2n, 2n), with the part that landmarks share."""
         n = len(self.landmarks)
         if n == 0:
             return np.zeros((0, 0))
-        loading = np.array([k.shared_loading[:2] for k in self.landmarks]).reshape(2 * n, -1)
+        loading = self.shared_loadings[:, :2].reshape(2 * n, -1)
         joint = loading @ loading.T
         for k in range(n):
             joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = self.covariances[k, :2, :2]

@@ -1,14 +1,18 @@
 """
-Triplet selection: the three landmarks that promise the least uncertain pose in one view.
+Triplet selection: the three landmarks that promise the most certain pose for the time they take.
 
 Madsen and Andersen, Optimal landmark selection for triangulation of robot position, Robotics and
 Autonomous Systems 23(4), 1998: propagate the measurement noise through the triangulation for every
-triplet that fits one view. Here the map's errors count too, those that landmarks share as such.
+triplet that fits one view. Here the map's errors count too, those that landmarks share as such; so
+do the prior's spread, the chance that all three are found, and the time to turn to them. A triplet
+may also be spread over several views, one after the other.
+
+The score is variance x time / chance: the inverse of the information to be expected in a second.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,32 +23,55 @@ from landmark_nav.localization.triangulation_model import (
     axis_from_base,
     base_from_axis,
     bearing_gradients,
-    map_share,
 )
 from landmark_nav.localization.triplet_geometry import (
-    position_variance,
-    sightings,
-    triplets_in_one_view,
-    ViewTriplets,
+    fix_covariances,
+    IndexArray,
+    pair_tables,
+    PairTables,
 )
+from landmark_nav.localization.triplet_ranking import Ranking, Standing
+from landmark_nav.localization.triplet_search import best_triplets, mean_variance
+from landmark_nav.localization.triplet_views import PanWindows, Tours
 from landmark_nav.localization.triplet_visibility import (
     axis_position,
-    observable,
     patch_corners,
+    standings,
     TripletConfig,
     visible_landmarks,
     whole_in_view,
 )
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
 
-__all__ = ['TripletConfig', 'select_triplet', 'visible_landmarks']
+__all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'select_triplet', 'visible_landmarks']
 
-IndexArray = npt.NDArray[np.intp]
-
-# How many of the best triplets are looked at more closely at a time.
-_SHORTLIST = 64
+# How many of the best triplets are looked at more closely, at first.
+_SHORTLIST = 24
+# How many are told about.
+_RANKED = 8
 # Greatest share of half the view that a wide prior may claim as margin.
 _MAX_MARGIN = 0.25
+
+
+@dataclass(frozen=True)
+class Gaze:
+    """
+    Where the camera looks and how far it turns.
+
+    Parameters
+    ----------
+    pan_rad : float or None
+        Pan now: turning away from it takes time. None if that should not count.
+    tilt_rad : float
+        Tilt, positive upwards.
+    limits_rad : tuple of float
+        Least and greatest pan; the same twice for a camera that does not turn.
+
+    """
+
+    pan_rad: float | None = None
+    tilt_rad: float = 0.0
+    limits_rad: tuple[float, float] = (-np.pi, np.pi)
 
 
 def select_triplet(
@@ -53,14 +80,27 @@ def select_triplet(
     camera: CameraModel,
     mount: PanTiltMount,
     config: TripletConfig,
-    joint_limits: tuple[float, float] | None = None,
-    pan_rad: float | None = None,
-    tilt_rad: float = 0.0,
+    gaze: Gaze | None = None,
     previous: Triplet | None = None,
     found_rate: npt.ArrayLike | None = None,
 ) -> Triplet | Refusal:
+    """Choose three landmarks and the pan that sees them; parameters as for `rank_triplets`."""
+    ranking = rank_triplets(prior, landmark_map, camera, mount, config, gaze, previous, found_rate)
+    return ranking.chosen
+
+
+def rank_triplets(
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    config: TripletConfig,
+    gaze: Gaze | None = None,
+    previous: Triplet | None = None,
+    found_rate: npt.ArrayLike | None = None,
+) -> Ranking:
     """
-    Choose three landmarks and the pan that sees them.
+    Compare all triplets that can be seen and choose one.
 
     Parameters
     ----------
@@ -71,87 +111,232 @@ def select_triplet(
     camera, mount : CameraModel, PanTiltMount
         What looks.
     config : TripletConfig
-        What counts as visible.
-    joint_limits : tuple of float, optional
-        Least and greatest pan, radians; a full turn by default.
-    pan_rad : float, optional
-        The camera can't be turned: only what is in that view.
-    tilt_rad : float
-        Tilt, positive upwards.
+        What counts as visible, and what time costs.
+    gaze : Gaze, optional
+        Where the camera looks and how far it turns; a full turn at no cost by default.
     previous : Triplet, optional
         What is being looked at; kept unless another is better by `config.hysteresis`.
     found_rate : array_like, shape (n,), optional
-        How often each landmark was found when looked for, (0, 1].
+        How often each landmark of the map was found when looked for, (0, 1].
 
     Returns
     -------
-    Triplet or Refusal
-        `sigma_rad` is the spread of the expected bearings by prior and map; `covariance` is that
-        of the base's pose.
+    Ranking
+        Of the chosen triplet `sigma_rad` is the spread of the expected bearings by prior and map,
+        `covariance` that of the base's pose, and `pan_rad` the first pan to look at.
 
     """
+    gaze = gaze or Gaze()
     axis = axis_from_base(prior, mount)
-    index = _alone_in_view(prior, landmark_map, camera, mount, tilt_rad, config)
+    standing = standings(axis_position(prior.pose, mount), landmark_map, config)
+    corners = patch_corners(landmark_map)
+    windows = _windows(axis, landmark_map, corners, camera, mount, config, gaze)
+    usable = np.flatnonzero(standing == Standing.USABLE)
+    straight = np.clip(windows.azimuth_rad[usable], *gaze.limits_rad)
+    reachable = windows.reachable[usable]
+    whole = _whole(prior, corners[usable], camera, mount, straight, gaze.tilt_rad, config)
+    whole |= np.abs(wrap_rad(straight - windows.azimuth_rad[usable])) > 1e-9
+    standing[usable[~whole]] = Standing.CUT
+    standing[usable[~reachable]] = Standing.BEYOND_LIMITS
+    index = np.flatnonzero(standing == Standing.USABLE)
     if len(index) < 3:
-        return Refusal('fewer than three landmarks are visible', f'{len(index)} of the map')
-    bearing, sigma = _expected_bearings(axis, landmark_map, index)
-    corners = patch_corners(landmark_map)[index]
-    half_fov = _half_fov(camera)
+        reason = Refusal(
+            'fewer than three landmarks are visible', f'{len(index)} of {len(standing)}'
+        )
+        return Ranking.none(reason, standing)
+
+    chance = np.ones(len(standing)) if found_rate is None else np.asarray(found_rate)
+    contest = _Contest(
+        prior, landmark_map, index, camera, mount, config, gaze, corners, chance, windows
+    )
+    return contest.judge(axis, previous, standing)
+
+
+class _Contest:
+    """Triplets of the landmarks `index` (n,), by their places in it."""
+
+    def __init__(
+        self,
+        prior: PoseEstimate,
+        landmark_map: LandmarkMap,
+        index: IndexArray,
+        camera: CameraModel,
+        mount: PanTiltMount,
+        config: TripletConfig,
+        gaze: Gaze,
+        corners: FloatArray,
+        chance: FloatArray,
+        windows: PanWindows,
+    ) -> None:
+        self._prior, self._map, self._index = prior, landmark_map, index
+        self._camera, self._mount, self._config, self._gaze = camera, mount, config, gaze
+        self._corners = corners[index]
+        self._chance = chance[index]
+        self._windows = replace(
+            windows, azimuth_rad=windows.azimuth_rad[index], reach_rad=windows.reach_rad[index]
+        )
+        points = _sigma_points(axis_from_base(prior, mount))
+        self._tables: PairTables = pair_tables(
+            points, landmark_map, index, config.bearing_sigma_rad
+        )
+
+    def judge(
+        self, axis: PoseEstimate, previous: Triplet | None, standing: npt.NDArray[np.int8]
+    ) -> Ranking:
+        """Find the best and compare it with what is being looked at."""
+        triplets, tours, score = self._best()
+        finite = np.isfinite(score)
+        triplets, score = triplets[finite], score[finite]
+        tours = Tours(*(part[finite] for part in tours))
+        kept = self._of(previous)
+        if kept is not None:
+            # In front, so that it is told about; the order below finds its true place.
+            old, tour = kept[None], self._tours(kept[None])
+            same = (triplets == kept).all(axis=1)
+            triplets = np.concatenate([old, triplets[~same]])
+            tours = Tours(
+                *(np.concatenate([a, b[~same]]) for a, b in zip(tour, tours, strict=True))
+            )
+            score = np.concatenate([self._scores(old, tour), score[~same]])
+        if not len(score) or not np.isfinite(score).any():
+            views = 'one view' if self._config.views == 'one' else 'the views'
+            detail = f'{len(self._index)} are visible'
+            return Ranking.none(
+                Refusal(f'fewer than three landmarks fit {views}', detail), standing
+            )
+        favoured = score.copy()
+        if kept is not None:
+            favoured[0] /= 1.0 + self._config.hysteresis
+        order = np.argsort(favoured, kind='stable')[:_RANKED]
+        return self._ranking(axis, triplets[order], tours, score, order, standing)
+
+    def _best(self) -> tuple[IndexArray, Tours, FloatArray]:
+        """
+        Return the best triplets with their tours and scores, ascending.
+
+        The search goes by the least that turning can cost; it is asked for more until what it
+        has not given must be worse than the best there is.
+        """
+        factor, cost = 1.0 / self._chance, self._windows.costs()
+        count = _SHORTLIST
+        while True:
+            floor, triplets = best_triplets(self._tables, factor, cost, count)
+            tours = self._tours(triplets)
+            score = self._scores(triplets, tours)
+            if len(floor) < count or np.min(score) <= floor[-1]:
+                order = np.argsort(score, kind='stable')
+                return triplets[order], Tours(*(part[order] for part in tours)), score[order]
+            count *= 8
+
+    def _tours(self, triplets: IndexArray) -> Tours:
+        """Tours of triplets (t, 3) that show all patches whole."""
+        tours = self._windows.tours(triplets)
+        whole = _whole(
+            self._prior,
+            self._corners[triplets].reshape(-1, 4, 3),
+            self._camera,
+            self._mount,
+            tours.pan_rad.reshape(-1),
+            self._gaze.tilt_rad,
+            self._config,
+        )
+        good = whole.reshape(-1, 3).all(axis=1)
+        return tours._replace(cost=np.where(good, tours.cost, np.inf))
+
+    def _scores(self, triplets: IndexArray, tours: Tours) -> FloatArray:
+        if not len(triplets):
+            return np.empty(0)
+        chance = np.prod(self._chance[triplets], axis=-1)
+        variance = mean_variance(self._tables, triplets)
+        return np.asarray(variance / chance * tours.cost)
+
+    def _of(self, previous: Triplet | None) -> IndexArray | None:
+        """Places (3,) of the previous triplet, ascending; None if one can't be seen."""
+        if previous is None:
+            return None
+        places = np.flatnonzero(np.isin(self._map.ids[self._index], previous.ids))
+        return places if len(places) == 3 else None
+
+    def _ranking(
+        self,
+        axis: PoseEstimate,
+        triplets: IndexArray,
+        tours: Tours,
+        score: FloatArray,
+        order: IndexArray,
+        standing: npt.NDArray[np.int8],
+    ) -> Ranking:
+        """Tell about triplets (m, 3) in order, the chosen one first."""
+        chosen = self._index[triplets]
+        covariance = fix_covariances(
+            axis.pose[:2], self._map, chosen, self._config.bearing_sigma_rad
+        )
+        sigma_m = np.sqrt(np.trace(covariance[:, :2, :2], axis1=1, axis2=2))
+        pan = tours.pan_rad[order]
+        seconds = (tours.cost[order] - 1.0) * self._config.look_s
+        best: Triplet | Refusal
+        if sigma_m[0] > self._config.max_sigma_m:
+            detail = f'the best promises {sigma_m[0]:.2f} m'
+            best = Refusal('no triplet is accurate enough', detail)
+        else:
+            bearing, sigma = _expected_bearings(axis, self._map, chosen[0])
+            fix = PoseEstimate(axis.stamp_ns, axis.pose, covariance[0])
+            best = Triplet(
+                axis.stamp_ns,
+                self._map.ids[chosen[0]],
+                bearing,
+                sigma,
+                base_from_axis(fix, self._mount).covariance,
+                float(self._nearest(pan[0])),
+            )
+        return Ranking(
+            best,
+            standing,
+            self._map.ids[chosen],
+            covariance,
+            np.prod(self._chance[triplets], axis=-1),
+            seconds,
+            pan,
+            score[order],
+        )
+
+    def _nearest(self, pan_rad: FloatArray) -> float:
+        """Where a tour of pans (3,) starts: at its end that is nearer to where it looks now."""
+        ends = np.array([pan_rad.min(), pan_rad.max()])
+        now = self._gaze.pan_rad
+        return float(ends[0] if now is None else ends[np.argmin(np.abs(ends - now))])
+
+
+def _windows(
+    axis: PoseEstimate,
+    landmark_map: LandmarkMap,
+    corners: FloatArray,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    config: TripletConfig,
+    gaze: Gaze,
+) -> PanWindows:
+    """Pans at which each landmark of the map is whole in the picture, as far as can be told."""
+    bearing, sigma = _expected_bearings(axis, landmark_map, np.arange(len(corners)))
+    half_fov = camera.half_fov_rad
     # However wide the prior, some of the picture stays to be used.
     margin = np.minimum(config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
     reach = half_fov - margin - _half_width(axis.pose, corners)
-    yaw = mount.axis_rpy[2]
-    limits = (pan_rad, pan_rad) if pan_rad is not None else joint_limits or (-np.pi, np.pi)
-    views = triplets_in_one_view(bearing - yaw, reach, limits)
-    if not len(views.triplets):
-        return Refusal('fewer than three landmarks fit one view', f'{len(index)} are visible')
-
-    score = position_variance(
-        sightings(axis.pose[:2], landmark_map, index, config.bearing_sigma_rad), views.triplets
-    )
-    chance = np.ones(len(index)) if found_rate is None else np.asarray(found_rate)[index]
-    weight = 1.0 / np.prod(chance[views.triplets], axis=-1)
-    kept = _position_of(previous, landmark_map.ids[index], views.triplets)
-    for place in _by_promise(score * weight, kept):
-        averaged = weight[place] * _averaged(
-            axis, landmark_map, index, views.triplets[place], config
-        )
-        if kept is not None:
-            averaged[place == kept] /= 1.0 + config.hysteresis
-        place = place[np.argsort(averaged, kind='stable')]
-        whole = whole_in_view(
-            corners[views.triplets[place]].reshape(len(place), -1, 3),
-            prior.pose,
-            camera,
-            mount,
-            views.pan_rad[place],
-            tilt_rad,
-            config.border_px,
-        )
-        if np.any(whole):
-            return _triplet(
-                axis, landmark_map, index, views, int(place[np.argmax(whole)]), mount, config
-            )
-    return Refusal('fewer than three landmarks fit one view', 'patches are cut by its border')
+    azimuth = wrap_rad(bearing - mount.axis_rpy[2])
+    return PanWindows(azimuth, reach, gaze.limits_rad, gaze.pan_rad, config)
 
 
-def _alone_in_view(
+def _whole(
     prior: PoseEstimate,
-    landmark_map: LandmarkMap,
+    corners: FloatArray,
     camera: CameraModel,
     mount: PanTiltMount,
+    pan_rad: FloatArray,
     tilt_rad: float,
     config: TripletConfig,
-) -> IndexArray:
-    """Return the observable landmarks that a camera turned right to them sees whole."""
-    viewer = axis_position(prior.pose, mount)
-    index = np.flatnonzero(observable(viewer, landmark_map, config))
-    delta = landmark_map.positions[index, :2] - viewer[:2]
-    pan = np.arctan2(delta[:, 1], delta[:, 0]) - prior.pose[2] - mount.axis_rpy[2]
-    corners = patch_corners(landmark_map)[index]
-    return index[
-        whole_in_view(corners, prior.pose, camera, mount, pan, tilt_rad, config.border_px)
-    ]
+) -> npt.NDArray[np.bool_]:
+    """Whether views (m,) hold their patches' corners (m, 4, 3)."""
+    return whole_in_view(corners, prior.pose, camera, mount, pan_rad, tilt_rad, config.border_px)
 
 
 def _expected_bearings(
@@ -176,74 +361,11 @@ def _half_width(axis_pose: FloatArray, corners: FloatArray) -> FloatArray:
     azimuth = np.arctan2(delta[..., 1], delta[..., 0])
     center = delta.mean(axis=1)
     middle = np.arctan2(center[:, 1], center[:, 0])
-    return np.asarray(np.abs(wrap_rad(azimuth - middle[:, None])).max(axis=1))
+    return np.asarray(np.abs(wrap_rad(azimuth - middle[:, None])).max(axis=1, initial=0.0))
 
 
-def _position_of(
-    previous: Triplet | None, ids: npt.NDArray[np.int64], triplets: IndexArray
-) -> int | None:
-    """Place of the previous triplet among the feasible ones; None if it is not."""
-    if previous is None:
-        return None
-    same = np.flatnonzero((np.sort(ids[triplets], -1) == np.sort(previous.ids)).all(axis=-1))
-    return int(same[0]) if len(same) else None
-
-
-def _by_promise(score: FloatArray, kept: int | None) -> list[IndexArray]:
-    """Places of the finite scores in batches, best first; the kept one in the first batch."""
-    order = np.argsort(score, kind='stable')
-    order = order[np.isfinite(score[order])]
-    if kept is not None and np.isfinite(score[kept]):
-        order = np.concatenate([[kept], order[order != kept]])
-    return [order[k : k + _SHORTLIST] for k in range(0, len(order), _SHORTLIST)]
-
-
-def _averaged(
-    axis: PoseEstimate,
-    landmark_map: LandmarkMap,
-    index: IndexArray,
-    triplets: IndexArray,
-    config: TripletConfig,
-) -> FloatArray:
-    """Mean predicted variance (t,) over the four sigma points of the prior's position."""
+def _sigma_points(axis: PoseEstimate) -> FloatArray:
+    """Four positions (4, 2) that stand for the prior's spread."""
     value, vector = np.linalg.eigh(axis.covariance[:2, :2])
     steps = (vector * np.sqrt(2.0 * np.maximum(value, 0.0))).T
-    points = axis.pose[:2] + np.concatenate([steps, -steps])
-    seen = sightings(points, landmark_map, index, config.bearing_sigma_rad)
-    return np.asarray(position_variance(seen, triplets).mean(axis=0))
-
-
-def _triplet(
-    axis: PoseEstimate,
-    landmark_map: LandmarkMap,
-    index: IndexArray,
-    views: ViewTriplets,
-    place: int,
-    mount: PanTiltMount,
-    config: TripletConfig,
-) -> Triplet | Refusal:
-    """Return the chosen triplet with the full covariance of its fix."""
-    chosen = index[views.triplets[place]]
-    gradient = bearing_gradients(axis.pose, landmark_map.positions[chosen, :2])
-    rows = np.stack([2 * chosen, 2 * chosen + 1], -1).reshape(-1)
-    noise = map_share(gradient, landmark_map.joint_covariance_xy[np.ix_(rows, rows)])
-    noise += config.bearing_sigma_rad**2 * np.eye(3)
-    inverse = np.linalg.inv(np.column_stack([gradient, np.full(3, -1.0)]))
-    fix = PoseEstimate(axis.stamp_ns, axis.pose, inverse @ noise @ inverse.T)
-    sigma_m = float(np.sqrt(np.trace(fix.covariance[:2, :2])))
-    if sigma_m > config.max_sigma_m:
-        return Refusal('no triplet is accurate enough', f'the best promises {sigma_m:.2f} m')
-    bearing, sigma = _expected_bearings(axis, landmark_map, chosen)
-    return Triplet(
-        axis.stamp_ns,
-        landmark_map.ids[chosen],
-        bearing,
-        sigma,
-        base_from_axis(fix, mount).covariance,
-        float(views.pan_rad[place]),
-    )
-
-
-@lru_cache(maxsize=8)
-def _half_fov(camera: CameraModel) -> float:
-    return camera.half_fov_rad
+    return np.asarray(axis.pose[:2] + np.concatenate([steps, -steps]))

@@ -1,10 +1,12 @@
 """
-What three landmarks are worth: triplets that one view can hold, and their predicted variance.
+What three landmarks are worth: the predicted covariance of a fix, for any number of triplets.
 
 Everything works on the gradients ``h_k`` of the bearings, the landmarks' inverse points turned by
-a right angle: with ``det = (h1 - h3) x (h2 - h3)``, twice the area of their triangle, a bearing
-error moves the fix by ``dp/db1 = J (h2 - h3) / det`` and cyclic (J turns by -90 degrees). So the
-danger circle is where the inverse points lie on a line.
+a right angle. The difference of two bearings does not depend on the heading:
+``(h_i - h_j) . dp = e_i - e_j``. So the position's covariance follows from two tables over pairs
+of landmarks, the variance E of ``e_i - e_j`` and the squared distance D of ``h_i`` and ``h_j``:
+E / D is the position's variance along ``h_i - h_j``, whatever the third landmark, and a lower
+bound of the trace. The danger circle is where three inverse points lie on a line.
 """
 
 from __future__ import annotations
@@ -17,112 +19,89 @@ import numpy.typing as npt
 from landmark_nav.localization.triangulation_model import bearing_gradients
 from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['Sightings', 'ViewTriplets', 'position_variance', 'sightings', 'triplets_in_one_view']
+__all__ = ['PairTables', 'fix_covariances', 'pair_tables', 'position_variance']
 
 IndexArray = npt.NDArray[np.intp]
 
 
-class Sightings(NamedTuple):
+class PairTables(NamedTuple):
     """
-    What n bearings would be worth from viewpoints (...).
+    What pairs out of n landmarks are worth from viewpoints (...).
 
-    `gradient` (..., n, 2) by the viewpoint's x and y, `variance` (..., n) of their own and
-    `shared` (..., n, m) by the map's unit-variance common factors.
+    `gradient` (..., 2, n) of the bearings by x and y of the viewpoint, `own` (..., n) the part of
+    their variances that they do not share; `error` (..., n, n) is the variance of the difference
+    of two bearings, `distance` (..., n, n) the squared distance of their gradients.
     """
 
     gradient: FloatArray
-    variance: FloatArray
-    shared: FloatArray
+    own: FloatArray
+    error: FloatArray
+    distance: FloatArray
 
 
-class ViewTriplets(NamedTuple):
-    """Triplets (m, 3) that fit one view, and the pan (m,) that sees each best."""
-
-    triplets: IndexArray
-    pan_rad: FloatArray
-
-
-def sightings(
+def pair_tables(
     viewpoints: FloatArray, landmark_map: LandmarkMap, index: IndexArray, bearing_sigma: float
-) -> Sightings:
-    """Return what the landmarks `index` (n,) are worth from viewpoints (..., 2) in map."""
-    gradient = bearing_gradients(viewpoints, landmark_map.positions[index, :2])
-    loading = np.array([landmark_map.landmarks[k].shared_loading[:2] for k in index])
-    own = landmark_map.covariances[index, :2, :2] - loading @ loading.swapaxes(-1, -2)
-    variance = np.einsum('...ni,nij,...nj->...n', gradient, own, gradient)
-    shared = -np.einsum('...ni,nim->...nm', gradient, loading)
-    return Sightings(gradient, bearing_sigma**2 + np.maximum(variance, 0.0), shared)
+) -> PairTables:
+    """Return what pairs of the landmarks `index` (n,) are worth from viewpoints (..., 2)."""
+    gradient, own, shared = _sightings(viewpoints, landmark_map, index, bearing_sigma)
+    common = shared @ np.swapaxes(shared, -1, -2)
+    total = own + np.einsum('...ii->...i', common)
+    error = total[..., :, None] + total[..., None, :] - 2.0 * common
+    x, y = gradient[..., 0], gradient[..., 1]
+    distance = (x[..., :, None] - x[..., None, :]) ** 2
+    distance += (y[..., :, None] - y[..., None, :]) ** 2
+    return PairTables(np.ascontiguousarray(np.swapaxes(gradient, -1, -2)), own, error, distance)
 
 
-def position_variance(seen: Sightings, triplets: IndexArray) -> FloatArray:
-    """Trace (..., t) of the position covariance of fixes from triplets (t, 3); inf if none."""
-    h1, h2, h3 = np.moveaxis(seen.gradient[..., triplets, :], -2, 0)
-    sides = np.stack([h2 - h3, h3 - h1, h1 - h2], -2)
-    det = sides[..., 0, 0] * sides[..., 1, 1] - sides[..., 0, 1] * sides[..., 1, 0]
-    own = np.sum(seen.variance[..., triplets] * np.sum(sides * sides, -1), -1)
-    # |J v| = |v|, so the turn J is left out of the sum over the common factors too.
-    common = np.swapaxes(sides, -1, -2) @ seen.shared[..., triplets, :]
+def position_variance(
+    tables: PairTables, i: IndexArray, j: IndexArray, k: IndexArray
+) -> FloatArray:
+    """Trace (..., t) of the position covariance of fixes from landmarks i, j, k; inf if none."""
+    error_ij, error_ik = tables.error[..., i, j], tables.error[..., i, k]
+    side_ij, side_ik = tables.distance[..., i, j], tables.distance[..., i, k]
+    # Twice the covariance of the two differences, and twice the sides' inner product.
+    mixed = (error_ij + error_ik - tables.error[..., j, k]) * (
+        side_ij + side_ik - tables.distance[..., j, k]
+    )
+    x, y = tables.gradient[..., 0, :], tables.gradient[..., 1, :]
+    first_x, first_y = x[..., i], y[..., i]
+    area = (x[..., j] - first_x) * (y[..., k] - first_y)
+    area -= (y[..., j] - first_y) * (x[..., k] - first_x)
     with np.errstate(divide='ignore', invalid='ignore'):
-        trace = (own + np.sum(common * common, (-1, -2))) / det**2
+        trace = (error_ij * side_ik + error_ik * side_ij - 0.5 * mixed) / area**2
     return np.where(np.isfinite(trace), trace, np.inf)
 
 
-def triplets_in_one_view(
-    azimuth_rad: FloatArray, reach_rad: FloatArray, limits_rad: tuple[float, float]
-) -> ViewTriplets:
+def fix_covariances(
+    viewpoint: FloatArray, landmark_map: LandmarkMap, triplets: IndexArray, bearing_sigma: float
+) -> FloatArray:
     """
-    All triplets that some pan within the limits sees together.
+    First-order covariances (t, 3, 3) of x, y and heading of fixes from triplets (t, 3).
 
-    Parameters
-    ----------
-    azimuth_rad : ndarray, shape (n,)
-        Of the landmarks, in the frame of the pan axis.
-    reach_rad : ndarray, shape (n,)
-        How far the pan may be off a landmark's azimuth and still hold it whole, less than pi / 2.
-    limits_rad : tuple of float
-        Least and greatest pan.
-
+    Of the pose of the pan axis at `viewpoint` (2,), with the orientation of the base.
     """
-    n = len(azimuth_rad)
-    ahead = np.mod(azimuth_rad[None] - azimuth_rad[:, None], 2.0 * np.pi)
-    # Equal azimuths: the order of the indices decides who comes first.
-    ahead[(ahead == 0.0) & (np.arange(n)[:, None] > np.arange(n))] = np.inf
-    together = ahead <= reach_rad[None] + reach_rad[:, None]
-    np.fill_diagonal(together, False)
-    first, other = np.nonzero(together)
-    order = np.lexsort((ahead[first, other], first))
-    first, other = first[order], other[order]
-
-    # A triplet is two pairs with the same first landmark, counter-clockwise.
-    end = np.searchsorted(first, first, side='right')
-    partners = end - np.arange(len(first)) - 1
-    pair = np.repeat(np.arange(len(first)), partners)
-    rank = np.arange(len(pair)) - np.repeat(np.cumsum(partners) - partners, partners)
-    index = np.stack([first[pair], other[pair], other[pair + 1 + rank]], -1)
-
-    relative = np.stack(
-        [np.zeros(len(index)), ahead[index[:, 0], index[:, 1]], ahead[index[:, 0], index[:, 2]]],
-        -1,
-    )
-    lower = np.max(relative - reach_rad[index], axis=-1)
-    upper = np.min(relative + reach_rad[index], axis=-1)
-    fits = lower <= upper
-    index, lower, upper = index[fits], lower[fits], upper[fits]
-    return _within_limits(
-        index, azimuth_rad[index[:, 0]] + lower, azimuth_rad[index[:, 0]] + upper, limits_rad
-    )
+    used, place = np.unique(triplets, return_inverse=True)
+    gradient, own, shared = _sightings(viewpoint, landmark_map, used, bearing_sigma)
+    place = place.reshape(triplets.shape)
+    noise = shared[place] @ np.swapaxes(shared[place], -1, -2)
+    noise[:, range(3), range(3)] += own[place]
+    heading = np.full((*triplets.shape, 1), -1.0)
+    inverse = np.linalg.inv(np.concatenate([gradient[place], heading], -1))
+    return np.asarray(inverse @ noise @ np.swapaxes(inverse, -1, -2))
 
 
-def _within_limits(
-    index: IndexArray, lower: FloatArray, upper: FloatArray, limits_rad: tuple[float, float]
-) -> ViewTriplets:
-    """Clip the middle of the pans [lower, upper] to the limits, in whichever turn fits best."""
-    turns = 2.0 * np.pi * np.arange(-2, 3)[:, None]
-    middle = 0.5 * (lower + upper) + turns
-    pan = np.clip(middle, *limits_rad)
-    off = np.abs(pan - middle)
-    best = np.argmin(off, axis=0)[None]
-    pan = np.take_along_axis(pan, best, 0)[0]
-    off = np.take_along_axis(off, best, 0)[0]
-    fits = off <= 0.5 * (upper - lower)
-    return ViewTriplets(index[fits], pan[fits])
+def _sightings(
+    viewpoints: FloatArray, landmark_map: LandmarkMap, index: IndexArray, bearing_sigma: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """
+    Gradient (..., n, 2) of n bearings and their errors.
+
+    Those are variances (..., n) of their own and loadings (..., n, m) of the map's unit-variance
+    common factors.
+    """
+    gradient = bearing_gradients(viewpoints, landmark_map.positions[index, :2])
+    loading = landmark_map.shared_loadings[index, :2]
+    own = landmark_map.covariances[index, :2, :2] - loading @ loading.swapaxes(-1, -2)
+    variance = np.einsum('...ni,nij,...nj->...n', gradient, own, gradient)
+    shared = -np.einsum('...ni,nim->...nm', gradient, loading)
+    return gradient, bearing_sigma**2 + np.maximum(variance, 0.0), shared

@@ -12,6 +12,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.se2 import compose, rotation
 from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.localization.triplet_ranking import Standing
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
@@ -20,6 +21,7 @@ __all__ = [
     'axis_position',
     'observable',
     'patch_corners',
+    'standings',
     'visible_landmarks',
     'whole_in_view',
 ]
@@ -48,9 +50,21 @@ class TripletConfig:
     )
     hysteresis: float = parameter(
         0.3,
-        'A new triplet must promise so much less variance than the one looked at.',
+        'A new triplet must score so much better than the one looked at.',
         minimum=0.0,
         maximum=100.0,
+    )
+    views: str = parameter(
+        'one',
+        'Whether one view must hold a triplet, or several, one after the other.',
+        choices=('one', 'several'),
+    )
+    look_s: float = parameter(
+        1.0, 'Time of a look, beside which that of turning counts, s.', minimum=0.01
+    )
+    pan_rate_rad_s: float = parameter(1.0, 'Rate of the pan unit, rad/s.', minimum=0.01)
+    pan_acceleration_rad_s2: float = parameter(
+        8.0, 'Acceleration of the pan unit, rad/s^2.', minimum=0.01
     )
     max_sigma_m: float = parameter(
         0.5,
@@ -112,16 +126,22 @@ def axis_position(pose_map_base: FloatArray, mount: PanTiltMount) -> FloatArray:
 def observable(
     viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
 ) -> npt.NDArray[np.bool_]:
+    """Which landmarks (n,) look as learned from a viewer (3,)."""
+    return np.asarray(standings(viewer, landmark_map, config) == Standing.USABLE)
+
+
+def standings(
+    viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
+) -> npt.NDArray[np.int8]:
     """
-    Which landmarks (n,) look as learned from a viewer (3,): area, range, no wall between.
+    `Standing` of the landmarks (n,) seen from a viewer (3,): area, range, no wall between.
 
     Those without a size are points that other sensors see: no picture of them was learned.
     """
     position = landmark_map.positions
     distance = np.hypot(*(position[:, :2] - viewer[:2]).T)
-    good = (distance >= config.min_range_m) & (distance <= config.max_range_m)
-    good &= landmark_map.sizes_m.min(axis=1, initial=np.inf) > 0.0
-    good &= observed_well(
+    standing = np.full(len(position), Standing.USABLE, dtype=np.int8)
+    well = observed_well(
         position,
         landmark_map.normals,
         landmark_map.viewpoints,
@@ -129,9 +149,16 @@ def observable(
         config.min_sampling,
         config.max_sampling,
     )
-    if landmark_map.walls and np.any(good):
-        good[good] = _room(landmark_map.walls).visible(viewer[:2], position[good, :2])
-    return np.asarray(good)
+    standing[~well] = Standing.OUTSIDE_AREA
+    standing[(distance < config.min_range_m) | (distance > config.max_range_m)] = (
+        Standing.OUT_OF_RANGE
+    )
+    standing[landmark_map.sizes_m.min(axis=1, initial=np.inf) <= 0.0] = Standing.NO_PICTURE
+    left = np.flatnonzero(standing == Standing.USABLE)
+    if landmark_map.walls and len(left):
+        seen = _room(landmark_map.walls).visible(viewer[:2], position[left, :2])
+        standing[left[~seen]] = Standing.HIDDEN
+    return standing
 
 
 def patch_corners(landmark_map: LandmarkMap) -> FloatArray:

@@ -14,12 +14,17 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation_model import axis_from_base
-from landmark_nav.localization.triplet import select_triplet, TripletConfig, visible_landmarks
-from landmark_nav.localization.triplet_geometry import (
-    position_variance,
-    sightings,
-    triplets_in_one_view,
+from landmark_nav.localization.triplet import (
+    Gaze,
+    rank_triplets,
+    select_triplet,
+    TripletConfig,
+    visible_landmarks,
 )
+from landmark_nav.localization.triplet_geometry import pair_tables, position_variance
+from landmark_nav.localization.triplet_ranking import Standing
+from landmark_nav.localization.triplet_search import best_triplets, mean_variance
+from landmark_nav.localization.triplet_views import PanWindows, travel_s
 from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate, Refusal, Triplet
 
 FloatArray = npt.NDArray[np.float64]
@@ -99,13 +104,13 @@ class TestSelection:
         triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
         axis = axis_from_base(PRIOR, MOUNT)
         everything = np.arange(25)
-        seen = sightings(axis.pose[:2], landmark_map, everything, CONFIG.bearing_sigma_rad)
+        seen = pair_tables(axis.pose[:2], landmark_map, everything, CONFIG.bearing_sigma_rad)
         best = np.inf
         for pan in np.radians(np.arange(-180, 180, 2)):
             view = visible_landmarks(PRIOR, landmark_map, CAMERA, MOUNT, float(pan), 0.0, CONFIG)
             triples = np.array(list(combinations(view, 3)), dtype=np.intp).reshape(-1, 3)
-            best = min(best, *position_variance(seen, triples), np.inf)
-        mine = position_variance(seen, (triplet.ids - 100)[None])[0]
+            best = min(best, *position_variance(seen, *triples.T), np.inf)
+        mine = position_variance(seen, *(triplet.ids - 100))
         # Margins for the prior's spread keep the outermost out of the selection.
         assert mine <= 1.35 * best
 
@@ -125,12 +130,12 @@ class TestSelection:
         landmark_map = random_map(40)
         limits = (0.4, 1.1)
         triplet = chosen(
-            select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, joint_limits=limits)
+            select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(limits_rad=limits))
         )
         assert limits[0] <= triplet.pan_rad <= limits[1]
         wide = (2.0 * np.pi - 0.5, 2.0 * np.pi + 3.0)
         turned = chosen(
-            select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, joint_limits=wide)
+            select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(limits_rad=wide))
         )
         assert wide[0] <= turned.pan_rad <= wide[1]
 
@@ -146,7 +151,8 @@ class TestSelection:
     def test_fixed_pan(self) -> None:
         landmark_map = random_map(40)
         for pan in (-2.0, 0.0, 1.0):
-            found = select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, pan_rad=pan)
+            gaze = Gaze(pan, limits_rad=(pan, pan))
+            found = select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, gaze)
             if isinstance(found, Triplet):
                 assert found.pan_rad == pan
                 view = visible_landmarks(PRIOR, landmark_map, CAMERA, MOUNT, pan, 0.0, CONFIG)
@@ -179,9 +185,94 @@ class TestSelection:
             optical_center_offset=(0.06, 0.03, 0.1),
         )
         landmark_map = random_map(40)
-        triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, mount, CONFIG, tilt_rad=0.05))
+        triplet = chosen(
+            select_triplet(PRIOR, landmark_map, CAMERA, mount, CONFIG, Gaze(tilt_rad=0.05))
+        )
         view = visible_landmarks(PRIOR, landmark_map, CAMERA, mount, triplet.pan_rad, 0.05, CONFIG)
         assert set(triplet.ids) <= set(landmark_map.ids[view])
+
+
+class TestSearch:
+    @settings(max_examples=30, deadline=None)
+    @given(st.integers(0, 10_000), st.integers(3, 80), st.sampled_from([0.01, 0.3]))
+    def test_pruned_is_exhaustive(self, seed: int, n: int, spread_m: float) -> None:
+        rng = np.random.default_rng(seed)
+        landmark_map = random_map(n, seed)
+        points = PRIOR.pose[:2] + spread_m * rng.normal(size=(4, 2))
+        tables = pair_tables(points, landmark_map, np.arange(n), 4e-4)
+        factor = 1.0 / rng.uniform(0.2, 1.0, n)
+        cost = 1.0 + rng.exponential(size=(n, n))
+        cost[rng.random((n, n)) < 0.3] = np.inf
+        cost = np.maximum(cost, cost.T)
+        scores, triplets = best_triplets(tables, factor, cost, 10)
+        every = np.array(list(combinations(range(n), 3)))
+        i, j, k = every.T
+        most = np.maximum(np.maximum(cost[i, j], cost[i, k]), cost[j, k])
+        score = mean_variance(tables, every) * factor[every].prod(axis=1) * most
+        order = np.argsort(score)[: len(scores)]
+        np.testing.assert_allclose(scores, score[order], rtol=1e-9)
+        assert {tuple(t) for t in triplets} == {tuple(t) for t in every[order]}
+        assert len(scores) == min(10, np.isfinite(score).sum())
+
+    @pytest.mark.parametrize('views', ['one', 'several'])
+    def test_no_triplet_scores_better_than_the_chosen(self, views: str) -> None:
+        """Against all, each judged by its own tour, variance and chance."""
+        config = TripletConfig(views=views)
+        gaze = Gaze(pan_rad=0.8, limits_rad=(-2.0, 2.0))
+        for seed in range(3):
+            landmark_map = random_map(18, seed)
+            rate = np.random.default_rng(seed).uniform(0.3, 1.0, 18)
+            ranking = rank_triplets(
+                PRIOR, landmark_map, CAMERA, MOUNT, config, gaze, found_rate=rate
+            )
+            best = np.inf
+            for triple in combinations(np.flatnonzero(ranking.standing == 0), 3):
+                alone = LandmarkMap(
+                    tuple(landmark_map.landmarks[k] for k in triple), walls=landmark_map.walls
+                )
+                only = rank_triplets(
+                    PRIOR, alone, CAMERA, MOUNT, config, gaze, found_rate=rate[list(triple)]
+                )
+                best = min(best, *only.score, np.inf)
+            assert ranking.score[0] == pytest.approx(best, rel=1e-9)
+            assert np.all(np.diff(ranking.score) >= 0.0)
+
+
+class TestRanking:
+    def test_turning_costs(self) -> None:
+        landmark_map = random_map(40)
+        hasty = TripletConfig(look_s=0.05)
+        for pan in (-2.0, 0.0, 2.0):
+            free = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG)
+            near = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, hasty, Gaze(pan))
+            assert near.travel_s[0] <= travel_s(abs(chosen(free.chosen).pan_rad - pan), 1.0, 8.0)
+            assert abs(chosen(near.chosen).pan_rad - pan) < 1.0
+
+    def test_several_views_promise_more(self) -> None:
+        several = TripletConfig(views='several', look_s=100.0)
+        for seed in range(5):
+            landmark_map = random_map(40, seed)
+            one = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG)
+            more = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, several)
+            assert more.sigma_m[0] < 0.5 * one.sigma_m[0]
+            assert len(set(more.pan_rad[0])) > 1
+
+    def test_reasons(self) -> None:
+        landmark_map = random_map(40)
+        ranking = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0))
+        reasons = ranking.reasons()
+        assert reasons[0] == 'chosen'
+        assert len(reasons) == len(ranking.score) > 3
+        assert sum(ranking.excluded().values()) == np.count_nonzero(ranking.standing)
+        limited = rank_triplets(
+            PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0, limits_rad=(-0.5, 0.5))
+        )
+        assert limited.excluded()[Standing.BEYOND_LIMITS.words] > 10
+
+    def test_a_landmark_above_the_picture_is_cut(self) -> None:
+        high = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 3.9), *random_map(9).landmarks))
+        ranking = rank_triplets(PRIOR, high, CAMERA, MOUNT, CONFIG)
+        assert ranking.standing[0] == Standing.CUT
 
 
 class TestRefusal:
@@ -253,36 +344,60 @@ class TestVisibility:
 
 class TestGeometry:
     @settings(max_examples=60, deadline=None)
-    @given(st.integers(0, 10_000), st.integers(0, 9))
-    def test_triplets_in_one_view_against_all_triples(self, seed: int, n: int) -> None:
+    @given(st.integers(0, 10_000), st.integers(3, 9))
+    def test_tours_in_one_view_against_a_grid_of_pans(self, seed: int, n: int) -> None:
         rng = np.random.default_rng(seed)
         azimuth = rng.uniform(-np.pi, np.pi, n)
         reach = rng.uniform(-0.1, 0.6, n)
         limits = (-1.5, 2.0)
-        views = triplets_in_one_view(azimuth, reach, limits)
-        found = {frozenset(int(k) for k in triple) for triple in views.triplets}
-        assert len(found) == len(views.triplets)
+        windows = PanWindows(azimuth, reach, limits, 0.3, CONFIG)
+        triples = np.array(list(combinations(range(n), 3)))
+        tours = windows.tours(triples)
         pans = np.linspace(*limits, 20001)
         inside = np.abs(wrap_rad(pans[:, None] - azimuth)) <= reach
-        expected = {
-            frozenset(triple)
-            for triple in combinations(range(n), 3)
-            if np.any(inside[:, list(triple)].all(axis=1))
-        }
-        # A grid of pans misses views that hardly exist.
-        assert expected <= found
-        for triple, pan in zip(views.triplets, views.pan_rad, strict=True):
-            assert limits[0] <= pan <= limits[1]
-            assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
+        for triple, pan, cost in zip(triples, tours.pan_rad, tours.cost, strict=True):
+            # A grid of pans misses views that hardly exist.
+            views = pans[inside[:, triple].all(axis=1)]
+            if len(views):
+                way = float(np.abs(views - 0.3).min())
+                assert cost == pytest.approx(1.0 + travel_s(way, 1.0, 8.0), abs=0.02)
+            if np.isfinite(cost):
+                assert np.ptp(pan) == 0.0
+                assert limits[0] <= pan[0] <= limits[1]
+                assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
+
+    @settings(max_examples=60, deadline=None)
+    @given(st.integers(0, 10_000), st.sampled_from(['one', 'several']))
+    def test_pairs_never_cost_more_than_the_triplet(self, seed: int, views: str) -> None:
+        rng = np.random.default_rng(seed)
+        config = TripletConfig(views=views)
+        windows = PanWindows(
+            rng.uniform(-np.pi, np.pi, 8),
+            rng.uniform(0.05, 0.4, 8),
+            (-np.pi, rng.uniform(1.0, 4.0)),
+            rng.uniform(-3.0, 1.0),
+            config,
+        )
+        triples = np.array(list(combinations(range(8), 3)))
+        tours = windows.tours(triples)
+        exact, pairs = tours.cost, windows.costs()
+        i, j, k = triples.T
+        floor = np.maximum(np.maximum(pairs[i, j], pairs[i, k]), pairs[j, k])
+        assert np.all(floor <= exact + 1e-12)
+        if views == 'several':
+            reachable = windows.reachable[triples].all(axis=1)
+            np.testing.assert_array_equal(np.isfinite(exact), reachable)
+            off = np.abs(wrap_rad(tours.pan_rad - windows.azimuth_rad[triples]))
+            assert np.all((off <= windows.reach_rad[triples] + 1e-12)[reachable])
 
     def test_variance_against_the_inverse_matrix(self) -> None:
         landmark_map = random_map(12)
         axis = np.array([3.1, 2.2])
         triples = np.array(list(combinations(range(12), 3)))
-        seen = sightings(axis, landmark_map, np.arange(12), 4e-4)
-        traces = position_variance(seen, triples)
+        seen = pair_tables(axis, landmark_map, np.arange(12), 4e-4)
+        traces = position_variance(seen, *triples.T)
         for triple, trace in list(zip(triples, traces, strict=True))[::17]:
-            gradient = seen.gradient[triple]
+            gradient = seen.gradient.T[triple]
             rows = np.stack([2 * triple, 2 * triple + 1], -1).reshape(-1)
             joint = landmark_map.joint_covariance_xy[np.ix_(rows, rows)]
             derivative = np.zeros((3, 6))
@@ -297,8 +412,10 @@ class TestGeometry:
         landmark_map = random_map(6)
         points = np.array([[3.0, 2.0], [2.5, 2.4]])
         triples = np.array([[0, 1, 2], [3, 4, 5]])
-        both = position_variance(sightings(points, landmark_map, np.arange(6), 1e-3), triples)
-        one = position_variance(sightings(points[1], landmark_map, np.arange(6), 1e-3), triples)
+        both = position_variance(pair_tables(points, landmark_map, np.arange(6), 1e-3), *triples.T)
+        one = position_variance(
+            pair_tables(points[1], landmark_map, np.arange(6), 1e-3), *triples.T
+        )
         assert both.shape == (2, 2)
         np.testing.assert_allclose(both[1], one)
 
@@ -311,5 +428,5 @@ class TestGeometry:
             )
         )
         there = 2.0 * np.array([np.cos(2.6), np.sin(2.6)])
-        seen = sightings(there, circle, np.arange(3), 1e-3)
-        assert position_variance(seen, np.array([[0, 1, 2]]))[0] > 1e6
+        seen = pair_tables(there, circle, np.arange(3), 1e-3)
+        assert position_variance(seen, *np.array([[0], [1], [2]]))[0] > 1e6

@@ -1,0 +1,120 @@
+"""What came of the contest of triplets: which won, and why the others did not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.types import FloatArray, Refusal, Triplet
+
+__all__ = ['Ranking', 'Standing']
+
+# A rival is called worse in something from so many times the winner's on.
+_MUCH_WORSE = 1.05
+
+
+class Standing(IntEnum):
+    """Whether a landmark takes part, or why not."""
+
+    USABLE = 0
+    NO_PICTURE = 1
+    OUT_OF_RANGE = 2
+    OUTSIDE_AREA = 3
+    HIDDEN = 4
+    CUT = 5
+    BEYOND_LIMITS = 6
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return _WORDS[self]
+
+
+_WORDS = {
+    Standing.USABLE: 'usable',
+    Standing.NO_PICTURE: 'without a picture',
+    Standing.OUT_OF_RANGE: 'too near or too far',
+    Standing.OUTSIDE_AREA: 'outside the observation area',
+    Standing.HIDDEN: 'behind a wall',
+    Standing.CUT: 'cut by the border of the picture',
+    Standing.BEYOND_LIMITS: 'beyond the joint limits',
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """
+    The chosen triplet, or why none, and the m best, in the order of preference.
+
+    Parameters
+    ----------
+    chosen : Triplet or Refusal
+        The first.
+    standing : ndarray of int, shape (n,)
+        `Standing` of each landmark of the map.
+    ids : ndarray of int, shape (m, 3)
+        Landmarks of the triplets.
+    covariances : ndarray, shape (m, 3, 3)
+        Predicted ones of a fix of the pan axis with the orientation of the base.
+    chance : ndarray, shape (m,)
+        That all three are found.
+    travel_s : ndarray, shape (m,)
+        Time to turn there, and from view to view.
+    pan_rad : ndarray, shape (m, 3)
+        That sees each landmark.
+    score : ndarray, shape (m,)
+        Variance by chance, times the time relative to that of a look; m^2.
+
+    """
+
+    chosen: Triplet | Refusal
+    standing: npt.NDArray[np.int8]
+    ids: npt.NDArray[np.int64]
+    covariances: FloatArray
+    chance: FloatArray
+    travel_s: FloatArray
+    pan_rad: FloatArray
+    score: FloatArray
+
+    @classmethod
+    def none(cls, reason: Refusal, standing: npt.NDArray[np.int8]) -> Ranking:
+        """Return a ranking without triplets."""
+        empty = np.empty(0)
+        ids = np.empty((0, 3), dtype=np.int64)
+        pans = np.empty((0, 3))
+        return cls(reason, standing, ids, np.empty((0, 3, 3)), empty, empty, pans, empty)
+
+    @property
+    def sigma_m(self) -> FloatArray:
+        """Predicted position sigmas (m,), roots of the trace."""
+        return np.asarray(np.sqrt(np.trace(self.covariances[:, :2, :2], axis1=1, axis2=2)))
+
+    def excluded(self) -> dict[str, int]:
+        """How many landmarks take no part, by the reason."""
+        kinds, counts = np.unique(self.standing, return_counts=True)
+        return {
+            Standing(kind).words: int(count)
+            for kind, count in zip(kinds, counts, strict=True)
+            if kind != Standing.USABLE
+        }
+
+    def reasons(self) -> list[str]:
+        """Why each of the m triplets is where it is."""
+        if not len(self.score):
+            return []
+        return ['chosen', *(self._why(k) for k in range(1, len(self.score)))]
+
+    def _why(self, place: int) -> str:
+        if self.score[place] < self.score[0]:
+            return 'not better enough to give up the one looked at'
+        sigma = self.sigma_m
+        worse = {
+            'less accurate': (sigma[place] / sigma[0]) ** 2,
+            'less likely to be found': self.chance[0] / self.chance[place],
+            'longer turn': (1.0 + self.travel_s[place]) / (1.0 + self.travel_s[0]),
+        }
+        what = max(worse, key=lambda name: float(worse[name]))
+        return what if worse[what] >= _MUCH_WORSE else 'slightly worse in all'

@@ -1,0 +1,207 @@
+"""
+The best triplets out of all, without looking at all.
+
+The variance of a fix is at least what any two of its three landmarks allow (`triplet_geometry`),
+so pairs that alone are worse than triplets already known are left out, and with them most
+triplets; of the others the viewpoints are computed one after the other, and a triplet is given up
+once what it has and what it must still get are too much. What is left out is provably worse: the
+result is that of looking at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.localization.triplet_geometry import IndexArray, PairTables, position_variance
+from landmark_nav.types import FloatArray
+
+__all__ = ['best_triplets', 'mean_variance']
+
+# Triplets worked on at a time: their arrays stay in the cache.
+_BATCH = 16384
+# Pairs that are completed in every way for a first bound.
+_FIRST_PAIRS = 16
+# With no more landmarks the bounds cost more than they save; else there are 2^4 groups.
+_FEW = 64
+_HALVINGS = 4
+# Bounds are compared with so much room for rounding.
+_ROUNDING = 1.0 + 1e-9
+
+
+def mean_variance(tables: PairTables, triplets: IndexArray) -> FloatArray:
+    """Position variance (t,) of triplets (t, 3), averaged over the tables' viewpoints (p,)."""
+    i, j, k = np.ascontiguousarray(triplets.T)
+    return np.asarray(position_variance(tables, i, j, k).mean(axis=0))
+
+
+def best_triplets(
+    tables: PairTables, factor: FloatArray, cost: FloatArray, count: int
+) -> tuple[FloatArray, IndexArray]:
+    """
+    Triplets with the least score: variance times the landmarks' factors times the cost.
+
+    Parameters
+    ----------
+    tables : PairTables
+        Of n landmarks from viewpoints (p,), over which the variance is averaged.
+    factor : ndarray, shape (n,)
+        Of each landmark, at least 1.
+    cost : ndarray, shape (n, n)
+        Of each pair, at least 1, symmetric; a triplet costs the most of its pairs. Infinite for
+        pairs that can't be combined.
+    count : int
+        How many are wanted.
+
+    Returns
+    -------
+    scores : ndarray, shape (m,)
+        Ascending; fewer than `count` if there are no more.
+    triplets : ndarray of int, shape (m, 3)
+        Each ascending.
+
+    """
+    with np.errstate(divide='ignore', invalid='ignore'):
+        least = tables.error / tables.distance
+    least[~np.isfinite(least)] = np.inf
+    weight = np.outer(factor, factor) * factor.min(initial=np.inf) * cost
+    weight[~np.isfinite(weight)] = np.inf
+    bound = least.mean(axis=0) * weight
+    search = _Search(tables, factor, cost, count)
+    search.add(_around_best_pairs(bound))
+    good = bound <= search.limit * _ROUNDING
+    if len(factor) > _FEW:
+        _add_across(least, tables, good)
+        good &= least.mean(axis=0) * weight <= search.limit * _ROUNDING
+    search.expect(least)
+    for triplets in _triangles(good & np.isfinite(bound)):
+        search.add(triplets)
+    return search.scores, search.triplets
+
+
+def _add_across(least: FloatArray, tables: PairTables, good: npt.NDArray[np.bool_]) -> None:
+    """
+    Raise the least variances (p, n, n) of pairs by what remains across the pair's line.
+
+    A third inverse point at distance q from the line adds its own variance over q squared, and
+    that of the best mean of the pair. Third points are taken in groups: the least variance of a
+    group and the greatest q that its enclosing circle allows.
+    """
+    first, second = np.nonzero(np.triu(good, 1))
+    groups = _groups(tables.gradient[0].T)
+    for point, table in zip(
+        least, (PairTables(*t) for t in zip(*tables, strict=True)), strict=True
+    ):
+        x, y = table.gradient
+        length = np.sqrt(table.distance[first, second])
+        normal_x, normal_y = (y[second] - y[first]) / length, (x[first] - x[second]) / length
+        offset = normal_x * x[first] + normal_y * y[first]
+        pair = table.own[first] * table.own[second] / (table.own[first] + table.own[second])
+        across = np.full(len(first), np.inf)
+        for group in groups:
+            center_x, center_y = x[group].mean(), y[group].mean()
+            radius = np.hypot(x[group] - center_x, y[group] - center_y).max()
+            reach = np.abs(normal_x * center_x + normal_y * center_y - offset) + radius
+            across = np.minimum(across, (table.own[group].min() + pair) / reach**2)
+        point[first, second] += across
+        point[second, first] += across
+
+
+def _groups(points: FloatArray) -> list[IndexArray]:
+    """Indices of points (n, 2) that lie close together, by halving again and again."""
+    groups = [np.arange(len(points))]
+    for _ in range(_HALVINGS):
+        halves = []
+        for group in groups:
+            wide = int(np.argmax(np.ptp(points[group], axis=0)))
+            order = group[np.argsort(points[group, wide], kind='stable')]
+            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
+        groups = halves
+    return groups
+
+
+class _Search:
+    """The best triplets so far, and the score that a new one must not exceed."""
+
+    def __init__(
+        self,
+        tables: PairTables,
+        factor: FloatArray,
+        cost: FloatArray,
+        count: int,
+    ) -> None:
+        self._points = [PairTables(*point) for point in zip(*tables, strict=True)]
+        self._factor, self._cost, self._count = factor, cost, count
+        self._to_come: FloatArray | None = None
+        self.limit = np.inf
+        self.scores: FloatArray = np.empty(0)
+        self.triplets: IndexArray = np.empty((0, 3), dtype=np.intp)
+
+    def expect(self, least: FloatArray) -> None:
+        """Learn what each viewpoint adds at least, for any triplet with a pair, (p, n, n)."""
+        self._to_come = np.zeros_like(least)
+        self._to_come[:-1] = np.cumsum(least[:0:-1], axis=0)[::-1] / len(least)
+
+    def add(self, triplets: IndexArray) -> None:
+        """Look at triplets (t, 3), each ascending."""
+        i, j, k = np.ascontiguousarray(triplets.T)
+        weight = self._factor[i] * self._factor[j] * self._factor[k]
+        weight *= _largest(self._cost, i, j, k)
+        total = np.zeros(len(i))
+        for place, point in enumerate(self._points):
+            total += position_variance(point, i, j, k) / len(self._points)
+            lower = total
+            if self._to_come is not None:
+                lower = total + _largest(self._to_come[place], i, j, k)
+            good = lower * weight <= self.limit * _ROUNDING
+            i, j, k, total, weight = (a[good] for a in (i, j, k, total, weight))
+        found = np.stack([i, j, k], -1)
+        scores, triplets = total * weight, np.concatenate([self.triplets, found])
+        finite = np.isfinite(scores)
+        scores = np.concatenate([self.scores, scores])
+        finite = np.concatenate([np.ones(len(self.scores), np.bool_), finite])
+        scores, triplets = scores[finite], triplets[finite]
+        triplets, once = np.unique(triplets, axis=0, return_index=True)
+        order = np.argsort(scores[once], kind='stable')[: self._count]
+        self.scores, self.triplets = scores[once][order], triplets[order]
+        if len(order) == self._count:
+            self.limit = float(self.scores[-1])
+
+
+def _largest(table: FloatArray, i: IndexArray, j: IndexArray, k: IndexArray) -> FloatArray:
+    return np.asarray(np.maximum(np.maximum(table[i, j], table[i, k]), table[j, k]))
+
+
+def _around_best_pairs(bound: FloatArray) -> IndexArray:
+    """Triplets (t, 3) of the best pairs with every third, each ascending."""
+    n = len(bound)
+    first, second = np.triu_indices(n, 1)
+    best = np.argsort(bound[first, second], kind='stable')[:_FIRST_PAIRS]
+    pairs = np.stack([first[best], second[best]], -1)
+    third = np.tile(np.arange(n), len(pairs))
+    triplets = np.column_stack([np.repeat(pairs, n, axis=0), third])
+    triplets = triplets[(third != triplets[:, 0]) & (third != triplets[:, 1])]
+    return np.unique(np.sort(triplets, axis=1), axis=0)
+
+
+def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:
+    """Batches (t, 3) of triplets whose three pairs are all `good` (n, n), each ascending."""
+    # Those with few partners first: each landmark then has few later ones.
+    order = np.argsort(good.sum(axis=0), kind='stable')
+    later = np.triu(good[np.ix_(order, order)], 1)
+    batch: list[IndexArray] = []
+    waiting = 0
+    for first in range(len(order) - 2):
+        partners = np.flatnonzero(later[first])
+        second, third = np.nonzero(later[np.ix_(partners, partners)])
+        if len(second):
+            firsts = np.full(len(second), first)
+            batch.append(np.stack([firsts, partners[second], partners[third]], -1))
+            waiting += len(second)
+        if waiting >= _BATCH:
+            yield np.sort(order[np.concatenate(batch)], axis=1)
+            batch, waiting = [], 0
+    if batch:
+        yield np.sort(order[np.concatenate(batch)], axis=1)
