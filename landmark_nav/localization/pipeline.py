@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.active_camera import ActiveCamera
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion_health import HealthConfig
@@ -20,7 +21,7 @@ from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization_stream import Relocalizer
 from landmark_nav.localization.triangulation import triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation_model import axis_from_base, base_from_axis
-from landmark_nav.localization.triplet import select_triplet, TripletConfig, visible_landmarks
+from landmark_nav.localization.triplet import Gaze, TripletConfig, visible_landmarks
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -175,16 +176,24 @@ class Localizer:
         Where the camera turns.
     config : LocalizationConfig
         Parameters.
+    pan_limits_rad : tuple of float
+        How far the camera turns.
 
     """
 
     def __init__(
-        self, landmark_map: LandmarkMap, mount: PanTiltMount, config: LocalizationConfig
+        self,
+        landmark_map: LandmarkMap,
+        mount: PanTiltMount,
+        config: LocalizationConfig,
+        pan_limits_rad: tuple[float, float] = (-np.pi, np.pi),
     ) -> None:
         self._map, self._mount, self._config = landmark_map, mount, config
         self._filter = PoseFilter(
             landmark_map, mount, config.fusion, config.odometry, config.health
         )
+        self._camera = ActiveCamera(landmark_map, mount, config.observation.triplet)
+        self._gaze = Gaze(limits_rad=pan_limits_rad)
         self._odometry: OdometrySample | None = None
         self._relocalizer: Relocalizer | None = self._new_search()
 
@@ -226,9 +235,8 @@ class Localizer:
         if prior is None:
             return self._search(frame)
         config = self._config
-        triplet = select_triplet(
-            prior, self._map, frame.camera, self._mount, config.observation.triplet
-        )
+        gaze = replace(self._gaze, pan_rad=frame.pan_rad, tilt_rad=frame.tilt_rad)
+        triplet = self._camera.choose(prior, frame.camera, gaze).chosen
         seen = observe(
             frame,
             prior,
@@ -237,6 +245,8 @@ class Localizer:
             config.observation,
             config.fusion.pan_sigma_rad,
         )
+        found = seen.detections.ids.tolist()
+        self._camera.saw([*found, *seen.refused], found)
         update = self._fused(frame.stamp_ns, triplet, seen)
         lost = update.status == 'lost' and config.relocalization.when_lost
         if not lost or not self._map.landmarks:

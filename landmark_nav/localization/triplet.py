@@ -12,35 +12,22 @@ The score is variance x time / chance: the inverse of the information to be expe
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.triangulation_model import (
-    axis_from_base,
-    base_from_axis,
-    bearing_gradients,
-)
+from landmark_nav.localization.triangulation_model import base_from_axis
 from landmark_nav.localization.triplet_geometry import (
     fix_covariances,
     IndexArray,
     pair_tables,
     PairTables,
 )
+from landmark_nav.localization.triplet_outlook import Gaze, Outlook
 from landmark_nav.localization.triplet_ranking import Ranking, Standing
 from landmark_nav.localization.triplet_search import best_triplets, mean_variance
-from landmark_nav.localization.triplet_views import PanWindows, Tours
-from landmark_nav.localization.triplet_visibility import (
-    axis_position,
-    patch_corners,
-    standings,
-    TripletConfig,
-    visible_landmarks,
-    whole_in_view,
-)
+from landmark_nav.localization.triplet_views import Tours
+from landmark_nav.localization.triplet_visibility import TripletConfig, visible_landmarks
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
 
 __all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'select_triplet', 'visible_landmarks']
@@ -49,29 +36,6 @@ __all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'select_triplet', 'visible_
 _SHORTLIST = 24
 # How many are told about.
 _RANKED = 8
-# Greatest share of half the view that a wide prior may claim as margin.
-_MAX_MARGIN = 0.25
-
-
-@dataclass(frozen=True)
-class Gaze:
-    """
-    Where the camera looks and how far it turns.
-
-    Parameters
-    ----------
-    pan_rad : float or None
-        Pan now: turning away from it takes time. None if that should not count.
-    tilt_rad : float
-        Tilt, positive upwards.
-    limits_rad : tuple of float
-        Least and greatest pan; the same twice for a camera that does not turn.
-
-    """
-
-    pan_rad: float | None = None
-    tilt_rad: float = 0.0
-    limits_rad: tuple[float, float] = (-np.pi, np.pi)
 
 
 def select_triplet(
@@ -126,63 +90,29 @@ def rank_triplets(
         `covariance` that of the base's pose, and `pan_rad` the first pan to look at.
 
     """
-    gaze = gaze or Gaze()
-    axis = axis_from_base(prior, mount)
-    standing = standings(axis_position(prior.pose, mount), landmark_map, config)
-    corners = patch_corners(landmark_map)
-    windows = _windows(axis, landmark_map, corners, camera, mount, config, gaze)
-    usable = np.flatnonzero(standing == Standing.USABLE)
-    straight = np.clip(windows.azimuth_rad[usable], *gaze.limits_rad)
-    reachable = windows.reachable[usable]
-    whole = _whole(prior, corners[usable], camera, mount, straight, gaze.tilt_rad, config)
-    whole |= np.abs(wrap_rad(straight - windows.azimuth_rad[usable])) > 1e-9
-    standing[usable[~whole]] = Standing.CUT
-    standing[usable[~reachable]] = Standing.BEYOND_LIMITS
+    outlook = Outlook(prior, landmark_map, camera, mount, config, gaze or Gaze())
+    standing = outlook.standing()
     index = np.flatnonzero(standing == Standing.USABLE)
     if len(index) < 3:
-        reason = Refusal(
-            'fewer than three landmarks are visible', f'{len(index)} of {len(standing)}'
-        )
-        return Ranking.none(reason, standing)
-
+        detail = f'{len(index)} of {len(standing)}'
+        return Ranking.none(Refusal('fewer than three landmarks are visible', detail), standing)
     chance = np.ones(len(standing)) if found_rate is None else np.asarray(found_rate)
-    contest = _Contest(
-        prior, landmark_map, index, camera, mount, config, gaze, corners, chance, windows
-    )
-    return contest.judge(axis, previous, standing)
+    return _Contest(outlook, index, chance[index]).judge(previous, standing)
 
 
 class _Contest:
     """Triplets of the landmarks `index` (n,), by their places in it."""
 
-    def __init__(
-        self,
-        prior: PoseEstimate,
-        landmark_map: LandmarkMap,
-        index: IndexArray,
-        camera: CameraModel,
-        mount: PanTiltMount,
-        config: TripletConfig,
-        gaze: Gaze,
-        corners: FloatArray,
-        chance: FloatArray,
-        windows: PanWindows,
-    ) -> None:
-        self._prior, self._map, self._index = prior, landmark_map, index
-        self._camera, self._mount, self._config, self._gaze = camera, mount, config, gaze
-        self._corners = corners[index]
-        self._chance = chance[index]
-        self._windows = replace(
-            windows, azimuth_rad=windows.azimuth_rad[index], reach_rad=windows.reach_rad[index]
-        )
-        points = _sigma_points(axis_from_base(prior, mount))
+    def __init__(self, outlook: Outlook, index: IndexArray, chance: FloatArray) -> None:
+        self._outlook, self._index, self._chance = outlook, index, chance
+        self._map, self._config = outlook.landmark_map, outlook.config
+        self._windows = outlook.windows(index)
+        self._corners = outlook.corners[index]
         self._tables: PairTables = pair_tables(
-            points, landmark_map, index, config.bearing_sigma_rad
+            _sigma_points(outlook.axis), self._map, index, self._config.bearing_sigma_rad
         )
 
-    def judge(
-        self, axis: PoseEstimate, previous: Triplet | None, standing: npt.NDArray[np.int8]
-    ) -> Ranking:
+    def judge(self, previous: Triplet | None, standing: npt.NDArray[np.int8]) -> Ranking:
         """Find the best and compare it with what is being looked at."""
         triplets, tours, score = self._best()
         finite = np.isfinite(score)
@@ -208,7 +138,7 @@ class _Contest:
         if kept is not None:
             favoured[0] /= 1.0 + self._config.hysteresis
         order = np.argsort(favoured, kind='stable')[:_RANKED]
-        return self._ranking(axis, triplets[order], tours, score, order, standing)
+        return self._ranking(triplets[order], tours, score, order, standing)
 
     def _best(self) -> tuple[IndexArray, Tours, FloatArray]:
         """
@@ -231,15 +161,8 @@ class _Contest:
     def _tours(self, triplets: IndexArray) -> Tours:
         """Tours of triplets (t, 3) that show all patches whole."""
         tours = self._windows.tours(triplets)
-        whole = _whole(
-            self._prior,
-            self._corners[triplets].reshape(-1, 4, 3),
-            self._camera,
-            self._mount,
-            tours.pan_rad.reshape(-1),
-            self._gaze.tilt_rad,
-            self._config,
-        )
+        corners = self._corners[triplets].reshape(-1, 4, 3)
+        whole = self._outlook.whole(corners, tours.pan_rad.reshape(-1))
         good = whole.reshape(-1, 3).all(axis=1)
         return tours._replace(cost=np.where(good, tours.cost, np.inf))
 
@@ -259,7 +182,6 @@ class _Contest:
 
     def _ranking(
         self,
-        axis: PoseEstimate,
         triplets: IndexArray,
         tours: Tours,
         score: FloatArray,
@@ -267,6 +189,7 @@ class _Contest:
         standing: npt.NDArray[np.int8],
     ) -> Ranking:
         """Tell about triplets (m, 3) in order, the chosen one first."""
+        axis = self._outlook.axis
         chosen = self._index[triplets]
         covariance = fix_covariances(
             axis.pose[:2], self._map, chosen, self._config.bearing_sigma_rad
@@ -279,14 +202,14 @@ class _Contest:
             detail = f'the best promises {sigma_m[0]:.2f} m'
             best = Refusal('no triplet is accurate enough', detail)
         else:
-            bearing, sigma = _expected_bearings(axis, self._map, chosen[0])
+            bearing, sigma = self._outlook.expected_bearings(chosen[0])
             fix = PoseEstimate(axis.stamp_ns, axis.pose, covariance[0])
             best = Triplet(
                 axis.stamp_ns,
                 self._map.ids[chosen[0]],
                 bearing,
                 sigma,
-                base_from_axis(fix, self._mount).covariance,
+                base_from_axis(fix, self._outlook.mount).covariance,
                 float(self._nearest(pan[0])),
             )
         return Ranking(
@@ -303,65 +226,8 @@ class _Contest:
     def _nearest(self, pan_rad: FloatArray) -> float:
         """Where a tour of pans (3,) starts: at its end that is nearer to where it looks now."""
         ends = np.array([pan_rad.min(), pan_rad.max()])
-        now = self._gaze.pan_rad
+        now = self._outlook.gaze.pan_rad
         return float(ends[0] if now is None else ends[np.argmin(np.abs(ends - now))])
-
-
-def _windows(
-    axis: PoseEstimate,
-    landmark_map: LandmarkMap,
-    corners: FloatArray,
-    camera: CameraModel,
-    mount: PanTiltMount,
-    config: TripletConfig,
-    gaze: Gaze,
-) -> PanWindows:
-    """Pans at which each landmark of the map is whole in the picture, as far as can be told."""
-    bearing, sigma = _expected_bearings(axis, landmark_map, np.arange(len(corners)))
-    half_fov = camera.half_fov_rad
-    # However wide the prior, some of the picture stays to be used.
-    margin = np.minimum(config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
-    reach = half_fov - margin - _half_width(axis.pose, corners)
-    azimuth = wrap_rad(bearing - mount.axis_rpy[2])
-    return PanWindows(azimuth, reach, gaze.limits_rad, gaze.pan_rad, config)
-
-
-def _whole(
-    prior: PoseEstimate,
-    corners: FloatArray,
-    camera: CameraModel,
-    mount: PanTiltMount,
-    pan_rad: FloatArray,
-    tilt_rad: float,
-    config: TripletConfig,
-) -> npt.NDArray[np.bool_]:
-    """Whether views (m,) hold their patches' corners (m, 4, 3)."""
-    return whole_in_view(corners, prior.pose, camera, mount, pan_rad, tilt_rad, config.border_px)
-
-
-def _expected_bearings(
-    axis: PoseEstimate, landmark_map: LandmarkMap, index: IndexArray
-) -> tuple[FloatArray, FloatArray]:
-    """Bearings (n,) at the pan axis and their sigmas (n,) by prior and map."""
-    position = landmark_map.positions[index, :2]
-    delta = position - axis.pose[:2]
-    bearing = wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - axis.pose[2])
-    gradient = bearing_gradients(axis.pose, position)
-    jacobian = np.column_stack([gradient, np.full(len(index), -1.0)])
-    variance = np.einsum('ni,ij,nj->n', jacobian, axis.covariance, jacobian)
-    variance += np.einsum(
-        'ni,nij,nj->n', gradient, landmark_map.covariances[index, :2, :2], gradient
-    )
-    return bearing, np.sqrt(variance)
-
-
-def _half_width(axis_pose: FloatArray, corners: FloatArray) -> FloatArray:
-    """Greatest angle (n,) between the centre of a patch and its corners (n, 4, 3), in plan."""
-    delta = corners[..., :2] - axis_pose[:2]
-    azimuth = np.arctan2(delta[..., 1], delta[..., 0])
-    center = delta.mean(axis=1)
-    middle = np.arctan2(center[:, 1], center[:, 0])
-    return np.asarray(np.abs(wrap_rad(azimuth - middle[:, None])).max(axis=1, initial=0.0))
 
 
 def _sigma_points(axis: PoseEstimate) -> FloatArray:

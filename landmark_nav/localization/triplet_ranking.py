@@ -16,6 +16,19 @@ __all__ = ['Ranking', 'Standing']
 _MUCH_WORSE = 1.05
 
 
+_ROW = np.dtype(
+    [
+        ('id', '<u4', (3,)),
+        ('pan', '<f8', (3,)),
+        ('sigma', '<f8'),
+        ('chance', '<f8'),
+        ('travel', '<f8'),
+        ('score', '<f8'),
+        ('covariance', '<f8', (9,)),
+    ]
+)
+
+
 class Standing(IntEnum):
     """Whether a landmark takes part, or why not."""
 
@@ -91,6 +104,14 @@ class Ranking:
     def sigma_m(self) -> FloatArray:
         """Predicted position sigmas (m,), roots of the trace."""
         return np.asarray(np.sqrt(np.trace(self.covariances[:, :2, :2], axis1=1, axis2=2)))
+
+    def table(self) -> npt.NDArray[np.void]:
+        """One row (m,) a triplet, for other tools."""
+        rows = np.zeros(len(self.score), dtype=_ROW)
+        rows['id'], rows['pan'], rows['sigma'] = self.ids, self.pan_rad, self.sigma_m
+        rows['chance'], rows['travel'], rows['score'] = self.chance, self.travel_s, self.score
+        rows['covariance'] = self.covariances.reshape(-1, 9)
+        return rows
 
     def excluded(self) -> dict[str, int]:
         """How many landmarks take no part, by the reason."""

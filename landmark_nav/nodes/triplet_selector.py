@@ -8,16 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.localization.triplet import select_triplet, TripletConfig
+from landmark_nav.localization.active_camera import ActiveCamera
+from landmark_nav.localization.triplet import Gaze, TripletConfig, visible_landmarks
+from landmark_nav.localization.triplet_ranking import Ranking
 from landmark_nav.messages import decode, encode
+from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
-from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import listen_for_pan, PanCommander, PanCommandParameters
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
+from landmark_nav.ros.topics import RELIABLE
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
@@ -47,22 +51,26 @@ class Parameters:
 
 
 class TripletSelectorNode(LandmarkNode):
-    """``odometry/fused`` to ``triplet`` and the pan, by `localization.triplet.select_triplet`."""
+    """``odometry/fused`` to ``triplet`` and the pan, by `localization.active_camera`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triplet_selector', 'attention', **options)
         self._config = self.configure(Parameters)
         self._mount = load_robot(self.required('robot_file', self._config.robot_file))
         self._publisher = self.advertise('triplet')
+        self._ranking = self.create_publisher(
+            message_class('sensor_msgs/msg/PointCloud2'), '~/ranking', RELIABLE
+        )
         self._frames = CameraFrames(self, self._mount)
         self._commander = PanCommander(self, self._mount, self._config.command)
         self._map: LandmarkMap | None = None
         self._fused: PoseEstimate | None = None
-        self._chosen: Triplet | None = None
+        self._camera: ActiveCamera | None = None
         self._commanded_rad: float | None = None
         self._yield_until = 0.0
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
         self.listen('odometry/fused', self._on_fused, depth=1)
+        self.listen('detections', self._on_detections)
         listen_for_pan(self, self._mount, self._config.command.type, self._on_command)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
         self.create_timer(self._config.period_s, self._choose)
@@ -76,6 +84,20 @@ class TripletSelectorNode(LandmarkNode):
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         self._map = decode.landmark_map(points, atlas)
+        self._camera = ActiveCamera(self._map, self._mount, self._config.triplet)
+
+    def _on_detections(self, message: Any) -> None:
+        """Count what was found of what should have been in view."""
+        found = decode.detections(message)
+        joints, camera = self._frames.joints_at(found.stamp_ns), self._frames.camera
+        if self._map is None or self._fused is None or joints is None or camera is None:
+            return
+        angles = (joints.pan_rad, joints.tilt_rad)
+        expected = visible_landmarks(
+            self._fused, self._map, camera, self._mount, *angles, self._config.triplet
+        )
+        assert self._camera is not None
+        self._camera.saw(self._map.ids[expected].tolist(), found.ids.tolist())
 
     def _on_command(self, pan_rad: float) -> None:
         """Leave the camera to who else turns it, such as a sweep."""
@@ -84,25 +106,26 @@ class TripletSelectorNode(LandmarkNode):
             self._commanded_rad = pan_rad
 
     def _choose(self) -> None:
-        if self._map is None or self._fused is None or self._frames.camera is None:
+        if self._camera is None or self._fused is None or self._frames.camera is None:
             return
-        chosen = select_triplet(
-            self._fused,
-            self._map,
-            self._frames.camera,
-            self._mount,
-            self._config.triplet,
-            joint_limits=(self._config.pan_min_rad, self._config.pan_max_rad),
-            previous=self._chosen,
-        )
+        start = time.perf_counter()
+        limits = (self._config.pan_min_rad, self._config.pan_max_rad)
+        gaze = Gaze(self._frames.pan_rad, self._frames.tilt_rad, limits)
+        ranking = self._camera.choose(self._fused, self._frames.camera, gaze)
+        took_ms = 1e3 * (time.perf_counter() - start)
+        stamp, base = self._fused.stamp_ns, self._mount.base_frame
+        head = encode.header(ros_factory, stamp, base)
+        self._ranking.publish(pack_cloud(ros_factory, head, ranking.table()))
+        chosen = ranking.chosen
+        values = {'choice_ms': f'{took_ms:.1f}'} | _why_others_lost(ranking)
         if isinstance(chosen, Refusal):
-            self._health = Health(Level.DEGRADED, f'no triplet: {chosen}')
+            self._health = Health(Level.DEGRADED, f'no triplet: {chosen}', values)
             return
-        self._chosen = chosen
-        self._publisher.publish(encode.triplet(ros_factory, chosen, self._mount.base_frame))
+        self._publisher.publish(encode.triplet(ros_factory, chosen, base))
         sigma_m = float(np.sqrt(np.trace(chosen.covariance[:2, :2])))
         names = ', '.join(str(k) for k in chosen.ids)
-        values = {'pan_deg': f'{np.degrees(chosen.pan_rad):.1f}', 'sigma_m': f'{sigma_m:.4f}'}
+        values['pan_deg'] = f'{np.degrees(chosen.pan_rad):.1f}'
+        values['sigma_m'] = f'{sigma_m:.4f}'
         self._health = Health(Level.OK, f'landmarks {names}', values)
         self._turn_to(chosen)
 
@@ -113,6 +136,17 @@ class TripletSelectorNode(LandmarkNode):
         if last is None or abs(chosen.pan_rad - last) > self._config.deadband_rad:
             self._commanded_rad = chosen.pan_rad
             self._commander.command(chosen.pan_rad, self._frames.pan_rad)
+
+
+def _why_others_lost(ranking: Ranking) -> dict[str, str]:
+    """For people: the next triplets and the landmarks that take no part, with the reasons."""
+    rivals = zip(ranking.ids[1:], ranking.sigma_m[1:], ranking.reasons()[1:], strict=True)
+    lines = {
+        f'rival_{k}': f'{"-".join(map(str, ids))}: {why} ({1e3 * sigma:.1f} mm)'
+        for k, (ids, sigma, why) in enumerate(rivals, 1)
+    }
+    excluded = ', '.join(f'{count} {words}' for words, count in ranking.excluded().items())
+    return lines | {'excluded': excluded or 'none'}
 
 
 def main() -> int:

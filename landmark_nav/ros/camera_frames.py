@@ -51,6 +51,15 @@ class CameraFrames:
         """The last measured pan, if any came."""
         return self._joints[-1].pan_rad if self._joints else None
 
+    @property
+    def tilt_rad(self) -> float:
+        """The last measured tilt, level before any came."""
+        return self._joints[-1].tilt_rad if self._joints else 0.0
+
+    def joints_at(self, stamp_ns: int) -> JointSample | None:
+        """Angles at a time, interpolated; None if no joint state is near enough to tell."""
+        return JointHistory(tuple(self._joints)).at(stamp_ns)
+
     def wait(self, stamp_ns: int, seconds: float, also: Callable[[int], bool]) -> None:
         """Block until there are joint states of `stamp_ns`, and `also` holds, or time is up."""
         deadline = time.monotonic() + seconds
@@ -70,7 +79,7 @@ class CameraFrames:
 
         """
         stamp = decode.stamp_ns(message.header)
-        joints = JointHistory(tuple(self._joints)).at(stamp)
+        joints = self.joints_at(stamp)
         if joints is None or self._camera is None:
             missing = 'joint_states' if joints is None else 'camera/camera_info'
             raise LandmarkNavError(f'nothing on {missing} near its stamp')
