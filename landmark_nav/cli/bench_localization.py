@@ -19,8 +19,17 @@ from landmark_nav.localization.detection import (
 )
 from landmark_nav.localization.fusion import PoseFilter
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
-from landmark_nav.localization.triplet import select_triplet, TripletConfig
-from landmark_nav.types import Detections, FloatArray, OdometrySample
+from landmark_nav.localization.triplet import Gaze, select_triplet, TripletConfig
+from landmark_nav.localization.triplet_geometry import pair_tables
+from landmark_nav.localization.triplet_search import mean_variance
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    Landmark,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+)
 
 __all__ = ['localization_comparisons']
 
@@ -30,6 +39,8 @@ _BEARING_SIGMA_RAD = 1e-3
 def localization_comparisons(world: World) -> Iterator[Comparison]:
     """Triplet, detection, triangulation and fusion."""
     yield _triplet(world)
+    for count, views in ((40, 'several'), (200, 'several'), (200, 'one'), (1000, 'one')):
+        yield _triplet_of(count, views)
     yield _detection(world)
     yield _triangulation(world)
     yield _closed_form(world)
@@ -59,6 +70,44 @@ def _triplet(world: World) -> Comparison:
         lambda: select_triplet(world.prior, world.learned.map, CAMERA, MOUNT, config),
         f'covariances of {len(triplets)} triplets, one by one',
         one_by_one,
+    )
+
+
+def _triplet_of(count: int, views: str) -> Comparison:
+    """Choice among `count` landmarks around a room, from all triplets that the views allow."""
+    rng = np.random.default_rng(count)
+    along = rng.uniform(0.05, 0.95, count)
+    walls = [((0.0, 0.0), (7.0, 0.0)), ((7.0, 0.0), (7.0, 4.5)), ((7.0, 4.5), (0.0, 4.5))]
+    walls.append(((0.0, 4.5), (0.0, 0.0)))
+    wall = rng.integers(4, size=count)
+    landmarks = []
+    for k in range(count):
+        start, end = (np.array(point) for point in walls[wall[k]])
+        away = (end - start) / np.linalg.norm(end - start)
+        landmarks.append(
+            Landmark(
+                id=k,
+                position=np.array([*(start + along[k] * (end - start)), rng.uniform(0.8, 1.5)]),
+                covariance=np.diag([0.006, 0.006, 0.01]) ** 2,
+                shared_loading=np.vstack([0.004 * np.eye(2), np.zeros((1, 2))]),
+                normal=np.array([-away[1], away[0], 0.0]),
+                width_m=0.25,
+                height_m=0.2,
+                patch=np.zeros((20, 25), np.uint8),
+                viewpoint=np.array([3.5, 2.25, 1.1]),
+                threshold=0.7,
+            )
+        )
+    landmark_map = LandmarkMap(tuple(landmarks))
+    prior = PoseEstimate(0, np.array([3.2, 2.0, 0.4]), np.diag([0.01, 0.01, 0.005]) ** 2)
+    config, gaze = TripletConfig(views=views), Gaze(pan_rad=0.5)
+    few = np.array(list(combinations(range(min(count, 40)), 3)))
+    tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
+    return Comparison(
+        f'triplet among {count}, views: {views}',
+        lambda: select_triplet(prior, landmark_map, CAMERA, MOUNT, config, gaze),
+        f'variances of {len(few)} triplets, all at once',
+        lambda: mean_variance(tables, few),
     )
 
 

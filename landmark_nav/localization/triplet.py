@@ -12,6 +12,8 @@ The score is variance x time / chance: the inverse of the information to be expe
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import numpy.typing as npt
 
@@ -101,61 +103,50 @@ def rank_triplets(
 
 
 class _Contest:
-    """Triplets of the landmarks `index` (n,), by their places in it."""
+    """Triplets of the landmarks `index` (n,), by the windows of pan that see them."""
 
     def __init__(self, outlook: Outlook, index: IndexArray, chance: FloatArray) -> None:
-        self._outlook, self._index, self._chance = outlook, index, chance
-        self._map, self._config = outlook.landmark_map, outlook.config
+        self._outlook, self._map, self._config = outlook, outlook.landmark_map, outlook.config
         self._windows = outlook.windows(index)
-        self._corners = outlook.corners[index]
-        self._tables: PairTables = pair_tables(
-            _sigma_points(outlook.axis), self._map, index, self._config.bearing_sigma_rad
-        )
+        # From here on a landmark counts once for each turn of the axis that sees it.
+        self._index, self._chance = index[self._windows.place], chance[self._windows.place]
+        self._corners = outlook.corners[self._index]
+        points, sigma = _sigma_points(outlook.axis), self._config.bearing_sigma_rad
+        self._tables: PairTables = pair_tables(points, self._map, self._index, sigma)
 
     def judge(self, previous: Triplet | None, standing: npt.NDArray[np.int8]) -> Ranking:
         """Find the best and compare it with what is being looked at."""
-        triplets, tours, score = self._best()
-        finite = np.isfinite(score)
-        triplets, score = triplets[finite], score[finite]
-        tours = Tours(*(part[finite] for part in tours))
-        kept = self._of(previous)
-        if kept is not None:
-            # In front, so that it is told about; the order below finds its true place.
-            old, tour = kept[None], self._tours(kept[None])
-            same = (triplets == kept).all(axis=1)
-            triplets = np.concatenate([old, triplets[~same]])
-            tours = Tours(
-                *(np.concatenate([a, b[~same]]) for a, b in zip(tour, tours, strict=True))
-            )
-            score = np.concatenate([self._scores(old, tour), score[~same]])
-        if not len(score) or not np.isfinite(score).any():
-            views = 'one view' if self._config.views == 'one' else 'the views'
-            detail = f'{len(self._index)} are visible'
-            return Ranking.none(
-                Refusal(f'fewer than three landmarks fit {views}', detail), standing
-            )
+        triplets = np.concatenate([self._windows_of(previous), self._best()])
+        tours = self._tours(triplets)
+        score = self._scores(triplets, tours)
         favoured = score.copy()
-        if kept is not None:
-            favoured[0] /= 1.0 + self._config.hysteresis
-        order = np.argsort(favoured, kind='stable')[:_RANKED]
-        return self._ranking(triplets[order], tours, score, order, standing)
+        favoured[self._are(previous, triplets)] /= 1.0 + self._config.hysteresis
+        order = np.argsort(favoured, kind='stable')
+        order = order[np.isfinite(score[order])]
+        # Each once, in its best turn of the axis.
+        _, once = np.unique(np.sort(self._index[triplets[order]]), axis=0, return_index=True)
+        order = order[np.sort(once)[:_RANKED]]
+        if not len(order):
+            views = 'one view' if self._config.views == 'one' else 'the views'
+            reason = Refusal(f'fewer than three landmarks fit {views}', 'of those visible')
+            return Ranking.none(reason, standing)
+        tours = Tours(*(part[order] for part in tours))
+        return self._ranking(triplets[order], tours, score[order], standing)
 
-    def _best(self) -> tuple[IndexArray, Tours, FloatArray]:
+    def _best(self) -> IndexArray:
         """
-        Return the best triplets with their tours and scores, ascending.
+        Return triplets (t, 3) that hold the best one.
 
-        The search goes by the least that turning can cost; it is asked for more until what it
+        The search does not look whether patches are whole; it is asked for more until what it
         has not given must be worse than the best there is.
         """
         factor, cost = 1.0 / self._chance, self._windows.costs()
         count = _SHORTLIST
         while True:
             floor, triplets = best_triplets(self._tables, factor, cost, count)
-            tours = self._tours(triplets)
-            score = self._scores(triplets, tours)
+            score = self._scores(triplets, self._tours(triplets))
             if len(floor) < count or np.min(score) <= floor[-1]:
-                order = np.argsort(score, kind='stable')
-                return triplets[order], Tours(*(part[order] for part in tours)), score[order]
+                return triplets
             count *= 8
 
     def _tours(self, triplets: IndexArray) -> Tours:
@@ -173,19 +164,27 @@ class _Contest:
         variance = mean_variance(self._tables, triplets)
         return np.asarray(variance / chance * tours.cost)
 
-    def _of(self, previous: Triplet | None) -> IndexArray | None:
-        """Places (3,) of the previous triplet, ascending; None if one can't be seen."""
+    def _windows_of(self, previous: Triplet | None) -> IndexArray:
+        """The previous triplet (t, 3) in all turns of the axis that see it; none if one can't."""
         if previous is None:
-            return None
-        places = np.flatnonzero(np.isin(self._map.ids[self._index], previous.ids))
-        return places if len(places) == 3 else None
+            return np.empty((0, 3), dtype=np.intp)
+        ids = self._map.ids[self._index]
+        return np.array(
+            list(product(*(np.flatnonzero(ids == k) for k in previous.ids))), dtype=np.intp
+        ).reshape(-1, 3)
+
+    def _are(self, previous: Triplet | None, triplets: IndexArray) -> npt.NDArray[np.bool_]:
+        """Whether triplets (t, 3) are the previous one."""
+        if previous is None:
+            return np.zeros(len(triplets), dtype=np.bool_)
+        ids = np.sort(self._map.ids[self._index[triplets]], axis=-1)
+        return np.asarray((ids == np.sort(previous.ids)).all(axis=-1))
 
     def _ranking(
         self,
         triplets: IndexArray,
         tours: Tours,
         score: FloatArray,
-        order: IndexArray,
         standing: npt.NDArray[np.int8],
     ) -> Ranking:
         """Tell about triplets (m, 3) in order, the chosen one first."""
@@ -195,8 +194,7 @@ class _Contest:
             axis.pose[:2], self._map, chosen, self._config.bearing_sigma_rad
         )
         sigma_m = np.sqrt(np.trace(covariance[:, :2, :2], axis1=1, axis2=2))
-        pan = tours.pan_rad[order]
-        seconds = (tours.cost[order] - 1.0) * self._config.look_s
+        pan, seconds = tours.pan_rad, (tours.cost - 1.0) * self._config.look_s
         best: Triplet | Refusal
         if sigma_m[0] > self._config.max_sigma_m:
             detail = f'the best promises {sigma_m[0]:.2f} m'
@@ -220,7 +218,7 @@ class _Contest:
             np.prod(self._chance[triplets], axis=-1),
             seconds,
             pan,
-            score[order],
+            score,
         )
 
     def _nearest(self, pan_rad: FloatArray) -> float:

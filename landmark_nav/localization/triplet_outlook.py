@@ -94,10 +94,11 @@ class Outlook:
         standing = standings(viewer, self.landmark_map, self.config)
         index = np.flatnonzero(standing == Standing.USABLE)
         windows = self.windows(index)
-        reachable = windows.reachable
+        reachable = np.isin(np.arange(len(index)), windows.place)
         # Those ahead of some pan must be whole in that view: neither too high nor too low.
-        straight = np.clip(windows.azimuth_rad, *self.gaze.limits_rad)
-        ahead = np.abs(straight - windows.azimuth_rad) < 1e-9
+        azimuth = self._azimuth(self.expected_bearings(index)[0])
+        straight = np.clip(azimuth, *self.gaze.limits_rad)
+        ahead = np.abs(straight - azimuth) < 1e-9
         whole = self.whole(self.corners[index], straight) | ~ahead
         standing[index[~whole]] = Standing.CUT
         standing[index[~reachable]] = Standing.BEYOND_LIMITS
@@ -110,8 +111,11 @@ class Outlook:
         # However wide the prior, some of the picture stays to be used.
         margin = np.minimum(self.config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
         reach = half_fov - margin - _half_width(self.axis.pose, self.corners[index])
-        azimuth = wrap_rad(bearing - self.mount.axis_rpy[2])
-        return PanWindows(azimuth, reach, self.gaze.limits_rad, self.gaze.pan_rad, self.config)
+        limits, pan = self.gaze.limits_rad, self.gaze.pan_rad
+        return PanWindows.around(self._azimuth(bearing), reach, limits, pan, self.config)
+
+    def _azimuth(self, bearing_rad: FloatArray) -> FloatArray:
+        return wrap_rad(bearing_rad - self.mount.axis_rpy[2])
 
     def whole(self, corners: FloatArray, pan_rad: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether views (m,) hold their patches' corners (m, 4, 3)."""

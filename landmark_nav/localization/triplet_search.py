@@ -27,6 +27,8 @@ _FIRST_PAIRS = 16
 # With no more landmarks the bounds cost more than they save; else there are 2^4 groups.
 _FEW = 64
 _HALVINGS = 4
+# Instead of a distance of zero.
+_NOWHERE = 1e-150
 # Bounds are compared with so much room for rounding.
 _ROUNDING = 1.0 + 1e-9
 
@@ -104,7 +106,8 @@ def _add_across(least: FloatArray, tables: PairTables, good: npt.NDArray[np.bool
             center_x, center_y = x[group].mean(), y[group].mean()
             radius = np.hypot(x[group] - center_x, y[group] - center_y).max()
             reach = np.abs(normal_x * center_x + normal_y * center_y - offset) + radius
-            across = np.minimum(across, (table.own[group].min() + pair) / reach**2)
+            least_own = table.own[group].min() + pair
+            across = np.minimum(across, least_own / np.maximum(reach, _NOWHERE) ** 2)
         point[first, second] += across
         point[second, first] += across
 
@@ -140,24 +143,25 @@ class _Search:
         self.triplets: IndexArray = np.empty((0, 3), dtype=np.intp)
 
     def expect(self, least: FloatArray) -> None:
-        """Learn what each viewpoint adds at least, for any triplet with a pair, (p, n, n)."""
-        self._to_come = np.zeros_like(least)
-        self._to_come[:-1] = np.cumsum(least[:0:-1], axis=0)[::-1] / len(least)
+        """Learn what each viewpoint adds at least, to any triplet with a pair, (p, n, n)."""
+        self._to_come = np.zeros((len(least) + 1, *least.shape[1:]))
+        self._to_come[:-1] = np.cumsum(least[::-1], axis=0)[::-1] / len(least)
 
     def add(self, triplets: IndexArray) -> None:
-        """Look at triplets (t, 3), each ascending."""
+        """Look at triplets (t, 3)."""
         i, j, k = np.ascontiguousarray(triplets.T)
         weight = self._factor[i] * self._factor[j] * self._factor[k]
         weight *= _largest(self._cost, i, j, k)
         total = np.zeros(len(i))
-        for place, point in enumerate(self._points):
-            total += position_variance(point, i, j, k) / len(self._points)
+        for place, point in enumerate([None, *self._points]):
+            if point is not None:
+                total += position_variance(point, i, j, k) / len(self._points)
             lower = total
             if self._to_come is not None:
                 lower = total + _largest(self._to_come[place], i, j, k)
             good = lower * weight <= self.limit * _ROUNDING
             i, j, k, total, weight = (a[good] for a in (i, j, k, total, weight))
-        found = np.stack([i, j, k], -1)
+        found = np.sort(np.stack([i, j, k], -1), axis=1)
         scores, triplets = total * weight, np.concatenate([self.triplets, found])
         finite = np.isfinite(scores)
         scores = np.concatenate([self.scores, scores])
@@ -171,7 +175,9 @@ class _Search:
 
 
 def _largest(table: FloatArray, i: IndexArray, j: IndexArray, k: IndexArray) -> FloatArray:
-    return np.asarray(np.maximum(np.maximum(table[i, j], table[i, k]), table[j, k]))
+    n, flat = len(table), table.reshape(-1)
+    largest = np.maximum(flat.take(n * i + j), flat.take(n * i + k))
+    return np.asarray(np.maximum(largest, flat.take(n * j + k)))
 
 
 def _around_best_pairs(bound: FloatArray) -> IndexArray:
@@ -187,7 +193,7 @@ def _around_best_pairs(bound: FloatArray) -> IndexArray:
 
 
 def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:
-    """Batches (t, 3) of triplets whose three pairs are all `good` (n, n), each ascending."""
+    """Batches (t, 3) of triplets whose three pairs are all `good` (n, n)."""
     # Those with few partners first: each landmark then has few later ones.
     order = np.argsort(good.sum(axis=0), kind='stable')
     later = np.triu(good[np.ix_(order, order)], 1)
@@ -201,7 +207,7 @@ def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:
             batch.append(np.stack([firsts, partners[second], partners[third]], -1))
             waiting += len(second)
         if waiting >= _BATCH:
-            yield np.sort(order[np.concatenate(batch)], axis=1)
+            yield order[np.concatenate(batch)]
             batch, waiting = [], 0
     if batch:
-        yield np.sort(order[np.concatenate(batch)], axis=1)
+        yield order[np.concatenate(batch)]

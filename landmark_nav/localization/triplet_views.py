@@ -8,7 +8,6 @@ view, or in several, one after the other, the way between them included.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -48,66 +47,75 @@ def travel_s(way_rad: npt.ArrayLike, rate_rad_s: float, acceleration_rad_s2: flo
 @dataclass(frozen=True, eq=False)
 class PanWindows:
     """
-    Pans that see n landmarks.
+    Pans that see landmarks whole, m of them: one for each turn of the axis that sees one.
 
     Parameters
     ----------
-    azimuth_rad : ndarray, shape (n,)
-        Of the landmarks, in the frame of the pan axis.
-    reach_rad : ndarray, shape (n,)
-        How far the pan may be off a landmark's azimuth and still hold it whole, less than pi / 2.
-    limits_rad : tuple of float
+    place : ndarray of int, shape (m,)
+        Which landmark each belongs to.
+    lower, upper : ndarray, shape (m,)
         Least and greatest pan.
     pan_rad : float or None
-        Where the camera looks now, if that is known.
+        Where the camera looks now, if that is to count.
     config : TripletConfig
         Number of views, and the unit's speed.
 
     """
 
-    azimuth_rad: FloatArray
-    reach_rad: FloatArray
-    limits_rad: tuple[float, float]
+    place: IndexArray
+    lower: FloatArray
+    upper: FloatArray
     pan_rad: float | None
     config: TripletConfig
 
-    @property
-    def reachable(self) -> npt.NDArray[np.bool_]:
-        """Which landmarks (n,) some pan within the limits sees."""
-        lower, upper = self._edges(np.arange(len(self.azimuth_rad)))
-        return np.asarray(np.any(lower <= upper, axis=0))
+    @classmethod
+    def around(
+        cls,
+        azimuth_rad: FloatArray,
+        reach_rad: FloatArray,
+        limits_rad: tuple[float, float],
+        pan_rad: float | None,
+        config: TripletConfig,
+    ) -> PanWindows:
+        """
+        Windows of n landmarks, within the limits of the joint.
+
+        Parameters
+        ----------
+        azimuth_rad : ndarray, shape (n,)
+            Of the landmarks, in the frame of the pan axis, within (-pi, pi].
+        reach_rad : ndarray, shape (n,)
+            How far the pan may be off a landmark's azimuth and still hold it whole.
+        limits_rad : tuple of float
+            Least and greatest pan.
+        pan_rad, config
+            As above.
+
+        """
+        first, last = (round(limit / _TURN) for limit in limits_rad)
+        turns = _TURN * np.arange(first - 1, last + 2)[:, None]
+        lower = np.maximum(azimuth_rad + turns - reach_rad, limits_rad[0])
+        upper = np.minimum(azimuth_rad + turns + reach_rad, limits_rad[1])
+        turn, place = np.nonzero(lower <= upper)
+        return cls(place, lower[turn, place], upper[turn, place], pan_rad, config)
 
     def costs(self) -> FloatArray:
         """
-        Least cost (n, n) of looking at two landmarks, relative to one look without a turn.
+        Cost (m, m) of looking at two, relative to one look without a turn.
 
-        A triplet costs at least the most of its pairs, and just that unless the pairs' best turns
-        of the axis contradict each other. Infinite where one view is asked for and can't hold
-        both.
+        A triplet costs the most of its pairs. Infinite for windows of the same landmark, and
+        where one view is asked for and can't hold both.
         """
-        lower, upper = self._edges(np.arange(len(self.azimuth_rad)))
-        cost = np.full((lower.shape[1],) * 2, np.inf)
-        for (lower_i, upper_i), (lower_j, upper_j) in product(
-            zip(lower, upper, strict=True), repeat=2
-        ):
-            far = np.maximum(lower_i[:, None], lower_j)
-            near = np.minimum(upper_i[:, None], upper_j)
-            possible = (lower_i <= upper_i)[:, None] & (lower_j <= upper_j)
-            if np.any(possible):
-                np.minimum(cost, np.where(possible, self._cost(near, far), np.inf), out=cost)
+        near = np.minimum(self.upper[:, None], self.upper)
+        cost = self._cost(near, np.maximum(self.lower[:, None], self.lower))
+        cost[self.place[:, None] == self.place] = np.inf
         return cost
 
     def tours(self, triplets: IndexArray) -> Tours:
-        """Return the quickest way to see each of the triplets (t, 3)."""
-        # Every landmark may be looked at in any turn of the axis: combinations (c, t, 3).
-        edges = self._edges(triplets)
-        places = np.array(list(product(range(len(edges[0])), repeat=3))).T
-        lower, upper = (np.stack([e[p, :, k] for k, p in enumerate(places)], -1) for e in edges)
-        possible = np.all(lower <= upper, axis=-1)
+        """Return how to see each of the triplets (t, 3)."""
+        lower, upper = self.lower[triplets], self.upper[triplets]
         cost = self._cost(upper.min(axis=-1), lower.max(axis=-1))
-        cost = np.where(possible, cost, np.inf)
-        best = (np.argmin(cost, axis=0), np.arange(len(triplets)))
-        return Tours(self._stops(lower[best], upper[best]), cost[best])
+        return Tours(self._stops(lower, upper), cost)
 
     def _cost(self, near: FloatArray, far: FloatArray) -> FloatArray:
         """
@@ -132,13 +140,6 @@ class PanWindows:
         seconds = travel_s(way, self.config.pan_rate_rad_s, self.config.pan_acceleration_rad_s2)
         return np.asarray(1.0 + seconds / self.config.look_s)
 
-    def _edges(self, index: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """Least and greatest pan (c, ...) that see landmarks (...), in each turn of the axis."""
-        turns = _TURN * np.array(self._turns()).reshape(-1, *(1,) * index.ndim)
-        middle, reach = self.azimuth_rad[index] + turns, self.reach_rad[index]
-        lower = np.maximum(middle - reach, self.limits_rad[0])
-        return lower, np.minimum(middle + reach, self.limits_rad[1])
-
     @staticmethod
     def _stops(lower: FloatArray, upper: FloatArray) -> FloatArray:
         """Pans (t, 3) amid windows (t, 3), one for all neighbours that can share it."""
@@ -157,8 +158,3 @@ class PanWindows:
         unsorted = np.empty_like(pan)
         np.put_along_axis(unsorted, order, pan, axis=-1)
         return unsorted
-
-    def _turns(self) -> range:
-        """Whole turns that bring azimuths of +-pi within the limits."""
-        lowest, highest = (limit / _TURN for limit in self.limits_rad)
-        return range(int(np.floor(lowest - 1.0)) + 1, int(np.ceil(highest + 1.0)))
