@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.triplet import Gaze, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet_ranking import Ranking
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Triplet
+from landmark_nav.types import Detections, FloatArray, LandmarkMap, PoseEstimate, Triplet
 
 __all__ = ['ActiveCamera', 'FoundRecord']
 
@@ -38,9 +37,9 @@ class FoundRecord:
         """Of each landmark, (n,), in (0, 1)."""
         return np.asarray(self._found / self._looked)
 
-    def note(self, expected: BoolArray, found: BoolArray) -> None:
-        """Count a picture: whether each (n,) was expected, and whether it was found."""
-        looked = expected | found
+    def note(self, missed: BoolArray, found: BoolArray) -> None:
+        """Count a picture: whether each (n,) was missed or found in it."""
+        looked = missed | found
         self._found[looked] = _MEMORY * self._found[looked] + found[looked]
         self._looked[looked] = _MEMORY * self._looked[looked] + 1.0
 
@@ -71,13 +70,13 @@ class ActiveCamera:
         self._chosen: Triplet | None = None
         self._pending: dict[int, int] = {}  # looks in vain at what is still to be seen
 
-    def saw(self, expected: Collection[int], found: Collection[int]) -> None:
-        """Take note of a picture: ids that should be in it, and those that were found."""
+    def saw(self, picture: Detections) -> None:
+        """Take note of what was found in a picture, and what was missed."""
         ids = self._map.ids
-        self.record.note(np.isin(ids, list(expected)), np.isin(ids, list(found)))
-        for k in found:
-            self._pending.pop(int(k), None)
-        for k in set(expected) & set(self._pending):
+        self.record.note(np.isin(ids, picture.missed), np.isin(ids, picture.ids))
+        for k in picture.ids.tolist():
+            self._pending.pop(k, None)
+        for k in set(picture.missed.tolist()) & set(self._pending):
             self._pending[k] += 1
             if self._pending[k] >= _PATIENCE:
                 del self._pending[k]

@@ -245,8 +245,7 @@ class Localizer:
             config.observation,
             config.fusion.pan_sigma_rad,
         )
-        found = seen.detections.ids.tolist()
-        self._camera.saw([*found, *seen.refused], found)
+        self._camera.saw(seen.detections)
         update = self._fused(frame.stamp_ns, triplet, seen)
         lost = update.status == 'lost' and config.relocalization.when_lost
         if not lost or not self._map.landmarks:

@@ -152,6 +152,8 @@ class _Search:
         i, j, k = np.ascontiguousarray(triplets.T)
         weight = self._factor[i] * self._factor[j] * self._factor[k]
         weight *= _largest(self._cost, i, j, k)
+        possible = np.isfinite(weight)
+        i, j, k, weight = i[possible], j[possible], k[possible], weight[possible]
         total = np.zeros(len(i))
         for place, point in enumerate([None, *self._points]):
             if point is not None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.localization.active_camera import ActiveCamera
-from landmark_nav.localization.triplet import Gaze, TripletConfig, visible_landmarks
+from landmark_nav.localization.triplet import Gaze, TripletConfig
 from landmark_nav.localization.triplet_ranking import Ranking
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
@@ -88,16 +88,8 @@ class TripletSelectorNode(LandmarkNode):
 
     def _on_detections(self, message: Any) -> None:
         """Count what was found of what should have been in view."""
-        found = decode.detections(message)
-        joints, camera = self._frames.joints_at(found.stamp_ns), self._frames.camera
-        if self._map is None or self._fused is None or joints is None or camera is None:
-            return
-        angles = (joints.pan_rad, joints.tilt_rad)
-        expected = visible_landmarks(
-            self._fused, self._map, camera, self._mount, *angles, self._config.triplet
-        )
-        assert self._camera is not None
-        self._camera.saw(self._map.ids[expected].tolist(), found.ids.tolist())
+        if self._camera is not None:
+            self._camera.saw(decode.detections(message))
 
     def _on_command(self, pan_rad: float) -> None:
         """Leave the camera to who else turns it, such as a sweep."""

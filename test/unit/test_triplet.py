@@ -378,8 +378,8 @@ class TestGeometry:
         azimuth, reach = rng.uniform(-np.pi, np.pi, 8), rng.uniform(0.05, 0.4, 8)
         limits, now = (-np.pi, rng.uniform(1.0, 4.0)), rng.uniform(-3.0, 1.0)
         windows = PanWindows.around(azimuth, reach, limits, now, TripletConfig(views=views))
-        triples = np.array(list(combinations(range(len(windows.place)), 3)))
-        i, j, k = triples.T
+        triples = np.array(list(combinations(range(len(windows.place)), 3)), dtype=np.intp)
+        i, j, k = (triples := triples.reshape(-1, 3)).T
         place, pairs, tours = windows.place, windows.costs(), windows.tours(triples)
         distinct = (place[i] != place[j]) & (place[i] != place[k]) & (place[j] != place[k])
         most = np.maximum(np.maximum(pairs[i, j], pairs[i, k]), pairs[j, k])

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from test_triplet import CAMERA, CONFIG, MOUNT, PRIOR, random_map
+
+from landmark_nav.localization.active_camera import ActiveCamera, FoundRecord
+from landmark_nav.localization.triplet import Gaze, TripletConfig
+from landmark_nav.types import Detections, Triplet
+
+
+def picture(found: list[int], missed: list[int] | None = None) -> Detections:
+    n = len(found)
+    return Detections(
+        0,
+        np.array(found, dtype=np.int64),
+        np.zeros(n),
+        np.full(n, 1e-6),
+        np.ones(n),
+        np.zeros((n, 2)),
+        missed=np.array(missed or [], dtype=np.int64),
+    )
+
+
+class TestFoundRecord:
+    def test_rate_follows_what_happens(self) -> None:
+        rng = np.random.default_rng(4)
+        record = FoundRecord(2)
+        start = record.rate.copy()
+        for _ in range(300):
+            found: npt.NDArray[np.bool_] = rng.random(2) < [0.9, 0.2]
+            record.note(~found, found)
+        assert np.all((start > 0.9) & (start < 1.0))
+        assert record.rate == pytest.approx([0.9, 0.2], abs=0.15)
+        for _ in range(200):
+            record.note(np.array([True, False]), np.array([False, True]))
+        assert record.rate[0] < 0.1
+        assert 0.95 < record.rate[1] < 1.0
+
+
+class TestOneView:
+    def test_a_picture_that_hangs_no_more_is_given_up(self) -> None:
+        camera = ActiveCamera(random_map(40), MOUNT, CONFIG)
+        first = camera.choose(PRIOR, CAMERA, Gaze(0.0)).chosen
+        assert isinstance(first, Triplet)
+        gone = int(first.ids[0])
+        for _ in range(60):
+            camera.saw(picture([], [gone]))
+        later = camera.choose(PRIOR, CAMERA, Gaze(0.0)).chosen
+        assert isinstance(later, Triplet)
+        assert gone not in later.ids
+
+
+class TestSeveralViews:
+    def test_goes_from_view_to_view_and_then_chooses_anew(self) -> None:
+        config = TripletConfig(views='several')
+        camera = ActiveCamera(random_map(40), MOUNT, config)
+        ranking = camera.choose(PRIOR, CAMERA, Gaze(0.0))
+        chosen = ranking.chosen
+        assert isinstance(chosen, Triplet)
+        assert len(set(ranking.pan_rad[0])) > 1
+        left, pan = set(chosen.ids.tolist()), chosen.pan_rad
+        while left:
+            here = ranking.ids[0][ranking.pan_rad[0] == pan]
+            assert set(here.tolist()) & left
+            left -= set(here.tolist())
+            camera.saw(picture(here.tolist()))
+            if left:
+                ranking = camera.choose(PRIOR, CAMERA, Gaze(pan))
+                assert isinstance(ranking.chosen, Triplet)
+                assert set(ranking.chosen.ids) == set(chosen.ids)
+                pan = ranking.chosen.pan_rad
+
+    def test_does_not_wait_for_what_is_not_found(self) -> None:
+        camera = ActiveCamera(random_map(40), MOUNT, TripletConfig(views='several'))
+        chosen = camera.choose(PRIOR, CAMERA, Gaze(0.0)).chosen
+        assert isinstance(chosen, Triplet)
+        for _ in range(40):
+            camera.saw(picture([], chosen.ids.tolist()))
+        later = camera.choose(PRIOR, CAMERA, Gaze(0.0)).chosen
+        assert isinstance(later, Triplet)
+        assert set(later.ids) != set(chosen.ids)
