@@ -251,7 +251,7 @@ def _refined(
     cells = free_floor(room, config.clearance_m, config.spacing_m, _REFINE_CELLS)
     cost = Predictor(views, samples, cells, room, config).cost_m
     xy = views.pose_map_base[:, :2]
-    return views.pose_map_base[exchange(cost, xy, np.arange(len(chosen)), show)]
+    return views.pose_map_base[exchange(cost, xy, np.arange(len(chosen)), show, local=True)]
 
 
 def _left_right(

@@ -125,20 +125,15 @@ def localization_sigma(
     direct = np.stack([xx, xy, -x, xy, yy, -y, -x, -y, one], -1).reshape(-1, 3, 3)
     lx, ly = loading[:, 0], loading[:, 1]
     cross = np.stack([-(wxx @ lx + wxy @ ly), -(wxy @ lx + wyy @ ly), wx @ lx + wy @ ly], 1)
-    mixed = lx[:, :, None] * ly[:, None]
-    square = (
-        wxx @ _flat(lx[:, :, None] * lx[:, None])
-        + wxy @ _flat(mixed + np.swapaxes(mixed, 1, 2))
-        + wyy @ _flat(ly[:, :, None] * ly[:, None])
-    )
-    factors = loading.shape[2]
-    shared = np.eye(factors) + square.reshape(-1, factors, factors)
+    # Symmetric: only the upper half is worked out.
+    i, j = np.triu_indices(loading.shape[2])
+    halves = [lx[:, i] * lx[:, j], lx[:, i] * ly[:, j] + ly[:, i] * lx[:, j], ly[:, i] * ly[:, j]]
+    upper = np.concatenate([wxx, wxy, wyy], axis=1) @ np.concatenate(halves)
+    shared = np.zeros((len(gx), loading.shape[2], loading.shape[2]))
+    shared[:, i, j] = shared[:, j, i] = upper
+    shared += np.eye(loading.shape[2])
     information = direct - cross @ np.linalg.solve(shared, np.swapaxes(cross, -1, -2))
     return _position_sigma(information, seen.sum(axis=1) >= _LEAST_SEEN)
-
-
-def _flat(matrices: FloatArray) -> FloatArray:
-    return matrices.reshape(len(matrices), -1)
 
 
 def _position_sigma(information: FloatArray, enough: npt.NDArray[np.bool_]) -> FloatArray:

@@ -64,7 +64,9 @@ def best_places(
     return exchange(cost, xy, chosen, show)
 
 
-def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> IndexArray:
+def exchange(
+    cost: Cost, xy: FloatArray, start: IndexArray, show: Show, *, local: bool = False
+) -> IndexArray:
     """
     Exchange one place at a time as long as that makes the cost notably smaller.
 
@@ -74,6 +76,8 @@ def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> Index
         As for `best_places`.
     start : ndarray of int, shape (n,)
         Places to start from.
+    local : bool
+        Try in exchange for a place only those that lie nearer to it than to the others.
 
     Returns
     -------
@@ -82,12 +86,14 @@ def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> Index
 
     """
     chosen, least = start, cost(start)
+    around = np.linalg.norm(xy[:, None] - xy[start], axis=-1).argmin(axis=1)
     for _ in range(_MAX_ROUNDS):
         before = least
         for k in range(len(chosen)):
             others = np.delete(chosen, k)
             # The one taken out comes first: among equals nothing is changed.
-            rest = [j for j in range(len(xy)) if j not in chosen]
+            near = np.flatnonzero(around == k) if local else range(len(xy))
+            rest = [j for j in near if j not in chosen]
             swapped = [np.append(others, j) for j in (chosen[k], *rest)]
             best, least = _best(cost, swapped, 'exchange', show)
             chosen = np.insert(others, k, best[-1])

@@ -80,9 +80,10 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
             size = f'{candidate.width_px} x {candidate.height_px} px'
             axes.set_title(f'{number}: {size}, {candidate.saliency:.2f}', fontsize=10)
     text = (
-        f'Figure 4. Extraction of candidate landmarks: {_count(len(names))}, cleared of the '
-        f'surround (sigma {config.center_sigma_px:g} and {config.surround_sigma_px:g} px), '
-        f'weighted, and selected from by winner-take-all over positions and sizes of '
+        f'Figure 4. Extraction of candidate landmarks: maps of {", ".join(map(_title, names))}; '
+        'the difference of Gaussians between what is at a place and around it (sigma '
+        f'{config.center_sigma_px:g} and {config.surround_sigma_px:g} px); their weighted mean, '
+        'from which a winner-take-all selects over positions and sizes of '
         f'{config.size_min_px} to {config.size_max_px} px. {len(attended.candidates)} candidates '
         f'in this panorama, {len(found)} in this part; {_refusals(attended.refused)}. Below: the '
         'strongest of this part, with size and saliency relative to the strongest of all.'
@@ -188,10 +189,6 @@ def _part(maps: AttentionMaps, image: FloatMap, strip: Strip) -> FloatMap:
 
 def _title(name: str) -> str:
     return name.replace('_', ' ')
-
-
-def _count(features: int) -> str:
-    return 'one feature' if features == 1 else f'{features} features, each'
 
 
 def _side(axes: Axes, text: str) -> None:
