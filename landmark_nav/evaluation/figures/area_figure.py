@@ -20,6 +20,7 @@ from landmark_nav.evaluation.figures.style import (
     FIX,
     FUSED,
     LANDMARK,
+    legend_beside,
     new_figure,
     ODOMETRY,
     save,
@@ -96,7 +97,8 @@ def draw_observation_areas(
             Line2D([], [], color=LANDMARK, marker='o', linestyle='', label='found from here'),
             Line2D([], [], color=ODOMETRY, marker='x', linestyle='', label='not found'),
         ]
-    figure.legend(handles=handles, loc='outside upper center', ncols=len(handles), frameon=False)
+    legend_beside(panels[0], 'above', len(handles), handles)
+    panels[0].get_legend().set_bbox_to_anchor((0.5, 1.08))
     text = (
         f'Figure 6. Observation areas of {len(chosen)} landmarks: there neither width nor height '
         'of the patch is seen with less than half or more than twice the resolution of the view '
