@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
+from landmark_nav.planning.config import PlanConfig
+from landmark_nav.planning.planner import forecast
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.setup_files import load_robot, load_room
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 
@@ -59,6 +62,18 @@ def test_landmarks_lie_where_things_really_hang(figures: tuple[dict[str, float],
     assert np.mean(away.min(1) < 0.05) > 0.9
     target = next(i for i, item in enumerate(items) if item['kind'] == 'target')
     assert min(np.linalg.norm(k.position - centers[target]) for k in landmarks) < 0.02
+
+
+def test_the_planner_would_have_foretold_it(figures: tuple[dict[str, float], Path]) -> None:
+    sweeps = json.loads((figures[1] / 'learn.json').read_text())['sweeps']
+    room, mount = load_room(BAGS / 'room.yaml'), load_robot(BAGS / 'robot.yaml')
+    poses = np.array([sweep['pose'] for sweep in sweeps])
+    (expected,) = forecast([poses], poses[:, :2], room, mount, PlanConfig())
+    assert 0.7 < expected.landmarks / figures[0]['landmarks'] < 1.4
+    papers = np.sqrt(np.diagonal(expected.pose_covariance, axis1=1, axis2=2))
+    measured = np.array([sweep['measured']['sigma'] for sweep in sweeps])
+    assert np.all(papers[:, 2] < 1.6 * measured[:, 2])
+    assert np.all(papers[:, 2] > measured[:, 2] / 1.6)
 
 
 def test_pictures_are_drawn(figures: tuple[dict[str, float], Path]) -> None:

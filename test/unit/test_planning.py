@@ -139,6 +139,16 @@ class TestSearch:
         assert cost(found) == pytest.approx(best)
         assert sorted(xy[found, 0]) == list(xy[found, 0])
 
+    def test_local_exchange_moves_each_place_in_its_own_surroundings(self) -> None:
+        xy = np.array([[0.0, 0.0], [0.3, 0.0], [0.6, 0.0], [4.0, 0.0], [4.3, 0.0], [4.6, 0.0]])
+
+        def cost(places: Any) -> float:
+            return float(np.abs(xy[places, 0] - 4.6).sum())
+
+        start = np.array([0, 3])
+        assert list(exchange(cost, xy, start, silent, local=True)) == [2, 5]
+        assert list(exchange(cost, xy, start, silent)) == [4, 5]
+
     def test_exchange_leaves_what_can_not_be_bettered(self) -> None:
         xy = np.arange(8.0)[:, None] * [1.0, 0.0]
         assert list(exchange(lambda s: 1.0, xy, np.array([2, 5]), silent)) == [2, 5]
