@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.types import FloatArray
 
 __all__ = ['triangulate_three']
@@ -59,11 +60,9 @@ def _power_center(position: FloatArray, bearing: FloatArray) -> tuple[FloatArray
     """Poses (m, 3) and 1 / abs(D), (m,), of landmarks (m, 3, 2) and bearings (m, 3)."""
     (x1, y1), (x2, y2), (x3, y3) = (np.ascontiguousarray(p.T) for p in np.moveaxis(position, 1, 0))
     b1, b2, b3 = np.ascontiguousarray(bearing.T)
-    cos1, cos2, cos3 = np.cos(b1), np.cos(b2), np.cos(b3)
-    sin1, sin2, sin3 = np.sin(b1), np.sin(b2), np.sin(b3)
-    c12, s12 = cos1 * cos2 + sin1 * sin2, sin2 * cos1 - cos2 * sin1
-    c23, s23 = cos2 * cos3 + sin2 * sin3, sin3 * cos2 - cos3 * sin2
-    c31, s31 = cos3 * cos1 + sin3 * sin1, sin1 * cos3 - cos1 * sin3
+    b12, b23 = b2 - b1, b3 - b2
+    c12, s12, c23, s23 = np.cos(b12), np.sin(b12), np.cos(b23), np.sin(b23)
+    c31, s31 = c12 * c23 - s12 * s23, -(s12 * c23 + c12 * s23)
 
     # Landmarks 1 and 3 as seen from 2, the circles' homogeneous centres, and the power k31.
     xa, ya, xc, yc = x1 - x2, y1 - y2, x3 - x2, y3 - y2
@@ -75,20 +74,19 @@ def _power_center(position: FloatArray, bearing: FloatArray) -> tuple[FloatArray
 
     normal_x, normal_y = y12 * s23 - y23 * s12, x23 * s12 - x12 * s23
     determinant = x31 * normal_x + y31 * normal_y + s31 * (x12 * y23 - x23 * y12)
+    poses = np.empty((len(bearing), 3))
     with np.errstate(divide='ignore', invalid='ignore'):
         scale = k31 / determinant
         x, y = scale * normal_x, scale * normal_y
-        # Heading: direction of the sum of exp(i (azimuth - bearing)).
-        real = np.zeros_like(x)
-        imaginary = np.zeros_like(x)
-        for dx, dy, cos, sin in (
-            (xa - x, ya - y, cos1, sin1),
-            (-x, -y, cos2, sin2),
-            (xc - x, yc - y, cos3, sin3),
-        ):
-            inverse = 1.0 / np.sqrt(dx * dx + dy * dy)
-            real += (dx * cos + dy * sin) * inverse
-            imaginary += (dy * cos - dx * sin) * inverse
-        heading = np.arctan2(imaginary, real)
+        # Heading: direction of the sum of range * exp(i (azimuth - bearing)), bearings counted
+        # from the second. What is far away tells more of it.
+        xa -= x
+        ya -= y
+        xc -= x
+        yc -= y
+        real = xa * c12 - ya * s12 - x + xc * c23 + yc * s23
+        imaginary = ya * c12 + xa * s12 - y + yc * c23 - xc * s23
+        poses[:, 0], poses[:, 1] = x + x2, y + y2
+        poses[:, 2] = wrap_rad(np.arctan2(imaginary, real) - b2)
         reliability = np.abs(s12 * s23 * s31 / determinant)
-    return np.stack([x + x2, y + y2, heading], -1), reliability
+    return poses, reliability
