@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations, pairwise
 
 import cv2
@@ -18,6 +19,11 @@ from landmark_nav.localization.detection import (
     DetectionResult,
 )
 from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.pipeline import (
+    LocalizationConfig,
+    Localizer,
+    ObservationConfig,
+)
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
 from landmark_nav.localization.triplet import Gaze, select_triplet, TripletConfig
 from landmark_nav.localization.triplet_geometry import pair_tables
@@ -37,7 +43,7 @@ _BEARING_SIGMA_RAD = 1e-3
 
 
 def localization_comparisons(world: World) -> Iterator[Comparison]:
-    """Triplet, detection, triangulation and fusion."""
+    """Triplet, detection, triangulation, fusion, and all of them in one update."""
     yield _triplet(world)
     for count, views in ((40, 'several'), (200, 'several'), (200, 'one'), (1000, 'one')):
         yield _triplet_of(count, views)
@@ -45,6 +51,7 @@ def localization_comparisons(world: World) -> Iterator[Comparison]:
     yield _triangulation(world)
     yield _closed_form(world)
     yield _fusion(world)
+    yield _update(world)
 
 
 def _triplet(world: World) -> Comparison:
@@ -211,4 +218,27 @@ def _fusion(world: World) -> Comparison:
         ours,
         'EKF of three states, exact map, no delays',
         textbook,
+    )
+
+
+def _update(world: World) -> Comparison:
+    """Choose the triplet, predict, find three patches, triangulate, fuse: 15 pictures a second."""
+    observation = ObservationConfig(detection=DetectionConfig(max_count=3))
+    config = LocalizationConfig(observation=observation)
+    localizer = Localizer(world.learned.map, MOUNT, config)
+    localizer.add_odometry(OdometrySample(0, np.zeros(3)))
+    localizer.initialize(world.prior)
+    stamps = iter(range(66_000_000, 10**15, 66_000_000))
+    sift = cv2.SIFT.create()
+
+    def ours() -> None:
+        frame = replace(world.view, stamp_ns=next(stamps))
+        localizer.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
+        localizer.add_frame(frame)
+
+    return Comparison(
+        'one update, three patches',
+        ours,
+        'SIFT of the picture alone (OpenCV)',
+        lambda: sift.detectAndCompute(cv2.cvtColor(world.view.image, cv2.COLOR_BGR2GRAY), None),
     )

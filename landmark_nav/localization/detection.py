@@ -45,6 +45,9 @@ class DetectionConfig:
     min_size_px: int = parameter(
         14, 'least width and height of a template, pixels', minimum=6, maximum=256
     )
+    max_count: int = parameter(
+        16, 'most landmarks looked for in a picture: those that tell most', minimum=3, maximum=1000
+    )
     max_second_ratio: float = parameter(
         0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1
     )

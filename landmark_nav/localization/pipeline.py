@@ -22,6 +22,7 @@ from landmark_nav.localization.relocalization_stream import Relocalizer
 from landmark_nav.localization.triangulation import triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation_model import axis_from_base, base_from_axis
 from landmark_nav.localization.triplet import Gaze, TripletConfig, visible_landmarks
+from landmark_nav.localization.worth import most_telling
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -110,6 +111,13 @@ def observe(
     """
     expected = visible_landmarks(
         prior, landmark_map, frame.camera, mount, frame.pan_rad, frame.tilt_rad, config.triplet
+    )
+    expected = most_telling(
+        axis_from_base(prior, mount),
+        landmark_map,
+        expected,
+        config.triplet.bearing_sigma_rad,
+        config.detection.max_count,
     )
     result = detect_landmarks(frame, prior, landmark_map, mount, config.detection, expected)
     fix = fix_from_bearings(
