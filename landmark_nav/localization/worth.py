@@ -59,4 +59,4 @@ def most_telling(
         best = int(np.argmax(gain))
         chosen.append(best)
         covariance = covariance - np.outer(spread[best], spread[best]) / (1.0 + gain[best])
-    return index[np.sort(chosen)]
+    return np.asarray(index[np.sort(chosen)], dtype=np.intp)
