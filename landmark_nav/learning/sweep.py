@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-
-import numpy as np
+import logging
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, PoseEstimate, Sweep
 
 __all__ = ['assemble_sweep', 'missing_frames']
 
-# Angles that a message names at most.
-_LISTED = 12
+_LOG = logging.getLogger(__name__)
 
 
 def missing_frames(
@@ -29,7 +28,7 @@ def assemble_sweep(
     pose_map_base: PoseEstimate | None = None,
 ) -> Sweep:
     """
-    Join angles and pictures by their stamps.
+    Join angles and pictures by their stamps; what is missing, or not seen at all, is logged.
 
     Parameters
     ----------
@@ -44,21 +43,28 @@ def assemble_sweep(
     Raises
     ------
     LandmarkNavError
-        No angles at all, or a frame is missing; the message names its angle.
+        No angles at all, or not one picture.
 
     """
     if not trajectory:
         raise LandmarkNavError('the sweep has no frames: take it again')
-    missing = missing_frames(trajectory, pictures)
-    if missing:
-        angles = ', '.join(f'{np.degrees(s.pan_rad):.1f}' for s in missing[:_LISTED])
-        angles += ', ...' if len(missing) > _LISTED else ''
-        raise LandmarkNavError(
-            f'the sweep of {trajectory[0].stamp_ns * 1e-9:.3f} s lacks {len(missing)} of its '
-            f'{len(trajectory)} frames, at pan {angles} deg: take it again'
-        )
     frames = [
         CameraFrame(sample.stamp_ns, *pictures[sample.stamp_ns], sample.pan_rad, sample.tilt_rad)
         for sample in sorted(trajectory, key=lambda sample: sample.stamp_ns)
+        if sample.stamp_ns in pictures
     ]
+    which = f'the sweep of {trajectory[0].stamp_ns * 1e-9:.3f} s'
+    if not frames:
+        raise LandmarkNavError(
+            f'{which} lacks all of its {len(trajectory)} frames: is sweep/image connected, with '
+            'sweep/camera_info?'
+        )
+    missing = missing_frames(trajectory, pictures)
+    lacks = describe_coverage(
+        [frame.pan_rad for frame in frames],
+        frames[0].camera.half_fov_rad,
+        [sample.pan_rad for sample in missing],
+    )
+    if lacks:
+        _LOG.warning('%s is incomplete: %s', which, lacks)
     return Sweep(trajectory[0].stamp_ns, tuple(frames), pose_map_base)

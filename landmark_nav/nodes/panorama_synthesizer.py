@@ -12,6 +12,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.sweep import assemble_sweep, missing_frames
 from landmark_nav.messages import decode, encode
@@ -26,8 +27,8 @@ from landmark_nav.types import PoseEstimate, Sweep
 
 __all__ = ['PanoramaSynthesizerNode', 'Parameters', 'main']
 
-# Frames of three sweeps of 72; older ones belong to a sweep that was given up.
-_MAX_FRAMES = 216
+# Frames of the longest sweep; older ones belong to a sweep that was given up.
+_MAX_FRAMES = 1440
 
 
 @dataclass(frozen=True)
@@ -99,16 +100,20 @@ class PanoramaSynthesizerNode(LandmarkNode):
             output.publish(part)
         x, y, heading = *view.center_map[:2], np.degrees(view.heading_rad)
         sigma = np.sqrt(np.diag(view.covariance)[[0, 1, 3]])
+        lacks = describe_coverage(
+            [frame.pan_rad for frame in sweep.frames], sweep.frames[0].camera.half_fov_rad
+        )
+        place = f'panorama at ({x:.3f}, {y:.3f}) m, {heading:.2f} deg'
         self._health = Health(
             Level.OK,
-            f'panorama at ({x:.3f}, {y:.3f}) m, {heading:.2f} deg',
+            f'{place}; {lacks}' if lacks else place,
             {'sigma_m': np.hypot(*sigma[:2]), 'sigma_deg': np.degrees(sigma[2])},
         )
         took_s = time.monotonic() - start
         self.get_logger().info(f'{self._health.reason} in {took_s:.1f} s')
 
     def _sweep(self, message: Any) -> Sweep:
-        """Wait for its frames, then join them with their angles."""
+        """Wait for its frames, then join those that came with their angles."""
         trajectory = decode.sweep_trajectory(message, self._mount)
         deadline = time.monotonic() + self._config.late_frames_s
         while True:
@@ -119,12 +124,20 @@ class PanoramaSynthesizerNode(LandmarkNode):
             time.sleep(0.05)
         with self._lock:
             found = {
-                stamp: (self._images.pop(stamp), self._cameras.pop(stamp))
+                stamp: (self._images[stamp], self._cameras[stamp])
                 for stamp in {sample.stamp_ns for sample in trajectory} & pairs
             }
-        pictures = {
-            stamp: (decode.image(image), camera) for stamp, (image, camera) in found.items()
-        }
+            # What is older belongs to this sweep or to one that was given up.
+            end_ns = max((sample.stamp_ns for sample in trajectory), default=0)
+            for items in (self._images, self._cameras):
+                for stamp in [stamp for stamp in items if stamp <= end_ns]:
+                    del items[stamp]
+        pictures = {}
+        for stamp, (image, camera) in found.items():
+            try:
+                pictures[stamp] = decode.image(image), camera
+            except LandmarkNavError as error:
+                self.drop('frame of a sweep', error)
         pose, self._pose = self._pose, None
         return assemble_sweep(trajectory, pictures, pose)
 

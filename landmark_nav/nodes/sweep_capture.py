@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from threading import Condition
+from threading import Lock
 import time
 from typing import Any
 
-import numpy as np
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from sensor_msgs.msg import CompressedImage
+from rclpy.callback_groups import ReentrantCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.capture import CaptureConfig, KeptFrame, SweepCapture
-from landmark_nav.messages.decode import joint_sample, stamp_ns
-from landmark_nav.messages.encode import sweep_trajectory
+from landmark_nav.learning.capture import CaptureConfig, describe_sweep
+from landmark_nav.messages import decode
+from landmark_nav.nodes.sweep_output import SweepOutput
+from landmark_nav.nodes.sweep_runner import SweepRunner
 from landmark_nav.parameters import check_parameters, parameter
-from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import ImageSource, TRANSPORTS
 from landmark_nav.ros.node import LandmarkNode
@@ -49,100 +47,74 @@ class SweepCaptureNode(LandmarkNode):
     def __init__(self, **options: Any) -> None:
         super().__init__('sweep_capture', 'sweep', **options)
         self._config = self.configure(Parameters)
-        self._mount = load_robot(self.required('robot_file', self._config.robot_file))
-        self._commander = PanCommander(self, self._mount, self._config.command)
-        self._publishers_of_frames = {
-            name: self.advertise(name) for name in ('sweep/image', 'sweep/image/compressed')
-        }
-        self._info_publisher = self.advertise('sweep/camera_info')
-        self._trajectory_publisher = self.advertise('sweep/trajectory')
-        self._progress = Condition()
-        self._sweep: SweepCapture[Any] | None = None
+        mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._mount = mount
+        self._runner = SweepRunner(
+            self._config.capture,
+            PanCommander(self, mount, self._config.command),
+            SweepOutput(self, mount),
+        )
+        self._called = Lock()
+        self._result = 'ready'
         self._camera_info: Any = None
-        self._pan_rad: float | None = None
         self.listen('joint_states', self._on_joints)
         self.listen('camera/camera_info', self._on_camera_info)
-        self.offer('capture_sweep', self._capture, group=MutuallyExclusiveCallbackGroup())
+        self.listen('odom', lambda message: self._runner.add_odometry(decode.odometry(message)))
+        # Calls may come while one is served: they interrupt it.
+        self.offer('capture_sweep', self._capture, group=ReentrantCallbackGroup())
 
     def health(self) -> Health:
-        """Degraded as long as there are no joint states or no calibration."""
-        inputs = {'joint_states': self._pan_rad, 'camera/camera_info': self._camera_info}
+        """Degraded without joint states or calibration, or with a sweep that was interrupted."""
+        inputs = {'joint_states': self._runner.pan_rad, 'camera/camera_info': self._camera_info}
         missing = [name for name, value in inputs.items() if value is None]
         if missing:
             return Health(Level.DEGRADED, f'nothing yet on {", ".join(missing)}')
-        sweep = self._sweep
-        if sweep is None:
-            return Health(Level.OK, 'ready')
-        frames = len(sweep.kept)
-        return Health(Level.OK, f'frame {frames} of {self._config.capture.frames}')
+        return self._runner.health() or Health(Level.OK, self._result)
 
     def _capture(self) -> str:
         """Take one sweep; blocks its caller while the other callbacks drive it."""
+        if not self._called.acquire(blocking=False):
+            self._runner.stop('capture_sweep was called again')
+            raise LandmarkNavError('the sweep under way is interrupted: call again to go on')
+        try:
+            return self._take()
+        finally:
+            self._called.release()
+
+    def _take(self) -> str:
         start = time.monotonic()
-        while self._pan_rad is None or self._camera_info is None:
+        while self._runner.pan_rad is None or self._camera_info is None:
             if time.monotonic() - start > self._config.capture.step_timeout_s:
                 raise LandmarkNavError(f'no sweep: {self.health().reason}; start the robot')
             time.sleep(_POLL_S)
+        camera = decode.camera_model(self._camera_info)
         images = ImageSource(
             self, 'camera/image_raw', self._on_image, self._config.image_transport, depth=2
         )
         try:
-            with self._progress:
-                sweep = self._sweep = SweepCapture(self._config.capture, time.monotonic_ns())
-                self._commander.command(sweep.target_rad, self._pan_rad)
-                while not sweep.done and self.context.ok():
-                    self._progress.wait(_POLL_S)
-                    sweep.check_time(time.monotonic_ns())
+            sweep, note = self._runner.run(self.context.ok)
         finally:
-            self._sweep = None
             images.close()
-        if not sweep.done:
-            raise LandmarkNavError('sweep given up: the node is ending')
-        samples = [kept.joints for kept in sweep.kept]
-        self._trajectory_publisher.publish(sweep_trajectory(ros_factory, samples, self._mount))
-        self._commander.command(0.0, self._pan_rad)
-        return f'{len(sweep.kept)} frames in {time.monotonic() - start:.0f} s'
+        said = describe_sweep(sweep, camera.half_fov_rad)
+        self._result = 'ready' if said == 'the full turn' else f'ready; the last sweep: {said}'
+        took = f'{len(sweep.kept)} frames in {time.monotonic() - start:.0f} s'
+        return f'{took}: {"; ".join(filter(None, (said, note)))}'
 
     def _on_camera_info(self, message: Any) -> None:
         self._camera_info = message
 
     def _on_image(self, message: Any) -> None:
-        with self._progress:
-            if self._sweep is not None:
-                self._sweep.add_frame((message, self._camera_info), stamp_ns(message.header))
+        self._runner.add_image(message, self._camera_info)
 
     def _on_joints(self, message: Any) -> None:
-        sample = joint_sample(message, self._mount)
-        if sample is None:
-            return
-        with self._progress:
-            self._pan_rad = sample.pan_rad
-            if self._sweep is None:
-                return
-            kept = self._sweep.add_joints(sample, time.monotonic_ns())
-            if kept is not None:
-                self._publish_frame(kept)
-                if not self._sweep.done:
-                    self._commander.command(self._sweep.target_rad, sample.pan_rad)
-                self._progress.notify_all()
-
-    def _publish_frame(self, kept: KeptFrame[Any]) -> None:
-        image, info = kept.frame
-        info.header.stamp = image.header.stamp
-        compressed = isinstance(image, CompressedImage)
-        name = 'sweep/image/compressed' if compressed else 'sweep/image'
-        self._publishers_of_frames[name].publish(image)
-        self._info_publisher.publish(info)
-        assert self._sweep is not None
-        taken, total = len(self._sweep.kept), self._config.capture.frames
-        if taken % 12 == 0 or taken == total:
-            pan_deg = np.degrees(kept.joints.pan_rad)
-            self.get_logger().info(f'frame {taken} of {total} at {pan_deg:.1f} deg')
+        sample = decode.joint_sample(message, self._mount)
+        if sample is not None:
+            self._runner.add_joints(sample)
 
 
 def main() -> int:
     """Entry point of the executable."""
-    return run_node(SweepCaptureNode, threads=2)
+    return run_node(SweepCaptureNode, threads=3)
 
 
 if __name__ == '__main__':

@@ -1,89 +1,395 @@
-"""A sweep is taken of a camera that overshoots, whose frames come at any time."""
+"""A sweep is taken of a camera that overshoots, whose frames come at any time and may be bad."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.capture import CaptureConfig, SweepCapture
-from landmark_nav.types import JointSample
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.learning.capture import CaptureConfig, Shot, SweepCapture
+from landmark_nav.learning.sharpness import Look
+from landmark_nav.types import JointSample, OdometrySample
 
 STEP_NS = 20_000_000
-SHORT = CaptureConfig(start_rad=-1.0, step_rad=0.25, frames=9, pan_min_rad=-1.2, pan_max_rad=1.2)
+SHORT = CaptureConfig(
+    start_rad=-1.0,
+    step_rad=0.25,
+    frames=9,
+    pan_min_rad=-1.2,
+    pan_max_rad=1.2,
+    step_timeout_s=1.0,
+    retakes=5,
+)
+TURN = replace(
+    SHORT, start_rad=-np.pi, step_rad=np.pi / 12, frames=24, pan_min_rad=-np.pi, pan_max_rad=np.pi
+)
+WANTED = -1.0 + 0.25 * np.arange(9)
+AZIMUTH = np.radians(np.arange(-25.0, 26.0))
 
 
-class OvershootingUnit:
-    """A lightly damped pan joint."""
+@dataclass(frozen=True)
+class Picture:
+    """What a camera at `pan` shows; `number` tells two of the same view apart, as noise does."""
 
-    def __init__(self):
+    pan: float
+    number: int
+    sharpness: float = 1.0
+    flat: bool = False
+    broken: str = ''
+
+    @property
+    def digest(self):
+        return f'{self.pan:.4f} {self.number}'.encode()
+
+
+def inspect(picture):
+    if picture.broken:
+        raise LandmarkNavError(picture.broken)
+    bearing = wrap_rad(picture.pan + AZIMUTH)
+    # A poster to the left, a blank wall with noise to the right.
+    texture = np.where(bearing > 0.0, 2.0 + np.sin(8.0 * bearing), 0.0)
+    if picture.flat:
+        return Look(AZIMUTH, np.zeros((2, len(AZIMUTH))), True)
+    energy = (0.01 + picture.sharpness * texture) * (1.0 + 0.01 * np.sin(17.0 * picture.number))
+    return Look(AZIMUTH, np.stack([energy, energy]), False)
+
+
+class Robot:
+    """A lightly damped pan joint, joint states at 50 Hz, a frame with every third of them."""
+
+    def __init__(self, config=SHORT, sweep=None, limits=(-4.0, 4.0)):
         self.pan, self.rate, self.target = 0.0, 0.0, 0.0
+        self.limits, self.k, self.rates, self.commands = limits, 0, {}, 0
+        self.stuck = self.mute = False
+        self.sweep = sweep or SweepCapture(config, inspect, 0)
+        self.x = 0.0
+        self.past = [0.0]
 
-    def step(self):
-        for _ in range(20):
+    @property
+    def now(self):
+        return self.k * STEP_NS
+
+    def turn(self):
+        for _ in range(0 if self.stuck else 20):
             self.rate += 1e-3 * (400.0 * (self.target - self.pan) - 12.0 * self.rate)
             self.pan += 1e-3 * self.rate
+            if not self.limits[0] <= self.pan <= self.limits[1]:
+                self.pan, self.rate = float(np.clip(self.pan, *self.limits)), 0.0
+
+    def picture(self):
+        """The frame that the camera delivers now, with its stamp; None for none."""
+        return Picture(self.pan, self.k), self.now - 7_000_000
+
+    def tick(self):
+        self.k += 1
+        command = self.sweep.command(self.now)
+        if command is not None:
+            self.target, self.commands = command, self.commands + 1
+        self.turn()
+        self.past.append(self.pan)
+        self.sweep.add_odometry(OdometrySample(self.now, np.array([self.x, 0.0, 0.0])))
+        if self.k % 3 == 0 and (taken := self.picture()) is not None:
+            picture, stamp = taken
+            self.rates[stamp] = self.rate
+            self.sweep.add_frame(Shot(picture, stamp, picture.digest), self.now)
+        if not self.mute:
+            self.sweep.add_joints(JointSample(self.now, self.pan), self.now)
+        self.sweep.check(self.now)
+
+    def run(self, ticks=6000):
+        for _ in range(ticks):
+            self.tick()
+            if self.sweep.done:
+                break
+        return self.sweep
+
+    def until(self, frames):
+        while len(self.sweep.kept) < frames:
+            self.tick()
 
 
-def run(config, frame_every=3, offset_ns=7_000_000, steps=4000, unit=None, frames=True):
-    unit = unit or OvershootingUnit()
-    sweep = SweepCapture(config, 0)
-    rates = {}
-    for k in range(1, steps):
-        now = k * STEP_NS
-        unit.target = sweep.target_rad
-        unit.step()
-        if frames and k % frame_every == 0:
-            rates[now - offset_ns] = unit.rate
-            sweep.add_frame(now - offset_ns, now - offset_ns)
-        sweep.add_joints(JointSample(now, unit.pan), now)
-        sweep.check_time(now)
-        if sweep.done:
-            break
-    return sweep, rates
+def pans(sweep):
+    return sorted(kept.joints.pan_rad for kept in sweep.kept)
 
 
-@pytest.mark.parametrize('frame_every', [1, 3, 11])
-def test_keeps_one_still_frame_at_every_angle(frame_every):
-    sweep, rates = run(SHORT, frame_every)
+def check_sweep(sweep, wanted=WANTED):
     assert sweep.done
-    pans = [kept.joints.pan_rad for kept in sweep.kept]
-    np.testing.assert_allclose(pans, -1.0 + 0.25 * np.arange(9), atol=SHORT.arrival_tolerance_rad)
-    stamps = [kept.frame for kept in sweep.kept]
+    assert sweep.total == len(wanted)
+    np.testing.assert_allclose(pans(sweep), wanted, atol=SHORT.arrival_tolerance_rad)
+    for kept in sweep.kept:
+        # The picture was taken where the sweep says, when it says.
+        assert abs(kept.frame.pan - kept.joints.pan_rad) < 0.002
+        assert kept.frame.sharpness == 1.0
+
+
+# What it waits for
+
+
+@pytest.mark.parametrize('every', [1, 2, 11])
+@pytest.mark.parametrize('late_ns', [1_000_000, 7_000_000, 300_000_000])
+def test_keeps_one_still_frame_at_every_angle(every, late_ns):
+    class Delayed(Robot):
+        """Delivers the picture that was taken when its stamp says."""
+
+        def picture(self):
+            if self.k % every:
+                return None
+            pan = np.interp(self.now - late_ns, STEP_NS * np.arange(len(self.past)), self.past)
+            return Picture(float(pan), self.k), self.now - late_ns
+
+    robot = Delayed()
+    check_sweep(robot.run())
+    stamps = [kept.joints.stamp_ns for kept in robot.sweep.kept]
     assert stamps == sorted(set(stamps))
-    assert [kept.joints.stamp_ns for kept in sweep.kept] == stamps
-    assert all(abs(rates[stamp]) < 0.05 for stamp in stamps)
+    assert not robot.sweep.refused
 
 
-def test_a_frame_exposed_before_the_joint_stood_is_not_taken():
-    sweep, _ = run(SHORT, frame_every=1, offset_ns=500_000_000, steps=100)
-    assert all(k.joints.stamp_ns > 500_000_000 for k in sweep.kept)
+def test_a_step_of_a_coarse_encoder_does_not_keep_it_from_settling():
+    class Coarse(Robot):
+        def tick(self):
+            fine = self.pan
+            self.pan += 0.0015 * (self.k % 2)
+            super().tick()
+            self.pan = fine if self.stuck else self.pan - 0.0015 * ((self.k - 1) % 2)
+
+    assert Coarse().run().done
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        ({'frames': False}, 'for an image; the pan is'),
-        ({'unit': type('Stuck', (OvershootingUnit,), {'step': lambda self: None})()}, '0.00 deg'),
-    ],
-)
-def test_gives_up_with_the_reason(arguments, words):
-    with pytest.raises(LandmarkNavError, match=words):
-        run(replace(SHORT, step_timeout_s=1.0), **arguments)
+@pytest.mark.parametrize('seed', range(12))
+def test_whatever_comes_every_kept_frame_is_right(seed):
+    """An adversary delays, drops, repeats, blurs, breaks and misdates frames and joint states."""
+    rng = np.random.default_rng(seed)
+
+    class Hostile(Robot):
+        last = None
+
+        def picture(self):
+            self.mute = bool(rng.random() < 0.2)
+            if rng.random() < 0.03:
+                self.rate += rng.normal(0.0, 0.3)
+            kind = rng.integers(16)
+            fresh = Picture(self.pan, self.k), self.now - 1_000_000 * int(rng.integers(8))
+            if kind == 0:
+                return None
+            if kind == 1 and self.last:
+                return self.last
+            if kind == 2 and self.last:
+                return self.last[0], fresh[1]
+            if kind == 3:
+                return fresh[0], fresh[1] + 10**9
+            if kind == 4:
+                return fresh[0], fresh[1] - 10**9
+            if kind == 5:
+                return replace(fresh[0], sharpness=0.3), fresh[1]
+            if kind == 6:
+                return replace(fresh[0], broken='does not decode'), fresh[1]
+            self.last = fresh
+            return fresh
+
+    config = replace(SHORT, start_rad=0.3, step_rad=0.1, retakes=200, step_timeout_s=5.0)
+    robot = Hostile(config)
+    check_sweep(robot.run(20_000), 0.3 + 0.1 * np.arange(9))
+    assert robot.sweep.refused
 
 
-def test_gives_up_without_joint_states():
-    sweep = SweepCapture(SHORT, 0)
-    sweep.check_time(int(4e9))
-    with pytest.raises(LandmarkNavError, match=r'frame 1 of 9.*no joint_states'):
-        sweep.check_time(int(6e9))
+# Bad frames
 
 
-def test_angles_out_of_reach_are_refused():
-    with pytest.raises(LandmarkNavError, match='does not fit'):
-        CaptureConfig(pan_min_rad=-2.9, pan_max_rad=2.9)
+class Faulty(Robot):
+    """The frames from number `first` to `last` after the fifth was kept are bad."""
+
+    first, last, count = 1, 3, 0
+
+    def bad(self, picture, stamp):
+        return picture, stamp
+
+    def picture(self):
+        picture, stamp = super().picture()
+        if len(self.sweep.kept) < 5:
+            return picture, stamp
+        # Count those that arrive while the joint is at rest.
+        self.count += abs(self.rate) < 0.01 and abs(self.pan - self.target) < 0.005
+        bad = self.first <= self.count <= self.last
+        return self.bad(picture, stamp) if bad else (picture, stamp)
+
+
+def blurred(self, picture, stamp):
+    return replace(picture, sharpness=0.4), stamp
+
+
+def frozen(self, picture, stamp):
+    return self.sweep.kept[-1].frame, stamp
+
+
+def repeated(self, picture, stamp):
+    return self.sweep.kept[-1].frame, self.sweep.kept[-1].joints.stamp_ns
+
+
+def from_the_future(self, picture, stamp):
+    return picture, stamp + 10**9
+
+
+def from_the_past(self, picture, stamp):
+    return picture, 5
+
+
+def unreadable(self, picture, stamp):
+    return replace(picture, broken="image encoding 'yuv' is not supported"), stamp
+
+
+BAD = [
+    (blurred, 'blurred'),
+    (frozen, 'frozen'),
+    (repeated, 'badly timed'),
+    (from_the_future, 'badly timed'),
+    (from_the_past, 'badly timed'),
+    (unreadable, 'unusable'),
+]
+
+
+@pytest.mark.parametrize(('bad', 'reason'), BAD)
+def test_a_bad_frame_is_refused_and_taken_again(bad, reason, caplog):
+    robot = type('Bad', (Faulty,), {'bad': bad, 'last': 12})()
+    sweep = robot.run()
+    check_sweep(sweep)
+    assert sum(sweep.refused.values()) >= 1
+    assert reason in sweep.refused
+    assert 'refused' in caplog.text
+    assert reason in caplog.text
+
+
+@pytest.mark.parametrize(('bad', 'reason'), BAD[1:])
+def test_frames_that_stay_bad_interrupt_it_with_the_reason(bad, reason):
+    robot = type('Bad', (Faulty,), {'bad': bad, 'last': 10**9})()
+    with pytest.raises(LandmarkNavError, match=f'6 frames refused, the last as {reason}'):
+        robot.run()
+    with pytest.raises(LandmarkNavError, match=r'frame [56] of 9.*[45] frames are kept'):
+        robot.sweep.check(robot.now)
+    # Mended, it goes on.
+    robot.last = 0
+    robot.sweep.resume(robot.now)
+    check_sweep(robot.run())
+
+
+def test_a_camera_frozen_from_the_start_leaves_no_frame():
+    class Frozen(Robot):
+        def picture(self):
+            return Picture(0.0, 0), self.now - 7_000_000
+
+    robot = Frozen()
+    with pytest.raises(LandmarkNavError, match='refused, the last as frozen'):
+        robot.run()
+    assert not robot.sweep.kept
+
+
+def test_blank_walls_dark_and_noiseless_views_are_taken():
+    class Blank(Robot):
+        def picture(self):
+            return Picture(0.0, 0, flat=True), self.now - 7_000_000
+
+    robot = Blank()
+    assert robot.run().done
+    assert not robot.sweep.refused
+
+
+def test_a_view_that_stays_less_sharp_is_taken_in_the_end():
+    class Foggy(Robot):
+        def picture(self):
+            fog = 0.2 if 0.4 < self.pan < 0.6 else 1.0
+            return Picture(self.pan, self.k, fog), self.now - 7_000_000
+
+    sweep = Foggy().run()
+    assert sweep.done
+    assert len(sweep.kept) == 9
+    assert 0 < sweep.refused['blurred'] < 10
+
+
+def test_a_blurred_first_frame_is_found_out_by_its_neighbours():
+    class Shaky(Robot):
+        def picture(self):
+            return Picture(self.pan, self.k, 0.3 if not self.sweep.kept else 1.0), self.now - 7
+
+    config = replace(SHORT, start_rad=0.2, step_rad=0.1)
+    robot = Shaky(config)
+    check_sweep(robot.run(), 0.2 + 0.1 * np.arange(9))
+    assert robot.sweep.refused['blurred'] == 1
+
+
+# Angles and limits
+
+
+@pytest.mark.parametrize('start_deg', [-180.0, 30.0, 300.0])
+@pytest.mark.parametrize('step_deg', [7.5, -7.5])
+def test_any_start_and_direction_make_a_full_turn(start_deg, step_deg):
+    config = replace(
+        TURN, start_rad=np.radians(start_deg), step_rad=np.radians(step_deg), frames=48
+    )
+    sweep = Robot(config).run()
+    assert sweep.total == 48
+    turned = np.sort(np.mod(np.degrees(pans(sweep)) - start_deg, 360.0) + 3.0) % 360.0
+    np.testing.assert_allclose(np.sort(turned), 3.0 + 7.5 * np.arange(48), atol=0.6)
+
+
+def test_limits_by_parameter_leave_steps_out():
+    low, high = np.radians([-150.0, 150.0])
+    config = replace(
+        TURN,
+        start_rad=np.radians(30.0),
+        step_rad=np.radians(7.5),
+        frames=48,
+        pan_min_rad=low,
+        pan_max_rad=high,
+    )
+    sweep = Robot(config, limits=(low, high)).run()
+    np.testing.assert_allclose(np.degrees(pans(sweep)), np.arange(-150.0, 151.0, 7.5), atol=0.6)
+    assert not sweep.reach.stops_rad
+
+
+def test_limits_are_found_where_the_joint_stops(caplog):
+    sweep = Robot(TURN, limits=(-2.5, 1.9)).run()
+    assert sweep.done
+    wanted = -np.pi + np.pi / 12 * np.arange(24)
+    check_sweep(sweep, wanted[(wanted > -2.505) & (wanted < 1.905)])
+    np.testing.assert_allclose(sorted(sweep.reach.stops_rad), [-2.5, 1.9], atol=0.01)
+    assert 'stops at -143.2 deg' in caplog.text
+
+
+def test_a_joint_that_gets_stuck_is_not_taken_for_one_with_a_limit():
+    robot = Robot(TURN)
+    robot.until(7)
+    robot.stuck = True
+    with pytest.raises(LandmarkNavError, match=r'does not move; 8 frames are kept|does not move'):
+        robot.run()
+    robot.stuck = False
+    robot.sweep.resume(robot.now)
+    assert len(robot.run().kept) == 24
+
+
+def test_a_joint_that_never_moves():
+    robot = Robot()
+    robot.stuck = True
+    with pytest.raises(LandmarkNavError, match=r'frame 1 of 9, -57\.3 deg.*0\.00 deg and does no'):
+        robot.run()
+    # Told again, in case that a message was lost.
+    assert robot.commands > 1
+
+
+def test_a_slow_joint_gets_its_time():
+    class Slow(Robot):
+        def turn(self):
+            self.pan += float(np.clip(self.target - self.pan, -0.003, 0.003))
+
+    robot = Slow()
+    check_sweep(robot.run())
+    assert robot.now > 5 * SHORT.step_timeout_s * 1e9
+
+
+def test_no_angle_within_the_limits_is_refused():
+    with pytest.raises(LandmarkNavError, match='no frame within'):
+        CaptureConfig(start_rad=1.0, frames=3, pan_min_rad=-0.5, pan_max_rad=0.5)
     with pytest.raises(LandmarkNavError, match='frames'):
         CaptureConfig(frames=0)
 
@@ -93,17 +399,87 @@ def test_default_is_a_full_turn():
     assert config.frames * config.step_rad == pytest.approx(2 * np.pi)
 
 
+# Interruptions
+
+
+def test_it_goes_on_where_it_was_interrupted():
+    robot = Robot()
+    robot.until(4)
+    before = robot.sweep.kept
+    robot.sweep.stop('the operator said so')
+    with pytest.raises(LandmarkNavError, match=r'frame 5 of 9.*operator.*4 frames are kept'):
+        robot.run()
+    assert not robot.sweep.why_not_resumed(robot.now)
+    robot.sweep.resume(robot.now)
+    check_sweep(robot.run())
+    assert robot.sweep.kept[:4] == before
+
+
+@pytest.mark.parametrize('lost', ['joints', 'images'])
+def test_it_goes_on_after_a_topic_was_lost(lost):
+    robot = Robot()
+    robot.until(3)
+    words = {'joints': 'no joint_states since then', 'images': 'for an image; the pan is'}[lost]
+    robot.mute = lost == 'joints'
+    if lost == 'images':
+        robot.picture = lambda: None
+    with pytest.raises(LandmarkNavError, match=words):
+        robot.run()
+    robot.mute, robot.picture = False, lambda: Robot.picture(robot)
+    robot.sweep.resume(robot.now)
+    check_sweep(robot.run())
+
+
+def test_a_robot_that_drives_away_ends_it():
+    robot = Robot()
+    robot.until(3)
+    robot.x = 0.005
+    robot.until(4)
+    robot.x = 0.5
+    with pytest.raises(LandmarkNavError, match=r'the robot moved 50\.0 cm'):
+        robot.run()
+    assert 'moved 50.0 cm' in robot.sweep.why_not_resumed(robot.now)
+    robot.x = 0.0
+    robot.sweep.add_odometry(OdometrySample(robot.now, np.zeros(3)))
+    assert not robot.sweep.why_not_resumed(robot.now)
+    assert '700 s have passed' in robot.sweep.why_not_resumed(robot.now + 700 * 10**9)
+
+
+def test_gives_up_without_joint_states():
+    sweep = SweepCapture(replace(SHORT, step_timeout_s=5.0), inspect, 0)
+    sweep.check(int(4e9))
+    with pytest.raises(LandmarkNavError, match=r'frame 1 of 9.*no joint_states'):
+        sweep.check(int(6e9))
+
+
 def test_a_robot_slower_than_the_clock_gets_its_time():
-    unit, sweep, stamp = OvershootingUnit(), SweepCapture(SHORT, 0), 0
-    for k in range(20_000):
-        # Ten seconds of the clock are one of the robot's.
-        now, stamp = 10 * k * STEP_NS, k * STEP_NS
-        unit.target = sweep.target_rad
-        unit.step()
-        sweep.add_frame(stamp, stamp - 1)
-        sweep.add_joints(JointSample(stamp, unit.pan), now)
-        sweep.check_time(now)
-        if sweep.done:
-            break
-    assert sweep.done
-    assert 10 * stamp > SHORT.step_timeout_s * 1e9 * len(sweep.kept)
+    class Behind(Robot):
+        """Ten seconds of the clock are one of the robot's."""
+
+        @property
+        def now(self):
+            return 10 * self.k * STEP_NS
+
+        def tick(self):
+            self.k += 1
+            command = self.sweep.command(self.now)
+            self.target = self.target if command is None else command
+            self.turn()
+            stamp = self.k * STEP_NS
+            self.sweep.add_frame(Shot(Picture(self.pan, self.k), stamp - 1, b'%d' % self.k), 0)
+            self.sweep.add_joints(JointSample(stamp, self.pan), self.now)
+            self.sweep.check(self.now)
+
+    robot = Behind(replace(SHORT, retake_pause_s=0.0))
+    assert robot.run(20_000).done
+    assert robot.now > SHORT.step_timeout_s * 1e9 * len(robot.sweep.kept)
+
+
+def test_time_to_go_is_told():
+    robot = Robot()
+    assert robot.sweep.seconds_to_go(robot.now) is None
+    robot.until(6)
+    told, start = robot.sweep.seconds_to_go(robot.now), robot.now
+    robot.run()
+    assert told == pytest.approx((robot.now - start) * 1e-9, rel=0.5)
+    assert robot.sweep.seconds_to_go(robot.now) == 0.0

@@ -23,10 +23,16 @@ def test_frames_of_the_trajectory_in_order_of_time() -> None:
     assert sweep.frames[0].tilt_rad == 0.01
 
 
-def test_missing_frames_are_named_by_their_angles() -> None:
+def test_missing_frames_are_named_by_their_angles(caplog: pytest.LogCaptureFixture) -> None:
     some = {stamp: PICTURES[stamp] for stamp in PICTURES if stamp not in (2 * 10**9, 5 * 10**9)}
-    with pytest.raises(LandmarkNavError, match=r'lacks 2 of its 5 frames, at pan 11.5, 28.6 deg'):
-        assemble_sweep(TRAJECTORY, some)
+    sweep = assemble_sweep(TRAJECTORY, some)
+    assert [frame.stamp_ns for frame in sweep.frames] == [10**9, 3 * 10**9, 4 * 10**9]
+    assert '2 frames are missing, at pan 11, 29 deg; nothing is seen from pan 51' in caplog.text
+
+
+def test_not_one_picture() -> None:
+    with pytest.raises(LandmarkNavError, match='lacks all of its 5 frames'):
+        assemble_sweep(TRAJECTORY, {})
 
 
 def test_no_angles() -> None:

@@ -61,8 +61,8 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     Raises
     ------
     LandmarkNavError
-        A topic is missing, frames are missing so that a hole is left (the message names the
-        angles), or a picture or angle cannot be read.
+        A topic is missing, a sweep has no frames at all, or a picture or angle cannot be read.
+        Frames that are missing, and directions that nothing sees, go to the bag's `warn`.
 
     """
     topic = bag.require('sweep/image', 'sweep/image/compressed')

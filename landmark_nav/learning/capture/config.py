@@ -1,0 +1,101 @@
+"""Parameters of a sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray
+
+__all__ = ['CaptureConfig']
+
+
+@dataclass(frozen=True)
+class CaptureConfig:
+    """How a sweep is taken."""
+
+    start_rad: float = parameter(
+        -np.pi, 'pan of the first frame, rad', minimum=-2 * np.pi, maximum=2 * np.pi
+    )
+    step_rad: float = parameter(
+        float(np.radians(5.0)),
+        'pan from one frame to the next, rad; its sign is the direction',
+        minimum=-1.0,
+        maximum=1.0,
+    )
+    frames: int = parameter(72, 'frames of a sweep', minimum=1, maximum=1440)
+    pan_min_rad: float = parameter(
+        -np.pi, 'least pan of the joint, rad; steps beyond it are left out', maximum=0.0
+    )
+    pan_max_rad: float = parameter(
+        np.pi, 'largest pan of the joint, rad; steps beyond it are left out', minimum=0.0
+    )
+    arrival_tolerance_rad: float = parameter(
+        0.01, 'distance from the commanded pan that counts as arrived, rad', minimum=1e-5
+    )
+    settled_s: float = parameter(
+        0.08, 'time for which the joint must stand still, s', minimum=0.0, maximum=5.0
+    )
+    settled_velocity_rad_s: float = parameter(
+        0.01, 'rate over that time or longer that counts as standing still, rad/s', minimum=1e-5
+    )
+    step_timeout_s: float = parameter(
+        5.0,
+        'time without getting nearer to the next frame before giving up, s',
+        minimum=0.1,
+    )
+    retakes: int = parameter(
+        10, 'refused frames of one step before giving up', minimum=0, maximum=1000
+    )
+    retake_pause_s: float = parameter(
+        0.2, 'pause before a frame is taken again, s', minimum=0.0, maximum=10.0
+    )
+    least_sharpness: float = parameter(
+        0.75,
+        'gradient energy, relative to that of neighbouring frames in what both show, below which '
+        'a frame counts as blurred; 0 takes every frame',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    stamp_gap_s: float = parameter(
+        0.3, 'how far the stamps of images and joint states may be apart, s', minimum=0.001
+    )
+    moved_m: float = parameter(
+        0.01, 'way of the robot, by odom, that ends a sweep, m', minimum=0.0
+    )
+    moved_rad: float = parameter(
+        0.01, 'turn of the robot, by odom, that ends a sweep, rad', minimum=0.0
+    )
+    resume_s: float = parameter(
+        600.0, 'age up to which an interrupted sweep is gone on with, s', minimum=0.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check that the joint can reach any of the angles."""
+        check_parameters(self)
+        if np.isnan(self.targets(self.pan_min_rad, self.pan_max_rad)).all():
+            last = self.start_rad + (self.frames - 1) * self.step_rad
+            raise LandmarkNavError(
+                f'a sweep from {np.degrees(self.start_rad):.1f} to {np.degrees(last):.1f} deg has '
+                f"no frame within the joint's {np.degrees(self.pan_min_rad):.1f} to "
+                f'{np.degrees(self.pan_max_rad):.1f} deg: change start_rad, step_rad or frames'
+            )
+
+    def targets(self, low_rad: float, high_rad: float) -> FloatArray:
+        """
+        Pan of each step, (frames,), on whichever turn lies between two limits; NaN beyond them.
+
+        Where several do it is that nearest to `start_rad` counted on by `step_rad`.
+        """
+        wanted = self.start_rad + self.step_rad * np.arange(self.frames)
+        reached = np.full(self.frames, np.nan)
+        slack = 1e-6
+        most = int(np.ceil(np.abs(wanted).max() / (2.0 * np.pi))) + 2
+        for turns in sorted(range(-most, most + 1), key=abs, reverse=True):
+            pan = wanted + turns * 2.0 * np.pi
+            inside = (pan >= low_rad - slack) & (pan <= high_rad + slack)
+            reached[inside] = np.clip(pan[inside], low_rad, high_rad)
+        return reached

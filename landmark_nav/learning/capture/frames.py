@@ -1,0 +1,130 @@
+"""Frames of a sweep: which are refused at sight, which are less sharp than their neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.learning.capture.config import CaptureConfig
+from landmark_nav.learning.sharpness import Look, relative_sharpness
+from landmark_nav.types import JointSample
+
+__all__ = ['Album', 'FrameLog', 'KeptFrame', 'Shot', 'sharpest']
+
+FrameT = TypeVar('FrameT')
+
+# Frames whose content is remembered.
+_REMEMBERED = 5000
+_NEIGHBOURS = 4
+
+
+@dataclass(frozen=True)
+class Shot(Generic[FrameT]):
+    """A frame that came; `digest` is the same for the same picture, and only for that."""
+
+    frame: FrameT
+    stamp_ns: int
+    digest: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class KeptFrame(Generic[FrameT]):
+    """A frame of the sweep with the angles measured at its stamp."""
+
+    frame: FrameT
+    joints: JointSample
+    look: Look
+    digest: bytes
+
+
+class FrameLog:
+    """Stamps and contents of all frames that came."""
+
+    def __init__(self, config: CaptureConfig) -> None:
+        self._config = config
+        self._last_ns = -1
+        self._pan_of: dict[bytes, float] = {}
+
+    def untimely(self, stamp_ns: int, joints_ns: int) -> str:
+        """Why a stamp cannot be right; nothing if it can. `joints_ns` is the newest joint's."""
+        ahead_s, after_s = (stamp_ns - joints_ns) * 1e-9, (stamp_ns - self._last_ns) * 1e-9
+        if ahead_s > self._config.stamp_gap_s:
+            return f'badly timed: stamp {ahead_s:.3f} s ahead of joint_states'
+        self._last_ns = max(stamp_ns, self._last_ns)
+        if after_s < 0.0:
+            return f'badly timed: stamp {-after_s:.3f} s before the last one'
+        return 'duplicated: the same stamp again' if after_s == 0.0 else ''
+
+    def is_first(self, digest: bytes) -> bool:
+        """Whether no other picture has come before this one."""
+        return next(iter(self._pan_of)) == digest
+
+    def seen_elsewhere(self, digest: bytes, pan_rad: float) -> bool:
+        """Whether this very picture came at another pan; remembers it."""
+        first = self._pan_of.setdefault(digest, pan_rad)
+        if len(self._pan_of) > _REMEMBERED:
+            del self._pan_of[next(iter(self._pan_of))]
+        return abs(first - pan_rad) > self._config.arrival_tolerance_rad
+
+
+class Album(Generic[FrameT]):
+    """
+    The frames kept so far, by step.
+
+    `doubtful` holds the steps whose frame is to be taken again.
+    """
+
+    def __init__(self, config: CaptureConfig) -> None:
+        self._least = config.least_sharpness
+        self.frames: dict[int, KeptFrame[FrameT]] = {}
+        self.doubtful: set[int] = set()
+
+    def keep(self, step: int, frame: KeptFrame[FrameT]) -> bool:
+        """Keep a frame; False if it was there before."""
+        is_new = self.frames.get(step) is not frame
+        self.frames[step] = frame
+        self.doubtful.discard(step)
+        return is_new
+
+    def distrust(self, digest: bytes) -> None:
+        """Forget the frame with that picture: nobody knows where it was taken."""
+        for step in [k for k, kept in self.frames.items() if kept.digest == digest]:
+            del self.frames[step]
+            self.doubtful.discard(step)
+
+    def blurred(self, step: int, frame: KeptFrame[FrameT]) -> str | None:
+        """Why a frame counts as blurred; nothing if it does not, None if nobody can tell."""
+        ratio = self._sharpness(step, frame)
+        if ratio is None or ratio >= self._least:
+            return None if ratio is None else ''
+        return f'blurred: {ratio:.2f} of the sharpness of its neighbours'
+
+    def review(self) -> list[tuple[KeptFrame[FrameT], str]]:
+        """Doubt what is less sharp than its neighbours, now that there are some on both sides."""
+        found = []
+        for step, kept in self.frames.items():
+            if reason := self.blurred(step, kept):
+                self.doubtful.add(step)
+                found.append((kept, reason))
+        return found
+
+    def _sharpness(self, step: int, frame: KeptFrame[FrameT]) -> float | None:
+        """Sharpness relative to the nearest frames that show the same; None if none does."""
+        pan_rad = frame.joints.pan_rad
+        others = [kept for k, kept in self.frames.items() if k != step]
+        turned = [(float(wrap_rad(pan_rad - kept.joints.pan_rad)), kept) for kept in others]
+        turned.sort(key=lambda pair: abs(pair[0]))
+        nearest = turned[:_NEIGHBOURS]
+        ratios = [relative_sharpness(frame.look, kept.look, turn) for turn, kept in nearest]
+        known = [ratio for ratio in ratios if ratio is not None]
+        return float(np.median(known)) if known else None
+
+
+def sharpest(shots: list[KeptFrame[FrameT]]) -> tuple[KeptFrame[FrameT], float]:
+    """Sharpest of frames of one direction, and how much the last three differ, relative."""
+    ratios = [relative_sharpness(shot.look, shots[0].look, 0.0) or 0.0 for shot in shots]
+    last = ratios[-3:]
+    return shots[int(np.argmax(ratios))], float(np.ptp(last) / max(np.max(last), 1e-9))

@@ -1,0 +1,126 @@
+"""What the joint states tell of the pan-tilt unit: standing still, where, and how far it gets."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from landmark_nav.learning.capture.config import CaptureConfig
+from landmark_nav.types import FloatArray, JointSample
+
+__all__ = ['JointTrack', 'PanReach']
+
+_HISTORY = 400
+_LEAST_SAMPLES = 3
+
+
+class JointTrack:
+    """The last joint samples, by time."""
+
+    def __init__(self, config: CaptureConfig) -> None:
+        self._config = config
+        self._samples: deque[JointSample] = deque(maxlen=_HISTORY)
+
+    @property
+    def last(self) -> JointSample | None:
+        """The newest sample."""
+        return self._samples[-1] if self._samples else None
+
+    def add(self, sample: JointSample) -> bool:
+        """Take a sample; False if it is not later than the newest."""
+        if self._samples and sample.stamp_ns <= self._samples[-1].stamp_ns:
+            return False
+        self._samples.append(sample)
+        return True
+
+    def stands(self, after_ns: int, since_ns: int, target_rad: float | None = None) -> bool:
+        """
+        Whether the unit has stood still, at `target_rad` if given, from `since_ns` or before.
+
+        Only samples after `after_ns` count. It stands still if over some stretch up to now, not
+        shorter than ``settled_s``, it did not move further than the rate limit allows; over a
+        longer one a coarse encoder may flicker by one step.
+        """
+        recent = [sample for sample in self._samples if sample.stamp_ns > after_ns][::-1]
+        if len(recent) < _LEAST_SAMPLES:
+            return False
+        stamps = np.array([sample.stamp_ns for sample in recent], dtype=np.int64)
+        angles = np.array([(sample.pan_rad, sample.tilt_rad) for sample in recent])
+        moved = np.maximum.accumulate(angles) - np.minimum.accumulate(angles)
+        span_s = (stamps[0] - stamps) * 1e-9
+        still = moved.max(axis=1) <= self._config.settled_velocity_rad_s * span_s
+        still &= (span_s >= self._config.settled_s) & (stamps <= since_ns)
+        still[: _LEAST_SAMPLES - 1] = False
+        if target_rad is not None:
+            off = np.maximum.accumulate(np.abs(angles[:, 0] - target_rad))
+            still &= off <= self._config.arrival_tolerance_rad
+        return bool(still.any())
+
+    def at(self, stamp_ns: int) -> JointSample | None:
+        """Angles at a stamp, interpolated; None if the samples around it are too far apart."""
+        stamps = np.array([sample.stamp_ns for sample in self._samples], dtype=np.int64)
+        after = int(np.searchsorted(stamps, stamp_ns))
+        if after == len(stamps) or (after == 0 and stamps[0] != stamp_ns):
+            return None
+        last = self._samples[after]
+        first = self._samples[max(after - 1, 0)]
+        gap_ns = last.stamp_ns - first.stamp_ns
+        if gap_ns > self._config.stamp_gap_s * 1e9:
+            return None
+        share = (stamp_ns - first.stamp_ns) / gap_ns if gap_ns else 0.0
+        return JointSample(
+            stamp_ns,
+            first.pan_rad + share * (last.pan_rad - first.pan_rad),
+            first.tilt_rad + share * (last.tilt_rad - first.tilt_rad),
+        )
+
+
+class PanReach:
+    """
+    Which steps the pan joint can reach: within its limits, and where it stops before them.
+
+    Where it stops short is taken for a limit, but doubted until the joint has moved again: it
+    might be stuck. A joint that has not moved at all is.
+    """
+
+    def __init__(self, config: CaptureConfig) -> None:
+        self._config = config
+        self._first_rad: float | None = None
+        self._has_moved = False
+        self._doubt_rad: float | None = None
+        self.stops_rad: list[float] = []
+        self.targets: FloatArray
+        self._low, self._high = config.pan_min_rad, config.pan_max_rad
+        self._renew()
+
+    @property
+    def doubt_rad(self) -> float | None:
+        """The pan at which it stopped, if it has not moved since."""
+        return self._doubt_rad
+
+    def add(self, pan_rad: float) -> None:
+        """Take a measured pan: one that moves is not stuck."""
+        tolerance = self._config.arrival_tolerance_rad
+        if self._first_rad is None:
+            self._first_rad = pan_rad
+        self._has_moved |= abs(pan_rad - self._first_rad) > tolerance
+        if self._doubt_rad is not None and abs(pan_rad - self._doubt_rad) > tolerance:
+            self._doubt_rad = None
+
+    def stop(self, pan_rad: float, target_rad: float) -> bool:
+        """Take it that the joint stops at a pan on its way to a target; False if it is stuck."""
+        if self._doubt_rad is not None or not self._has_moved:
+            return False
+        self._doubt_rad = pan_rad
+        self.stops_rad.append(pan_rad)
+        margin = self._config.arrival_tolerance_rad
+        if target_rad > pan_rad:
+            self._high = pan_rad + margin
+        else:
+            self._low = pan_rad - margin
+        self._renew()
+        return True
+
+    def _renew(self) -> None:
+        self.targets = self._config.targets(self._low, self._high)

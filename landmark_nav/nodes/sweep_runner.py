@@ -1,0 +1,153 @@
+"""Runs a sweep on what the topics bring, in whichever threads they come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import hashlib
+import logging
+from threading import Condition
+import time
+from typing import Any
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.learning.capture import (
+    begin_or_resume,
+    CaptureConfig,
+    describe_progress,
+    Shot,
+    SweepCapture,
+)
+from landmark_nav.learning.sharpness import Look, look_at
+from landmark_nav.messages import decode
+from landmark_nav.nodes.sweep_output import SweepOutput
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.pan_command import PanCommander
+from landmark_nav.types import JointSample, OdometrySample
+
+__all__ = ['SweepRunner']
+
+_LOG = logging.getLogger(__name__)
+
+_POLL_S = 0.1
+# Log lines of a sweep.
+_LINES = 8
+
+# An image and its camera_info.
+_Frame = tuple[Any, Any]
+
+
+class SweepRunner:
+    """
+    The sweep under way, or the last one, and the pan unit that it turns.
+
+    Parameters
+    ----------
+    config : CaptureConfig
+        How it is taken.
+    commander : PanCommander
+        Turns it.
+    output : SweepOutput
+        Gets the frames.
+
+    """
+
+    def __init__(
+        self,
+        config: CaptureConfig,
+        commander: PanCommander,
+        output: SweepOutput,
+    ) -> None:
+        self._config = config
+        self._commander = commander
+        self._output = output
+        self._progress = Condition()
+        self._sweep: SweepCapture[_Frame] | None = None
+        self._running = False
+        self.pan_rad: float | None = None
+
+    def stop(self, reason: str) -> None:
+        """Interrupt the sweep under way, if there is one."""
+        with self._progress:
+            if self._running and self._sweep is not None:
+                self._sweep.stop(reason)
+
+    def run(self, may_go_on: Callable[[], bool]) -> tuple[SweepCapture[_Frame], str]:
+        """
+        Take a sweep, or the rest of one; returns it and what became of earlier frames.
+
+        Raises
+        ------
+        LandmarkNavError
+            It was interrupted; the message says by what.
+
+        """
+        with self._progress:
+            now_ns = time.monotonic_ns()
+            sweep, note = begin_or_resume(self._sweep, self._config, self._inspect, now_ns)
+            self._sweep, self._running = sweep, True
+            _LOG.info('sweep %s', note or 'begun')
+            try:
+                while not sweep.done and may_go_on():
+                    sweep.check(time.monotonic_ns())
+                    self._command(sweep)
+                    self._progress.wait(_POLL_S)
+            finally:
+                self._running = False
+                if may_go_on():
+                    self._commander.command(0.0, self.pan_rad)
+        if not sweep.done:
+            raise LandmarkNavError('sweep given up: the node is ending')
+        self._output.end([kept.joints for kept in sweep.kept])
+        return sweep, note
+
+    def health(self) -> Health | None:
+        """How the sweep goes; None if there is none that is not complete."""
+        with self._progress:
+            sweep = self._sweep
+            if sweep is None or sweep.done:
+                return None
+            progress = describe_progress(sweep, time.monotonic_ns())
+            refused = {f'refused: {reason}': count for reason, count in sweep.refused.items()}
+        if self._running:
+            return Health(Level.OK, progress, refused)
+        return Health(Level.DEGRADED, f'interrupted, {progress}: call capture_sweep', refused)
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Take the robot's place."""
+        with self._progress:
+            if self._sweep is not None:
+                self._sweep.add_odometry(sample)
+
+    def add_image(self, image: Any, info: Any) -> None:
+        """Take a picture and its calibration."""
+        digest = hashlib.blake2b(image.data, digest_size=16).digest()
+        shot = Shot((image, info), decode.stamp_ns(image.header), digest)
+        with self._progress:
+            if self._sweep is not None and self._running:
+                self._sweep.add_frame(shot, time.monotonic_ns())
+
+    def add_joints(self, sample: JointSample) -> None:
+        """Take measured angles; they move the sweep on."""
+        with self._progress:
+            self.pan_rad = sample.pan_rad
+            sweep = self._sweep
+            if sweep is None or not self._running:
+                return
+            kept = sweep.add_joints(sample, time.monotonic_ns())
+            if kept is not None:
+                self._output.frame(*kept.frame)
+                if len(sweep.kept) % max(1, sweep.total // _LINES) == 0:
+                    _LOG.info('%s', describe_progress(sweep, time.monotonic_ns()))
+            self._command(sweep)
+            if sweep.done:
+                self._progress.notify_all()
+
+    @staticmethod
+    def _inspect(frame: _Frame) -> Look:
+        image, info = frame
+        return look_at(decode.image(image), decode.camera_model(info))
+
+    def _command(self, sweep: SweepCapture[_Frame]) -> None:
+        pan_rad = sweep.command(time.monotonic_ns())
+        if pan_rad is not None:
+            self._commander.command(pan_rad, self.pan_rad)
