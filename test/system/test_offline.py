@@ -12,8 +12,10 @@ import pytest
 import yaml
 
 from landmark_nav.cli.main import main
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags import Bag, BagWriter
+from landmark_nav.storage.maps import load_map
 
 STORE = default_typestore()
 
@@ -200,14 +202,27 @@ def test_a_recording_that_broke_off_may_leave_a_single_sweep(study, tmp_path, ca
     assert [p.name for p in tmp_path.iterdir()] == ['cut.mcap']
 
 
-def test_missing_frames_are_named(study, tmp_path, capsys):
+def test_a_hole_in_a_sweep_is_named_and_nothing_learned_there(study, tmp_path, caplog):
     def without_some(entry):
-        missing = 1010 * 10**9 <= entry.stamp_ns < 1017 * 10**9
+        missing = 1024 * 10**9 <= entry.stamp_ns < 1031 * 10**9
         return None if missing and 'image' in entry.topic else entry.data
 
     bag = rewrite(study.folder / 'learn', tmp_path / 'holes', without_some)
-    refused(capsys, learn(bag, study, tmp_path / 'map'), 'lacks 14 frames', '-80, -75')
-    assert not (tmp_path / 'map').exists()
+    figures, out = tmp_path / 'learn.json', tmp_path / 'map'
+    setup = ['--room', study.room, '--robot', study.robot, '--out', str(out)]
+    assert main(['learn', bag, *setup, '--json', str(figures)]) == 0
+    assert '14 frames are missing, at pan 60, 65' in caplog.text
+    assert 'nothing is seen from pan 81 to 104 deg' in caplog.text
+    report = json.loads(figures.read_text())
+    assert [sweep['frames'] for sweep in report['sweeps']] == [58, 72]
+    assert all(sweep['error_position_m'] < 0.02 for sweep in report['sweeps'])
+    assert report['elected'] >= 20
+    x, y, heading = report['sweeps'][0]['pose']
+    for landmark in load_map(out).landmarks:
+        if np.hypot(*(landmark.viewpoint[:2] - [x, y])) < 0.2:
+            east, north = landmark.position[:2] - landmark.viewpoint[:2]
+            azimuth_deg = np.degrees(wrap_rad(np.arctan2(north, east) - heading))
+            assert not 83.0 < azimuth_deg < 102.0
 
 
 @pytest.mark.parametrize(
