@@ -126,14 +126,16 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
     if args.bag and not (args.room and args.robot):
         raise LandmarkNavError('--bag needs --room and --robot, as learn does')
     given = load_map(args.map) if args.map else None
-    if given is not None and wanted == {6}:
+    if given is not None and not args.bag:
+        if wanted != {6}:
+            raise LandmarkNavError('--map alone gives Figure 6: the others need --bag')
         return _Data(Room(given.walls), (), (), None, given)
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     room = load_room(args.room) if args.room else None
     if args.bag:
         assert room is not None, 'checked above'
         return _recorded(Bag(args.bag), room, mount, wanted, attention, given)
-    return _simulated(FiguresWorld.furnish(args.seed, mount, room), wanted, attention, given)
+    return _simulated(FiguresWorld.furnish(args.seed, mount, room), wanted, attention)
 
 
 def _recorded(
@@ -153,9 +155,7 @@ def _recorded(
     return data if given is None else replace(data, landmarks=given)
 
 
-def _simulated(
-    world: FiguresWorld, wanted: set[int], attention: AttentionConfig, given: LandmarkMap | None
-) -> _Data:
+def _simulated(world: FiguresWorld, wanted: set[int], attention: AttentionConfig) -> _Data:
     room = world.scene.room
     count = len(world.poses) if wanted - _OF_ONE else 1
     sweeps = tuple(world.sweep(k) for k in progress(range(count), 'sweeps'))
@@ -165,10 +165,10 @@ def _simulated(
         return data
     data = replace(data, truth=true_places(learned, world.poses, room, world.mount))
     if 6 in wanted:
-        chosen = typical_landmarks(learned.map) if given is None else []
+        chosen = typical_landmarks(learned.map)
         tests = [world.look_for(k, world.scene.seed) for k in progress(chosen, 'areas')]
         data = replace(data, tests=tuple(tests))
-    return data if given is None else replace(data, landmarks=given)
+    return data
 
 
 def _learned(
@@ -189,7 +189,6 @@ def _learned(
     if wanted & _LEARNED:
         config = replace(LearningConfig(), attention=attention)
         learned = learn_from_panoramas(panoramas, room, config)
-        panoramas = learned.panoramas
     return _Data(room, sweeps, panoramas, learned, learned.map if learned else None)
 
 

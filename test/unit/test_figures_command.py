@@ -18,6 +18,7 @@ from landmark_nav.evaluation.figures.stereo_figure import ray_sigma_m
 from landmark_nav.evaluation.figures.strips import Strip, widest
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.storage.maps import write_map
 from landmark_nav.types import Candidate, Landmark, LandmarkMap, Panorama, PoseEstimate
 
 BAGS = Path(__file__).parents[2] / 'bags'
@@ -127,6 +128,17 @@ def test_figures_of_attention_from_a_bag(tmp_path, capsys):
         'figure_4_attention.png',
         'figure_7_features_alone.png',
     }
+
+
+def test_a_map_gives_its_observation_areas(tmp_path, capsys):
+    (tmp_path / 'map').mkdir()
+    write_map(a_map(), tmp_path / 'map')
+    arguments = ['figures', '--out', str(tmp_path / 'out'), '--map', str(tmp_path / 'map')]
+    assert main(arguments) == 0
+    assert [p.name for p in (tmp_path / 'out').iterdir()] == ['figure_6_observation_areas.png']
+    capsys.readouterr()
+    assert main([*arguments, '--figure', '5']) == 1
+    assert 'need --bag' in capsys.readouterr().err
 
 
 def test_wrong_usage_is_told_in_a_line(tmp_path, capsys):
