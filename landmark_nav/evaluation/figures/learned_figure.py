@@ -29,7 +29,7 @@ __all__ = ['draw_learned']
 
 _SHARE = 0.25
 _MARGIN_M = 0.7
-_MAGNIFIED = 10.0
+_MAGNIFIED = 30.0
 
 
 def draw_learned(
