@@ -33,7 +33,7 @@ from landmark_nav.types import (
 __all__ = ['FiguresWorld']
 
 _FRAMES = 72
-_GRID_M = 0.4
+_GRID_M = 0.45
 _CLEARANCE_M = 0.25
 _DIMMED = 0.35
 _RIGHT_PX = 1.0
