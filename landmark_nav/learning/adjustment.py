@@ -53,13 +53,13 @@ class AdjustmentConfig:
     )
     camera_weight: float = parameter(
         1.0,
-        'how many measurements the expected sigmas of panoramas count for',
+        'how many measurements the expected sigmas of panoramas and places count for',
         minimum=1e-3,
         maximum=1e9,
     )
     room_weight: float = parameter(
         0.2,
-        'how many measurements the expected sigmas of hanging and of places count for',
+        'how many measurements the expected sigma of hanging counts for',
         minimum=1e-3,
         maximum=1e9,
     )
@@ -142,7 +142,8 @@ def adjust(
     points, shared = _settle(problem, start, expected)
     trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
     say = np.where(trusted, 1.0, _NO_SAY)
-    weight = np.repeat([config.camera_weight, config.room_weight], 2)
+    weight = np.full(4, config.camera_weight)
+    weight[2] = config.room_weight
     noise = expected
     for _ in range(_NOISE_ITERATIONS):
         at = problem.linearize(points, shared)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
@@ -24,6 +25,8 @@ __all__ = ['Linearized', 'NormalEquations', 'Problem']
 
 # x, y, z, heading of each panorama; after all of them, how far things hang off the walls.
 _POSE = 4
+# Share of the variance in height that panoramas have in common.
+_COMMON_HEIGHT = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +110,7 @@ class Problem:
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
         self.prior = np.append(poses.ravel(), 0.0)
         self._information = np.zeros((len(self.prior), len(self.prior)))
-        for i, panorama in enumerate(panoramas):
-            part = slice(_POSE * i, _POSE * (i + 1))
-            self._information[part, part] = np.linalg.inv(
-                panorama.covariance + 1e-12 * np.eye(_POSE)
-            )
+        self._information[:-1, :-1] = np.linalg.inv(_joint([p.covariance for p in panoramas]))
         self._information[-1, -1] = common_hanging_sigma_m**-2
 
     def off_wall(self, points: FloatArray) -> FloatArray:
@@ -164,7 +163,7 @@ class Problem:
         `seen` (k, 2) and `wall` (n,) are the information of sightings and walls; `place_scale`
         multiplies the sigmas that panoramas say their places have.
         """
-        prior = self._prior_information(place_scale)
+        prior = self.prior_information(place_scale)
         jx = at.by_point * seen[..., None]
         h_xx = _sum_by(self.landmark, np.einsum('nki,nkj->nij', jx, at.by_point), self.count)
         h_xx += np.einsum('n,ni,nj->nij', wall, self.normal, self.normal)
@@ -180,7 +179,8 @@ class Problem:
         b_s[-1] -= wall @ at.wall
         return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
 
-    def _prior_information(self, place_scale: float) -> FloatArray:
+    def prior_information(self, place_scale: float = 1.0) -> FloatArray:
+        """Information (m, m) on the shared unknowns before there are sightings."""
         scale = np.full(len(self.prior), place_scale)
         scale[-1] = 1.0
         return np.asarray(self._information / np.outer(scale, scale))
@@ -190,7 +190,7 @@ class Problem:
     ) -> tuple[float, float]:
         """Squared misfit of the places that panoramas say they have, and its redundancy."""
         moved = (shared - self.prior)[:-1]
-        information = self._prior_information(place_scale)[:-1, :-1]
+        information = self.prior_information(place_scale)[:-1, :-1]
         taken = np.sum(information * equations.shared_covariance()[:-1, :-1])
         return float(moved @ information @ moved), float(len(moved) - taken)
 
@@ -208,6 +208,22 @@ class Problem:
         wall = np.einsum('ni,nij,nj->n', self.normal, own, self.normal)
         wall += np.einsum('np,pq,nq->n', by_shared_wall, shared, by_shared_wall)
         return seen, wall
+
+
+def _joint(covariances: Sequence[FloatArray]) -> FloatArray:
+    """
+    Joint covariance (4 * views, 4 * views) of places that were found each for itself.
+
+    The camera stands equally high everywhere and saw the same papers: as much of the error in
+    height as can be is one and the same.
+    """
+    spread = [c + 1e-12 * np.eye(_POSE) for c in covariances]
+    joint = block_diag(*spread)
+    common = _COMMON_HEIGHT * min(1.0 / np.linalg.inv(c)[2, 2] for c in spread)
+    height = np.arange(2, len(joint), _POSE)
+    apart = height[:, None] != height
+    joint[np.ix_(height, height)] += common * apart
+    return np.asarray(joint)
 
 
 def _sum_by(index: npt.NDArray[np.intp], values: FloatArray, count: int) -> FloatArray:
