@@ -10,7 +10,8 @@ import numpy as np
 from landmark_nav.cli.bench_world import Comparison, MOUNT, STEP_RAD, World
 from landmark_nav.learning.attention import AttentionConfig, select_candidates
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig, WallPatch
+from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.wall_patch import WallPatch
 from landmark_nav.types import ImageArray
 
 __all__ = ['learning_comparisons']

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment_problem import Linearized, Problem
-from landmark_nav.learning.stereo import Sighting
+from landmark_nav.learning.wall_patch import Sighting
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Panorama
 

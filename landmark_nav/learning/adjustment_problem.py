@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.stereo import Sighting
+from landmark_nav.learning.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['Linearized', 'NormalEquations', 'Problem']

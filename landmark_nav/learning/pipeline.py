@@ -20,6 +20,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
+from landmark_nav.learning.free_stereo import explain
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.reference_area import (
     check_agreement,
@@ -29,15 +30,9 @@ from landmark_nav.learning.reference_area import (
     SweepPlace,
 )
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo import (
-    hypothesize,
-    match_in,
-    own_sighting,
-    Sighting,
-    StereoConfig,
-    WallPatch,
-)
+from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.wall_fit import check_walls, WallFitConfig
+from landmark_nav.learning.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.types import (
     Candidate,
     FloatArray,
@@ -246,7 +241,9 @@ def learn_from_panoramas(
                 ]
                 seen = [s for s in found if isinstance(s, Sighting)]
                 if not seen:
-                    outcomes[i].append(next(s for s in found if isinstance(s, Refusal)))
+                    refused = next(s for s in found if isinstance(s, Refusal))
+                    before = explain(patch, panoramas, greys, config.stereo)
+                    outcomes[i].append(before or refused)
                     continue
                 outcomes[i].append(Refusal('not elected'))
                 patches.append(patch)

@@ -10,22 +10,26 @@ and Bishop, SIGGRAPH 1995, give the curve; on the wall it is a short straight li
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
-from landmark_nav.geometry import se2
-from landmark_nav.geometry.patches import patch_axes, patch_points
+from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.wall_patch import (
+    covered_rows,
+    Float32Image,
+    moved_before,
+    Sighting,
+    texels_per_pixel,
+    wall_texture,
+    WallPatch,
+)
 from landmark_nav.matching import blur_to, match_template
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
-__all__ = ['Sighting', 'StereoConfig', 'WallPatch', 'hypothesize', 'match_in', 'wall_texture']
-
-Float32Image = npt.NDArray[np.float32]
+__all__ = ['StereoConfig', 'compare', 'hypothesize', 'match_in']
 
 # Depths before the wall that scale must rule out, and by how much correlation.
 _OTHER_DEPTHS_M = (0.2, 0.4)
@@ -57,6 +61,12 @@ class StereoConfig:
     before_wall_m: float = parameter(
         0.5, 'how far before the wall a match is searched', minimum=0, maximum=5
     )
+    max_return_px: float = parameter(
+        1.0,
+        'how near to where it came from a match must lead back, pixels',
+        minimum=0.05,
+        maximum=20,
+    )
     margin_m: float = parameter(
         0.04, 'search around the epipolar line for pose errors', minimum=0.005, maximum=0.5
     )
@@ -64,36 +74,6 @@ class StereoConfig:
     def __post_init__(self) -> None:
         """Check the ranges."""
         check_parameters(self)
-
-
-@dataclass(frozen=True, eq=False)
-class WallPatch:
-    """
-    The piece of wall that a candidate shows if it lies on the wall.
-
-    `position` (3,) and `normal` (3,) in map; `shape` (rows, columns) and `texel_m` of its
-    texture; `source` is the panorama it was proposed in.
-    """
-
-    candidate: Candidate
-    source: int
-    wall: int
-    position: FloatArray
-    normal: FloatArray
-    shape: tuple[int, int]
-    texel_m: float
-
-
-@dataclass(frozen=True, eq=False)
-class Sighting:
-    """Where a panorama shows a patch: azimuth in its base frame, tangent, their sigmas."""
-
-    panorama: int
-    azimuth_rad: float
-    tangent: float
-    sigma_azimuth_rad: float
-    sigma_tangent: float
-    score: float
 
 
 def hypothesize(
@@ -128,66 +108,6 @@ def hypothesize(
     return WallPatch(candidate, source, wall, position, normal, shape, texel)
 
 
-def own_sighting(patch: WallPatch, panorama: Panorama) -> Sighting:
-    """The patch in the panorama that proposed it: there it is by definition."""
-    cylinder = panorama.cylinder
-    return Sighting(
-        patch.source,
-        float(cylinder.azimuth_rad(patch.candidate.column)),
-        float(cylinder.tangent(patch.candidate.row)),
-        0.0,
-        0.0,
-        1.0,
-    )
-
-
-def wall_texture(
-    panorama: Panorama,
-    grey: Float32Image,
-    position: FloatArray,
-    normal: FloatArray,
-    shape: tuple[int, int],
-    texel_m: float,
-) -> Float32Image | None:
-    """
-    What a panorama shows of a patch of wall.
-
-    Parameters
-    ----------
-    panorama : Panorama
-        The view.
-    grey : ndarray, shape (height, width)
-        Its image in grey, float32.
-    position, normal : ndarray, shape (3,)
-        Centre and normal of the patch in map.
-    shape : tuple of int
-        Rows and columns.
-    texel_m : float
-        Size of a texel, metres.
-
-    Returns
-    -------
-    ndarray of float32, shape `shape`, or None
-        None where the panorama does not cover it.
-
-    """
-    points = patch_points(position, normal, shape, texel_m) - panorama.center_map
-    turned = points[..., :2] @ se2.rotation(panorama.heading_rad)
-    pixels = panorama.cylinder.project(np.concatenate([turned, points[..., 2:]], -1))
-    rows = pixels[..., 1]
-    if rows.min() < 1.0 or rows.max() > grey.shape[0] - 2.0:
-        return None
-    corner = pixels[:: max(shape[0] - 1, 1), :: max(shape[1] - 1, 1)].reshape(-1, 2)
-    inside = np.rint(corner).astype(int)
-    if not panorama.mask[inside[:, 1], inside[:, 0] % grey.shape[1]].all():
-        return None
-    maps = pixels.astype(np.float32)
-    found = cv2.remap(
-        grey, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP
-    )
-    return np.asarray(found, dtype=np.float32)
-
-
 def match_in(
     patch: WallPatch,
     other: int,
@@ -213,48 +133,43 @@ def match_in(
     parallax = abs(float(np.arctan2(turn, to_here @ to_there)))
     ratio = float(np.hypot(*to_here) / np.hypot(*to_there))
     if parallax >= config.min_parallax_rad:
-        return _compare(patch, other, panoramas, greys, config)
+        return compare(patch, other, panoramas, greys, config)
     if max(ratio, 1.0 / ratio) < config.min_scale_ratio:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
-    found = _compare(patch, other, panoramas, greys, config)
+    found = compare(patch, other, panoramas, greys, config)
     if isinstance(found, Sighting):
         for before in _OTHER_DEPTHS_M:
             if before > 0.5 * min(to_here @ patch.normal[:2], to_there @ patch.normal[:2]):
                 continue
-            nearer = _moved(patch, before, here)
-            rival = _compare(nearer, other, panoramas, greys, config)
+            nearer = moved_before(patch, before, here)
+            rival = compare(nearer, other, panoramas, greys, config)
             if isinstance(rival, Sighting) and rival.score > found.score - _SCALE_MARGIN:
                 return Refusal('too little parallax', 'its scale does not tell its distance')
     return found
 
 
-def _moved(patch: WallPatch, before_m: float, panorama: Panorama) -> WallPatch:
-    """The patch as it would be if it hung so far before its wall; it looks the same."""
-    ray = panorama.center_map - patch.position
-    share = before_m / float(ray @ patch.normal)
-    return replace(
-        patch, position=patch.position + share * ray, texel_m=patch.texel_m * (1.0 - share)
-    )
-
-
-def _compare(
+def compare(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
     greys: Sequence[Float32Image],
     config: StereoConfig,
 ) -> Sighting | Refusal:
-    """Match the two views resampled on the patch's plane."""
+    """
+    Match the two views resampled on the patch's plane, there and back.
+
+    `patch` may be anywhere; it is searched as far before and behind its plane as `config` says.
+    """
     here, there = panoramas[patch.source], panoramas[other]
     center, shape = _search_area(patch, here, there, config)
-    search = wall_texture(there, greys[other], center, patch.normal, shape, patch.texel_m)
+    center, search = _window(there, greys[other], center, shape, patch)
     template = wall_texture(
         here, greys[patch.source], patch.position, patch.normal, patch.shape, patch.texel_m
     )
     if search is None or template is None:
         return Refusal('not covered by both panoramas')
     # The sharper view is blurred to what the other can show, or the peak would suffer.
-    own, seen = (_texels_per_pixel(patch, p) for p in (here, there))
+    own, seen = (texels_per_pixel(patch, p) for p in (here, there))
     match = match_template(
         blur_to(search, own, seen),
         blur_to(template, seen, own),
@@ -264,8 +179,27 @@ def _compare(
     if isinstance(match, Refusal):
         return match
     right, down = patch_axes(patch.normal)
-    across, below = (match.xy - (np.array(shape[::-1]) - 1) / 2.0) * patch.texel_m
-    ray = center + across * right + below * down - there.center_map
+    across, below = (match.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
+    point = center + across * right + below * down
+    template = wall_texture(there, greys[other], point, patch.normal, patch.shape, patch.texel_m)
+    back_center, search = _window(here, greys[patch.source], patch.position, shape, patch)
+    if search is None or template is None:
+        return Refusal('not covered by both panoramas')
+    back = match_template(
+        blur_to(search, seen, own),
+        blur_to(template, own, seen),
+        min_score=0.9 * config.min_score,
+        max_second_ratio=config.max_second_ratio,
+    )
+    if isinstance(back, Refusal):
+        return Refusal('no way back', str(back))
+    across, below = (back.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
+    missed = (back_center + across * right + below * down - patch.position) / patch.texel_m
+    # In pixels of the coarser view.
+    off = float(np.hypot(missed @ right, missed @ down) / max(own.max(), seen.max()))
+    if off > config.max_return_px:
+        return Refusal('no way back', f'leads {off:.1f} px away')
+    ray = point - there.center_map
     reach = float(np.hypot(ray[0], ray[1]))
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
     sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
@@ -277,6 +211,24 @@ def _compare(
         float(sigma[1]),
         match.score,
     )
+
+
+def _window(
+    panorama: Panorama,
+    grey: Float32Image,
+    center: FloatArray,
+    shape: tuple[int, int],
+    patch: WallPatch,
+) -> tuple[FloatArray, Float32Image | None]:
+    """Centre (3,) and view of the rows of a window on the patch's plane that are covered."""
+    rows = covered_rows(panorama, center, patch.normal, shape, patch.texel_m)
+    count = rows.stop - rows.start
+    if count < patch.shape[0] + 4:
+        return center, None
+    shift = (rows.start + (count - 1) / 2.0 - (shape[0] - 1) / 2.0) * patch.texel_m
+    center = center - np.array([0.0, 0.0, shift])
+    size = (count, shape[1])
+    return center, wall_texture(panorama, grey, center, patch.normal, size, patch.texel_m)
 
 
 def _search_area(
@@ -312,12 +264,3 @@ def _on_wall(patch: WallPatch, point: FloatArray, center: FloatArray) -> FloatAr
     shift = center + scale * ray - patch.position
     right, down = patch_axes(patch.normal)
     return np.array([shift @ right, shift @ down])
-
-
-def _texels_per_pixel(patch: WallPatch, panorama: Panorama) -> FloatArray:
-    """How many texels one pixel of a panorama covers, across and along the wall."""
-    ray = patch.position - panorama.center_map
-    reach = float(np.hypot(ray[0], ray[1]))
-    cosine = -float(ray[:2] @ patch.normal[:2]) / reach
-    pixel = reach / panorama.cylinder.fy / patch.texel_m
-    return np.array([pixel / max(cosine, 0.1), pixel])

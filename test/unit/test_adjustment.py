@@ -12,7 +12,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
 from landmark_nav.learning.adjustment_problem import Problem
-from landmark_nav.learning.stereo import Sighting
+from landmark_nav.learning.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
 ROOM = rectangle_room(6.0, 5.0)

@@ -1,0 +1,164 @@
+"""
+Patches of wall and what a panorama shows of them.
+
+A candidate's ray meets a wall; resampled on the wall, slant and distance are undone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.patches import patch_points
+from landmark_nav.types import Candidate, FloatArray, Panorama
+
+__all__ = [
+    'Float32Image',
+    'Sighting',
+    'WallPatch',
+    'covered_rows',
+    'moved_before',
+    'own_sighting',
+    'texels_per_pixel',
+    'wall_texture',
+]
+
+Float32Image = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class WallPatch:
+    """
+    The piece of wall that a candidate shows if it lies on the wall.
+
+    `position` (3,) and `normal` (3,) in map; `shape` (rows, columns) and `texel_m` of its
+    texture; `source` is the panorama it was proposed in.
+    """
+
+    candidate: Candidate
+    source: int
+    wall: int
+    position: FloatArray
+    normal: FloatArray
+    shape: tuple[int, int]
+    texel_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Where a panorama shows a patch: azimuth in its base frame, tangent, their sigmas."""
+
+    panorama: int
+    azimuth_rad: float
+    tangent: float
+    sigma_azimuth_rad: float
+    sigma_tangent: float
+    score: float
+
+
+def own_sighting(patch: WallPatch, panorama: Panorama) -> Sighting:
+    """The patch in the panorama that proposed it: there it is by definition."""
+    cylinder = panorama.cylinder
+    return Sighting(
+        patch.source,
+        float(cylinder.azimuth_rad(patch.candidate.column)),
+        float(cylinder.tangent(patch.candidate.row)),
+        0.0,
+        0.0,
+        1.0,
+    )
+
+
+def wall_texture(
+    panorama: Panorama,
+    grey: Float32Image,
+    position: FloatArray,
+    normal: FloatArray,
+    shape: tuple[int, int],
+    texel_m: float,
+) -> Float32Image | None:
+    """
+    What a panorama shows of a patch of wall.
+
+    Parameters
+    ----------
+    panorama : Panorama
+        The view.
+    grey : ndarray, shape (height, width)
+        Its image in grey, float32.
+    position, normal : ndarray, shape (3,)
+        Centre and normal of the patch in map.
+    shape : tuple of int
+        Rows and columns.
+    texel_m : float
+        Size of a texel, metres.
+
+    Returns
+    -------
+    ndarray of float32, shape `shape`, or None
+        None where the panorama does not cover it.
+
+    """
+    pixels = _pixels(panorama, patch_points(position, normal, shape, texel_m))
+    rows = pixels[..., 1]
+    if rows.min() < 1.0 or rows.max() > grey.shape[0] - 2.0:
+        return None
+    corner = pixels[:: max(shape[0] - 1, 1), :: max(shape[1] - 1, 1)].reshape(-1, 2)
+    inside = np.rint(corner).astype(int)
+    if not panorama.mask[inside[:, 1], inside[:, 0] % grey.shape[1]].all():
+        return None
+    maps = pixels.astype(np.float32)
+    found = cv2.remap(
+        grey, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP
+    )
+    return np.asarray(found, dtype=np.float32)
+
+
+def covered_rows(
+    panorama: Panorama,
+    position: FloatArray,
+    normal: FloatArray,
+    shape: tuple[int, int],
+    texel_m: float,
+) -> slice:
+    """Rows of a patch, arguments as above, that a panorama covers; empty where it covers none."""
+    points = patch_points(position, normal, shape, texel_m)
+    pixels = np.rint(_pixels(panorama, points[:, [0, shape[1] // 2, -1]])).astype(int)
+    height, width = panorama.mask.shape
+    row = np.clip(pixels[..., 1], 0, height - 1)
+    seen = (pixels[..., 1] >= 2) & (pixels[..., 1] <= height - 3)
+    covered = (seen & panorama.mask[row, pixels[..., 0] % width]).all(1)
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], covered, [False]]).astype(int)))
+    if not len(ends):
+        return slice(0, 0)
+    runs = ends.reshape(-1, 2)
+    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return slice(int(first), int(last))
+
+
+def _pixels(panorama: Panorama, points_map: FloatArray) -> FloatArray:
+    offset = points_map - panorama.center_map
+    turned = offset[..., :2] @ se2.rotation(panorama.heading_rad)
+    return panorama.cylinder.project(np.concatenate([turned, offset[..., 2:]], -1))
+
+
+def moved_before(patch: WallPatch, before_m: float, panorama: Panorama) -> WallPatch:
+    """The patch as it would be if it hung so far before its wall; it looks the same."""
+    ray = panorama.center_map - patch.position
+    share = before_m / float(ray @ patch.normal)
+    return replace(
+        patch, position=patch.position + share * ray, texel_m=patch.texel_m * (1.0 - share)
+    )
+
+
+def texels_per_pixel(patch: WallPatch, panorama: Panorama) -> FloatArray:
+    """How many texels one pixel of a panorama covers, across and along the wall."""
+    ray = patch.position - panorama.center_map
+    reach = float(np.hypot(ray[0], ray[1]))
+    cosine = -float(ray[:2] @ patch.normal[:2]) / reach
+    pixel = reach / panorama.cylinder.fy / patch.texel_m
+    return np.array([pixel / max(cosine, 0.1), pixel])

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+
+from landmark_nav.geometry import se2
+from landmark_nav.learning.free_stereo import explain, match_freely
+from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.wall_patch import Sighting, WallPatch
+from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
+
+ROOM = rectangle_room(6.0, 5.0)
+CONFIG = StereoConfig()
+# Not equally high: epipolar curves run up and down as well.
+CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.0, 3.1, 1.2]))
+HEADINGS = (0.4, -2.0)
+SCENE = textured_room(ROOM, seed=2, feature_m=0.05)
+EAST = ROOM.normals[1]
+
+
+def views_of(*scenes: Scene) -> list[Panorama]:
+    rng = np.random.default_rng(0)
+    return [
+        draw_panorama(scene, center, heading, rng=rng)
+        for scene, center, heading in zip(scenes, CENTERS, HEADINGS, strict=True)
+    ]
+
+
+def greys_of(panoramas: list[Panorama]) -> list[npt.NDArray[np.float32]]:
+    return [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY).astype(np.float32) for p in panoramas]
+
+
+def patch_at(panorama: Panorama, point: FloatArray) -> WallPatch:
+    turned = (point - panorama.center_map)[:2] @ se2.rotation(panorama.heading_rad)
+    column, row = panorama.cylinder.project([*turned, point[2] - panorama.center_map[2]])
+    candidate = Candidate(float(np.rint(column)), float(np.rint(row)), 30, 30, 1.0)
+    patch = hypothesize(candidate, 0, panorama, ROOM, CONFIG)
+    assert isinstance(patch, WallPatch)
+    return patch
+
+
+def board(center: tuple[float, float, float], normal: FloatArray, seed: int) -> Board:
+    texture = smooth_texture(np.random.default_rng(seed), 0.7, 0.7, 0.04)
+    return Board(np.array(center), normal, 0.7, 0.7, texture)
+
+
+@pytest.mark.parametrize(
+    ('center', 'angle'), [((4.6, 2.6, 1.1), 0.0), ((4.1, 2.3, 1.3), 0.0), ((4.4, 2.9, 1.1), 0.4)]
+)
+def test_what_stands_before_a_wall_is_found_at_its_depth(
+    center: tuple[float, float, float], angle: float
+) -> None:
+    normal = np.append(se2.rotation(angle) @ EAST[:2], 0.0)
+    furnished = replace(SCENE, boards=(*SCENE.boards, board(center, normal, 8)))
+    panoramas = views_of(furnished, furnished)
+    patch = patch_at(panoramas[0], np.array(center))
+    greys = greys_of(panoramas)
+    assert isinstance(match_in(patch, 1, panoramas, greys, ROOM, CONFIG), Refusal)
+    found = match_freely(patch, 1, panoramas, greys, CONFIG)
+    assert found is not None
+    distance = float(np.hypot(*(np.array(center) - CENTERS[0])[:2]))
+    assert found.distance_m == pytest.approx(distance, abs=0.06)
+    refused = explain(patch, panoramas, greys, CONFIG)
+    assert refused is not None
+    assert refused.reason == 'not on a wall'
+    assert f'{found.distance_m:.2f} m away' in refused.detail
+
+
+def test_what_hangs_on_a_wall_is_not_said_to_stand_before_it() -> None:
+    panoramas = views_of(SCENE, SCENE)
+    for point in ((6.0, 1.2, 1.1), (6.0, 2.4, 1.3), (3.6, 5.0, 1.2), (4.4, 5.0, 1.0)):
+        patch = patch_at(panoramas[0], np.array(point))
+        assert explain(patch, panoramas, greys_of(panoramas), CONFIG) is None
+
+
+def test_what_is_gone_is_found_at_no_depth() -> None:
+    # A person who stood there at the first sweep alone.
+    furnished = replace(SCENE, boards=(*SCENE.boards, board((4.3, 2.5, 1.1), EAST, 8)))
+    panoramas = views_of(furnished, SCENE)
+    patch = patch_at(panoramas[0], np.array([4.3, 2.5, 1.1]))
+    greys = greys_of(panoramas)
+    assert isinstance(match_in(patch, 1, panoramas, greys, ROOM, CONFIG), Refusal)
+    assert explain(patch, panoramas, greys, CONFIG) is None
+
+
+def test_a_look_alike_does_not_lead_back() -> None:
+    # Two of a kind, and the one that was proposed is gone at the second sweep.
+    first, second = (
+        replace(board((5.99, 2.0 + 0.5 * k, 1.2), EAST, 9), width_m=0.5, height_m=0.5)
+        for k in (0, 1)
+    )
+    both = replace(SCENE, boards=(*SCENE.boards, first, second))
+    one = replace(SCENE, boards=(*SCENE.boards, second))
+    wide = replace(CONFIG, margin_m=0.5)
+    panoramas = views_of(both, one)
+    patch = patch_at(panoramas[0], first.center)
+    refused = match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, wide)
+    assert isinstance(refused, Refusal)
+    assert refused.reason == 'no way back'
+    panoramas = views_of(one, one)
+    patch = patch_at(panoramas[0], second.center)
+    assert isinstance(match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, wide), Sighting)
