@@ -17,10 +17,10 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion_health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion_history import History, Step
 from landmark_nav.localization.fusion_state import FilterState, initial_state
+from landmark_nav.localization.fusion_turn import update_turning
 from landmark_nav.localization.fusion_update import (
     bearing_frame,
     FusionUpdate,
-    update_bearings,
     update_pose,
 )
 from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
@@ -64,6 +64,13 @@ class FusionConfig:
     boresight_sigma_rad: float = parameter(
         0.0,
         'Sigma of a constant offset of all bearings that is estimated; 0 takes it as known.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    turn_sigma_rad: float = parameter(
+        0.035,
+        'Uncertainty of heading and boresight when all bearings are off by one angle; 0 has it '
+        'contradict the pose.',
         minimum=0.0,
         maximum=1.0,
     )
@@ -200,16 +207,21 @@ class PoseFilter:
         update = self._measure(
             stamp,
             partial(
-                update_bearings,
+                update_turning,
                 frame=frame,
                 ids=self._map.ids,
                 lever=self._lever,
                 probability=self._config.bearing_probability,
                 least=self._health.least(expected),
                 refine=self._config.landmarks == 'refine',
+                turn_sigma=self._config.turn_sigma_rad,
             ),
         )
         self._health.look(stamp, update.degrees, missed)
+        if update.turned_rad:
+            angle = f'{np.degrees(update.turned_rad):+.2f} deg'
+            reason = 'the camera, or the robot on the spot, was turned'
+            self._health.note_trouble(stamp, Refusal(reason, angle))
         return update
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:

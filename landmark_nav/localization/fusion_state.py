@@ -26,6 +26,8 @@ from landmark_nav.localization.triangulation_model import bearing_gradients, bea
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = [
+    'BORESIGHT',
+    'HEADING',
     'STATES',
     'FilterState',
     'MeasurementModel',
@@ -40,7 +42,8 @@ IndexArray = npt.NDArray[np.intp]
 
 # x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight.
 STATES = 8
-_SCALE, _DRIFT, _TURN_SCALE, _SLIP, _BORESIGHT = 3, 4, 5, 6, 7
+HEADING, BORESIGHT = 2, 7
+_SCALE, _DRIFT, _TURN_SCALE, _SLIP = 3, 4, 5, 6
 _BIASES = slice(_SCALE, _SLIP)
 
 
@@ -120,7 +123,7 @@ def propagate(
     """Move on by odometry, corrected by what is known of its systematic errors and its slip."""
     forward, left, turn = motion.increment
     way = float(np.hypot(forward, left))
-    scale, drift, turn_scale, slip = state.mean[_SCALE:_BORESIGHT]
+    scale, drift, turn_scale, slip = state.mean[_SCALE:BORESIGHT]
     corrected = np.array(
         [
             (1.0 + scale) * forward,
@@ -182,13 +185,13 @@ def bearing_model(
     arm = np.array([cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1]])
     axis = np.array([x + arm[0], y + arm[1], heading])
     seen = at.landmarks[columns]
-    residual = bearing_residuals(axis, seen, bearings - at.mean[_BORESIGHT])
+    residual = bearing_residuals(axis, seen, bearings - at.mean[BORESIGHT])
     gradient = bearing_gradients(axis, seen)
 
     jacobian = np.zeros((len(columns), STATES))
     jacobian[:, :2] = gradient
     jacobian[:, 2] = gradient[:, 1] * arm[0] - gradient[:, 0] * arm[1] - 1.0
-    jacobian[:, _BORESIGHT] = 1.0
+    jacobian[:, BORESIGHT] = 1.0
 
     # The derivative by a landmark's x and y is minus the one by the axis'.
     pair = np.stack([2 * columns, 2 * columns + 1], -1)

@@ -51,6 +51,8 @@ class FusionUpdate:
         Why, by landmark id.
     refusal : Refusal or None
         Why the whole measurement was not used.
+    turned_rad : float
+        Angle by which all bearings were off, if that was more than could be expected; else 0.
 
     """
 
@@ -61,6 +63,7 @@ class FusionUpdate:
     degrees: int = 0
     rejected: dict[int, Refusal] = field(default_factory=dict)
     refusal: Refusal | None = None
+    turned_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -292,3 +292,20 @@ def test_a_picture_angle_that_is_not_a_number_is_left_out(sensed: list[Sensed]) 
     moments = list(run(sensed, broken_pan))
     assert first(moments, 'coasting').after_s <= 2.0
     assert {m.status for m in moments if 2.5 < m.after_s < 6.0} == {'tracking'}
+
+
+@pytest.mark.parametrize('angle_deg', [2.0, -2.0])
+def test_a_camera_bumped_against_the_base_goes_on(sensed: list[Sensed], angle_deg: float) -> None:
+    def bumped(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None:
+            frame = replace(frame, pan_rad=frame.pan_rad + np.radians(angle_deg))
+        return step, frame
+
+    moments = list(run(sensed, bumped))
+    told = next(m for m in moments if m.after_s >= 0.0 and 'turned' in m.reason)
+    assert told.after_s <= 2.0
+    assert told.status == 'coasting'
+    assert np.degrees(told.sigma[2]) > 1.0
+    assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
+    assert max(np.hypot(*m.error[:2]) for m in moments if m.after_s > 2.0) < 0.05
+    check_honest(moments)
