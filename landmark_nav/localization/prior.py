@@ -14,6 +14,8 @@ from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 __all__ = ['PriorTrack']
 
 _HISTORY = 200
+# So far ahead the speeds tell where to look: a picture need not wait for the next odometry.
+_AHEAD_NS = 100_000_000
 
 
 class PriorTrack:
@@ -41,15 +43,18 @@ class PriorTrack:
         return self._known[-1][0] if self._known else None
 
     def reaches(self, stamp_ns: int) -> bool:
-        """Whether a pose of that time or later is known."""
-        return bool(self._known) and self._known[-1][0].stamp_ns >= stamp_ns
+        """Whether a pose is known from which the speeds lead to that time well enough."""
+        return bool(self._known) and self._known[-1][0].stamp_ns >= stamp_ns - _AHEAD_NS
 
     def at(self, stamp_ns: int) -> PoseEstimate | Refusal:
         """Pose nearest in time, moved by its own speeds."""
         known = tuple(self._known)
         if not known:
             return Refusal('no fused pose yet', 'give a start on initialpose')
-        pose, linear, angular = min(known, key=lambda entry: abs(entry[0].stamp_ns - stamp_ns))
+        # Of poses of the same time the last one counts: a picture has corrected it.
+        pose, linear, angular = min(
+            reversed(known), key=lambda entry: abs(entry[0].stamp_ns - stamp_ns)
+        )
         seconds = (stamp_ns - pose.stamp_ns) * 1e-9
         if abs(seconds) > self._max_age_s:
             return Refusal('no fused pose near its stamp', f'the nearest is {seconds:+.2f} s off')

@@ -15,6 +15,7 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
@@ -63,8 +64,10 @@ class OdometryFusionNode(LandmarkNode):
         self._filter = self._new_filter(LandmarkMap(()))
         self._landmarks = 0
         self._accepted = self._rejected = 0
-        self._last_ns: int | None = None
+        self._last: OdometrySample | None = None
         self._heard_ns = 0
+        self._odom_frame = 'odom'
+        self._latency = Latency()
         self.listen('odom', self._on_odometry, depth=50)
         # Bearings and the poses made of them are the same information: only one is used.
         if self._config.fusion.mode == 'bearings':
@@ -78,12 +81,13 @@ class OdometryFusionNode(LandmarkNode):
         """As the filter judges itself."""
         # Where odometry stays away nothing moves the filter on, but its time passes.
         waited_ns = self.get_clock().now().nanoseconds - self._heard_ns
-        if self._last_ns is not None and waited_ns > _SILENCE_NS:
-            status, reason = self._filter.status_at(self._last_ns + waited_ns)
+        if self._last is not None and waited_ns > _SILENCE_NS:
+            status, reason = self._filter.status_at(self._last.stamp_ns + waited_ns)
         else:
             status, reason = self._filter.status
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
-        return Health(_LEVELS[status], reason or status, counts | {'rejected': self._rejected})
+        values = counts | {'rejected': self._rejected} | self._latency.values()
+        return Health(_LEVELS[status], reason or status, values)
 
     def _new_filter(self, landmarks: LandmarkMap) -> PoseFilter:
         config = self._config
@@ -112,34 +116,46 @@ class OdometryFusionNode(LandmarkNode):
 
     def _on_odometry(self, message: Any) -> None:
         sample = decode.odometry(message)
-        self._last_ns, self._heard_ns = sample.stamp_ns, self.get_clock().now().nanoseconds
+        self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
+        self._odom_frame = message.header.frame_id
         refusal = self._filter.add_odometry(sample)
         if refusal is not None:
             raise LandmarkNavError(str(refusal))
         estimate = self._filter.estimate(sample.stamp_ns)
         if estimate is not None:
-            self._publish(estimate, sample, message.header.frame_id)
+            self._publish(estimate, sample)
+            # Only here: a transform is not to be told twice of one time.
+            frames = (self._config.map_frame, self._odom_frame)
+            self._transform.send(sample.stamp_ns, estimate.pose, sample.pose_odom_base, frames)
 
     def _on_detections(self, message: Any) -> None:
-        self._count(self._filter.add_detections(decode.detections(message)))
+        found = decode.detections(message)
+        self._count(self._filter.add_detections(found))
+        self._corrected(found.stamp_ns)
 
     def _on_pose(self, message: Any) -> None:
-        self._count(self._filter.add_pose(decode.pose_estimate(message)))
+        measured = decode.pose_estimate(message)
+        self._count(self._filter.add_pose(measured))
+        self._corrected(measured.stamp_ns)
+
+    def _corrected(self, stamp_ns: int) -> None:
+        """Tell at once what a picture changed, at the newest time that is known."""
+        if self._last is None:
+            return
+        newest = max(stamp_ns, self._last.stamp_ns)
+        estimate = self._filter.estimate(newest)
+        if estimate is not None:
+            self._publish(estimate, replace(self._last, stamp_ns=newest))
+            self._latency.note(self.get_clock().now().nanoseconds - stamp_ns)
 
     def _count(self, update: FusionUpdate) -> None:
         self._accepted += len(update.accepted_ids)
         self._rejected += len(update.rejected)
 
-    def _publish(self, estimate: PoseEstimate, sample: OdometrySample, odom_frame: str) -> None:
-        stamp, map_frame = sample.stamp_ns, self._config.map_frame
+    def _publish(self, estimate: PoseEstimate, sample: OdometrySample) -> None:
         fused = replace(sample, pose_odom_base=estimate.pose)
-        base = self._mount.base_frame
-        message = encode.odometry(
-            ros_factory, fused, estimate.covariance, frame_id=map_frame, child_frame_id=base
-        )
-        self._fused.publish(message)
-        frames = (map_frame, odom_frame)
-        self._transform.send(stamp, estimate.pose, sample.pose_odom_base, frames)
+        frames = {'frame_id': self._config.map_frame, 'child_frame_id': self._mount.base_frame}
+        self._fused.publish(encode.odometry(ros_factory, fused, estimate.covariance, **frames))
 
 
 def main() -> int:

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 import time
 from typing import Any
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.pipeline import Observation, ObservationConfig, observe
 from landmark_nav.localization.prior import PriorTrack
@@ -18,6 +16,8 @@ from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import ImageSource, TRANSPORTS
+from landmark_nav.ros.latency import Latency
+from landmark_nav.ros.newest_first import NewestFirst
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
@@ -25,6 +25,10 @@ from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
 __all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
+
+
+# Ages beyond that come of two clocks, such as a bag's and today's.
+_OTHER_CLOCK_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,9 @@ class Parameters(ObservationConfig):
     pan_sigma_rad: float = parameter(2e-4, 'error of the measured pan, rad', minimum=0.0)
     max_wait_s: float = parameter(
         0.15, 'how long a picture waits for joint_states and odometry/fused, s', minimum=0.0
+    )
+    max_age_s: float = parameter(
+        0.5, 'a picture that arrives later is not looked at, s', minimum=0.01
     )
     max_prior_age_s: float = parameter(
         0.5, 'how far odometry/fused may be from a picture, s', minimum=0.0
@@ -64,6 +71,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._map: LandmarkMap | None = None
         self._triplet: Triplet | None = None
         self._source: ImageSource | None = None
+        # Joint states and odometry come in while a picture is looked at.
+        self._pictures = NewestFirst(self.guarded('camera/image_raw', self._on_image))
+        self._latency = Latency()
+        self._stale = 0
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
@@ -87,12 +98,9 @@ class TriangulationLocalizerNode(LandmarkNode):
             _ = self._frames.camera.ray_grid
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no picture yet')
-            # A queue of one: a picture that waits while another is looked at makes way for a
-            # newer one. The group lets joint states and odometry in meanwhile.
-            group = MutuallyExclusiveCallbackGroup()
             transport = self._config.image_transport
             self._source = ImageSource(
-                self, 'camera/image_raw', self._on_image, transport, depth=1, group=group
+                self, 'camera/image_raw', self._pictures.take, transport, depth=1
             )
 
     def _on_image(self, message: Any) -> None:
@@ -101,6 +109,9 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._look(message)
             if self._prior.newest is None:
                 return
+        if self._config.max_age_s < 1e-9 * self._age_ns(message) < _OTHER_CLOCK_S:
+            self._stale += 1
+            return
         start = time.monotonic()
         try:
             seen = self._observe(message)
@@ -110,26 +121,30 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._detections.publish(
             encode.detections(ros_factory, seen.detections, self._mount.base_frame)
         )
+        self._latency.note(self._age_ns(message))
         if isinstance(seen.fix, PoseEstimate):
             self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
 
     def _look(self, message: Any) -> None:
-        stamp = decode.stamp_ns(message.header)
-        self._frames.wait(stamp, self._config.max_wait_s, self._search.reaches)
-        outcome = self._search.look(self._frames.complete(message))
+        frame = self._frames.complete(message, self._config.max_wait_s, self._search.reaches)
+        outcome = self._search.look(frame)
         if isinstance(outcome, Refusal):
             self._health = Health(Level.LOST, f'looking for the place: {outcome}')
 
     def _observe(self, message: Any) -> Observation:
         stamp = decode.stamp_ns(message.header)
-        self._frames.wait(stamp, self._config.max_wait_s, self._prior.reaches)
-        frame, prior = self._frames.complete(message), self._prior.at(stamp)
+        frame = self._frames.complete(message, self._config.max_wait_s, self._prior.reaches)
+        prior = self._prior.at(stamp)
         if isinstance(prior, Refusal):
             raise LandmarkNavError(str(prior))
         assert self._map is not None
         sigma_rad = self._config.pan_sigma_rad
         return observe(frame, prior, self._map, self._mount, self._config, sigma_rad)
+
+    def _age_ns(self, message: Any) -> int:
+        """Time since a picture was taken."""
+        return int(self.get_clock().now().nanoseconds) - decode.stamp_ns(message.header)
 
     def _judged(self, seen: Observation, seconds: float) -> Health:
         found = set(seen.detections.ids.tolist())
@@ -137,7 +152,9 @@ class TriangulationLocalizerNode(LandmarkNode):
             'found': len(found),
             'not_found': len(seen.refused),
             'update_ms': f'{seconds * 1e3:.0f}',
-        }
+            'overtaken': self._pictures.dropped,
+            'stale': self._stale,
+        } | self._latency.values()
         if self._triplet is not None:
             values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))
         if isinstance(seen.fix, Refusal):
@@ -147,7 +164,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
 def main() -> int:
     """Entry point of the executable."""
-    return run_node(TriangulationLocalizerNode, threads=3)
+    return run_node(TriangulationLocalizerNode, threads=2)
 
 
 if __name__ == '__main__':

@@ -60,17 +60,11 @@ class CameraFrames:
         """Angles at a time, interpolated; None if no joint state is near enough to tell."""
         return JointHistory(tuple(self._joints)).at(stamp_ns)
 
-    def wait(self, stamp_ns: int, seconds: float, also: Callable[[int], bool]) -> None:
-        """Block until there are joint states of `stamp_ns`, and `also` holds, or time is up."""
-        deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
-            if self._joints and self._joints[-1].stamp_ns >= stamp_ns and also(stamp_ns):
-                return
-            time.sleep(_POLL_S)
-
-    def complete(self, message: Any) -> CameraFrame:
+    def complete(self, message: Any, seconds: float, also: Callable[[int], bool]) -> CameraFrame:
         """
         Frame of an image message.
+
+        Waits, up to `seconds`, for joint states of its stamp and until `also` holds for it.
 
         Raises
         ------
@@ -79,6 +73,9 @@ class CameraFrames:
 
         """
         stamp = decode.stamp_ns(message.header)
+        # Meanwhile what belongs to it arrives.
+        picture = decode.image(message)
+        self._wait(stamp, seconds, also)
         joints = self.joints_at(stamp)
         if joints is None or self._camera is None:
             missing = 'joint_states' if joints is None else 'camera/camera_info'
@@ -94,3 +91,11 @@ class CameraFrames:
 
     def _on_camera_info(self, message: Any) -> None:
         self._camera = decode.camera_model(message)
+
+    def _wait(self, stamp_ns: int, seconds: float, also: Callable[[int], bool]) -> None:
+        """Block until there are joint states of `stamp_ns`, and `also` holds, or time is up."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            if self._joints and self._joints[-1].stamp_ns >= stamp_ns and also(stamp_ns):
+                return
+            time.sleep(_POLL_S)

@@ -89,7 +89,7 @@ class LandmarkNode(Node):
         return self.create_subscription(
             message_class(spec.type_name),
             topic,
-            self._guarded(topic, callback),
+            self.guarded(topic, callback),
             spec.qos if depth is None else with_depth(spec.qos, depth),
             callback_group=group,
         )
@@ -122,7 +122,9 @@ class LandmarkNode(Node):
             self._warned.add(words)
             _LOG.warning('%s', text)
 
-    def _guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Callback that drops bad input and notes why."""
+
         def guarded(message: Any) -> None:
             try:
                 callback(message)
