@@ -62,6 +62,18 @@ rooms: install
 landmarks: install
 	$(BIN)/python test/landmark_check.py --area --seeds $(SEEDS)
 
+# On one drive's bag: this, and what else one could do. Needs DRIVE, LEARN, MAP, ROBOT; START "X Y THETA".
+alternatives: install
+	$(BIN)/python test/alternatives.py $(DRIVE) --learn $(LEARN) --map $(MAP) --robot $(ROBOT) --start $(START)
+
+# The active camera against a fixed one and random triplets, in rooms that nothing was tuned on.
+cameras: install
+	$(BIN)/python test/camera_check.py --seeds $(SEEDS)
+
+# From picture to corrected pose on the live graph.
+latency: install
+	$(BIN)/python test/live_latency.py $(DRIVE) --map $(MAP) --room $(ROOM) --robot $(ROBOT) --start $(START)
+
 # The parameter files say what the code says; run it after changing a parameter.
 config: install
 	for node in $(NODES); do $(BIN)/python -m landmark_nav.nodes.describe $$node > config/$$node.yaml; done

@@ -48,5 +48,5 @@ def test_nothing_known() -> None:
 
 
 def test_how_far_it_reaches(track: PriorTrack) -> None:
-    assert track.reaches(1_000_000_000)
-    assert not track.reaches(1_000_000_001)
+    assert track.reaches(1_099_999_999)
+    assert not track.reaches(1_100_000_001)
