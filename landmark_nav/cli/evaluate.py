@@ -164,14 +164,19 @@ def _summary(report: Mapping[str, Any]) -> str:
     lines += [
         f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
         f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',
-        f'NEES mean{_cell(nees["mean"], 1.0, 2, 6)} (3 is ideal), inside 95 %'
-        f'{_cell(nees["inside_95"], 1.0, 3, 6)}; RMSE over Cramer-Rao bound'
-        f'{_cell(report["crlb_ratio"], 1.0, 2, 6)}',
+        f'NEES mean{_cell(nees["mean"], 1.0, 2, 6)} (3 is ideal{_range(nees["interval_95"])}), '
+        f'inside 95 %{_cell(nees["inside_95"], 1.0, 3, 6)}; RMSE over Cramer-Rao bound'
+        f'{_cell(report["crlb_ratio"], 1.0, 2, 6)}; tracking beyond 5 sigma: '
+        f'{report["silently_wrong"]}',
         f'update {report["update_ms"]["median"]:.1f} ms (95 %: {report["update_ms"]["p95"]:.1f}), '
         f'{report["realtime_factor"]:.1f} times faster than real time; '
         f'result {report["result_hash"][:16]}',
     ]
     return '\n'.join(lines)
+
+
+def _range(interval: list[float] | None) -> str:
+    return f', {interval[0]:.2f} to {interval[1]:.2f} is honest' if interval else ''
 
 
 def _cell(value: float | None, factor: float, digits: int, width: int) -> str:

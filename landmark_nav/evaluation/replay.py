@@ -88,6 +88,11 @@ class Replay:
         """Where the fused state was lost, (n,)."""
         return np.array([update.status == 'lost' for update in self.updates], dtype=np.bool_)
 
+    @property
+    def tracking(self) -> npt.NDArray[np.bool_]:
+        """Where the fused state called itself tracking, (n,)."""
+        return np.array([update.status == 'tracking' for update in self.updates], dtype=np.bool_)
+
 
 def replay(
     events: Iterable[SensorEvent],

@@ -14,6 +14,7 @@ from landmark_nav.evaluation.metrics import (
     error_summary,
     pose_errors,
     result_hash,
+    silently_wrong,
 )
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry.camera import PanTiltMount
@@ -78,7 +79,9 @@ def run_report(
         'nees': {
             'mean': nees.mean if nees else None,
             'inside_95': nees.inside_95 if nees else None,
+            'interval_95': list(nees.interval_95) if nees else None,
         },
+        'silently_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking),
         'crlb_ratio': crlb_ratio(errors.fused, bound),
         'update_ms': {
             'median': float(np.median(took_ms)),

@@ -12,6 +12,7 @@ from landmark_nav.evaluation.metrics import (
     error_summary,
     pose_errors,
     result_hash,
+    silently_wrong,
 )
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
@@ -88,7 +89,8 @@ def test_errors_of_the_claimed_size_are_consistent():
     root = rng.normal(size=(3, 3)) * 0.1
     errors = rng.normal(size=(20000, 3)) @ root.T
     covariances = np.broadcast_to(root @ root.T, (20000, 3, 3))
-    mean, inside = consistency(errors, covariances)
+    mean, inside, interval = consistency(errors, covariances)
+    assert interval[0] < 3.0 < interval[1] < interval[0] + 0.25
     assert mean == pytest.approx(3.0, abs=0.08)
     assert inside == pytest.approx(0.95, abs=0.005)
     assert crlb_ratio(errors, covariances) == pytest.approx(1.0, abs=0.02)
@@ -96,6 +98,30 @@ def test_errors_of_the_claimed_size_are_consistent():
     nothing = np.full((3, 3), np.nan)
     assert consistency(nothing, covariances[:3]) is None
     assert crlb_ratio(nothing, covariances[:3]) is None
+
+
+@pytest.mark.parametrize('kept', [0.0, 0.9, 0.995])
+def test_nees_interval_allows_for_errors_that_repeat(kept):
+    rng = np.random.default_rng(2)
+    runs = [rng.normal(size=(100, 3))]
+    for _ in range(200):
+        runs.append(kept * runs[-1] + rng.normal(size=(100, 3)) * np.sqrt(1.0 - kept**2))
+    inside, widths = 0, []
+    for errors in np.array(runs).swapaxes(0, 1):
+        found = consistency(errors, np.broadcast_to(np.eye(3), (201, 3, 3)))
+        low, high = found.interval_95
+        inside += low < found.mean < high
+        widths.append(high - low)
+    assert inside >= 84
+    assert (np.median(widths) > 3.0) == (kept > 0.95)
+
+
+def test_what_is_sure_and_wrong_is_counted():
+    errors = np.zeros((6, 3))
+    errors[1, 0], errors[2, 2], errors[3, 1], errors[4, :2] = 0.06, -0.06, 0.04, np.nan
+    covariances = np.broadcast_to(np.eye(3) * 0.01**2, (6, 3, 3))
+    assert silently_wrong(errors, covariances, np.ones(6, bool)) == 2
+    assert silently_wrong(errors, covariances, np.zeros(6, bool)) == 0
 
 
 def test_hash_tells_results_apart_but_not_rounding():
