@@ -8,7 +8,7 @@ prints what was predicted, what the learned map claims and what is true: landmar
 and the localization error at random places with bearings of known noise to all landmarks that a
 turning camera sees there, each counted as 5 cm at most. Millimetres, root mean squares. The papers
 hang as exactly as the planner expects, and it is told that pictures of the simulator lie flat on
-their walls.
+their walls, and how exact its panoramas are.
 
 Below it says for each kind of layout, over all rooms, how many times as large as predicted the
 errors were, and in how many of the pairs of layouts of one room the better one was foretold, of
@@ -57,8 +57,9 @@ from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate, Refusal, S
 
 FRAMES = 72
 PLACES = 200
-# Root mean square of how far off its wall a patch of the simulator is found.
-HANGING_M = 0.001
+# What the adjustment finds in rooms 31 and 36: the simulator is kinder than the planner expects.
+HANGING_M = 0.0007
+AZIMUTH_RAD = 4e-5
 # Shares of all random sets that are better than the one that is tried.
 RANKS = (0.1, 0.5, 0.9)
 LARGEST_RATIO = 2.0
@@ -238,8 +239,12 @@ def main() -> int:
     parser.add_argument('--clearance', type=float, default=PlanConfig().clearance_m, metavar='M')
     parser.add_argument('--positions', type=int, default=2, metavar='N')
     args = parser.parse_args()
-    flat = AdjustmentConfig(hanging_sigma_m=HANGING_M, common_hanging_sigma_m=HANGING_M)
-    config = PlanConfig(clearance_m=args.clearance, adjustment=flat)
+    kind = AdjustmentConfig(
+        azimuth_sigma_rad=AZIMUTH_RAD,
+        hanging_sigma_m=HANGING_M,
+        common_hanging_sigma_m=HANGING_M,
+    )
+    config = PlanConfig(clearance_m=args.clearance, adjustment=kind)
     cv2.setNumThreads(1)
     rows: list[dict[str, float | str]] = []
     for seed in args.seeds:
