@@ -178,24 +178,22 @@ class _Units:
         across = np.arange(left, int(columns.max()) + self._reach + 1) % self._width
         down = slice(self._border + top, self._border + int(rows.max()) + self._reach + 1)
         table = cv2.integral(self._left[down].take(across, axis=1), sdepth=cv2.CV_64F)
+        # Sums between the upper and the lower rim of a field, up to each column of the table.
+        heights = {h for _, height in self._fields for h in (height, height // 2)}
+        above = {h: rows - top - h // 2 for h in heights}
+        bands = {h: table[first + h] - table[first] for h, first in above.items()}
         best = np.full((len(rows), len(columns)), -np.inf)
         field = np.zeros(best.shape, dtype=np.intp)
         for k, ((width, height), gain) in enumerate(zip(self._fields, self._gains, strict=True)):
-            whole = _sums(table, rows - top, columns - left, width, height)
-            middle = _sums(table, rows - top, columns - left, width // 2, height // 2)
+            whole = _sums(bands[height], columns - left, width)
+            middle = _sums(bands[height // 2], columns - left, width // 2)
             response = gain * (0.5 * whole + 2.0 * middle)
             stronger = response > best
             best[stronger], field[stronger] = response[stronger], k
         return best, field
 
 
-def _sums(
-    table: npt.NDArray[np.float64], rows: _Index, columns: _Index, width: int, height: int
-) -> npt.NDArray[np.float64]:
-    """Sums over fields centred at rows x columns, out of an integral image."""
-    above, before = rows - height // 2, columns - width // 2
-    upper, lower = table[above], table[above + height]
-    return np.asarray(
-        (lower[:, before + width] - lower[:, before])
-        - (upper[:, before + width] - upper[:, before])
-    )
+def _sums(band: npt.NDArray[np.float64], columns: _Index, width: int) -> npt.NDArray[np.float64]:
+    """Sums over fields of a width centred at columns."""
+    before = columns - width // 2
+    return np.asarray(band[:, before + width] - band[:, before])
