@@ -15,6 +15,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Wall
+from landmark_nav.quality import PanoramaQuality
 
 __all__ = [
     'CameraFrame',
@@ -142,6 +143,8 @@ class Panorama:
         Heading of the base in map.
     covariance : ndarray, shape (4, 4)
         Of x, y, z, heading.
+    quality : PanoramaQuality, optional
+        Where it was made here: it does not travel.
 
     """
 
@@ -152,6 +155,7 @@ class Panorama:
     center_map: FloatArray
     heading_rad: float
     covariance: FloatArray
+    quality: PanoramaQuality | None = None
 
 
 @dataclass(frozen=True)

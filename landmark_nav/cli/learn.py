@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 import json
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     report = learning_report(result, panoramas, frames, truth, mount, log, seconds)
     if args.json:
         write_whole(args.json, json.dumps(report, indent=2) + '\n')
-    print(_summary(report, args.out))
+    print(_summary(report, result.panoramas, args.out))
     return 0
 
 
@@ -135,10 +135,10 @@ def _provenance(args: argparse.Namespace) -> dict[str, str]:
     }
 
 
-def _summary(report: dict[str, Any], folder: Path) -> str:
+def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path) -> str:
     """Tell what was learned, for a person."""
     lines = []
-    for number, sweep in enumerate(report['sweeps'], 1):
+    for number, (sweep, panorama) in enumerate(zip(report['sweeps'], panoramas, strict=True), 1):
         x, y, heading = sweep['pose']
         line = (
             f'sweep {number}: {sweep["frames"]} frames at ({x:.3f}, {y:.3f}) m, '
@@ -153,7 +153,7 @@ def _summary(report: dict[str, Any], folder: Path) -> str:
                 f'before the refinement {1e3 * before["error_position_m"]:.1f} mm, '
                 f'{before["error_heading_deg"]:.3f} deg'
             )
-        lines.append(line)
+        lines += [line, f'  panorama: {panorama.quality}']
     walls = ', '.join(f'{wall} {count}' for wall, count in report['landmarks_per_wall'].items())
     lines.append(
         f'{report["elected"]} landmarks of {report["candidates"]} candidates '

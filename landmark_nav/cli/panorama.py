@@ -12,7 +12,11 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.alignment import align_sweep, AlignmentConfig
-from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
+from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.photometry import even_out, measure_photometry, Photometry
+from landmark_nav.learning.sweep_pipeline import tenengrad
+from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import Bag, read_sweep_folder, read_sweeps
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.storage.whole import write_whole
@@ -42,15 +46,29 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--blend',
-        choices=('mean', 'median', 'feather'),
+        choices=BLENDS,
         default=PanoramaConfig.blend,
         help='how frames are joined (default %(default)s)',
     )
     parser.add_argument(
+        '--crop',
+        type=int,
+        default=PanoramaConfig.crop_px,
+        metavar='PX',
+        help='use the central square of each frame alone (the paper: 350 of 512)',
+    )
+    parser.add_argument(
+        '--even-out',
+        action=argparse.BooleanOptionalAction,
+        default=PanoramaConfig.even_out,
+        help='make up for exposures and vignetting (default %(default)s)',
+    )
+    parser.add_argument(
         '--align',
         action=argparse.BooleanOptionalAction,
-        help="mend the frames' angles and focal length from their overlaps; by default for "
-        'folders of pictures, whose angles are estimates, not for bags, whose encoder is better',
+        default=True,
+        help="calibrate from the overlaps; in a folder, where angles are estimates, each frame's "
+        'angles too (default %(default)s)',
     )
 
 
@@ -59,16 +77,26 @@ def run(args: argparse.Namespace) -> int:
     if args.out.suffix.lower() != '.png':
         raise LandmarkNavError(f'--out {args.out}: panoramas are written as .png')
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
+    config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
     pictures = (args.sweep / 'frames.csv').is_file()
     sweep = read_sweep_folder(args.sweep) if pictures else _only_sweep(args.sweep, mount)
-    if args.align or (args.align is None and pictures):
+    quality = PanoramaQuality(0.0)
+    if args.align and pictures:
         aligned = align_sweep(sweep, mount, AlignmentConfig())
         sweep = aligned.sweep
         print(
-            f'aligned: neighbours agree to {aligned.residual_px:.2f} px '
-            f'({aligned.before_px:.2f} px before), focal length x {aligned.focal_scale:.4f}'
+            f'focal length {aligned.focal_px:.2f} +- {aligned.focal_sigma_px:.2f} px '
+            f'(x {aligned.focal_scale:.4f}), as of a lens without distortion'
         )
-    view = synthesize_cylinder(sweep, mount, PanoramaConfig(blend=args.blend))
+        quality = aligned.quality
+    elif args.align:
+        found = calibrate_sweep(sweep, mount, CalibrationConfig())
+        sweep, mount = found.sweep, found.mount
+        quality = found.quality
+    photometry = Photometry.none(len(sweep.frames))
+    if config.even_out:
+        photometry = measure_photometry(sweep, mount)
+    view = synthesize_cylinder(even_out(sweep, photometry), mount, config)
     covered = view.mask.any(axis=0)
     rows = np.flatnonzero(view.mask[:, covered].all(axis=1))
     whole = slice(rows[0], rows[-1] + 1) if len(rows) else slice(None)
@@ -76,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
     done, data = cv2.imencode('.png', np.dstack([view.image, alpha])[whole])
     assert done, 'OpenCV writes every PNG of this shape'
     write_whole(args.out, data.tobytes())
+    print(quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread))
     print(
         f'{args.out}: {view.cylinder.width} x {len(alpha[whole])}, {len(sweep.frames)} frames, '
         f'{100.0 * np.mean(covered):.1f} % of the turn'

@@ -14,9 +14,10 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
 
-__all__ = ['base_pose', 'learning_report']
+__all__ = ['base_pose', 'learning_report', 'quality_report']
 
 SCHEMA = 1
 
@@ -86,6 +87,25 @@ def learning_report(
     }
 
 
+def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
+    """Figures of a panorama; terms of the calibration in radians, metres, or relative."""
+    closure = quality.closure_rad
+    told = {
+        'sharpness': quality.sharpness,
+        'closure_deg': None if closure is None else abs(float(np.degrees(closure))),
+        'residual_px': quality.residual_px,
+        'residual_before_px': quality.before_px,
+        'vignetting': quality.vignetting,
+        'gain_spread': quality.gain_spread,
+    }
+    plain = {k: v for k, v in told.items() if v is None or np.isfinite(v)}
+    terms = {
+        term.name: {'value': term.value, 'sigma': term.sigma, 'used': term.used}
+        for term in quality.calibration
+    }
+    return {**plain, 'calibration': terms}
+
+
 def _sweep(
     panorama: Panorama,
     measured: Panorama,
@@ -100,6 +120,7 @@ def _sweep(
         'frames': frames,
         **_place(panorama, truth, mount),
         'measured': _place(measured, truth, mount),
+        'panorama': quality_report(panorama.quality or PanoramaQuality()),
         'candidates': len(outcomes),
         'elected': sum(isinstance(outcome, Landmark) for outcome in outcomes),
     }

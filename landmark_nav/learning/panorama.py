@@ -47,6 +47,9 @@ class PanoramaConfig:
         minimum=0,
         maximum=8192,
     )
+    even_out: bool = parameter(
+        True, 'whether exposures and vignetting are measured and made up for'
+    )
     px_per_rad: float = parameter(
         0.0, "columns per radian; 0 takes the camera's focal length", minimum=0.0, maximum=8192.0
     )

@@ -1,7 +1,7 @@
 """
 Learning, stage by stage.
 
-sweep -> cylinder -> place from the reference area -> panorama;
+`sweep_pipeline` leads from each sweep to its panorama;
 panoramas -> candidates -> wall patches -> sightings -> adjustment -> election -> map.
 """
 
@@ -14,34 +14,23 @@ import cv2
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry import se2
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.free_stereo import explain
-from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.reference_area import (
-    check_agreement,
-    locate_sweep,
-    optical_height,
-    ReferenceAreaConfig,
-    SweepPlace,
-)
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.wall_fit import check_walls, WallFitConfig
 from landmark_nav.learning.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.types import (
     Candidate,
-    FloatArray,
     Landmark,
     LandmarkMap,
     Panorama,
     PoseEstimate,
     Refusal,
-    Sweep,
 )
 
 __all__ = [
@@ -56,14 +45,6 @@ __all__ = [
 _NO_WALL_M = 1.0
 # Weight of expected sigmas that leaves nothing to estimate.
 _AS_EXPECTED = 1e9
-
-
-@dataclass(frozen=True)
-class PanoramaStages:
-    """Parameters of the stages from sweep to panorama."""
-
-    panorama: PanoramaConfig = field(default_factory=PanoramaConfig)
-    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
 
 @dataclass(frozen=True)
@@ -93,95 +74,6 @@ class LearningResult:
     outcomes: tuple[tuple[Landmark | Refusal, ...], ...]
     reconstructed: int
     ambiguous: tuple[tuple[Refusal, ...], ...] = ()
-
-
-def panorama_from_sweep(
-    sweep: Sweep,
-    room: Room,
-    mount: PanTiltMount,
-    config: PanoramaStages,
-    log: StageLog | None = None,
-) -> Panorama:
-    """
-    Make the panorama of a sweep and find where it was taken.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        Frames of one turn; its place too, if it is known from elsewhere.
-    room : Room
-        Walls and reference papers.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : PanoramaStages
-        Parameters.
-    log : StageLog, optional
-        Where times go.
-
-    Returns
-    -------
-    Panorama
-
-    Raises
-    ------
-    LandmarkNavError
-        No frames, or the papers don't give one place.
-
-    """
-    if not sweep.frames:
-        raise LandmarkNavError('the sweep has no frames: call capture_sweep again')
-    log = log or StageLog()
-    with log.measure('panorama'):
-        view = synthesize_cylinder(sweep, mount, config.panorama)
-    with log.measure('reference_area'):
-        place = _place(view, sweep, room, mount, config)
-    if any(mount.optical_center_offset[:2]):
-        # The optical centre swings around the axis: with the walls' distance that is undone.
-        with log.measure('panorama'):
-            heading = place.pose_map_base[2]
-            axis = _axis(place, mount)
-            view = synthesize_cylinder(
-                sweep,
-                mount,
-                config.panorama,
-                lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], 50.0),
-            )
-    return Panorama(
-        sweep.stamp_ns,
-        view.image,
-        view.mask,
-        view.cylinder,
-        _axis(place, mount),
-        float(place.pose_map_base[2]),
-        _axis_covariance(place, mount),
-    )
-
-
-def _place(
-    view: CylinderImage, sweep: Sweep, room: Room, mount: PanTiltMount, config: PanoramaStages
-) -> SweepPlace:
-    known = sweep.pose_map_base
-    if known is None:
-        return locate_sweep(sweep, view, room, mount, config.reference_area)
-    covariance = np.zeros((4, 4))
-    plane = np.ix_([0, 1, 3], [0, 1, 3])
-    covariance[plane] = known.covariance + 1e-10 * np.eye(3)
-    check_agreement(known.pose, covariance[plane], sweep, view, room, mount, config.reference_area)
-    covariance[2, 2] = config.reference_area.height_sigma_m**2
-    return SweepPlace(known.pose, optical_height(sweep, mount), covariance)
-
-
-def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
-    """The panorama's viewpoint: the pan axis at the height of the optical centre."""
-    axis = se2.compose(place.pose_map_base, [*mount.axis_xyz[:2], 0.0])
-    return np.array([axis[0], axis[1], place.height_m])
-
-
-def _axis_covariance(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
-    jacobian = np.eye(4)
-    lever = se2.rotation(place.pose_map_base[2]) @ np.asarray(mount.axis_xyz[:2])
-    jacobian[0, 3], jacobian[1, 3] = -lever[1], lever[0]
-    return np.asarray(jacobian @ place.covariance @ jacobian.T)
 
 
 def learn_from_panoramas(

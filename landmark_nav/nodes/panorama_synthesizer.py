@@ -17,6 +17,7 @@ from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.sweep import assemble_sweep, missing_frames
 from landmark_nav.messages import decode, encode
 from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.quality import PanoramaQuality
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import ImageSource
@@ -107,7 +108,11 @@ class PanoramaSynthesizerNode(LandmarkNode):
         self._health = Health(
             Level.OK,
             f'{place}; {lacks}' if lacks else place,
-            {'sigma_m': np.hypot(*sigma[:2]), 'sigma_deg': np.degrees(sigma[2])},
+            {
+                'sigma_m': np.hypot(*sigma[:2]),
+                'sigma_deg': np.degrees(sigma[2]),
+                **_quality(view.quality),
+            },
         )
         took_s = time.monotonic() - start
         self.get_logger().info(f'{self._health.reason} in {took_s:.1f} s')
@@ -140,6 +145,24 @@ class PanoramaSynthesizerNode(LandmarkNode):
                 self.drop('frame of a sweep', error)
         pose, self._pose = self._pose, None
         return assemble_sweep(trajectory, pictures, pose)
+
+
+def _quality(quality: PanoramaQuality | None) -> dict[str, object]:
+    """Figures of a panorama for diagnostics."""
+    if quality is None:
+        return {}
+    closure = quality.closure_rad
+    return {
+        'sharpness': quality.sharpness,
+        'closure_deg': 'no full turn' if closure is None else abs(np.degrees(closure)),
+        'residual_px': quality.residual_px,
+        'vignetting': quality.vignetting,
+        'gain_spread': quality.gain_spread,
+        **{
+            f'calibration/{term.name}': f'{term}, {"used" if term.used else "not used"}'
+            for term in quality.calibration
+        },
+    }
 
 
 def _remember(items: dict[int, Any], stamp_ns: int, item: Any) -> None:

@@ -6,37 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from turning_camera import turn_sweep
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.alignment import align_sweep, AlignmentConfig
-from landmark_nav.types import CameraFrame, FloatArray, Sweep
+from landmark_nav.learning.overlap import track_overlaps
+from landmark_nav.learning.overlap_fit import COMMON, OverlapProblem
+from landmark_nav.types import CameraFrame, Sweep
 
 MOUNT = PanTiltMount((0.1, 0.0, 1.0))
 TRUE = CameraModel(200, 240, 300.0, 300.0, 99.5, 119.5, 'plumb_bob', (-0.06, 0.0, 0.0, 0.0, 0.0))
 STEP = np.radians(20.0)
-
-
-def texture(directions: FloatArray) -> FloatArray:
-    """Grey of directions (..., 3): a smooth pattern that differs everywhere."""
-    rng = np.random.default_rng(5)
-    waves = rng.normal(size=(60, 3))
-    waves *= rng.uniform(10.0, 70.0, (60, 1)) / np.linalg.norm(waves, axis=1, keepdims=True)
-    unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-    values = np.sin(unit @ waves.T + rng.uniform(0.0, 6.28, 60)).sum(-1)
-    return np.asarray(128.0 + 14.0 * values)
-
-
-def turn(pans: FloatArray, tilt_rad: float = 0.0, roll_rad: float = 0.0) -> Sweep:
-    """Frames as they look at true angles."""
-    u, v = np.meshgrid(np.arange(TRUE.width), np.arange(TRUE.height))
-    rays = TRUE.unproject(np.stack([u, v], -1))
-    frames = []
-    for k, pan in enumerate(pans):
-        rotation, _ = MOUNT.camera_pose_base(pan, tilt_rad, roll_rad)
-        grey = np.clip(np.rint(texture(rays @ rotation.T)), 0, 255).astype(np.uint8)
-        frames.append(CameraFrame(k, np.dstack([grey] * 3), TRUE, float(pan), tilt_rad, roll_rad))
-    return Sweep(0, tuple(frames))
 
 
 PANS = -np.pi + STEP * np.arange(18)
@@ -44,7 +25,7 @@ PANS = -np.pi + STEP * np.arange(18)
 
 def test_wrong_angles_and_focal_length_are_mended() -> None:
     rng = np.random.default_rng(1)
-    true = turn(PANS, tilt_rad=0.01, roll_rad=-0.015)
+    true = turn_sweep(TRUE, MOUNT, PANS, 0.01, -0.015)
     told = replace(TRUE, fx=TRUE.fx * 1.01, fy=TRUE.fy * 1.01, distortion=())
     wrong = Sweep(
         0,
@@ -64,15 +45,34 @@ def test_wrong_angles_and_focal_length_are_mended() -> None:
     # The turn closes, so the focal length is absolute; where pan 0 points is not.
     focal = aligned.sweep.frames[0].camera.fx
     assert focal == pytest.approx(TRUE.fx, rel=2e-3)
-    assert aligned.focal_scale == pytest.approx(focal / told.fx)
+    assert aligned.sweep.frames[0].camera.distortion[0] == pytest.approx(-0.06, abs=0.01)
+    assert abs(np.degrees(aligned.closure_rad)) < 0.05
     pan = np.array([frame.pan_rad for frame in aligned.sweep.frames]) - PANS
     assert np.std(pan) < 2e-4
     roll = np.array([frame.roll_rad for frame in aligned.sweep.frames])
     assert np.abs(roll + 0.015).max() < 2e-3
 
 
+@pytest.mark.parametrize('k1', [0.0, -0.14])
+def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
+    true = replace(TRUE, distortion=(k1,))
+    told = replace(TRUE, fx=1.02 * TRUE.fx, fy=1.02 * TRUE.fx, distortion=())
+    frames = turn_sweep(true, MOUNT, PANS).frames
+    sweep = Sweep(0, tuple(replace(frame, camera=told) for frame in frames))
+    aligned = align_sweep(sweep, MOUNT, AlignmentConfig())
+    lens = aligned.sweep.frames[0].camera
+    assert lens.fx == pytest.approx(TRUE.fx, rel=2e-3)
+    found = lens.distortion[0] if lens.distortion else 0.0
+    assert found == pytest.approx(k1, abs=0.01) if k1 else found == 0.0
+    # What is told is what a lens without distortion would need for the turn to close.
+    problem = OverlapProblem(track_overlaps(aligned.sweep, MOUNT, True), sweep, MOUNT)
+    plain = problem.fit([COMMON.index('focal_length')], (0.03, 0.01, 0.01))
+    assert aligned.focal_px == pytest.approx(told.fx * np.exp(plain.common[0]), rel=4e-3)
+    assert aligned.focal_px == pytest.approx(told.fx * aligned.focal_scale)
+
+
 def test_right_angles_stay() -> None:
-    sweep = turn(PANS)
+    sweep = turn_sweep(TRUE, MOUNT, PANS)
     aligned = align_sweep(sweep, MOUNT, AlignmentConfig())
     assert aligned.residual_px < 0.05
     assert aligned.focal_scale == pytest.approx(1.0, abs=1e-3)
@@ -82,7 +82,7 @@ def test_right_angles_stay() -> None:
 
 
 def test_too_few_frames_or_no_texture_is_told() -> None:
-    sweep = turn(PANS[:2])
+    sweep = turn_sweep(TRUE, MOUNT, PANS[:2])
     with pytest.raises(LandmarkNavError, match='2 frames are too few to align'):
         align_sweep(sweep, MOUNT, AlignmentConfig())
     blank = np.full((TRUE.height, TRUE.width, 3), 128, np.uint8)

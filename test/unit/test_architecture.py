@@ -14,14 +14,15 @@ MAX_LINES = 350
 
 # Part of the package -> the parts below it. Learning and localization do not know each other, and
 # no stage knows files, ROS or the command line.
-GROUND = {'errors', 'parameters', 'geometry', 'types'}
+GROUND = {'errors', 'parameters', 'geometry', 'quality', 'types'}
 STAGES = {*GROUND, 'matching', 'learning', 'localization'}
 FILES = {*GROUND, 'messages', 'storage'}
 BELOW = {
     'errors': set[str](),
     'parameters': {'errors'},
     'geometry': {'errors'},
-    'types': {'errors', 'geometry'},
+    'quality': set(),
+    'types': {'errors', 'geometry', 'quality'},
     'matching': GROUND,
     'learning': {*GROUND, 'matching'},
     'localization': {*GROUND, 'matching'},

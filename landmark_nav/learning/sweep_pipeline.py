@@ -1,0 +1,202 @@
+"""
+From a sweep to a panorama with its place, stage by stage.
+
+sweep -> calibration out of its overlaps -> cylinder -> place from the reference area;
+with the walls' distance then known -> calibration again, the optical centre's offset too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.calibration import (
+    calibrate_sweep,
+    CalibrationConfig,
+    moved_px,
+    SweepCalibration,
+)
+from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.photometry import even_out, measure_photometry, Photometry
+from landmark_nav.learning.reference_area import (
+    check_agreement,
+    locate_sweep,
+    optical_height,
+    ReferenceAreaConfig,
+    SweepPlace,
+)
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.types import FloatArray, Panorama, Sweep
+
+__all__ = ['PanoramaStages', 'panorama_from_sweep', 'tenengrad']
+
+# Walls farther away than this are as good as infinitely far.
+_FAR_M = 50.0
+# Calibrations that differ by less make one panorama.
+_SAME_PX = 0.2
+
+
+@dataclass(frozen=True)
+class PanoramaStages:
+    """Parameters of the stages from sweep to panorama."""
+
+    panorama: PanoramaConfig = field(default_factory=PanoramaConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
+
+
+def panorama_from_sweep(
+    sweep: Sweep,
+    room: Room,
+    mount: PanTiltMount,
+    config: PanoramaStages,
+    log: StageLog | None = None,
+) -> Panorama:
+    """
+    Make the panorama of a sweep and find where it was taken.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Frames of one turn, or of a part of one; its place too, if it is known from elsewhere.
+    room : Room
+        Walls and reference papers.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : PanoramaStages
+        Parameters.
+    log : StageLog, optional
+        Where times go.
+
+    Returns
+    -------
+    Panorama
+
+    Raises
+    ------
+    LandmarkNavError
+        No frames, a camera that is mounted otherwise than told, or papers that don't give one
+        place.
+
+    """
+    if not sweep.frames:
+        raise LandmarkNavError('the sweep has no frames: call capture_sweep again')
+    log = log or StageLog()
+    with log.measure('calibration'):
+        found = calibrate_sweep(sweep, mount, config.calibration)
+    with log.measure('panorama'):
+        photometry = Photometry.none(len(sweep.frames))
+        if config.panorama.even_out:
+            photometry = measure_photometry(found.sweep, found.mount)
+        view = _view(found, photometry, config)
+    with log.measure('reference_area'):
+        place = _place(view, found, room, config)
+    with log.measure('calibration'):
+        refined = calibrate_sweep(
+            sweep, mount, config.calibration, _range_of_ray(place, found, room), found.overlaps
+        )
+    if any(refined.mount.optical_center_offset[:2]) or moved_px(found, refined) > _SAME_PX:
+        found = refined
+        with log.measure('reference_area'):
+            place = _place(view, found, room, config)
+        with log.measure('panorama'):
+            view = _view(found, photometry, config, _range_of_azimuth(place, found, room))
+    found = refined
+    return Panorama(
+        sweep.stamp_ns,
+        view.image,
+        view.mask,
+        view.cylinder,
+        _axis(place, found.mount),
+        float(place.pose_map_base[2]),
+        _axis_covariance(place, found.mount),
+        found.quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread),
+    )
+
+
+def tenengrad(view: CylinderImage) -> float:
+    """Mean squared gradient (Sobel, per pixel) of what is covered: the sharper, the greater."""
+    grey = cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY)
+    across, down = cv2.spatialGradient(grey)
+    square = np.square(across, dtype=np.float32) + np.square(down, dtype=np.float32)
+    inner = cv2.erode(view.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    # A Sobel kernel sums up eight times the slope.
+    return float(square[inner].mean() / 64.0) if inner.any() else 0.0
+
+
+def _view(
+    found: SweepCalibration,
+    photometry: Photometry,
+    config: PanoramaStages,
+    range_m: Callable[[FloatArray], FloatArray] | None = None,
+) -> CylinderImage:
+    return synthesize_cylinder(
+        even_out(found.sweep, photometry), found.mount, config.panorama, range_m
+    )
+
+
+def _range_of_azimuth(
+    place: SweepPlace, found: SweepCalibration, room: Room
+) -> Callable[[FloatArray], FloatArray]:
+    """Distance of the walls at azimuths in the base frame."""
+    axis, heading = _axis(place, found.mount), place.pose_map_base[2]
+    return lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], _FAR_M)
+
+
+def _range_of_ray(
+    place: SweepPlace, found: SweepCalibration, room: Room
+) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Distance of walls, floor and ceiling at azimuths and tangents in the base frame."""
+    axis, heading = _axis(place, found.mount), place.pose_map_base[2]
+    heights = np.array([wall.height for wall in room.walls])
+
+    def range_m(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
+        walls, hit = room.raycast(axis[:2], azimuth + heading)
+        above = heights[hit] - axis[2]
+        with np.errstate(divide='ignore'):
+            level = np.where(tangent > 0.0, above, -axis[2]) / tangent
+        return np.asarray(np.clip(np.minimum(walls, level), 0.2, _FAR_M))
+
+    return range_m
+
+
+def _place(
+    view: CylinderImage, found: SweepCalibration, room: Room, config: PanoramaStages
+) -> SweepPlace:
+    known = found.sweep.pose_map_base
+    if known is None:
+        return locate_sweep(found.sweep, view, room, found.mount, config.reference_area)
+    covariance = np.zeros((4, 4))
+    plane = np.ix_([0, 1, 3], [0, 1, 3])
+    covariance[plane] = known.covariance + 1e-10 * np.eye(3)
+    check_agreement(
+        known.pose,
+        covariance[plane],
+        found.sweep,
+        view,
+        room,
+        found.mount,
+        config.reference_area,
+    )
+    covariance[2, 2] = config.reference_area.height_sigma_m**2
+    return SweepPlace(known.pose, optical_height(found.sweep, found.mount), covariance)
+
+
+def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
+    """The panorama's viewpoint: the pan axis at the height of the optical centre."""
+    axis = se2.compose(place.pose_map_base, [*mount.axis_xyz[:2], 0.0])
+    return np.array([axis[0], axis[1], place.height_m])
+
+
+def _axis_covariance(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
+    jacobian = np.eye(4)
+    lever = se2.rotation(place.pose_map_base[2]) @ np.asarray(mount.axis_xyz[:2])
+    jacobian[0, 3], jacobian[1, 3] = -lever[1], lever[0]
+    return np.asarray(jacobian @ place.covariance @ jacobian.T)

@@ -1,0 +1,67 @@
+"""What a sweep says of its camera and mount, and how good its panorama is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+__all__ = ['CalibrationTerm', 'PanoramaQuality']
+
+
+@dataclass(frozen=True)
+class CalibrationTerm:
+    """What a sweep says of camera or mount: a correction (SI, radians, or relative), its sigma."""
+
+    name: str
+    value: float
+    sigma: float
+    used: bool
+
+    def __str__(self) -> str:
+        """For a person: degrees, millimetres, per cent."""
+        if self.name in ('tilt', 'roll'):
+            factor, unit = 57.29577951308232, 'deg'
+        elif self.name in ('forward', 'left'):
+            factor, unit = 1e3, 'mm'
+        else:
+            factor, unit = (1.0, '') if self.name == 'distortion' else (100.0, '%')
+        name = self.name.replace('_', ' ')
+        return f'{name} {factor * self.value:+.3f} +- {factor * self.sigma:.3f} {unit}'.strip()
+
+
+@dataclass(frozen=True)
+class PanoramaQuality:
+    """
+    How good a panorama is, and what its sweep said of camera and mount.
+
+    `sharpness` is its Tenengrad, the mean squared gradient in grey levels squared a pixel squared;
+    `closure_rad` by how much the turn fails to close, None for a part of a turn; `residual_px`
+    how far the frames disagree in the median, `before_px` before calibration; `vignetting` the
+    light lost in the corners that was made up for, `gain_spread` the spread of exposures.
+    """
+
+    sharpness: float = 0.0
+    closure_rad: float | None = None
+    residual_px: float = float('nan')
+    before_px: float = float('nan')
+    vignetting: float = 0.0
+    gain_spread: float = 0.0
+    calibration: tuple[CalibrationTerm, ...] = ()
+
+    def of(self, sharpness: float, vignetting: float, gain_spread: float) -> PanoramaQuality:
+        """The same with what the picture shows."""
+        return replace(self, sharpness=sharpness, vignetting=vignetting, gain_spread=gain_spread)
+
+    def __str__(self) -> str:
+        """For a person, in one line."""
+        parts = [f'sharpness {self.sharpness:.0f}']
+        if self.closure_rad is not None:
+            parts.append(f'closure error {abs(np.degrees(self.closure_rad)):.4f} deg')
+        if np.isfinite(self.residual_px):
+            parts.append(
+                f'frames agree to {self.residual_px:.2f} px ({self.before_px:.2f} before)'
+            )
+        used = [str(term) for term in self.calibration if term.used]
+        parts.append(f'corrected: {", ".join(used)}' if used else 'nothing corrected')
+        return ', '.join(parts)

@@ -1,0 +1,86 @@
+"""Exposures and vignetting, found out of overlaps and made up for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from turning_camera import turn_sweep
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.learning.photometry import even_out, measure_photometry
+from landmark_nav.types import FloatArray, Sweep
+
+MOUNT = PanTiltMount()
+CAMERA = CameraModel(240, 200, 230.0, 230.0, 112.0, 101.0)
+PANS = -np.pi + np.radians(12.0) * np.arange(30)
+
+
+@pytest.fixture(scope='module')
+def even() -> Sweep:
+    return turn_sweep(CAMERA, MOUNT, PANS)
+
+
+def taken(sweep: Sweep, gains: FloatArray, vignetting: float, noise: float = 2.0) -> Sweep:
+    """The same with exposures, light lost in the corners as 1 - v r^2, and noise."""
+    rng = np.random.default_rng(3)
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    square = (u - CAMERA.cx) ** 2 + (v - CAMERA.cy) ** 2
+    falloff = (1.0 - vignetting * square / square.max())[..., None]
+    frames = []
+    for frame, gain in zip(sweep.frames, gains, strict=True):
+        grey = 0.6 * frame.image * falloff * gain + rng.normal(0.0, noise, frame.image.shape)
+        frames.append(replace(frame, image=np.clip(np.rint(grey), 0, 255).astype(np.uint8)))
+    return replace(sweep, frames=tuple(frames))
+
+
+def test_exposures_and_vignetting_are_recovered(even: Sweep) -> None:
+    gains = np.exp(np.random.default_rng(1).normal(0.0, 0.08, len(PANS)))
+    sweep = taken(even, gains, 0.3)
+    found = measure_photometry(sweep, MOUNT)
+    assert found.vignetting == pytest.approx(0.3, abs=0.02)
+    np.testing.assert_allclose(found.gain, gains / np.exp(np.log(gains).mean()), atol=0.02)
+    mended = even_out(sweep, found)
+    scale = np.exp(np.log(gains).mean())
+    for k in (0, 7, 20):
+        corner = (slice(0, 40), slice(0, 40))
+        ratio = mended.frames[k].image[corner].mean() / even.frames[k].image[corner].mean()
+        assert ratio == pytest.approx(0.6 * scale, rel=0.04)
+
+
+def test_what_is_even_is_left_alone(even: Sweep) -> None:
+    sweep = taken(even, np.ones(len(PANS)), 0.0)
+    found = measure_photometry(sweep, MOUNT)
+    assert found.vignetting == 0.0
+    assert np.all(found.gain == 1.0)
+    assert even_out(sweep, found) is sweep
+
+
+def test_grey_frames_and_exposures_alone(even: Sweep) -> None:
+    gains = np.where(np.arange(len(PANS)) == 4, 0.8, 1.0)
+    sweep = taken(even, gains, 0.0)
+    grey = replace(sweep, frames=tuple(replace(f, image=f.image[..., 0]) for f in sweep.frames))
+    found = measure_photometry(grey, MOUNT)
+    assert found.gain[4] == pytest.approx(0.8, abs=0.02)
+    assert found.vignetting == 0.0
+    assert even_out(grey, found).frames[4].image.ndim == 2
+
+
+def test_who_walks_through_changes_little(even: Sweep) -> None:
+    sweep = taken(even, np.ones(len(PANS)), 0.3)
+    frames = list(sweep.frames)
+    for k in range(3, 9):
+        image = frames[k].image.copy()
+        image[:, 60:120] = 30
+        frames[k] = replace(frames[k], image=image)
+    found = measure_photometry(replace(sweep, frames=tuple(frames)), MOUNT)
+    assert found.vignetting == pytest.approx(0.3, abs=0.03)
+    assert np.abs(np.log(found.gain)).max() < 0.03
+
+
+def test_dark_frames_tell_nothing(even: Sweep) -> None:
+    dark = replace(
+        even, frames=tuple(replace(f, image=np.zeros_like(f.image)) for f in even.frames)
+    )
+    assert even_out(dark, measure_photometry(dark, MOUNT)) is dark
