@@ -31,18 +31,24 @@ _BURNT, _BURNT_SIGMA_PX = 250.0, 0.3
 # Farther from the change of colour a step in brightness is another one.
 _SAME_PX = 0.7
 
+# The response is varied by so much; an edge that it moves farther is none.
+_GAMMA_STEP, _MOST_BY_GAMMA = 0.25, 1.5
+
+_BRIGHTNESS = np.array([0.114, 0.587, 0.299])
+
 
 @dataclass(frozen=True, eq=False)
 class EdgeSamples:
     """
-    Where edges were found, arrays over n places: first by colour, then by brightness, (2, n).
+    Where edges were found, arrays (2, n): first by colour, then by brightness, at n places.
 
     `offset_px` is measured from the expected place outwards, NaN where there is no clear edge;
-    `sigma_px` its standard deviation.
+    `sigma_px` its standard deviation; `by_gamma` its derivative by the camera's response.
     """
 
     offset_px: FloatArray
     sigma_px: FloatArray
+    by_gamma: FloatArray
 
 
 def locate_edges(
@@ -75,7 +81,6 @@ def locate_edges(
     Returns
     -------
     EdgeSamples
-        Arrays (2, n).
 
     """
     offset = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
@@ -86,20 +91,20 @@ def locate_edges(
     high = np.clip(np.ceil(where.max(axis=(0, 1))).astype(int) + 1, low + 2, size)
     part = np.ascontiguousarray(image[low[1] : high[1], low[0] : high[0]])
     column, row = np.moveaxis((where - low).astype(np.float32), -1, 0)
-    light = cv2.LUT(part, _light(gamma))
-    colors = cv2.remap(light, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    colors = colors.reshape(-1, PROFILES, len(offset), 3).astype(np.float64).mean(axis=1)
+    profiles = []
+    for power in (gamma, gamma + _GAMMA_STEP):
+        light = cv2.LUT(part, _light(power))
+        colors = cv2.remap(light, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        colors = colors.reshape(-1, PROFILES, len(offset), 3).mean(axis=1, dtype=np.float64)
+        profiles += [colors @ direction, colors @ _BRIGHTNESS]
+    burnt = (colors.max(axis=(1, 2)) > _BURNT) * _BURNT_SIGMA_PX
 
-    hue, hue_sigma = _edge(colors @ direction, offset)
-    bright, bright_sigma = _edge(colors @ [0.114, 0.587, 0.299], offset)
-    hue = np.where(inside.all(axis=1), hue, np.nan)
+    place, sigma = (v.reshape(2, 2, -1) for v in _edge(np.concatenate(profiles), offset))
+    by_gamma = (place[1] - place[0]) / _GAMMA_STEP
+    found = inside.all(axis=1) & (np.abs(by_gamma) < _MOST_BY_GAMMA)
     # Both must mean the same edge: a shadow's border is not a change of hue.
-    with np.errstate(invalid='ignore'):
-        bright = np.where(np.abs(bright - hue) < _SAME_PX, bright, np.nan)
-    burnt = np.where(colors.max(axis=(1, 2)) > _BURNT, _BURNT_SIGMA_PX, 0.0)
-    return EdgeSamples(
-        np.stack([hue, bright]), np.hypot(np.stack([hue_sigma, bright_sigma]), burnt)
-    )
+    found[1] &= np.abs(place[0, 1] - place[0, 0]) < _SAME_PX
+    return EdgeSamples(np.where(found, place[0], np.nan), np.hypot(sigma[0], burnt), by_gamma)
 
 
 def _light(gamma: float) -> npt.NDArray[np.float32]:

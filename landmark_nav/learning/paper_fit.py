@@ -35,7 +35,7 @@ _DOUBTS = ((400.0, 100.0, 40.0), (60.0, 25.0, 12.0), (12.0, 9.0, 9.0))
 _SURELY_WRONG = 25.0
 
 _LEAST_WIDTH_PX = 7.0
-_GAMMA_STEP, _GAMMA_RANGE = 0.25, (0.8, 2.4)
+_GAMMA_RANGE = (0.8, 2.4)
 
 # How many frames the given deviation of joint angles is worth beside those of the sweep.
 _TRUSTED_FRAMES = 4.0
@@ -69,7 +69,7 @@ class _Measured:
     Edges that were found, arrays over n: which paper, frame and edge; where, and what.
 
     `bright` is 1 where brightness was measured, not colour; `tried` (papers,) counts what was
-    looked for by colour.
+    looked for by colour. All was measured with one `gamma`.
     """
 
     paper: IntArray
@@ -82,6 +82,7 @@ class _Measured:
     sigma_px: FloatArray
     by_gamma: FloatArray
     tried: IntArray
+    gamma: float
 
 
 class PaperFitter:
@@ -143,15 +144,13 @@ class PaperFitter:
             width = float(np.ptp(pixels, axis=0).min())
             if width < _LEAST_WIDTH_PX:
                 continue
-            normal = (beyond - pixels) / np.linalg.norm(beyond - pixels, axis=1, keepdims=True)
+            normal = _normals(pixels, beyond - pixels)
             reach = min(reach_px, max(5.0, 0.6 * width))
             image, hue = self._frames[f].image, self._hues[k]
             found = locate_edges(image, pixels, normal, hue, reach, gamma)
-            other = locate_edges(image, pixels, normal, hue, reach, gamma + _GAMMA_STEP)
-            by_gamma = (other.offset_px - found.offset_px) / _GAMMA_STEP
             tried[k] += len(side)
             for kind in (0, 1):
-                good = np.isfinite(by_gamma[kind]) & (np.abs(by_gamma[kind]) < 1.5)
+                good = np.isfinite(found.offset_px[kind])
                 columns.append(
                     (
                         paper[middle][good],
@@ -162,7 +161,7 @@ class PaperFitter:
                         normal[middle][good],
                         found.offset_px[kind, good],
                         found.sigma_px[kind, good],
-                        by_gamma[kind, good],
+                        found.by_gamma[kind, good],
                     )
                 )
         if not tried.any():
@@ -173,7 +172,7 @@ class PaperFitter:
         by_gamma = (np.bincount(group, by_gamma) / np.bincount(group))[group]
         paper, frame, edge, bright, points, normal, offset, sigma = known
         return _Measured(
-            paper, frame, edge, bright, points, normal, offset, sigma, by_gamma, tried
+            paper, frame, edge, bright, points, normal, offset, sigma, by_gamma, tried, gamma
         )
 
     def _views(self, state: FloatArray, most: int) -> list[tuple[int, int]]:
@@ -205,20 +204,20 @@ class PaperFitter:
         moved = model.project(state, m.frame, m.paper, m.points)
         moved -= model.project(base, m.frame, m.paper, m.points)
         jacobian = model.jacobian(state, m.frame, m.paper, m.points, m.normal)
-        jacobian[:, GAMMA] = -m.by_gamma
+        rows = np.arange(len(m.bright))
+        jacobian[rows, GAMMA + m.bright] = -m.by_gamma
         jacobian[:, SHIFT : SHIFT + 2] = np.where(m.bright[:, None] > 0, 0.0, m.normal)
-        common = slice(GAMMA, SHIFT + 2)
         innovation = (
             m.offset_px
             - np.sum(moved * m.normal, 1)
-            - jacobian[:, common] @ (state - base)[common]
-            - jacobian[:, SHIFT : SHIFT + 2] @ base[SHIFT : SHIFT + 2]
+            + m.by_gamma * (state[GAMMA + m.bright] - m.gamma)
+            - jacobian[:, SHIFT : SHIFT + 2] @ state[SHIFT : SHIFT + 2]
         )
         doubtful = innovation**2 / (m.sigma_px**2 + shared**2)
         weight = (1.0 + doubtful / doubt) ** -2.0 / m.sigma_px**2
         weight[doubtful > 4.0 * doubt] = 0.0
         edge = model.edge_index(m.paper, m.edge, m.bright)
-        jacobian[np.arange(len(edge)), edge] = shared
+        jacobian[rows, edge] = shared
 
         prior = model.prior(self._priors, angle_sigma)
         usual = model.start(state[:3])
@@ -253,3 +252,12 @@ class PaperFitter:
         trusted = _TRUSTED_FRAMES * self._priors.angle_rad**2
         spread = (trusted + left_over.sum(axis=0)) / (_TRUSTED_FRAMES + len(used))
         return state, np.sqrt(spread), fit
+
+
+def _normals(pixels: FloatArray, outwards: FloatArray) -> FloatArray:
+    """Unit normals (n, 2) of four edges in turn, towards where `outwards` (n, 2) points."""
+    edges = pixels.reshape(EDGES, -1, 2)
+    along = np.asarray(np.gradient(edges, axis=1)).reshape(-1, 2)
+    normal = np.stack([along[:, 1], -along[:, 0]], 1)
+    normal *= np.sign(np.sum(normal * outwards, 1, keepdims=True))
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9))

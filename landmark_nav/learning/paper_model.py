@@ -25,8 +25,9 @@ IntArray = npt.NDArray[np.intp]
 # Right, left, top and bottom as seen along the wall.
 EDGES = 4
 
-# x, y, heading of the base; height and two tilts of the axis; gamma; shift of colours, two pixels.
-_PLACE, _COMMON, GAMMA, SHIFT = 6, 9, 6, 7
+# x, y, heading of the base; height and two tilts of the axis; gamma of colours, which JPEG blurs
+# once more after the camera wrote them, and of brightness; shift of colours, two pixels.
+_PLACE, _COMMON, GAMMA, SHIFT = 6, 10, 6, 8
 
 # What the response to light usually is, between none and that of sRGB.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
@@ -83,7 +84,7 @@ class PaperModel:
         """Unknowns as they are before anything is measured, at a pose (3,)."""
         state = np.zeros(self.size)
         state[:3] = pose_map_base
-        state[GAMMA] = _USUAL_GAMMA
+        state[GAMMA:SHIFT] = _USUAL_GAMMA
         return state
 
     def hang(self, state: FloatArray) -> FloatArray:
@@ -155,7 +156,7 @@ class PaperModel:
         """Information (size,) of the unknowns; `angle_sigma_rad` (2,) of pan and tilt."""
         sigma = np.ones(self.size)
         sigma[3:_PLACE] = priors.height_m, priors.tilt_rad, priors.tilt_rad
-        sigma[GAMMA], sigma[SHIFT : SHIFT + 2] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
+        sigma[GAMMA:SHIFT], sigma[SHIFT:_COMMON] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
         sigma[_COMMON : self._edge] = max(priors.paper_m, 1e-6)
         sigma[self._frame :].reshape(-1, 2)[:] = angle_sigma_rad
         information = sigma**-2.0

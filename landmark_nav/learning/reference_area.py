@@ -28,7 +28,7 @@ from landmark_nav.learning.paper_refusals import (
     why_not,
     wrong_prior,
 )
-from landmark_nav.learning.paper_search import find_places
+from landmark_nav.learning.paper_search import find_places, papers_in_view
 from landmark_nav.learning.papers import ColorSearch
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Sweep
@@ -43,9 +43,11 @@ __all__ = [
 
 # Papers that it takes; with two there is no telling whether one hangs elsewhere.
 _LEAST_PAPERS = 3
+# What is seen of all of them together, in whole papers.
+_LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0
 # A place that costs so much more than one that fits is not worth a look.
-_HOPELESS = 60.0
+_HOPELESS = 20.0
 # Squared deviation of two places that are one: chi-square of 3 beyond all doubt.
 _DISAGREEMENT = 35.0
 # Places are told apart with so many frames a paper.
@@ -152,9 +154,9 @@ def locate_sweep(
         fit = fitter.fit(se2.compose(place.axis_pose, se2.inverse(lever)), _QUICK_FRAMES)
         if fit is not None and room.contains(fit.pose_map_base[:2]):
             fits.append(fit)
-            if _fits(fit):
+            if _fits(fit, room):
                 enough = min(enough, place.cost + _HOPELESS)
-    good = sorted((f for f in fits if _fits(f)), key=lambda f: -_support(f))
+    good = sorted((f for f in fits if _fits(f, room)), key=lambda f: -_support(f))
     if not good:
         raise LandmarkNavError(why_not(blobs, places, fits, room, height))
     for other in good[1:]:
@@ -167,7 +169,7 @@ def locate_sweep(
                 'hang them at unequal distances'
             )
     fit = fitter.fit(good[0].pose_map_base)
-    if fit is None or not _fits(fit):
+    if fit is None or not _fits(fit, room):
         raise LandmarkNavError(why_not(blobs, places, [fit] if fit else [], room, height))
     wrong = wrong_prior(fit, room, priors)
     if wrong:
@@ -215,11 +217,15 @@ def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:
     return float(mount.camera_pose_base(pan, tilt)[1][:, 2].mean())
 
 
-def _fits(fit: PaperFit) -> bool:
+def _fits(fit: PaperFit, room: Room) -> bool:
+    """Whether enough papers agree, and few contradict."""
+    measured = measured_papers(fit)
     wrong = (fit.seen >= 0.5) & (fit.agreed < LEAST_AGREED)
+    expected = np.sum(papers_in_view(fit.pose_map_base[:2], room))
     return bool(
-        measured_papers(fit).sum() >= _LEAST_PAPERS
-        and not wrong.any()
+        measured.sum() >= _LEAST_PAPERS
+        and measured.sum() > 2 * wrong.sum()
+        and np.sum((fit.seen * fit.agreed)[measured]) > max(_LEAST_EVIDENCE, 0.4 * expected)
         and fit.misfit < _MOST_MISFIT
     )
 

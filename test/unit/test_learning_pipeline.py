@@ -29,6 +29,7 @@ from landmark_nav.learning.pipeline import (
     panorama_from_sweep,
     PanoramaStages,
 )
+from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.types import FloatArray, Landmark, Panorama, PoseEstimate, Refusal, Sweep
 
@@ -143,6 +144,31 @@ def test_landmarks_are_where_they_are(learned: LearningResult) -> None:
     # All share the errors of two places, so that one world is one draw of few numbers.
     assert np.mean(nees) / 3.0 < 2.0
     assert nees.max() / 3.0 < 8.0
+
+
+def test_papers_that_hang_askew_make_landmarks_less_certain(learned: LearningResult) -> None:
+    """The error of the papers reaches the landmarks, and their covariance says so."""
+    rng = np.random.default_rng(7)
+    askew = 0.006
+    stages = PanoramaStages(reference_area=ReferenceAreaConfig(paper_sigma_m=askew))
+    moved = tuple(
+        replace(p, center=tuple(p.center + np.array([0.0, *rng.normal(0.0, askew, 2)])))
+        for p in PAPERS
+    )
+    told = replace(ROOM, papers=moved)
+    views = [panorama_from_sweep(sweep_at(pose), told, MOUNT, stages) for pose in POSES]
+    for view, pose in zip(views, POSES, strict=True):
+        error = np.append(view.center_map - axis_of(pose), wrap_rad(view.heading_rad - pose[2]))
+        assert np.abs(error / np.sqrt(np.diag(view.covariance))).max() < 3.5
+    result = learn_from_panoramas(views, told, LearningConfig())
+    errors, covariances = errors_of(result)
+    nees = np.einsum('ni,nij,nj->n', errors, np.linalg.inv(covariances), errors)
+    assert np.mean(nees) / 3.0 < 2.0
+    spread, before = (
+        np.median(np.trace(c[:, :2, :2], axis1=1, axis2=2))
+        for c in (covariances, errors_of(learned)[1])
+    )
+    assert spread > 1.3 * before
 
 
 def test_landmarks_look_like_the_wall(learned: LearningResult) -> None:

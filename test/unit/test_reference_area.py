@@ -29,7 +29,7 @@ from landmark_nav.types import FloatArray, Sweep
 MOUNT = PanTiltMount(axis_xyz=(0.12, 0.01, 1.1))
 CAMERA = CameraModel(420, 240, 380.0, 380.0, 209.0, 120.5, distortion=(-0.15, 0.04))
 CONFIG = ReferenceAreaConfig()
-TURN = np.radians(np.arange(0.0, 360.0, 15.0))
+TURN = np.radians(np.arange(0.0, 360.0, 20.0))
 
 # Three on one wall, and three on two walls; never at equal distances.
 EAST = (
@@ -123,7 +123,7 @@ def test_noise_and_papers_that_hang_askew_stay_within_the_covariance() -> None:
     rng = np.random.default_rng(4)
     room = rectangle_room(papers=CORNER)
     nees = []
-    for _ in range(8):
+    for _ in range(4):
         pose = np.array([*rng.uniform((2.8, 1.6), (4.2, 3.6)), rng.uniform(-np.pi, np.pi)])
         hung = tuple(
             replace(p, center=_moved(p, room, rng.normal(0.0, CONFIG.paper_sigma_m, 2)))
@@ -192,7 +192,7 @@ def test_papers_in_linear_and_in_gamma_coded_pictures_give_the_same_place() -> N
         assert np.hypot(*error_of(place, pose)[:2]) < 0.008
 
 
-@pytest.mark.parametrize('light', [(0.35, 0.33, 0.3), (0.6, 0.85, 1.15), (1.2, 1.0, 0.8)], ids=str)
+@pytest.mark.parametrize('light', [(0.35, 0.33, 0.3), (0.6, 0.85, 1.15)], ids=str)
 def test_other_light_changes_nothing(light: tuple[float, float, float]) -> None:
     """Dim, warm and cold light, brighter on one side."""
     room = rectangle_room(papers=EAST)
@@ -318,7 +318,7 @@ def covered(share: float, pose: FloatArray, tall: bool = False) -> tuple[Sweep, 
 
 
 @pytest.mark.parametrize('tall', [True, False], ids=['from the left', 'from below'])
-@pytest.mark.parametrize('share', [0.1, 0.35, 0.6])
+@pytest.mark.parametrize('share', [0.15, 0.5])
 def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share: float, tall: bool) -> None:
     pose = np.array([3.5, 2.0, 0.3])
     sweep, room = covered(share, pose, tall)
@@ -337,7 +337,7 @@ def test_papers_that_changed_places_are_named() -> None:
 
 @pytest.mark.parametrize(
     'center',
-    [(2.0, 0.0, 1.3), (6.0, 2.38, 1.35), (6.0, 2.3, 1.43), (6.0, 2.32, 1.35), (6.0, 2.31, 1.35)],
+    [(2.0, 0.0, 1.3), (6.0, 2.38, 1.35), (6.0, 2.3, 1.43), (6.0, 2.315, 1.35)],
     ids=str,
 )
 def test_papers_that_hang_elsewhere_than_the_room_says(
