@@ -22,7 +22,7 @@ from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import listen_for_pan
 from landmark_nav.ros.robot_client import RobotClient
-from landmark_nav.types import JointSample
+from landmark_nav.types import JointSample, OdometrySample
 
 FRAMES = 8
 STEP_RAD = 0.25
@@ -30,14 +30,24 @@ MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
 
 
-class SmallRobot(LandmarkNode):
-    """Joint states at 50 Hz, every third with a picture; keeps what a sweep publishes."""
+# Texture with a mean of nothing: what is blank may well look the same in all directions.
+STRIPES = 20 * np.sign(np.arange(64) % 8 - 3.5)
 
-    def __init__(self, transport: str, command: str, stuck: bool, **options: Any) -> None:
+
+class SmallRobot(LandmarkNode):
+    """
+    Joint states at 50 Hz, every third with a picture; keeps what a sweep publishes.
+
+    `stuck`, `limit_rad`, `frozen` and `x_m` (of its odometry) may be changed while it runs.
+    """
+
+    def __init__(self, transport: str, command: str, **options: Any) -> None:
         super().__init__('small_robot', 'robot', **options)
-        self._pan, self._target, self._stuck, self._count = 0.0, 0.0, stuck, 0
+        self._pan, self._target, self._count = 0.0, 0.0, 0
+        self.stuck, self.frozen, self.limit_rad, self.x_m = False, False, 3.0, 0.0
         self._joints = self.advertise('joint_states')
         self._info = self.advertise('camera/camera_info')
+        self._odometry = self.advertise('odom')
         raw = transport == 'raw'
         self._image = self.advertise('camera/image_raw' + ('' if raw else '/compressed'))
         self._encode = encode.image if raw else encode.compressed_image
@@ -54,18 +64,21 @@ class SmallRobot(LandmarkNode):
         return Health(Level.OK, 'running')
 
     def _turn(self, pan_rad: float) -> None:
-        self._target = pan_rad
+        self._target = float(np.clip(pan_rad, -self.limit_rad, self.limit_rad))
 
     def _tick(self) -> None:
-        if not self._stuck:
+        if not self.stuck:
             self._pan += float(np.clip(self._target - self._pan, -0.1, 0.1))
         self._count += 1
         stamp = self.get_clock().now().nanoseconds
         self._joints.publish(encode.joint_state(ros_factory, JointSample(stamp, self._pan), MOUNT))
+        place = OdometrySample(stamp, np.array([self.x_m, 0.0, 0.0]))
+        self._odometry.publish(encode.odometry(ros_factory, place))
         if self._count % 3 == 0:
             # The picture tells the pan it was taken at.
-            grey = np.full((48, 64), round(100 + 50 * self._pan), np.uint8)
-            self._image.publish(self._encode(ros_factory, grey, stamp, 'camera_optical_frame'))
+            grey = 100.0 + 50.0 * self._pan * (not self.frozen) + STRIPES
+            picture = np.tile(np.rint(grey).astype(np.uint8), (48, 1))
+            self._image.publish(self._encode(ros_factory, picture, stamp, 'camera_optical_frame'))
             self._info.publish(encode.camera_info(ros_factory, CAMERA, stamp, 'camera'))
 
 
@@ -83,10 +96,8 @@ def robot(domain_id: int) -> Iterator[Callable[..., SmallRobot]]:
             if context.ok():
                 raise
 
-    def make(
-        transport: str = 'raw', command: str = 'JointTrajectory', stuck: bool = False
-    ) -> SmallRobot:
-        node = SmallRobot(transport, command, stuck, context=context)
+    def make(transport: str = 'raw', command: str = 'JointTrajectory') -> SmallRobot:
+        node = SmallRobot(transport, command, context=context)
         executor.add_node(node)
         thread.start()
         return node
@@ -147,7 +158,75 @@ def test_refusals_say_why_and_leave_the_node_running(
     start('sweep_capture', **sweep_parameters(setup_files), **{'capture.step_timeout_s': 1.0})
     with pytest.raises(LandmarkNavError, match='nothing yet on joint_states'):
         client.call('capture_sweep', 30.0)
-    robot(stuck=True)
+    robot().stuck = True
     client.wait(lambda: client.said('sweep_capture').reason == 'ready', 20.0, 'joint states')
     with pytest.raises(LandmarkNavError, match=r'frame 1 of 8, -57.3 deg.*the pan is 0.00 deg'):
         client.call('capture_sweep', 30.0)
+
+
+def measured(small: SmallRobot) -> list[float]:
+    return sorted(s.pan_rad for s in decode.sweep_trajectory(small.trajectories[-1], MOUNT))
+
+
+def test_it_is_interrupted_goes_on_begins_anew_and_tells(
+    robot: Callable[..., SmallRobot],
+    start: Callable[..., None],
+    client: RobotClient,
+    setup_files: dict[str, str],
+) -> None:
+    start('sweep_capture', **sweep_parameters(setup_files), **{'capture.step_timeout_s': 3.0})
+    small = robot()
+
+    def interrupt(action: Callable[[], None]) -> str:
+        """Act once three frames are there; returns why the sweep ended."""
+        before, done = len(small.images), False
+
+        def meanwhile() -> None:
+            nonlocal done
+            if not done and len(small.images) >= before + 3:
+                done = True
+                action()
+
+        with pytest.raises(LandmarkNavError) as refusal:
+            client.call('capture_sweep', 60.0, meanwhile)
+        return str(refusal.value)
+
+    def call_again() -> None:
+        with pytest.raises(LandmarkNavError, match='under way is interrupted'):
+            client.call('capture_sweep', 20.0)
+
+    assert 'capture_sweep was called again' in interrupt(call_again)
+    client.wait(lambda: 'interrupted' in client.said('sweep_capture').reason, 20.0, 'its word')
+    frames = len(small.images)
+    assert not small.trajectories
+    assert f'gone on after {frames} frames' in client.call('capture_sweep', 60.0)
+    client.wait(lambda: len(small.trajectories) == 1, 20.0, 'the trajectory')
+    np.testing.assert_allclose(measured(small), -1.0 + STEP_RAD * np.arange(FRAMES), atol=0.01)
+
+    # Another sweep, of a robot that drives away; then one of a joint that stops on its way.
+    assert 'the robot moved 50.0 cm' in interrupt(lambda: setattr(small, 'x_m', 0.5))
+    small.limit_rad = 0.5
+    said = client.call('capture_sweep', 60.0)
+    assert 'begun anew without' in said
+    assert 'a partial sweep, nothing is seen from pan' in said
+    assert 'the pan joint stops at -28.6 and 28.6 deg' in said
+    client.wait(lambda: len(small.trajectories) == 2, 20.0, 'the trajectory')
+    np.testing.assert_allclose(measured(small), STEP_RAD * np.arange(-2, 3), atol=0.01)
+    client.wait(lambda: 'partial' in client.said('sweep_capture').reason, 20.0, 'its word')
+
+
+def test_a_frozen_camera_is_named(
+    robot: Callable[..., SmallRobot],
+    start: Callable[..., None],
+    client: RobotClient,
+    setup_files: dict[str, str],
+) -> None:
+    quick = {'capture.retakes': 3, 'capture.retake_pause_s': 0.05}
+    start('sweep_capture', **sweep_parameters(setup_files), **quick)
+    small = robot('compressed')
+    small.frozen = True
+    with pytest.raises(LandmarkNavError, match='4 frames refused, the last as frozen'):
+        client.call('capture_sweep', 60.0)
+    assert not small.trajectories
+    small.frozen = False
+    assert client.call('capture_sweep', 60.0).startswith(f'{FRAMES} frames')
