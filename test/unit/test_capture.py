@@ -38,6 +38,7 @@ class Picture:
     number: int
     sharpness: float = 1.0
     flat: bool = False
+    person: float = np.inf
     broken: str = ''
 
     @property
@@ -54,6 +55,7 @@ def inspect(picture):
     if picture.flat:
         return Look(AZIMUTH, np.zeros((2, len(AZIMUTH))), True)
     energy = (0.01 + picture.sharpness * texture) * (1.0 + 0.01 * np.sin(17.0 * picture.number))
+    energy[np.abs(AZIMUTH - picture.person) < 0.15] = 0.004
     return Look(AZIMUTH, np.stack([energy, energy]), False)
 
 
@@ -241,7 +243,7 @@ def unreadable(self, picture, stamp):
 
 
 BAD = [
-    (blurred, 'blurred'),
+    (blurred, 'blurred or covered'),
     (frozen, 'frozen'),
     (repeated, 'badly timed'),
     (from_the_future, 'badly timed'),
@@ -304,7 +306,22 @@ def test_a_view_that_stays_less_sharp_is_taken_in_the_end():
     sweep = Foggy().run()
     assert sweep.done
     assert len(sweep.kept) == 9
-    assert 0 < sweep.refused['blurred'] < 10
+    assert 0 < sweep.refused['blurred or covered'] < 10
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_people_who_pass_do_not_keep_it_from_ending(seed):
+    """In four frames of five somebody in plain clothes hides a third of the view."""
+    rng = np.random.default_rng(seed)
+
+    class Crowded(Robot):
+        def picture(self):
+            person = rng.uniform(-0.4, 0.4) if rng.random() < 0.8 else np.inf
+            return Picture(self.pan, self.k, person=person), self.now - 7_000_000
+
+    robot = Crowded(TURN)
+    check_sweep(robot.run(), -np.pi + np.pi / 12 * np.arange(24))
+    assert sum(robot.sweep.refused.values()) < 24
 
 
 def test_a_blurred_first_frame_is_found_out_by_its_neighbours():
@@ -315,7 +332,7 @@ def test_a_blurred_first_frame_is_found_out_by_its_neighbours():
     config = replace(SHORT, start_rad=0.2, step_rad=0.1)
     robot = Shaky(config)
     check_sweep(robot.run(), 0.2 + 0.1 * np.arange(9))
-    assert robot.sweep.refused['blurred'] == 1
+    assert robot.sweep.refused['blurred or covered'] == 1
 
 
 # Angles and limits

@@ -96,11 +96,11 @@ class Album(Generic[FrameT]):
             self.doubtful.discard(step)
 
     def blurred(self, step: int, frame: KeptFrame[FrameT]) -> str | None:
-        """Why a frame counts as blurred; nothing if it does not, None if nobody can tell."""
+        """Why a frame counts as blurred, or somebody passes; None if nobody can tell."""
         ratio = self._sharpness(step, frame)
         if ratio is None or ratio >= self._least:
             return None if ratio is None else ''
-        return f'blurred: {ratio:.2f} of the sharpness of its neighbours'
+        return f'blurred or covered: {ratio:.2f} of the texture that its neighbours show'
 
     def review(self) -> list[tuple[KeptFrame[FrameT], str]]:
         """Doubt what is less sharp than its neighbours, now that there are some on both sides."""

@@ -11,7 +11,9 @@ from landmark_nav.types import FloatArray, JointSample
 
 __all__ = ['JointTrack', 'PanReach']
 
-_HISTORY = 400
+# Samples are kept for so long, and no closer to each other.
+_HISTORY_NS = 3_000_000_000
+_APART_NS = 4_000_000
 _LEAST_SAMPLES = 3
 
 
@@ -20,7 +22,7 @@ class JointTrack:
 
     def __init__(self, config: CaptureConfig) -> None:
         self._config = config
-        self._samples: deque[JointSample] = deque(maxlen=_HISTORY)
+        self._samples: deque[JointSample] = deque()
 
     @property
     def last(self) -> JointSample | None:
@@ -28,10 +30,12 @@ class JointTrack:
         return self._samples[-1] if self._samples else None
 
     def add(self, sample: JointSample) -> bool:
-        """Take a sample; False if it is not later than the newest."""
-        if self._samples and sample.stamp_ns <= self._samples[-1].stamp_ns:
+        """Take a sample; False if it is not later than the newest, or hardly."""
+        if self._samples and sample.stamp_ns < self._samples[-1].stamp_ns + _APART_NS:
             return False
         self._samples.append(sample)
+        while self._samples[0].stamp_ns < sample.stamp_ns - _HISTORY_NS:
+            self._samples.popleft()
         return True
 
     def stands(self, after_ns: int, since_ns: int, target_rad: float | None = None) -> bool:
