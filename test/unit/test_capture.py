@@ -9,7 +9,13 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.capture import CaptureConfig, Shot, SweepCapture
+from landmark_nav.learning.capture import (
+    begin_or_resume,
+    CaptureConfig,
+    describe_sweep,
+    Shot,
+    SweepCapture,
+)
 from landmark_nav.learning.sharpness import Look
 from landmark_nav.types import JointSample, OdometrySample
 
@@ -460,6 +466,37 @@ def test_a_robot_that_drives_away_ends_it():
     robot.sweep.add_odometry(OdometrySample(robot.now, np.zeros(3)))
     assert not robot.sweep.why_not_resumed(robot.now)
     assert '700 s have passed' in robot.sweep.why_not_resumed(robot.now + 700 * 10**9)
+
+
+def test_a_call_goes_on_or_begins_anew_and_says_so():
+    robot = Robot()
+    config, now = SHORT, 5 * 10**9
+    assert begin_or_resume(None, config, inspect, now)[1] == ''
+    robot.until(3)
+    robot.sweep.stop('no reason')
+    again, note = begin_or_resume(robot.sweep, config, inspect, robot.now)
+    assert again is robot.sweep
+    assert note == 'gone on after 3 frames of before'
+    robot.x = 1.0
+    with pytest.raises(LandmarkNavError):
+        robot.tick()
+    anew, note = begin_or_resume(robot.sweep, config, inspect, robot.now)
+    assert not anew.kept
+    assert note.startswith('begun anew without 3 frames of before: the robot moved 100.0 cm')
+    robot = Robot()
+    # A sweep that is complete is not gone on with.
+    anew, note = begin_or_resume(robot.run(), config, inspect, robot.now)
+    assert (anew is robot.sweep, note) == (False, '')
+
+
+def test_what_is_covered_is_told():
+    half = float(AZIMUTH[-1])
+    assert describe_sweep(Robot(TURN).run(), half) == 'the full turn'
+    said = describe_sweep(Robot(TURN, limits=(-2.5, 1.9)).run(), half)
+    assert said == (
+        'a partial sweep, nothing is seen from pan 130 to 200 deg; '
+        'the pan joint stops at -143.2 and 108.9 deg'
+    )
 
 
 def test_gives_up_without_joint_states():

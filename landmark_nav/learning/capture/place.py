@@ -26,6 +26,11 @@ class Place:
             self._first = sample
 
     @property
+    def known(self) -> bool:
+        """Whether odometry tells."""
+        return self._last is not None
+
+    @property
     def moved(self) -> str:
         """How far it has gone in words; nothing if it stands."""
         if self._first is None or self._last is None:

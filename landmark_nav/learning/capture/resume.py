@@ -42,6 +42,7 @@ def begin_or_resume(
         frames, why = len(before.kept), before.why_not_resumed(now_ns)
         if not why:
             before.resume(now_ns)
-            return before, f'gone on after {frames} frames of before'
+            unsure = '' if before.place.known else ' (no odom: did the robot stand still?)'
+            return before, f'gone on after {frames} frames of before{unsure}'
         note = f'begun anew without {frames} frames of before: {why}'
     return SweepCapture(config, inspect, now_ns), note

@@ -55,6 +55,8 @@ class SweepCapture(Generic[FrameT]):
         How many frames were refused, by reason.
     reach : PanReach
         Where the joint gets.
+    place : Place
+        Whether the robot stands.
 
     """
 
@@ -65,7 +67,7 @@ class SweepCapture(Generic[FrameT]):
         self._inspect = inspect
         self._album: Album[FrameT] = Album(config)
         self._reviewed = False
-        self._place = Place(config)
+        self.place = Place(config)
         self.refused: Counter[str] = Counter()
         self.resume(now_ns)
 
@@ -107,7 +109,7 @@ class SweepCapture(Generic[FrameT]):
     def why_not_resumed(self, now_ns: int) -> str:
         """Why the frames so far are of no use for going on; nothing if they are."""
         age_s = (now_ns - self._heard_ns) * 1e-9
-        if moved := self._place.moved:
+        if moved := self.place.moved:
             return f'the robot moved {moved}'
         return f'{age_s:.0f} s have passed' if age_s > self._config.resume_s else ''
 
@@ -125,8 +127,8 @@ class SweepCapture(Generic[FrameT]):
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Take the robot's place: the frames of a sweep must come from one."""
-        self._place.add(sample, anew=not self._album.frames)
-        if not self.done and (moved := self._place.moved):
+        self.place.add(sample, anew=not self._album.frames)
+        if not self.done and (moved := self.place.moved):
             self.stop(f'the robot moved {moved}')
 
     def add_frame(self, shot: Shot[FrameT], now_ns: int) -> None:
