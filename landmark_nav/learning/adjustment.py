@@ -51,6 +51,9 @@ class AdjustmentConfig:
     common_hanging_sigma_m: float = parameter(
         0.015, 'how far from the wall things hang on average', minimum=1e-4, maximum=1
     )
+    wall_sigma_m: float = parameter(
+        0.005, 'how far a wall lies from where the room says', minimum=1e-4, maximum=1
+    )
     camera_weight: float = parameter(
         1.0,
         'how many measurements the expected sigmas of panoramas and places count for',
@@ -135,7 +138,9 @@ def adjust(
     Adjustment
 
     """
-    problem = Problem(sightings, walls, panoramas, room, config.common_hanging_sigma_m)
+    problem = Problem(
+        sightings, walls, panoramas, room, config.common_hanging_sigma_m, config.wall_sigma_m
+    )
     expected = np.array(
         [config.azimuth_sigma_rad, config.tangent_sigma, config.hanging_sigma_m, 1.0]
     )

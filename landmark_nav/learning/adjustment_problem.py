@@ -1,8 +1,8 @@
 """
 The measurements of an adjustment, linearized, and their normal equations.
 
-Unknowns are the landmarks, and what they share: poses of panoramas, and how far things hang
-before their walls on average. Landmarks are eliminated first (Schur complement; Triggs et al.,
+Unknowns are the landmarks, and what they share: poses of panoramas, and for each wall how far
+things hang before it on average. Landmarks are eliminated first (Schur complement; Triggs et al.,
 Bundle Adjustment, 2000): each meets the shared ones alone, so that the sparse structure is a
 stack of blocks of 3 x 3.
 """
@@ -23,7 +23,7 @@ from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['Linearized', 'NormalEquations', 'Problem']
 
-# x, y, z, heading of each panorama; after all of them, how far things hang off the walls.
+# x, y, z, heading of each panorama; after all of them, how far things hang off each wall.
 _POSE = 4
 # Share of the variance in height that panoramas have in common.
 _COMMON_HEIGHT = 0.9
@@ -94,6 +94,7 @@ class Problem:
         panoramas: Sequence[Panorama],
         room: Room,
         common_hanging_sigma_m: float,
+        wall_sigma_m: float,
     ) -> None:
         """Collect what does not change while it is solved."""
         flat = [(k, s) for k, group in enumerate(sightings) for s in group]
@@ -108,10 +109,17 @@ class Problem:
         self._level = np.sum(self.normal[:, :2] * starts, 1)
 
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
-        self.prior = np.append(poses.ravel(), 0.0)
-        self._information = np.zeros((len(self.prior), len(self.prior)))
-        self._information[:-1, :-1] = np.linalg.inv(_joint([p.covariance for p in panoramas]))
-        self._information[-1, -1] = common_hanging_sigma_m**-2
+        self.wall = np.asarray(walls, dtype=np.intp)
+        planes = len(room.walls)
+        self.prior = np.append(poses.ravel(), np.zeros(planes))
+        self._poses = slice(0, poses.size)
+        self._walls = slice(poses.size, len(self.prior))
+        self._information = block_diag(
+            np.linalg.inv(_joint([p.covariance for p in panoramas])),
+            np.linalg.inv(common_hanging_sigma_m**2 + np.eye(planes) * wall_sigma_m**2),
+        )
+        # Which wall each landmark hangs on, (n, walls).
+        self._hangs = np.eye(planes)[self.wall]
 
     def off_wall(self, points: FloatArray) -> FloatArray:
         """How far before their walls points (n, 3) lie, metres."""
@@ -119,11 +127,11 @@ class Problem:
 
     def poses(self, shared: FloatArray) -> FloatArray:
         """Poses (views, 4) among the shared unknowns."""
-        return np.asarray(shared[:-1].reshape(self.views, _POSE))
+        return np.asarray(shared[self._poses].reshape(self.views, _POSE))
 
     def pose_covariance(self, covariance: FloatArray) -> FloatArray:
         """Covariance (views, 4, 4) of each pose out of that of all that is shared."""
-        blocks = covariance[:-1, :-1].reshape(self.views, _POSE, self.views, _POSE)
+        blocks = covariance[self._poses, self._poses].reshape(self.views, _POSE, self.views, _POSE)
         diagonal = np.arange(self.views)
         return np.asarray(blocks[diagonal, :, diagonal])
 
@@ -142,12 +150,14 @@ class Problem:
         by_point[:, 1, :2] = -(d[:, 2] / reach**3)[:, None] * d[:, :2]
         by_point[:, 1, 2] = 1.0 / reach
         by_shared = np.zeros((len(d), 2, len(shared)))
-        by_pose = by_shared[..., :-1].reshape(len(d), 2, self.views, _POSE)
+        by_pose = np.zeros((len(d), 2, self.views, _POSE))
         rows = np.arange(len(d))
         by_pose[rows, :, self.view, :3] = -by_point
         by_pose[rows, 0, self.view, 3] = -1.0
-        by_shared[..., :-1] = by_pose.reshape(len(d), 2, -1)
-        return Linearized(seen, shared[-1] - self.off_wall(points), by_point, by_shared)
+        by_shared[..., self._poses] = by_pose.reshape(len(d), 2, -1)
+        return Linearized(
+            seen, shared[self._walls][self.wall] - self.off_wall(points), by_point, by_shared
+        )
 
     def normal_equations(
         self,
@@ -170,28 +180,29 @@ class Problem:
         b_x = _sum_by(self.landmark, np.einsum('nki,nk->ni', jx, at.seen), self.count)
         b_x += (wall * at.wall)[:, None] * self.normal
         h_xs = _sum_by(self.landmark, np.einsum('nki,nkp->nip', jx, at.by_shared), self.count)
-        h_xs[..., -1] -= wall[:, None] * self.normal
+        hangs = wall[:, None] * self._hangs
+        h_xs[..., self._walls] -= self.normal[..., None] * hangs[:, None]
         flat = at.by_shared.reshape(-1, len(shared))
         weighted = flat * seen.reshape(-1, 1)
         h_ss = prior + weighted.T @ flat
-        h_ss[-1, -1] += wall.sum()
+        h_ss[self._walls, self._walls] += np.diag(hangs.sum(0))
         b_s = prior @ (self.prior - shared) + weighted.T @ at.seen.ravel()
-        b_s[-1] -= wall @ at.wall
+        b_s[self._walls] -= hangs.T @ at.wall
         return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
 
     def prior_information(self, place_scale: float = 1.0) -> FloatArray:
         """Information (m, m) on the shared unknowns before there are sightings."""
         scale = np.full(len(self.prior), place_scale)
-        scale[-1] = 1.0
+        scale[self._walls] = 1.0
         return np.asarray(self._information / np.outer(scale, scale))
 
     def place_misfit(
         self, shared: FloatArray, equations: NormalEquations, place_scale: float
     ) -> tuple[float, float]:
         """Squared misfit of the places that panoramas say they have, and its redundancy."""
-        moved = (shared - self.prior)[:-1]
-        information = self.prior_information(place_scale)[:-1, :-1]
-        taken = np.sum(information * equations.shared_covariance()[:-1, :-1])
+        moved = (shared - self.prior)[self._poses]
+        information = self.prior_information(place_scale)[self._poses, self._poses]
+        taken = np.sum(information * equations.shared_covariance()[self._poses, self._poses])
         return float(moved @ information @ moved), float(len(moved) - taken)
 
     def predicted_variance(
@@ -204,7 +215,7 @@ class Problem:
         seen = np.einsum('nki,nij,nkj->nk', at.by_point, own[self.landmark], at.by_point)
         seen += np.einsum('nkp,pq,nkq->nk', by_shared, shared, by_shared)
         by_shared_wall = -np.einsum('ni,nip->np', self.normal, gain)
-        by_shared_wall[:, -1] -= 1.0
+        by_shared_wall[:, self._walls] -= self._hangs
         wall = np.einsum('ni,nij,nj->n', self.normal, own, self.normal)
         wall += np.einsum('np,pq,nq->n', by_shared_wall, shared, by_shared_wall)
         return seen, wall

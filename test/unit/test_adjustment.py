@@ -154,7 +154,8 @@ def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, hangin
     rng = np.random.default_rng(8)
     noise, of_landmarks = [], []
     for _ in range(12):
-        world = world_of(rng, 100, hanging_m=hanging)
+        # As many as a room gives: expected sigmas count for a few measurements, too.
+        world = world_of(rng, 150, hanging_m=hanging)
         prior = told_poses(world, rng)
         sightings = sightings_of(world, rng, (azimuth, tangent))
         for group in sightings[:5]:  # false matches say nothing of it
@@ -191,7 +192,12 @@ def test_the_solution_is_that_of_sparse_least_squares() -> None:
     sightings = sightings_of(world, None)
     found = solve(world, sightings, prior, AS_EXPECTED)
     problem = Problem(
-        sightings, world.walls, panoramas_at(prior), ROOM, CONFIG.common_hanging_sigma_m
+        sightings,
+        world.walls,
+        panoramas_at(prior),
+        ROOM,
+        CONFIG.common_hanging_sigma_m,
+        CONFIG.wall_sigma_m,
     )
     sigma = np.hypot(problem.own_sigma, [CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
     root = np.linalg.cholesky(problem.prior_information())
@@ -333,3 +339,18 @@ def test_a_third_view_helps() -> None:
     assert three.poses.shape == (3, 4)
     np.testing.assert_allclose(three.positions, world.points, atol=1e-6)
     assert np.trace(three.own_covariance.sum(0)) < np.trace(two.own_covariance.sum(0))
+
+
+def test_walls_that_stand_elsewhere_than_the_room_says_do_not_make_places_overconfident() -> None:
+    rng = np.random.default_rng(12)
+    errors = []
+    for _ in range(30):
+        world = world_of(rng, 100, hanging_m=0.004)
+        off = rng.normal(0.0, 0.005, len(ROOM.walls))
+        moved = world.points + off[np.asarray(world.walls), None] * ROOM.normals[world.walls]
+        world = replace(world, points=moved)
+        found = draw(rng, world)
+        error = found.poses - world.poses
+        error[:, 3] = wrap_rad(error[:, 3])
+        errors.append(nees(error, found.pose_covariance).mean())
+    assert 0.6 < np.mean(errors) / 4.0 < 1.4
