@@ -7,6 +7,7 @@ Both images must be of the same kind: the learner matches wall textures, the loc
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray, Refusal
 
-__all__ = ['Match', 'blur_to', 'match_template']
+__all__ = ['Match', 'blur_sigmas', 'blur_to', 'match_template']
 
 Float32Image = npt.NDArray[np.float32]
 Pair = tuple[float, float] | FloatArray
@@ -22,9 +23,6 @@ Pair = tuple[float, float] | FloatArray
 # Bilinear interpolation of raw pixels pulls the optimum towards whole pixels; this blur of both
 # images takes that below 0.01 px (Gaussian sigma, pixels).
 _BLUR_PX = 0.8
-# Neighbouring pixels share noise after the blur and the interpolation, so that the residuals
-# count for fewer than they are (measured by Monte Carlo).
-_CORRELATION_AREA = 5.0
 # What remains if noise did not matter: interpolation, and texture that isn't quite the same.
 _FLOOR_PX = 0.02
 _ITERATIONS = 12
@@ -57,6 +55,7 @@ def match_template(
     min_score: float = 0.7,
     max_second_ratio: float = 0.9,
     min_contrast: float = 4.0,
+    search_blur: Pair = (0.0, 0.0),
 ) -> Match | Refusal:
     """
     Find a template by normalized cross-correlation and align it to sub-pixel.
@@ -73,6 +72,9 @@ def match_template(
         Greatest share of the peak that another place may reach.
     min_contrast : float
         Least standard deviation of the template, grey levels.
+    search_blur : tuple of float
+        By how much the search image was blurred already, across and down: Gaussian sigmas in
+        pixels. Its noise is correlated as far.
 
     Returns
     -------
@@ -81,8 +83,10 @@ def match_template(
     Notes
     -----
     The alignment is Gauss-Newton over shift, gain and offset with the template's gradients, whose
-    normal matrix is the same in each step (Baker and Matthews, IJCV 56(3), 2004) and gives the
-    covariance.
+    normal matrix N is the same in each step (Baker and Matthews, IJCV 56(3), 2004). White noise of
+    variance s^2 in the search image passes the blur and the interpolation, together B, so the
+    shift's covariance is ``s^2 N^-1 G B B^T G^T N^-1`` with G the gradients; the residuals, whose
+    variance is s^2 times the sum of the squares of B's kernel, tell s^2.
 
     """
     contrast = float(cv2.meanStdDev(template)[1][0, 0])
@@ -100,7 +104,7 @@ def match_template(
     second = _second_peak(scores, column, row, template.shape)
     if second > max_second_ratio * score:
         return Refusal('ambiguous', f'second peak {second:.2f} of {score:.2f}')
-    aligned = _align(search, template, *_parabola_peak(scores, column, row))
+    aligned = _align(search, template, *_parabola_peak(scores, column, row), search_blur)
     if aligned is None:
         return Refusal('alignment failed')
     center, covariance, fine_score = aligned
@@ -113,13 +117,18 @@ def blur_to(image: Float32Image, step: Pair, own_step: Pair = (1.0, 1.0)) -> Flo
 
     Where `step` is not the wider one nothing is to do; without it, sampling wider would alias.
     """
+    across, down = blur_sigmas(step, own_step)
+    if max(across, down) == 0.0:
+        return image
+    blurred = cv2.GaussianBlur(image, (0, 0), sigmaX=max(across, 0.01), sigmaY=max(down, 0.01))
+    return np.asarray(blurred, dtype=np.float32)
+
+
+def blur_sigmas(step: Pair, own_step: Pair = (1.0, 1.0)) -> tuple[float, float]:
+    """Sigmas of the blur of `blur_to`, pixels; zero where it would do next to nothing."""
     across = max(float(step[0]) ** 2 - float(own_step[0]) ** 2, 0.0) ** 0.5 * _BLUR_SHARE
     down = max(float(step[1]) ** 2 - float(own_step[1]) ** 2, 0.0) ** 0.5 * _BLUR_SHARE
-    if max(across, down) < 0.3:
-        return image
-    sigmas = max(across, 0.01), max(down, 0.01)
-    blurred = cv2.GaussianBlur(image, (0, 0), sigmaX=sigmas[0], sigmaY=sigmas[1])
-    return np.asarray(blurred, dtype=np.float32)
+    return (across, down) if max(across, down) >= 0.3 else (0.0, 0.0)
 
 
 def _smooth(image: Float32Image) -> Float32Image:
@@ -154,7 +163,7 @@ def _parabola_peak(scores: Float32Image, column: int, row: int) -> tuple[float, 
 
 
 def _align(
-    search: Float32Image, template: Float32Image, column: float, row: float
+    search: Float32Image, template: Float32Image, column: float, row: float, search_blur: Pair
 ) -> tuple[FloatArray, FloatArray, float] | None:
     """Centre (2,) of the template in the search image, its covariance, the correlation there."""
     height, width = template.shape[0] - 2, template.shape[1] - 2
@@ -201,10 +210,36 @@ def _align(
         * gain
         * (power + xx * step_x * step_x + 2.0 * xy * step_x * step_y + yy * step_y * step_y)
     )
-    count = max(value.size - 4, 1)
-    variance = max(total - explained, 0.0) / count * _CORRELATION_AREA / gain**2 / determinant
-    floor = _FLOOR_PX**2
-    covariance = np.array(
-        [[variance * yy + floor, -variance * xy], [-variance * xy, variance * xx + floor]]
-    )
+    variance = max(total - explained, 0.0) / max(value.size - 4, 1) / gain**2
+    rows[:2] -= np.array([[xr], [yr]], np.float32) / power * rows[2]
+    passed = _noise_passed(rows[:2].reshape(2, height, width), (x, y), search_blur)
+    inverse = np.array([[yy, -xy], [-xy, xx]]) / determinant
+    covariance = 0.25 * variance * inverse @ passed @ inverse + np.eye(2) * _FLOOR_PX**2
     return np.array([x, y]), covariance, gain * (power / max(total, 1e-12)) ** 0.5
+
+
+def _noise_passed(gradients: Float32Image, center: Pair, search_blur: Pair) -> FloatArray:
+    """``G B B^T G^T`` (2, 2) over the sum of the squares of B's kernel; gradients (2, h, w)."""
+    height, width = gradients.shape[1:]
+    across, down = (
+        _kernel(float(np.hypot(_BLUR_PX, blur)), round(place - 0.5 * (size - 1), 2) % 1.0)
+        for place, size, blur in zip(center, (width, height), search_blur, strict=True)
+    )
+    reach = max(len(across), len(down)) // 2
+    # One above the other, so that one call does both.
+    framed = np.zeros((2, height + 2 * reach, width + 2 * reach), np.float32)
+    framed[:, reach:-reach, reach:-reach] = gradients
+    stacked = framed.reshape(-1, framed.shape[2])
+    carried = cv2.sepFilter2D(stacked, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
+    flat = np.asarray(carried, dtype=np.float32).reshape(2, -1)
+    power = float(across @ across) * float(down @ down)
+    return np.asarray((flat @ flat.T) / power, dtype=np.float64)
+
+
+@lru_cache(maxsize=1024)
+def _kernel(sigma: float, fraction: float) -> Float32Image:
+    """Gaussian blur and linear interpolation at a fraction of a pixel, one after the other."""
+    reach = int(np.ceil(3.0 * sigma)) + 1
+    gauss = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    kernel = np.convolve(gauss / gauss.sum(), [0.0, 1.0 - fraction, fraction])
+    return kernel.astype(np.float32)

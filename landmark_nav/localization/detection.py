@@ -19,7 +19,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import patch_axes, rays_to_patch
-from landmark_nav.matching import blur_to, Match, match_template
+from landmark_nav.matching import blur_sigmas, blur_to, Match, match_template
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
@@ -61,7 +61,7 @@ class DetectionConfig:
         1.0, 'vertical error of the picture from tilt and floor', minimum=0.1, maximum=50
     )
     lens_sigma_px: float = parameter(
-        0.05, 'what the lens model leaves, pixels', minimum=0, maximum=5
+        0.03, 'what the lens model leaves, pixels', minimum=0, maximum=5
     )
 
     def __post_init__(self) -> None:
@@ -288,12 +288,14 @@ def _detect(
         borderMode=cv2.BORDER_REPLICATE,
     )
     # A patch seen closer than it was learned is less sharp than the picture.
-    search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), (1.0 / step[0], 1.0 / step[1]))
+    wanted = (1.0 / step[0], 1.0 / step[1])
+    search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), wanted)
     match = match_template(
         search,
         np.asarray(template, dtype=np.float32),
         min_score=landmark.threshold,
         max_second_ratio=config.max_second_ratio,
+        search_blur=blur_sigmas(wanted),
     )
     if isinstance(match, Refusal):
         return match

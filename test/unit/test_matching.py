@@ -5,7 +5,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from landmark_nav.matching import blur_to, Match, match_template
+from landmark_nav.matching import blur_sigmas, blur_to, Match, match_template
 from landmark_nav.types import FloatArray, Refusal
 
 Float32Image = npt.NDArray[np.float32]
@@ -30,10 +30,12 @@ class Texture:
         return (128.0 + self._amplitude * np.einsum('ky,kx->yx', y, x).real).astype(np.float32)
 
 
-def match_shifted(seed: int, noise: float) -> tuple[FloatArray, Match | Refusal]:
+def match_shifted(
+    seed: int, noise: float, shortest_px: float = 5.0
+) -> tuple[FloatArray, Match | Refusal]:
     """Error of a match at a random shift; the search picture has noise, gain and offset."""
     rng = np.random.default_rng([seed, 1])
-    texture = Texture(seed)
+    texture = Texture(seed, shortest_px=shortest_px)
     shift = rng.uniform(8.0, 16.0, 2)
     template = texture.sample(32, 28, *shift)
     search = 0.8 * texture.sample(56, 52) + 12.0
@@ -49,9 +51,13 @@ def test_a_sub_pixel_shift_is_recovered_without_noise() -> None:
     assert np.abs(errors.mean(axis=0)).max() < 0.01
 
 
-@pytest.mark.parametrize('noise', [6.0, 12.0])
-def test_noise_moves_matches_as_far_as_their_covariance_says(noise: float) -> None:
-    trials = [match_shifted(seed, noise) for seed in range(150)]
+@pytest.mark.parametrize('noise', [20.0, 35.0])
+@pytest.mark.parametrize('shortest_px', [3.0, 5.0, 10.0])
+def test_noise_moves_matches_as_far_as_their_covariance_says(
+    noise: float, shortest_px: float
+) -> None:
+    # Fine texture and coarse.
+    trials = [match_shifted(seed, noise, shortest_px) for seed in range(150)]
     errors = np.array([error for error, _ in trials])
     assert np.isfinite(errors).all()
     assert np.abs(errors.mean(axis=0)).max() < 3.0 * errors.std() / np.sqrt(len(errors)) + 0.005
@@ -60,7 +66,26 @@ def test_noise_moves_matches_as_far_as_their_covariance_says(noise: float) -> No
         for error, found in trials
         if isinstance(found, Match)
     ]
-    assert 0.5 < np.mean(nees) / 2.0 < 1.5
+    # The mean of 300 squares is within 0.25 of 1 in 99.8 of 100 cases.
+    assert 0.75 < np.mean(nees) / 2.0 < 1.25
+
+
+def test_noise_of_a_blurred_picture_counts_as_far_as_it_is_blurred() -> None:
+    step = (2.0, 1.5)
+    nees = []
+    for seed in range(150):
+        rng = np.random.default_rng([seed, 2])
+        texture = Texture(seed, shortest_px=10.0)
+        shift = rng.uniform(8.0, 16.0, 2)
+        search = texture.sample(56, 52) + 24.0 * rng.standard_normal((52, 56))
+        template = blur_to(texture.sample(60, 56, *(shift - 14.0)), step)[14:-14, 14:-14]
+        found = match_template(
+            blur_to(search.astype(np.float32), step), template, search_blur=blur_sigmas(step)
+        )
+        assert isinstance(found, Match)
+        error = found.xy - shift - [15.5, 13.5]
+        nees.append(error @ np.linalg.solve(found.covariance, error))
+    assert 0.75 < np.mean(nees) / 2.0 < 1.25
 
 
 def test_gain_and_offset_change_neither_place_nor_score() -> None:
