@@ -34,6 +34,7 @@ from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Sweep
 
 __all__ = [
+    'LEAST_PAPERS',
     'ReferenceAreaConfig',
     'SweepPlace',
     'check_agreement',
@@ -42,7 +43,7 @@ __all__ = [
 ]
 
 # Papers that it takes; with two there is no telling whether one hangs elsewhere.
-_LEAST_PAPERS = 3
+LEAST_PAPERS = 3
 # What is seen of all of them together, in whole papers.
 _LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0
@@ -127,7 +128,7 @@ def locate_sweep(
         or more than one place fits.
 
     """
-    if len(room.papers) < _LEAST_PAPERS:
+    if len(room.papers) < LEAST_PAPERS:
         raise LandmarkNavError(
             f'the room names {len(room.papers)} reference papers: hang three and list them in '
             'room.yaml, or give the pose of each sweep (sweep/pose)'
@@ -223,7 +224,7 @@ def _fits(fit: PaperFit, room: Room) -> bool:
     wrong = (fit.seen >= 0.5) & (fit.agreed < LEAST_AGREED)
     expected = np.sum(papers_in_view(fit.pose_map_base[:2], room))
     return bool(
-        measured.sum() >= _LEAST_PAPERS
+        measured.sum() >= LEAST_PAPERS
         and measured.sum() > 2 * wrong.sum()
         and np.sum((fit.seen * fit.agreed)[measured]) > max(_LEAST_EVIDENCE, 0.4 * expected)
         and fit.misfit < _MOST_MISFIT

@@ -2,7 +2,7 @@
 How well the reference papers would tell where a sweep was taken: first order, without a picture.
 
 The measurements are the four edges of each paper, as in `learning.reference_area`; what is not
-exactly known there (height, horizon, how each paper hangs) is not known here either.
+exactly known there (height, tilt, how each paper hangs) is not known here either.
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['papers_seen', 'pose_covariance']
 
-# Of an edge, beside what its points share: 15 profiles of 0.15 px each.
-_PROFILES_PX = 0.15 / np.sqrt(15.0)
+# Of an edge, beside what its points share: some tens of profiles, by frame and along it.
+_PROFILES_PX = 0.03
+
+# x, y, heading, height and two tilts.
+_COMMON = 6
 
 # Less than that of a paper is hardly found by its colour, pixels across and along.
 _LEAST_PX = 8.0
@@ -59,16 +62,19 @@ def papers_seen(eye: FloatArray, room: Room, config: PlanConfig) -> npt.NDArray[
     )
 
 
-def pose_covariance(eye: FloatArray, room: Room, config: PlanConfig) -> FloatArray:
+def pose_covariance(
+    eye: FloatArray, room: Room, config: PlanConfig, seen: npt.NDArray[np.bool_] | None = None
+) -> FloatArray:
     """
-    Covariance (p, 3, 3) of x, y, heading of viewpoints (p, 3) that see all papers.
+    Covariance (p, 3, 3) of x, y, heading of viewpoints (p, 3) that see papers.
 
-    Unknown are x, y, heading, height, horizon, and each paper's offsets along the wall and up.
+    Unknown are x, y, heading, height, two tilts of the axis, and each paper's offsets along the
+    wall and up. `seen` (p, papers) says which are seen: all without it; it takes three.
     """
     center, along, size = _papers(room)
     papers = len(center)
     area = config.reference_area
-    jacobian = np.zeros((len(eye), papers, 4, 5 + 2 * papers))
+    jacobian = np.zeros((len(eye), papers, 4, _COMMON + 2 * papers))
     for edge, (right, up) in enumerate(((-0.5, 0), (0.5, 0), (0, -0.5), (0, 0.5))):
         point = center + np.column_stack([right * size[:, :1] * along, up * size[:, 1]])
         d = point - eye[:, None]
@@ -81,15 +87,18 @@ def pose_covariance(eye: FloatArray, room: Room, config: PlanConfig) -> FloatArr
         else:
             by_point = -(d[..., 2] / reach**3)[..., None] * d[..., :2]
             row[..., 3] = -1.0 / reach
-            row[..., 4] = 1.0
+            row[..., 4:6] = d[..., :2] / reach[..., None]
         row[..., :2] = -by_point
         each = np.arange(papers)
-        row[:, each, 5 + 2 * each] = np.sum(by_point * along, -1)
-        row[:, each, 6 + 2 * each] = 0.0 if right else 1.0 / reach
+        row[:, each, _COMMON + 2 * each] = np.sum(by_point * along, -1)
+        row[:, each, _COMMON + 1 + 2 * each] = 0.0 if right else 1.0 / reach
     sigma = np.hypot(_PROFILES_PX, area.edge_sigma_px) / config.focal_px
-    rows = jacobian.reshape(len(eye), 4 * papers, 5 + 2 * papers) / sigma
+    if seen is not None:
+        jacobian *= seen[:, :, None, None]
+    rows = jacobian.reshape(len(eye), 4 * papers, _COMMON + 2 * papers) / sigma
     hanging = [max(area.paper_sigma_m, 1e-6)] * (2 * papers)
-    prior = np.array([np.inf] * 3 + [area.height_sigma_m, area.horizon_sigma_rad, *hanging])
+    tilts = [area.horizon_sigma_rad] * 2
+    prior = np.array([np.inf] * 3 + [area.height_sigma_m, *tilts, *hanging])
     information = np.swapaxes(rows, -1, -2) @ rows + np.diag(prior**-2.0)
     return np.asarray(np.linalg.inv(information)[:, :3, :3])
 

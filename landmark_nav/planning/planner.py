@@ -15,6 +15,7 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.reference_area import LEAST_PAPERS
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.layouts import left_right_layout, random_sets
 from landmark_nav.planning.prediction import Predictor
@@ -142,7 +143,7 @@ def plan_positions(
     views = look(sweep_poses(floor, room), samples, room, mount, config)
     if len(views) < count:
         raise LandmarkNavError(
-            f'{len(views)} places on the free floor see all {len(room.papers)} papers whole, '
+            f'{len(views)} places on the free floor see {_enough(room)} papers whole, '
             f'{count} are needed: hang the papers lower, larger or nearer to each other'
         )
     xy = views.pose_map_base[:, :2]
@@ -200,7 +201,7 @@ def forecast(
     Raises
     ------
     LandmarkNavError
-        A place does not see all papers.
+        A place does not see enough papers.
 
     """
     samples = sample_walls(room, config.spacing_m, _MOST_SAMPLES)
@@ -208,7 +209,7 @@ def forecast(
     views = look(poses, samples, room, mount, config)
     if len(views) < len(poses):
         raise LandmarkNavError(
-            f'{len(poses) - len(views)} of {len(poses)} places do not see all papers'
+            f'{len(poses) - len(views)} of {len(poses)} places do not see {_enough(room)} papers'
         )
     predictor = Predictor(views, samples, cells, room, config)
     ends = np.cumsum([len(places) for places in sets])
@@ -278,3 +279,9 @@ def _check(room: Room, count: int) -> None:
             f'the room names {len(room.papers)} reference papers: hang three and list them in '
             'room.yaml, they tell where a panorama is taken'
         )
+
+
+def _enough(room: Room) -> str:
+    """How many papers a place must see, in words."""
+    count = len(room.papers)
+    return f'all {count}' if count == LEAST_PAPERS else f'{LEAST_PAPERS} of {count}'

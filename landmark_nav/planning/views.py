@@ -9,6 +9,7 @@ import numpy as np
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.reference_area import LEAST_PAPERS
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.paper_pose import papers_seen, pose_covariance
 from landmark_nav.planning.room_grid import WallSamples
@@ -90,12 +91,13 @@ def look(
     Returns
     -------
     Views
-        Of the places that see all papers; the others can't be measured and are left out.
+        Of the places that see enough papers; the others can't be measured and are left out.
 
     """
     axis = compose(poses_map_base, [*mount.axis_xyz[:2], 0.0])[:, :2]
     eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])
-    measured = papers_seen(eye, room, config).all(axis=1)
+    papers = papers_seen(eye, room, config)
+    measured = papers.sum(axis=1) >= LEAST_PAPERS
     eye = eye[measured]
     way = samples.xy - eye[:, None, :2]
     reach = np.maximum(np.linalg.norm(way, axis=-1), 1e-3)
@@ -110,7 +112,7 @@ def look(
     return Views(
         poses_map_base[measured],
         eye,
-        pose_covariance(eye, room, config),
+        pose_covariance(eye, room, config, papers[measured]),
         azimuth,
         reach,
         share,

@@ -9,6 +9,7 @@ import yaml
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.storage.fields import array_field, field, list_field, number_field
 
@@ -54,17 +55,25 @@ def load_room(path: Path | str) -> Room:
         )
         area = document.get('reference_area') or {}
         papers = tuple(
-            Paper(
-                str(field(paper, 'color', f'papers[{i}]')),
-                _point(paper, 'center', 3, f'papers[{i}]'),
-                number_field(paper, 'width', f'papers[{i}]'),
-                number_field(paper, 'height', f'papers[{i}]'),
-            )
+            _paper(paper, f'papers[{i}]')
             for i, paper in enumerate(list_field(area, 'papers', 'reference_area') if area else [])
         )
         return Room(walls, papers, str(document.get('frame_id', 'map')))
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
+
+
+def _paper(document: Any, where: str) -> Paper:
+    """Check that a paper has a size and a colour that can be looked for."""
+    color = str(field(document, 'color', where))
+    try:
+        paper_bgr(color)
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{where}: {error}') from error
+    width, height = (number_field(document, key, where) for key in ('width', 'height'))
+    if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
+        raise LandmarkNavError(f'{where}: {width:g} x {height:g} m is no size of a paper')
+    return Paper(color, _point(document, 'center', 3, where), width, height)
 
 
 def load_robot(path: Path | str) -> PanTiltMount:

@@ -36,26 +36,28 @@ class TestPaperPose:
         eye = np.array([2.4, 2.2, 1.1])
         rng = np.random.default_rng(5)
         area = CONFIG.reference_area
-        prior = np.array([np.inf] * 3 + [area.height_sigma_m, area.horizon_sigma_rad])
+        tilts = [area.horizon_sigma_rad] * 2
+        prior = np.array([np.inf] * 3 + [area.height_sigma_m, *tilts])
         prior = np.append(prior, [area.paper_sigma_m] * 6)
-        pixel = np.hypot(0.15 / np.sqrt(15.0), area.edge_sigma_px) / CONFIG.focal_px
+        pixel = np.hypot(0.03, area.edge_sigma_px) / CONFIG.focal_px
 
         def edges(p: FloatArray) -> FloatArray:
             measured = []
             for k, paper in enumerate(PAPERS):
-                x, y, z = np.add(paper.center, (p[5 + 2 * k], 0.0, p[6 + 2 * k])) - eye
+                x, y, z = np.add(paper.center, (p[6 + 2 * k], 0.0, p[7 + 2 * k])) - eye
                 x, y, z = x - p[0], y - p[1], z - p[3]
                 left, right = x - paper.width / 2, x + paper.width / 2
                 measured += [np.arctan2(y, left) - p[2], np.arctan2(y, right) - p[2]]
                 for half in (-paper.height / 2, paper.height / 2):
-                    measured.append((z + half) / np.hypot(x, y) + p[4])
+                    reach = np.hypot(x, y)
+                    measured.append((z + half) / reach + (p[4] * x + p[5] * y) / reach)
             return np.array(measured)
 
-        zero, step = np.zeros(11), 1e-6
+        zero, step = np.zeros(12), 1e-6
         jacobian = np.stack(
-            [(edges(step * e) - edges(-step * e)) / (2 * step) for e in np.eye(11)], 1
+            [(edges(step * e) - edges(-step * e)) / (2 * step) for e in np.eye(12)], 1
         )
-        truth = rng.normal(size=(20000, 11)) * np.where(np.isfinite(prior), prior, 0.0)
+        truth = rng.normal(size=(20000, 12)) * np.where(np.isfinite(prior), prior, 0.0)
         noise = rng.normal(0.0, pixel, (20000, 12))
         normal = jacobian.T @ jacobian / pixel**2 + np.diag(prior**-2)
         estimate = (truth @ jacobian.T + noise) @ jacobian @ np.linalg.inv(normal) / pixel**2

@@ -42,6 +42,23 @@ def test_a_room_needs_no_papers(tmp_path: Path) -> None:
     assert load_room(written(tmp_path, ROOM.partition('reference_area')[0])).papers == ()
 
 
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        (('color: red', 'color: beige'), r"papers\[0\]: paper colour 'beige' is not known"),
+        (('color: red', "color: '#777777'"), r'papers\[0\]: .* too grey'),
+        (('height: 0.3', 'height: -0.3'), r'papers\[0\]: .* is no size of a paper'),
+    ],
+)
+def test_papers_that_cannot_be_looked_for_are_refused(
+    tmp_path: Path, change: tuple[str, str], message: str
+) -> None:
+    changed = ROOM.replace(*change)
+    assert changed != ROOM
+    with pytest.raises(LandmarkNavError, match=message):
+        load_room(written(tmp_path, changed))
+
+
 def test_robot_as_written_and_defaults(tmp_path: Path) -> None:
     mount = load_robot(written(tmp_path, ROBOT))
     assert mount.axis_xyz == (0.1, 0, 1.1)
