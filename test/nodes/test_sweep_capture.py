@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from threading import Thread
 from typing import Any
 
@@ -14,6 +15,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
+from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode, encode
@@ -215,11 +217,13 @@ def test_it_is_interrupted_goes_on_begins_anew_and_tells(
     client.wait(lambda: 'partial' in client.said('sweep_capture').reason, 20.0, 'its word')
 
 
-def test_a_frozen_camera_is_named(
+def test_a_frozen_camera_is_named_and_a_stop_in_a_sweep_is_clean(
     robot: Callable[..., SmallRobot],
     start: Callable[..., None],
     client: RobotClient,
+    supervisor: Supervisor,
     setup_files: dict[str, str],
+    tmp_path: Path,
 ) -> None:
     quick = {'capture.retakes': 3, 'capture.retake_pause_s': 0.05}
     start('sweep_capture', **sweep_parameters(setup_files), **quick)
@@ -230,3 +234,15 @@ def test_a_frozen_camera_is_named(
     assert not small.trajectories
     small.frozen = False
     assert client.call('capture_sweep', 60.0).startswith(f'{FRAMES} frames')
+
+    class StoppedError(Exception):
+        """The node was told to stop."""
+
+    def stop() -> None:
+        if len(small.images) > FRAMES + 2:
+            assert supervisor.stop() == {'sweep_capture': 0}
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        client.call('capture_sweep', 60.0, stop)
+    assert 'Traceback' not in (tmp_path / 'logs' / 'sweep_capture.log').read_text()
