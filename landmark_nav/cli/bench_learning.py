@@ -9,7 +9,9 @@ import numpy as np
 
 from landmark_nav.cli.bench_world import Comparison, MOUNT, STEP_RAD, World
 from landmark_nav.learning.attention import AttentionConfig, select_candidates
+from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.photometry import even_out, measure_photometry
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.wall_patch import WallPatch
 from landmark_nav.types import ImageArray
@@ -24,7 +26,7 @@ _COLUMNS, _ROWS = np.meshgrid(
 def learning_comparisons(world: World) -> Iterator[Comparison]:
     """Renderer, panorama, attention and stereo."""
     yield _renderer(world)
-    yield _panorama(world)
+    yield from _panorama(world)
     yield _attention(world)
     yield _stereo(world)
 
@@ -46,13 +48,32 @@ def _renderer(world: World) -> Comparison:
     )
 
 
-def _panorama(world: World) -> Comparison:
+def _panorama(world: World) -> Iterator[Comparison]:
     sweep = world.sweeps[0]
-    return Comparison(
-        'panorama of 72 frames',
-        lambda: synthesize_cylinder(sweep, MOUNT, PanoramaConfig()),
-        'bare cv2.remap of the same frames',
-        lambda: [_bare_remap(frame.image) for frame in sweep.frames],
+
+    def bare() -> object:
+        return [_bare_remap(frame.image) for frame in sweep.frames]
+
+    reference = 'bare cv2.remap of the same frames'
+    for blend in ('median', 'feather', 'mean'):
+        config = PanoramaConfig(blend=blend)
+        yield Comparison(
+            f'panorama of 72 frames, {blend}',
+            lambda config=config: synthesize_cylinder(sweep, MOUNT, config),
+            reference,
+            bare,
+        )
+    yield Comparison(
+        'exposures and vignetting evened out',
+        lambda: even_out(sweep, measure_photometry(sweep, MOUNT)),
+        reference,
+        bare,
+    )
+    yield Comparison(
+        'calibration out of a sweep',
+        lambda: calibrate_sweep(sweep, MOUNT, CalibrationConfig()),
+        reference,
+        bare,
     )
 
 

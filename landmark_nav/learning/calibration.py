@@ -46,6 +46,9 @@ _FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT = range(len(COMMON))
 # Fewer matches than this for each link of the chain say nothing.
 _LEAST_PER_LINK = 8
 
+# Correlation from which on two terms look alike.
+_ALIKE = 0.3
+
 # Walls of rooms are about so far away.
 _USUAL_RANGE_M = 3.0
 
@@ -204,10 +207,17 @@ def fit_significant(
             )
             for k in free
         }
-        least = min(free, key=lambda k: worth[k], default=None)
-        if least is None or worth[least] > 1.0:
+        weak = [k for k in sorted(free, key=lambda k: worth[k]) if worth[k] <= 1.0]
+        if not weak:
             break
-        free.remove(least)
+        # Terms that look alike may cover for each other: only one of them goes at a time.
+        scale = np.sqrt(np.diag(fit.covariance))
+        gone: list[int] = []
+        for k in weak:
+            alike = [abs(fit.covariance[k, j]) / (scale[k] * scale[j]) for j in gone]
+            if max(alike, default=0.0) < _ALIKE:
+                gone.append(k)
+        free = [k for k in free if k not in gone]
     if _FOCAL in free and _DISTORTION in free:
         found[_FOCAL] = _effective_focal(fit)
     used = set(free) if config.enabled else set()

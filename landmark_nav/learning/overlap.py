@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import cv2
@@ -126,11 +126,10 @@ def _rotation(sweep: Sweep, k: int, mount: PanTiltMount) -> FloatArray:
 
 def _grey_slab(sweep: Sweep, k: int, mount: PanTiltMount, cylinder: Cylinder) -> FrameSlab:
     frame = sweep.frames[k]
-    slab = frame_slab(frame, mount, cylinder)
-    if slab.image.ndim == 2:
-        return slab
-    grey = np.asarray(cv2.cvtColor(slab.image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    return FrameSlab(slab.start, slab.middle, grey, slab.inside)
+    if frame.image.ndim == 3:
+        grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+        frame = replace(frame, image=np.asarray(grey, dtype=np.uint8))
+    return frame_slab(frame, mount, cylinder)
 
 
 def _track(first: FrameSlab, second: FrameSlab, cylinder: Cylinder) -> FloatArray | None:

@@ -26,7 +26,7 @@ COMMON = ('focal_length', 'distortion', 'pan_scale', 'tilt', 'roll', 'forward', 
 _STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
 
 _ITERATIONS = 12
-_CONVERGED_PX = 1e-3
+_CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 
 # Tracking is biased by about so much, however many points are tracked.
@@ -84,6 +84,7 @@ class OverlapProblem:
         chosen = [sweep.frames[k] for k in self._used]
         self._angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in chosen])
         self._rays: dict[tuple[float, float], FloatArray] = {}
+        self._last = np.zeros(0)
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
         if range_m is not None:
@@ -116,7 +117,8 @@ class OverlapProblem:
         index = np.concatenate([np.asarray(free, np.intp), np.arange(len(COMMON), size)])
         precision = np.zeros(size)
         precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), count)
-        x = np.zeros(size)
+        x = self._last if self._last.size else np.zeros(size)
+        x[np.setdiff1d(np.arange(size), index)] = 0.0
         for _ in range(_ITERATIONS):
             common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
             off = self._misfit(common, frames)
@@ -133,6 +135,7 @@ class OverlapProblem:
             x[index] -= step
             if focal * np.abs(step).max() < _CONVERGED_PX:
                 break
+        self._last = x.copy()
         chosen = len(free)
         slope = focal * np.sqrt(np.mean(np.sum(slopes[..., :chosen] ** 2, 1), 0))
         covariance = np.zeros((len(COMMON), len(COMMON)))

@@ -9,12 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 import numpy as np
 
-from landmark_nav.evaluation.figures.style import CANDIDATE, LANDMARK, new_figure, save
+from landmark_nav.evaluation.figures.style import CANDIDATE, DPI, LANDMARK, new_figure, save
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
 __all__ = ['draw_panorama']
 
-_WIDTH_IN = 24.0
+# Around the picture: left, bottom, right, top, inches.
+_MARGINS_IN = (0.7, 0.6, 0.2, 0.4)
 
 
 def draw_panorama(
@@ -42,10 +43,14 @@ def draw_panorama(
 
     """
     rows, columns = panorama.image.shape[:2]
-    figure = new_figure(_WIDTH_IN, _WIDTH_IN * rows / columns + 1.1)
-    axes = figure.add_subplot()
-    rgb = np.where(panorama.mask[..., None], panorama.image[..., ::-1], 255)
-    axes.imshow(rgb, aspect='equal')
+    # Pixel for pixel, so that nothing has to be resampled.
+    left, bottom, right, top = _MARGINS_IN
+    width, height = columns / DPI, rows / DPI
+    size = (left + width + right, bottom + height + top)
+    figure = new_figure(*size, arranged=False)
+    axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+    rgb = np.where(panorama.mask[..., None], panorama.image[..., ::-1], np.uint8(255))
+    axes.imshow(rgb, aspect='auto', interpolation='nearest')
     elected = 0
     for candidate, outcome in zip(candidates, outcomes, strict=True):
         elected += isinstance(outcome, Landmark)
@@ -69,7 +74,7 @@ def draw_panorama(
         f'Panorama {number}: {len(candidates)} candidates (thin), '
         f'{elected} of them elected (bold, with id)'
     )
-    save(figure, path)
+    save(figure, path, tight=False)
 
 
 def _frame(axes: Axes, candidate: Candidate, column: float, label: str) -> None:
