@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import cv2
 import numpy as np
@@ -56,10 +57,9 @@ def _panorama(world: World) -> Iterator[Comparison]:
 
     reference = 'bare cv2.remap of the same frames'
     for blend in ('median', 'feather', 'mean'):
-        config = PanoramaConfig(blend=blend)
         yield Comparison(
             f'panorama of 72 frames, {blend}',
-            lambda config=config: synthesize_cylinder(sweep, MOUNT, config),
+            partial(synthesize_cylinder, sweep, MOUNT, PanoramaConfig(blend=blend)),
             reference,
             bare,
         )
