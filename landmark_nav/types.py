@@ -85,11 +85,12 @@ class OdometrySample:
 
 @dataclass(frozen=True)
 class JointSample:
-    """Measured angles of the pan-tilt unit, radians."""
+    """Measured angles of the pan-tilt unit, radians, and how fast it pans."""
 
     stamp_ns: int
     pan_rad: float
     tilt_rad: float = 0.0
+    pan_rate_rad_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,7 @@ class CameraFrame:
     pan_rad: float
     tilt_rad: float = 0.0
     roll_rad: float = 0.0
+    pan_rate_rad_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +320,8 @@ class Detections:
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
     cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
-    that should have been in view, were looked for and not found.
+    that should have been in view, were looked for and not found. The camera turned by
+    `pan_rate_rad_s`.
     """
 
     stamp_ns: int
@@ -328,6 +331,7 @@ class Detections:
     score: FloatArray
     uv_px: FloatArray
     missed: npt.NDArray[np.int64] = field(default_factory=lambda: _NO_IDS)
+    pan_rate_rad_s: float = 0.0
 
     def __len__(self) -> int:
         """Return how many were found."""
@@ -343,4 +347,5 @@ class Detections:
             self.score[which],
             self.uv_px[which],
             self.missed,
+            self.pan_rate_rad_s,
         )

@@ -13,9 +13,10 @@ import numpy as np
 
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
-from landmark_nav.evaluation.replay import replay
+from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.evaluation.run_report import run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report
 from landmark_nav.evaluation.tum_files import write_tum_files
@@ -98,15 +99,28 @@ def run(args: argparse.Namespace) -> int:
     bag = Bag(args.bag)
     topics = {bag.find(name) for name in _EVENTS} - {None}
     total = sum(bag.counts[topic] for topic in topics if topic)
-    events = progress(sensor_events(bag, mount), 'localizing', total)
     config = LocalizationConfig()
     if args.config:
         config = load_config(args.config, config)
-    done = replay(events, landmarks, mount, config, start, covariance)
+
+    def localized(joint_delay_s: float) -> Replay:
+        events = progress(sensor_events(bag, mount, joint_delay_s), 'localizing', total)
+        return replay(events, landmarks, mount, config, start, covariance)
+
+    done = localized(0.0)
+    offsets = camera_offsets(done, landmarks, mount, config)
+    delay_s = offsets.delay_s if offsets.delay_matters else 0.0
+    if delay_s:
+        bag.warn(
+            f'{bag.path}: joint_states are stamped {1e3 * delay_s:.1f} ms late (sigma '
+            f'{1e3 * offsets.delay_sigma_s:.1f} ms): taken into account'
+        )
+        done = localized(delay_s)
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     errors = run_errors(done)
     report = run_report(done, errors, landmarks, mount, config)
+    report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
     smoothed = smooth_run(done, landmarks, mount, config) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)

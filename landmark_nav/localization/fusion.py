@@ -67,6 +67,13 @@ class FusionConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    delay_sigma_s: float = parameter(
+        0.0,
+        'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '
+        'is estimated where the rate of the pan is known; 0 takes it as none, s.',
+        minimum=0.0,
+        maximum=1.0,
+    )
     turn_sigma_rad: float = parameter(
         0.035,
         'Uncertainty of heading and boresight when all bearings are off by one angle; 0 has it '
@@ -165,7 +172,13 @@ class PoseFilter:
         if known is not None and not known[0] <= start.stamp_ns <= known[1] + 10**9:
             start = replace(start, stamp_ns=known[1])
         self._history.restart(
-            initial_state(start, self._map, self._odometry, self._config.boresight_sigma_rad)
+            initial_state(
+                start,
+                self._map,
+                self._odometry,
+                self._config.boresight_sigma_rad,
+                self._config.delay_sigma_s,
+            )
         )
         self._health.restart(start.stamp_ns)
 

@@ -27,6 +27,7 @@ from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = [
     'BORESIGHT',
+    'DELAY',
     'HEADING',
     'STATES',
     'FilterState',
@@ -40,9 +41,10 @@ __all__ = [
 
 IndexArray = npt.NDArray[np.intp]
 
-# x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight.
-STATES = 8
-HEADING, BORESIGHT = 2, 7
+# x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight; by how
+# much the stamps of the joints are late.
+STATES = 9
+HEADING, BORESIGHT, DELAY = 2, 7, 8
 _SCALE, _DRIFT, _TURN_SCALE, _SLIP = 3, 4, 5, 6
 _BIASES = slice(_SCALE, _SLIP)
 
@@ -101,9 +103,10 @@ def initial_state(
     landmark_map: LandmarkMap,
     odometry: OdometryNoiseConfig,
     boresight_sigma: float,
+    delay_sigma_s: float = 0.0,
 ) -> FilterState:
     """Return the state at a given pose, independent of the map."""
-    sigmas = np.array([*odometry.bias_sigmas, odometry.slip_sigma, boresight_sigma])
+    sigmas = np.array([*odometry.bias_sigmas, odometry.slip_sigma, boresight_sigma, delay_sigma_s])
     covariance = np.zeros((STATES, STATES))
     covariance[:3, :3] = start.covariance
     covariance[range(3, STATES), range(3, STATES)] = sigmas**2
@@ -160,6 +163,7 @@ def bearing_model(
     bearings: FloatArray,
     noise: FloatArray,
     lever: FloatArray,
+    pan_rate: float = 0.0,
 ) -> MeasurementModel:
     """
     Bearings with the uncertainty of a prior, linearised at a state.
@@ -178,6 +182,8 @@ def bearing_model(
         Measurement covariance, rad^2.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
+    pan_rate : float
+        How fast the camera turned, rad/s: joint stamps that are late make bearings lag.
 
     """
     x, y, heading = at.mean[:3]
@@ -185,13 +191,15 @@ def bearing_model(
     arm = np.array([cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1]])
     axis = np.array([x + arm[0], y + arm[1], heading])
     seen = at.landmarks[columns]
-    residual = bearing_residuals(axis, seen, bearings - at.mean[BORESIGHT])
+    shift = at.mean[BORESIGHT] - pan_rate * at.mean[DELAY]
+    residual = bearing_residuals(axis, seen, bearings - shift)
     gradient = bearing_gradients(axis, seen)
 
     jacobian = np.zeros((len(columns), STATES))
     jacobian[:, :2] = gradient
     jacobian[:, 2] = gradient[:, 1] * arm[0] - gradient[:, 0] * arm[1] - 1.0
     jacobian[:, BORESIGHT] = 1.0
+    jacobian[:, DELAY] = -pan_rate
 
     # The derivative by a landmark's x and y is minus the one by the axis'.
     pair = np.stack([2 * columns, 2 * columns + 1], -1)

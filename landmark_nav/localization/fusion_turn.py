@@ -57,6 +57,8 @@ def update_turning(
 
 def _common_turn(prior: FilterState, frame: BearingFrame, lever: FloatArray) -> float:
     """How far all bearings are off together, in standard deviations."""
-    model = bearing_model(prior, prior, frame.columns, frame.bearing_rad, frame.noise, lever)
+    model = bearing_model(
+        prior, prior, frame.columns, frame.bearing_rad, frame.noise, lever, frame.pan_rate
+    )
     weight = np.linalg.solve(model.covariance, np.ones(len(frame.columns)))
     return float(weight @ model.innovation / np.sqrt(weight.sum()))

@@ -79,6 +79,7 @@ class BearingFrame:
     bearing_rad: FloatArray
     noise: FloatArray
     unusable: dict[int, Refusal]
+    pan_rate: float = 0.0
 
 
 def bearing_frame(
@@ -116,6 +117,7 @@ def bearing_frame(
         detections.bearing_rad[rows],
         np.diag(variance[rows]) + common_sigma**2,
         unusable,
+        detections.pan_rate_rad_s,
     )
 
 
@@ -153,7 +155,13 @@ def update_bearings(
     def model_at(chosen: IndexArray, at: FilterState) -> MeasurementModel:
         noise = frame.noise[np.ix_(chosen, chosen)]
         return bearing_model(
-            prior, at, frame.columns[chosen], frame.bearing_rad[chosen], noise, lever
+            prior,
+            at,
+            frame.columns[chosen],
+            frame.bearing_rad[chosen],
+            noise,
+            lever,
+            frame.pan_rate,
         )
 
     seen = ids[frame.columns]

@@ -124,7 +124,8 @@ def observe(
         result.detections, prior, landmark_map, mount, config, common_bearing_sigma_rad
     )
     missed = np.array(sorted(result.refused), dtype=np.int64)
-    return Observation(replace(result.detections, missed=missed), result.refused, fix)
+    found = replace(result.detections, missed=missed, pan_rate_rad_s=frame.pan_rate_rad_s)
+    return Observation(found, result.refused, fix)
 
 
 def fix_from_bearings(

@@ -13,10 +13,12 @@ import numpy as np
 from picture_drives import drive, error_of, FRAME_NS, MAP, MOUNT, picture, START, START_SIGMA, Step
 import pytest
 
+from landmark_nav.evaluation.camera_offsets import camera_offsets
+from landmark_nav.evaluation.replay import replay as replay_events
 from landmark_nav.geometry import se2
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, OdometrySample, PoseEstimate
 
 SECONDS = 12.0
 FAULT_S = 3.2
@@ -309,3 +311,22 @@ def test_a_camera_bumped_against_the_base_goes_on(sensed: list[Sensed], angle_de
     assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
     assert max(np.hypot(*m.error[:2]) for m in moments if m.after_s > 2.0) < 0.05
     check_honest(moments)
+
+
+@pytest.mark.parametrize('late_s', [0.0, 0.04, -0.04])
+def test_joint_states_that_are_late_are_measured(sensed: list[Sensed], late_s: float) -> None:
+    events: list[CameraFrame | OdometrySample] = []
+    for step, frame in sensed:
+        events.append(step.odometry)
+        if frame is None or step.stamp_ns * 1e-9 > 9.0:
+            continue
+        seconds = step.stamp_ns * 1e-9 - late_s
+        rate = (pan_rad(seconds + 0.025) - pan_rad(seconds - 0.025)) / 0.05
+        events.append(replace(frame, pan_rad=pan_rad(seconds), pan_rate_rad_s=rate))
+    config = LocalizationConfig()
+    done = replay_events(events, MAP, MOUNT, config, START, np.diag(START_SIGMA**2))
+    offsets = camera_offsets(done, MAP, MOUNT, config)
+    assert offsets.delay_sigma_s < 0.008
+    assert abs(offsets.delay_s - late_s) < 4.0 * offsets.delay_sigma_s
+    assert offsets.delay_matters == (late_s != 0.0)
+    assert abs(offsets.boresight_rad) < 4.0 * offsets.boresight_sigma_rad

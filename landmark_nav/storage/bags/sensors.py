@@ -26,14 +26,16 @@ SensorEvent = CameraFrame | Detections | JointSample | OdometrySample | PoseEsti
 _PICTURES = ('camera/image_raw', 'camera/image_raw/compressed')
 
 
-def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
+def sensor_events(
+    bag: Bag, mount: PanTiltMount, joint_delay_s: float = 0.0
+) -> Iterator[SensorEvent]:
     """
     What a drive's bag holds, in the order it was recorded.
 
-    Pictures are grey, with pan and tilt interpolated at their stamps. Ground truth, if there is
-    any, comes as `PoseEstimate`. Pictures that cannot be used are left out and reported through
-    ``bag.warn``. A bag without pictures may bring ``detections`` instead, of this package or
-    another sensor.
+    Pictures are grey, with pan and tilt interpolated at their stamps; those of joint states are
+    late by `joint_delay_s`. Ground truth, if there is any, comes as `PoseEstimate`. Pictures that
+    cannot be used are left out and reported through ``bag.warn``. A bag without pictures may
+    bring ``detections`` instead, of this package or another sensor.
 
     Raises
     ------
@@ -56,7 +58,7 @@ def sensor_events(bag: Bag, mount: PanTiltMount) -> Iterator[SensorEvent]:
     for entry in bag.messages(topics):
         if entry.topic == images:
             try:
-                yield _frame(bag, entry, cameras, joints)
+                yield _frame(bag, entry, cameras, joints, round(joint_delay_s * 1e9))
                 used += 1
             except _UnusableFrameError as error:
                 complaints.append(str(error))
@@ -96,14 +98,16 @@ class _UnusableFrameError(Exception):
     """One picture that has to be left out."""
 
 
-def _frame(bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointHistory) -> CameraFrame:
+def _frame(
+    bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointHistory, delay_ns: int
+) -> CameraFrame:
     stamp = decode.stamp_ns(entry.message.header)
     try:
         with naming(bag, entry.topic):
             picture = decode.image(entry.message, grey=True)
     except LandmarkNavError as error:
         raise _UnusableFrameError(str(error)) from error
-    sample = joints.at(stamp)
+    sample = joints.at(stamp + delay_ns)
     if sample is None:
         raise _UnusableFrameError(
             f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it: '
@@ -111,4 +115,11 @@ def _frame(bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointHisto
         )
     with naming(bag, entry.topic):
         camera = cameras.for_picture(stamp, picture.shape)
-    return CameraFrame(stamp, picture, camera, sample.pan_rad, sample.tilt_rad)
+    return CameraFrame(
+        stamp,
+        picture,
+        camera,
+        sample.pan_rad,
+        sample.tilt_rad,
+        pan_rate_rad_s=sample.pan_rate_rad_s,
+    )

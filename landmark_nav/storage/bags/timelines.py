@@ -66,6 +66,7 @@ class JointHistory:
                 stamp_ns,
                 first.pan_rad + share * (second.pan_rad - first.pan_rad),
                 first.tilt_rad + share * (second.tilt_rad - first.tilt_rad),
+                1e9 * (second.pan_rad - first.pan_rad) / (second.stamp_ns - first.stamp_ns),
             )
         nearest = min(near, key=lambda k: abs(self._stamps[k] - stamp_ns), default=None)
         if nearest is None or abs(self._stamps[nearest] - stamp_ns) > _SAME_TIME_NS:

@@ -1,0 +1,90 @@
+"""What a run tells of the camera: stamps of its joints that are late, a pan zero that is off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.evaluation.replay import Replay
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.fusion_state import BORESIGHT, DELAY
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.types import LandmarkMap, OdometrySample
+
+__all__ = ['CameraOffsets', 'camera_offsets']
+
+# What could be, before anything is seen.
+_DELAY_SIGMA_S = 0.05
+_BORESIGHT_SIGMA_RAD = 0.03
+# So many sigmas are no chance, and less than this does no harm.
+_SIGNIFICANT = 4.0
+_LEAST_DELAY_S = 5e-4
+
+
+@dataclass(frozen=True)
+class CameraOffsets:
+    """
+    Constant errors of the camera's direction, each with its sigma.
+
+    `delay_s` is by how much joint states are stamped later than pictures of the same moment,
+    `boresight_rad` where the camera looks at pan 0, counter-clockwise from ahead.
+    """
+
+    delay_s: float
+    delay_sigma_s: float
+    boresight_rad: float
+    boresight_sigma_rad: float
+
+    @property
+    def delay_matters(self) -> bool:
+        """Whether the delay is more than chance and worth a correction."""
+        least = max(_SIGNIFICANT * self.delay_sigma_s, _LEAST_DELAY_S)
+        return abs(self.delay_s) > least
+
+    def report(self) -> dict[str, Any]:
+        """Figures for ``evaluate --json``."""
+        return {
+            'joint_delay_s': self.delay_s,
+            'joint_delay_sigma_s': self.delay_sigma_s,
+            'boresight_deg': float(np.degrees(self.boresight_rad)),
+            'boresight_sigma_deg': float(np.degrees(self.boresight_sigma_rad)),
+        }
+
+
+def camera_offsets(
+    run: Replay, landmark_map: LandmarkMap, mount: PanTiltMount, config: LocalizationConfig
+) -> CameraOffsets:
+    """
+    Estimate them from the bearings and the odometry of a run, together with its poses.
+
+    While the camera turns, late stamps shift all bearings by rate times delay; a pan zero that is
+    off shows as the robot drives, by the direction in which it moves.
+    """
+    fusion = replace(
+        config.fusion,
+        mode='bearings',
+        boresight_sigma_rad=_BORESIGHT_SIGMA_RAD,
+        delay_sigma_s=_DELAY_SIGMA_S,
+        turn_sigma_rad=0.0,
+    )
+    fused = PoseFilter(landmark_map, mount, fusion, config.odometry, config.health)
+    fused.initialize(run.start)
+    track, moved = run.odometry, 0
+    for update in run.updates:
+        while moved < len(track) and track.stamps_ns[moved] <= update.stamp_ns:
+            sample = OdometrySample(int(track.stamps_ns[moved]), track.poses[moved])
+            fused.add_odometry(sample)
+            moved += 1
+        fused.add_detections(update.observation.detections)
+    state = fused.state
+    assert state is not None, 'it was initialized'
+    sigma = np.sqrt(np.diag(state.covariance))
+    return CameraOffsets(
+        float(state.mean[DELAY]),
+        float(sigma[DELAY]),
+        float(state.mean[BORESIGHT]),
+        float(sigma[BORESIGHT]),
+    )
