@@ -320,8 +320,7 @@ class Detections:
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
     cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
-    that should have been in view, were looked for and not found. The camera turned by
-    `pan_rate_rad_s`.
+    that should be in view, were looked for and not found. The camera pans at `pan_rate_rad_s`.
     """
 
     stamp_ns: int
