@@ -21,7 +21,7 @@ ROOM = Room(
         Wall('north', (6.03, 4.4), (0.0, 4.4), HEIGHT),
         Wall('west', (0.0, 4.4), (0.0, 0.0), HEIGHT),
     ),
-    (Paper('white', (3.8013, 0.02, 1.7507), 0.3, 0.3),),
+    (Paper('blue', (3.8013, 0.02, 1.7507), 0.3, 0.3),),
 )
 TARGETS = tuple(
     WallItem('target', 0, along, z, 0.5, 0.5, 0)
@@ -125,7 +125,7 @@ def test_paper_before_its_wall_keeps_its_place(renderer):
             part = image[low[1] : high[1], low[0] : high[0]].astype(np.float64)
             ring = np.ones(part.shape, bool)
             ring[2:-2, 2:-2] = False
-            weight = np.clip(part - part[ring].mean(), 0.0, None)
+            weight = np.abs(part - part[ring].mean())
             weight[weight < 12.0] = 0.0
             v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
             found = np.array([(u * weight).sum(), (v * weight).sum()]) / weight.sum()
