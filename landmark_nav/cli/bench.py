@@ -94,10 +94,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _timed(comparison: Comparison, repeats: int) -> Row:
-    """Time the two in turn, so that what else the machine does meets both."""
+    """Time the two in turn, so that what else the machine does meets both; warm unless once."""
     works = (comparison.ours, comparison.reference)
-    for work in works:  # warms up
-        work()
+    if repeats > 1:
+        for work in works:
+            work()
     taken = [[_seconds(work) / comparison.count for work in works] for _ in range(repeats)]
     ours, reference = (median(column) for column in zip(*taken, strict=True))
     return Row(comparison.stage, ours, comparison.reference_name, reference)

@@ -118,6 +118,7 @@ class Predictor:
             views.range_m[places],
             sighted / variance,
             self._samples.normal,
+            self._samples.wall,
             by_source.sum(axis=0),
             views.covariance[places],
             config.adjustment,

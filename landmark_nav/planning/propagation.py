@@ -16,7 +16,7 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['landmark_errors', 'localization_sigma']
 
-# x, y, heading of each panorama; after all of them, how far things hang off the walls.
+# x, y, heading of each panorama; after all of them, how far things hang off each wall.
 _POSE = 3
 
 # Landmarks that a fix needs.
@@ -28,6 +28,7 @@ def landmark_errors(
     range_m: FloatArray,
     weight: FloatArray,
     normal: FloatArray,
+    wall: npt.NDArray[np.intp],
     landmarks: FloatArray,
     pose_covariance: FloatArray,
     config: AdjustmentConfig,
@@ -43,6 +44,8 @@ def landmark_errors(
         Information of each sighting, 1 / rad^2; 0 where there is none.
     normal : ndarray, shape (s, 2)
         Of the walls.
+    wall : ndarray of int, shape (s,)
+        Which wall each is on.
     landmarks : ndarray, shape (s,)
         How many there are at each point.
     pose_covariance : ndarray, shape (n, 3, 3)
@@ -62,13 +65,15 @@ def landmark_errors(
     turned = azimuth_rad + 0.5 * np.pi
     by_point = np.stack([np.cos(turned), np.sin(turned)], -1) / range_m[..., None]
     by_pose = np.concatenate([-by_point, np.full((*range_m.shape, 1), -1.0)], -1)
-    wall = config.hanging_sigma_m**-2.0
+    hanging = config.hanging_sigma_m**-2.0
     h_xx = np.einsum('ns,nsi,nsj->sij', weight, by_point, by_point)
-    h_xx += wall * normal[:, :, None] * normal[:, None]
+    h_xx += hanging * normal[:, :, None] * normal[:, None]
     # Nothing is known along the wall where no panorama looks: 30 m are as good as nothing.
     h_xx += 1e-3 * np.eye(2)
     h_xp = np.einsum('ns,nsi,nsj->sinj', weight, by_point, by_pose)
-    h_xs = np.concatenate([h_xp.reshape(len(normal), 2, -1), -wall * normal[..., None]], 2)
+    on_wall = np.eye(int(wall.max()) + 1)[wall]
+    h_xw = -hanging * normal[..., None] * on_wall[:, None]
+    h_xs = np.concatenate([h_xp.reshape(len(normal), 2, -1), h_xw], 2)
     own = np.linalg.inv(h_xx)
     gain = own @ h_xs
 
@@ -78,7 +83,11 @@ def landmark_errors(
     for k, block in enumerate(blocks):
         part = slice(_POSE * k, _POSE * (k + 1))
         shared[part, part] = block
-    shared[-1, -1] = config.common_hanging_sigma_m**-2.0 + wall * landmarks.sum()
+    planes = slice(_POSE * len(blocks), None)
+    off_walls = (
+        config.common_hanging_sigma_m**2 + np.eye(on_wall.shape[1]) * config.wall_sigma_m**2
+    )
+    shared[planes, planes] = np.linalg.inv(off_walls) + hanging * np.diag(landmarks @ on_wall)
     # Schur complement: what is left of the information once every landmark is solved for.
     factors = len(shared)
     told = (landmarks[:, None, None] * h_xs).reshape(-1, factors)

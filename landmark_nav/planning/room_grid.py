@@ -14,10 +14,11 @@ __all__ = ['WallSamples', 'free_floor', 'is_free', 'sample_walls']
 
 
 class WallSamples(NamedTuple):
-    """Points `xy` (s, 2) on the walls, their normals (s, 2), heights (s,), lengths (s,)."""
+    """Points `xy` (s, 2), number and normal (s, 2) of their walls, heights, lengths (s,)."""
 
     xy: FloatArray
     normal: FloatArray
+    wall: npt.NDArray[np.intp]
     wall_height_m: FloatArray
     length_m: FloatArray
 
@@ -72,11 +73,13 @@ def sample_walls(room: Room, spacing_m: float, most: int) -> WallSamples:
     """Middles of equal pieces of each wall, about `spacing_m` long, about `most` in all."""
     spacing = max(spacing_m, sum(wall.length for wall in room.walls) / most)
     parts = []
-    for wall, normal in zip(room.walls, room.normals, strict=True):
+    for k, (wall, normal) in enumerate(zip(room.walls, room.normals, strict=True)):
         count = max(1, round(wall.length / spacing))
         share = (np.arange(count) + 0.5)[:, None] / count
         xy = np.array(wall.start) + share * np.subtract(wall.end, wall.start)
-        constant = np.tile([*normal[:2], wall.height, wall.length / count], (count, 1))
+        constant = np.tile([*normal[:2], k, wall.height, wall.length / count], (count, 1))
         parts.append(np.column_stack([xy, constant]))
     table = np.concatenate(parts)
-    return WallSamples(table[:, :2], table[:, 2:4], table[:, 4], table[:, 5])
+    return WallSamples(
+        table[:, :2], table[:, 2:4], table[:, 4].astype(np.intp), table[:, 5], table[:, 6]
+    )

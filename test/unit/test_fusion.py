@@ -20,7 +20,12 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
-from landmark_nav.localization.fusion_state import bearing_model, initial_state, propagate
+from landmark_nav.localization.fusion_state import (
+    bearing_model,
+    BORESIGHT,
+    initial_state,
+    propagate,
+)
 from landmark_nav.localization.fusion_update import FusionUpdate
 from landmark_nav.localization.odometry_noise import Motion, OdometryNoiseConfig
 from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate
@@ -117,7 +122,7 @@ class TestRecovery:
                 fused.add_detections(sighting(moment, k, turned))
         state = fused.state
         assert state is not None
-        assert state.mean[-1] == pytest.approx(turned, abs=np.radians(0.5))
+        assert state.mean[BORESIGHT] == pytest.approx(turned, abs=np.radians(0.5))
         assert abs(error_of(fused.estimate(), moment.pose)[2]) < np.radians(0.5)
 
 

@@ -119,6 +119,7 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
         np.linalg.norm(delta, axis=-1),
         np.full((3, 24), 1.0 / (sigma**2 + config.azimuth_sigma_rad**2)),
         ROOM.normals[walls, :2],
+        walls,
         np.ones(24),
         spread,
         config,
@@ -137,8 +138,11 @@ def test_two_landmarks_at_a_point_are_worth_two() -> None:
     weight = np.full((2, 10), 1e6)
     twice = [np.concatenate([a, a], -1) for a in (azimuth, reach, weight)]
     config = AdjustmentConfig()
-    _, one = landmark_errors(azimuth, reach, weight, normal, np.full(10, 2.0), spread, config)
-    _, two = landmark_errors(*twice, np.concatenate([normal, normal]), np.ones(20), spread, config)
+    wall = np.zeros(20, np.intp)
+    _, one = landmark_errors(
+        azimuth, reach, weight, normal, wall[:10], np.full(10, 2.0), spread, config
+    )
+    _, two = landmark_errors(*twice, np.tile(normal, (2, 1)), wall, np.ones(20), spread, config)
     first = two[:10].reshape(20, -1)
     np.testing.assert_allclose(
         one.reshape(20, -1) @ one.reshape(20, -1).T, first @ first.T, rtol=1e-6, atol=1e-12

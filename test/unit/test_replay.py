@@ -107,6 +107,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         'triangulation',
         'odometry',
         'nees',
+        'silently_wrong',
         'crlb_ratio',
         'update_ms',
         'realtime_factor',
@@ -129,7 +130,7 @@ def test_without_truth_the_errors_stay_empty(tmp_path):
     done = run(drive(truth=False))
     report = run_report(done, run_errors(done), a_map(), MOUNT, CONFIG)
     assert report['fused']['position_rmse_m'] is None
-    assert report['nees'] == {'mean': None, 'inside_95': None}
+    assert report['nees'] == {'mean': None, 'inside_95': None, 'interval_95': None}
     assert report['crlb_ratio'] is None
     page = html_report('a <run>', report, {})
     assert 'a &lt;run&gt;' in page
