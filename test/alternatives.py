@@ -1,0 +1,252 @@
+"""
+One drive, all ways to localize in it: this package, and what a user could put together.
+
+``python test/alternatives.py DRIVE --learn LEARN --map MAP --robot ROBOT --start X Y THETA`` runs
+them on the same bag, one line each:
+
+* this package: the fused pose, and its triangulated fixes by themselves;
+* odometry alone, from the start;
+* SIFT + PnP with RANSAC (OpenCV): features of the sweeps' frames, placed on the walls by the poses
+  of the sweeps in the map, are matched in every picture, which is thus located by itself;
+* the same with the odometry in an extended Kalman filter that gates the poses.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+import sys
+import time
+from typing import Any
+
+import cv2
+import numpy as np
+
+from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.evaluation.replay import replay
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.localization.fusion import FusionConfig, PoseFilter
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+)
+
+START_SIGMA = (0.02, 0.02, 0.01)
+# Wrong without a word.
+WRONG_M = 0.3
+
+# Frames that lie so far apart in pan overlap by a third of a usual picture.
+FRAME_STEP_RAD = np.radians(25.0)
+FEATURES = 2000
+RATIO = 0.8
+# A second match nearer than that to the first is the same thing, out of another frame.
+SAME_M = 0.05
+MIN_INLIERS = 12
+REPROJECTION_PX = 3.0
+# What such a pose is trusted with in the filter.
+POSE_SIGMA = (0.03, 0.03, np.radians(0.5))
+
+
+class SiftLocator:
+    """Locates pictures by SIFT features whose places on the walls are known."""
+
+    def __init__(self, learn: Path, landmark_map: LandmarkMap, mount: PanTiltMount) -> None:
+        self._mount = mount
+        self._sift = cv2.SIFT_create(FEATURES)
+        room = Room(landmark_map.walls)
+        sweeps = list(read_sweeps(Bag(learn), mount))
+        points, descriptors = [], []
+        for sweep, pose in zip(sweeps, landmark_map.panorama_poses, strict=True):
+            last = -np.inf
+            for frame in sorted(sweep.frames, key=lambda frame: frame.pan_rad):
+                if frame.pan_rad - last >= FRAME_STEP_RAD:
+                    last = frame.pan_rad
+                    placed, described = self._placed(frame, pose.pose, room)
+                    points.append(placed)
+                    descriptors.append(described)
+        self._points = np.concatenate(points)
+        self._matcher = cv2.FlannBasedMatcher({'algorithm': 1, 'trees': 4}, {'checks': 64})
+        self._matcher.add([np.concatenate(descriptors)])
+        self._matcher.train()
+
+    def _placed(self, frame: CameraFrame, pose: FloatArray, room: Room) -> tuple[Any, Any]:
+        """Points (n, 3) on the walls and descriptors of the features of a sweep's frame."""
+        pixels, descriptors = self._features(frame)
+        from_camera, center = _camera_in_map(pose, self._mount, frame)
+        rays = frame.camera.unproject(pixels) @ from_camera.T
+        away, _ = room.raycast(center[:2], np.arctan2(rays[:, 1], rays[:, 0]))
+        flat = np.hypot(rays[:, 0], rays[:, 1])
+        points = center + rays * (away / flat)[:, None]
+        good = np.isfinite(points).all(axis=1) & (points[:, 2] > 0.0) & (points[:, 2] < 3.0)
+        return points[good], descriptors[good]
+
+    def _features(self, frame: CameraFrame) -> tuple[FloatArray, Any]:
+        image = frame.image
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        found, descriptors = self._sift.detectAndCompute(grey, None)
+        pixels = np.array([point.pt for point in found], dtype=np.float64).reshape(-1, 2)
+        return pixels, np.empty((0, 128), np.float32) if descriptors is None else descriptors
+
+    def locate(self, frame: CameraFrame) -> FloatArray | None:
+        """Pose (3,) of the base in map; None if too little fits."""
+        pixels, descriptors = self._features(frame)
+        if len(pixels) < MIN_INLIERS:
+            return None
+        seen, known = [], []
+        for k, matches in enumerate(self._matcher.knnMatch(descriptors, 4)):
+            best = matches[0]
+            here = self._points[best.trainIdx]
+            others = (
+                m.distance
+                for m in matches[1:]
+                if np.linalg.norm(self._points[m.trainIdx] - here) > SAME_M
+            )
+            if best.distance < RATIO * next(others, np.inf):
+                seen.append(k)
+                known.append(best.trainIdx)
+        if len(seen) < MIN_INLIERS:
+            return None
+        camera = frame.camera
+        done, turn, shift, inliers = cv2.solvePnPRansac(
+            self._points[known],
+            pixels[seen],
+            camera.matrix,
+            np.array(camera.distortion),
+            iterationsCount=300,
+            reprojectionError=REPROJECTION_PX,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_SQPNP,
+        )
+        if not done or inliers is None or len(inliers) < MIN_INLIERS:
+            return None
+        used = inliers[:, 0]
+        turn, shift = cv2.solvePnPRefineLM(
+            self._points[known][used],
+            pixels[seen][used],
+            camera.matrix,
+            np.array(camera.distortion),
+            turn,
+            shift,
+        )
+        to_camera = cv2.Rodrigues(turn)[0]
+        center = -to_camera.T @ shift[:, 0]
+        from_base, center_base = self._mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+        base_in_map = to_camera.T @ from_base.T
+        x, y, _ = center - base_in_map @ center_base
+        return np.array([x, y, np.arctan2(base_in_map[1, 0], base_in_map[0, 0])])
+
+
+def _camera_in_map(
+    pose: FloatArray, mount: PanTiltMount, frame: CameraFrame
+) -> tuple[FloatArray, FloatArray]:
+    from_camera, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return turn @ from_camera, turn @ center + [pose[0], pose[1], 0.0]
+
+
+def sift_runs(
+    events: list[SensorEvent], locator: SiftLocator, mount: PanTiltMount, start: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Poses (n, 3) of SIFT + PnP, of the same in a gated filter, and seconds a picture."""
+    single, fused = [], []
+    took = 0.0
+    gated = PoseFilter(LandmarkMap(()), mount, FusionConfig(mode='poses'))
+    sigma = np.diag(np.square(START_SIGMA))
+    started = False
+    for event in events:
+        if isinstance(event, OdometrySample | CameraFrame) and not started:
+            gated.initialize(PoseEstimate(event.stamp_ns, start, sigma))
+            started = True
+        if isinstance(event, OdometrySample):
+            gated.add_odometry(event)
+        elif isinstance(event, CameraFrame):
+            begin = time.perf_counter()
+            pose = locator.locate(event)
+            took += time.perf_counter() - begin
+            if pose is not None:
+                covariance = np.diag(np.square(POSE_SIGMA))
+                gated.add_pose(PoseEstimate(event.stamp_ns, pose, covariance))
+            single.append(np.full(3, np.nan) if pose is None else pose)
+            estimate = gated.estimate(event.stamp_ns)
+            assert estimate is not None
+            fused.append(estimate.pose)
+    return np.array(single), np.array(fused), took / len(single)
+
+
+def _first(events: Iterator[SensorEvent], pictures: int | None) -> Iterator[SensorEvent]:
+    """Events up to the picture number `pictures`."""
+    count = 0
+    for event in events:
+        count += isinstance(event, CameraFrame)
+        if pictures is not None and count > pictures:
+            return
+        yield event
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('drive', type=Path)
+    parser.add_argument('--learn', type=Path, required=True, help='bag of the sweeps')
+    parser.add_argument('--map', type=Path, required=True)
+    parser.add_argument('--robot', type=Path, required=True)
+    parser.add_argument('--start', type=float, nargs=3, required=True)
+    parser.add_argument('--pictures', type=int, help='only the first so many of the drive')
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    mount, landmark_map = load_robot(arguments.robot), load_map(arguments.map)
+    drive, start = Bag(arguments.drive), np.array(arguments.start)
+    events = list(_first(sensor_events(drive, mount), arguments.pictures))
+    done = replay(
+        events,
+        landmark_map,
+        mount,
+        LocalizationConfig(),
+        start,
+        np.diag(np.square(START_SIGMA)),
+    )
+    truth = done.truth.at(done.stamps_ns)
+    locator = SiftLocator(arguments.learn, landmark_map, mount)
+    single, gated, took_s = sift_runs(events, locator, mount, start)
+    print(
+        f'{"":<34}{"poses":>7}{"median mm":>11}{"rmse mm":>9}{"p95 mm":>9}{"rmse deg":>10}'
+        f'{"> 0.3 m":>9}{"ms":>8}'
+    )
+    ours_ms = 1e3 * float(np.median(done.update_seconds))
+    for name, poses, took_ms in (
+        ('this package, fused', done.fused, ours_ms),
+        ('this package, fixes alone', done.fixes, ours_ms),
+        ('odometry alone', done.odometry.at(done.stamps_ns), 0.0),
+        ('SIFT + PnP with RANSAC', single, 1e3 * took_s),
+        ('SIFT + PnP and odometry, gated EKF', gated, 1e3 * took_s),
+    ):
+        print(_row(name, pose_errors(poses, truth), took_ms))
+    return 0
+
+
+def _row(name: str, errors: FloatArray, took_ms: float) -> str:
+    known = np.isfinite(errors).all(axis=1)
+    away = np.hypot(errors[known, 0], errors[known, 1])
+    if not len(away):
+        return f'{name:<34}{0.0:>7.2f}'
+    figures = (np.median(away), np.sqrt(np.mean(away**2)), np.percentile(away, 95))
+    median, rmse, p95 = (1e3 * figure for figure in figures)
+    heading = np.degrees(np.sqrt(np.mean(errors[known, 2] ** 2)))
+    return (
+        f'{name:<34}{known.mean():>7.2f}{median:>11.1f}{rmse:>9.1f}{p95:>9.1f}{heading:>10.3f}'
+        f'{np.mean(away > WRONG_M):>9.3f}{took_ms:>8.1f}'
+    )
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_triplet import random_map
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.gathering import SightingGatherer
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.triangulation import TriangulationConfig
+from landmark_nav.types import Detections, FloatArray, LandmarkMap, OdometrySample, PoseEstimate
+
+MOUNT = PanTiltMount(axis_xyz=(0.12, 0.05, 1.1))
+LANDMARKS = random_map(12, seed=2)
+STEP_NS = 50_000_000
+# A motion of 50 ms: 0.4 m/s and 0.5 rad/s.
+STEP = np.array([0.02, 0.0, 0.025])
+START = np.array([2.4, 1.6, 0.4])
+# Landmarks sighted in each of three pictures, 0.5 s from each other, each by itself.
+VIEWS = {0: [0], 10: [3, 5], 20: [8]}
+
+
+def way(steps: int) -> FloatArray:
+    poses = [START]
+    for _ in range(steps):
+        poses.append(np.asarray(se2.compose(poses[-1], STEP)))
+    return np.array(poses)
+
+
+def sighted(pose: FloatArray, places: list[int], landmarks: FloatArray) -> FloatArray:
+    axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
+    delta = landmarks[places] - axis[:2]
+    return wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - axis[2])
+
+
+def gathered(
+    landmark_map: LandmarkMap,
+    noise: OdometryNoiseConfig,
+    sigma_rad: float,
+    rng: np.random.Generator | None,
+    prior_error: FloatArray,
+) -> tuple[PoseEstimate, FloatArray]:
+    """Drive, sight, and return the fix and the true pose; noise as told, from `rng`."""
+    gatherer = SightingGatherer(landmark_map, MOUNT, 5.0, noise, TriangulationConfig())
+    poses = way(20)
+    landmarks = landmark_map.positions[:, :2].copy()
+    spread = np.diag(np.square([noise.along_m_per_sqrt_m, noise.across_m_per_sqrt_m, 0.0]))
+    turn = noise.turn_rad_per_sqrt_m**2 * 0.02 + noise.turn_rad_per_sqrt_rad**2 * 0.025
+    spread = 0.02 * spread + np.diag([0.0, 0.0, turn])
+    if rng is not None:
+        joint = landmark_map.joint_covariance_xy
+        landmarks += rng.multivariate_normal(np.zeros(len(joint)), joint).reshape(-1, 2)
+    odometry = np.zeros(3)
+    for k, pose in enumerate(poses):
+        if k:
+            error = rng.multivariate_normal(np.zeros(3), spread) if rng is not None else 0.0
+            odometry = np.asarray(se2.compose(odometry, STEP + error))
+        gatherer.add_odometry(OdometrySample(k * STEP_NS, odometry))
+        if k in VIEWS:
+            bearing = sighted(pose, VIEWS[k], landmarks)
+            if rng is not None:
+                bearing = bearing + sigma_rad * rng.normal(size=len(bearing))
+            n = len(bearing)
+            gatherer.add(
+                Detections(
+                    k * STEP_NS,
+                    landmark_map.ids[VIEWS[k]],
+                    bearing,
+                    np.full(n, sigma_rad**2),
+                    np.ones(n),
+                    np.zeros((n, 2)),
+                )
+            )
+    prior = PoseEstimate(20 * STEP_NS, poses[-1] + prior_error, np.diag([0.2, 0.2, 0.15]) ** 2)
+    fix = gatherer.fix(prior)
+    assert isinstance(fix, PoseEstimate), str(fix)
+    # What was used is used up.
+    assert not isinstance(gatherer.fix(prior), PoseEstimate)
+    return fix, poses[-1]
+
+
+def test_exact_bearings_give_the_pose_whatever_the_heading_was_taken_for() -> None:
+    for error in ([0.0, 0.0, 0.0], [0.1, -0.1, 0.1]):
+        fix, true = gathered(LANDMARKS, OdometryNoiseConfig(), 1e-4, None, np.array(error))
+        np.testing.assert_allclose(fix.pose, true, atol=2e-5)
+
+
+def test_claims_what_odometry_bearings_and_map_allow() -> None:
+    """Mean normalised error squared of 200 runs with noise in all three; 3 is ideal."""
+    noise = OdometryNoiseConfig(
+        along_m_per_sqrt_m=0.02,
+        across_m_per_sqrt_m=0.01,
+        turn_rad_per_sqrt_m=0.01,
+        turn_rad_per_sqrt_rad=0.02,
+        floor_m_per_sqrt_s=0.0,
+        floor_rad_per_sqrt_s=0.0,
+    )
+    rng = np.random.default_rng(5)
+    nees = []
+    for _ in range(200):
+        fix, true = gathered(LANDMARKS, noise, 1e-3, rng, np.zeros(3))
+        error = fix.pose - true
+        error[2] = wrap_rad(error[2])
+        nees.append(error @ np.linalg.solve(fix.covariance, error))
+    # 600 degrees of freedom: 95 % within 3 +- 0.34.
+    assert np.mean(nees) == pytest.approx(3.0, abs=0.34)
+
+
+def test_odometry_counts() -> None:
+    poor = OdometryNoiseConfig(along_m_per_sqrt_m=0.05, turn_rad_per_sqrt_m=0.05)
+    good, _ = gathered(LANDMARKS, OdometryNoiseConfig(), 1e-4, None, np.zeros(3))
+    less, _ = gathered(LANDMARKS, poor, 1e-4, None, np.zeros(3))
+    assert np.trace(less.covariance) > 1.2 * np.trace(good.covariance)
