@@ -19,11 +19,8 @@ from landmark_nav.localization.detection import (
     DetectionResult,
 )
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.pipeline import (
-    LocalizationConfig,
-    Localizer,
-    ObservationConfig,
-)
+from landmark_nav.localization.observation import ObservationConfig
+from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
 from landmark_nav.localization.triplet import Gaze, select_triplet, TripletConfig
 from landmark_nav.localization.triplet_geometry import pair_tables

@@ -12,7 +12,8 @@ from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.localization.fusion import FusionUpdate
-from landmark_nav.localization.pipeline import LocalizationUpdate, Observation
+from landmark_nav.localization.observation import Observation
+from landmark_nav.localization.pipeline import LocalizationUpdate
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import Detections, PoseEstimate, Refusal

@@ -31,12 +31,16 @@ from landmark_nav.types import (
     OdometrySample,
     PoseEstimate,
     Refusal,
+    Triplet,
 )
 
 __all__ = ['SightingGatherer']
 
-# Passes with a better heading each: three leave micrometres of an error of 0.1 rad.
-_PASSES = 3
+# Virtual landmarks take the heading of the pass before: each leaves a tenth of its error.
+_PASSES = 10
+_CLOSE_M = 1e-6
+# Of odometry, kept beyond what can be asked for.
+_SPARE_NS = 1_000_000_000
 
 
 class _Sighting(NamedTuple):
@@ -56,7 +60,7 @@ class SightingGatherer:
     mount : PanTiltMount
         Where the pan axis, the apex of all bearings, sits on the base.
     window_s : float
-        For how long a sighting counts.
+        For how long a sighting counts; 0 leaves those of the last picture.
     odometry, triangulation : OdometryNoiseConfig, TriangulationConfig
         Parameters.
     pan_sigma_rad : float
@@ -84,19 +88,24 @@ class SightingGatherer:
     def add_odometry(self, sample: OdometrySample) -> None:
         """Take odometry; what is wrong with it is the filter's to tell."""
         self._track.add(sample)
-        self._track.trim(sample.stamp_ns - 2 * self._window_ns)
+        self._track.trim(sample.stamp_ns - 2 * self._window_ns - _SPARE_NS)
 
     def add(self, found: Detections) -> None:
-        """Take the landmarks of a picture."""
+        """Take the landmarks of a picture, and forget what is older than the window."""
+        oldest = found.stamp_ns - self._window_ns
+        self._sightings = {
+            k: sighting
+            for k, sighting in self._sightings.items()
+            if oldest <= sighting.stamp_ns <= found.stamp_ns
+        }
         for k, bearing, variance in zip(
             found.ids.tolist(), found.bearing_rad, found.variance_rad2, strict=True
         ):
             self._sightings[k] = _Sighting(found.stamp_ns, float(bearing), float(variance))
-        self._sightings = {
-            k: sighting
-            for k, sighting in self._sightings.items()
-            if found.stamp_ns - sighting.stamp_ns <= self._window_ns
-        }
+
+    def missing(self, triplet: Triplet) -> list[int]:
+        """Landmarks of a triplet that are still to be sighted."""
+        return [k for k in triplet.ids.tolist() if k not in self._sightings]
 
     def fix(self, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """
@@ -106,20 +115,18 @@ class SightingGatherer:
         """
         ids = np.array(sorted(self._sightings), dtype=np.int64)
         if len(ids) < 3:
-            return Refusal('fewer than three bearings', f'{len(ids)} gathered')
-        sightings = [self._sightings[int(k)] for k in ids]
+            return Refusal('fewer than three bearings', f'{len(ids)} given')
+        sightings = [self._sightings[k] for k in ids.tolist()]
         stamps = np.array([sighting.stamp_ns for sighting in sightings])
         motions, errors = self._motions(prior.stamp_ns, stamps)
-        variances = np.array([sighting.variance_rad2 for sighting in sightings])
-        together = len(np.unique(stamps)) == 1
         outcome = self._solved(
-            ids,
+            self._map.indices(ids),
             np.array([sighting.bearing_rad for sighting in sightings]) + motions[:, 2],
-            variances + (0.0 if together else self._pan_variance),
+            np.array([sighting.variance_rad2 for sighting in sightings]),
             motions,
             errors,
+            self._pan_variance * (stamps[:, None] == stamps),
             axis_from_base(prior, self._mount),
-            self._pan_variance if together else 0.0,
         )
         if isinstance(outcome, Refusal):
             return outcome
@@ -128,50 +135,50 @@ class SightingGatherer:
 
     def _solved(
         self,
-        ids: np.ndarray[tuple[int], np.dtype[np.int64]],
+        index: np.ndarray[tuple[int], np.dtype[np.intp]],
         bearing: FloatArray,
         variance: FloatArray,
         motions: FloatArray,
         errors: FloatArray,
+        pan_covariance: FloatArray,
         start: PoseEstimate,
-        common_variance: float,
     ) -> Fix | Refusal:
         """Fix of the axis with virtual landmarks, again and again with the heading it gives."""
-        index = self._map.indices(ids)
         rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
         map_covariance = self._map.joint_covariance_xy[np.ix_(rows, rows)]
         position = self._map.positions[index, :2]
         turned = np.array([rotation(turn) for turn in motions[:, 2]])
         aside = motions[:, :2] + turned @ self._lever - self._lever
-        # Derivative of `aside` by the motion's x, y and turn.
+        # Derivative of `aside` by the motion's turn.
         by_turn = np.stack([-(turned @ self._lever)[:, 1], (turned @ self._lever)[:, 0]], axis=-1)
         pose = start.pose
-        outcome: Fix | Refusal = Refusal('degenerate geometry')
         for _ in range(_PASSES):
             heading = rotation(pose[2])
             virtual = position - aside @ heading.T
             delta = virtual - pose[:2]
-            # A turn that is wrong shifts the bearing: a virtual landmark across the view.
+            # A bearing that is wrong shifts the virtual landmark across the view.
             across = np.stack([-delta[:, 1], delta[:, 0]], -1)
             by_motion = np.concatenate(
                 [
-                    np.broadcast_to(-heading, (len(ids), 2, 2)),
+                    np.broadcast_to(-heading, (len(index), 2, 2)),
                     (-by_turn @ heading.T - across)[..., None],
                 ],
                 axis=-1,
             )
             carried = np.einsum('iab,ibjc,jdc->iajd', by_motion, errors, by_motion)
-            covariance = map_covariance + carried.reshape(map_covariance.shape)
+            carried += np.einsum('ia,ij,jb->iajb', across, pan_covariance, across)
             outcome = triangulate(
                 virtual,
                 bearing,
                 variance,
-                covariance,
+                map_covariance + carried.reshape(map_covariance.shape),
                 start,
                 self._triangulation,
-                common_variance,
             )
             if isinstance(outcome, Refusal):
+                break
+            moved = aside @ (rotation(outcome.pose[2]) - heading).T
+            if np.abs(moved).max() < _CLOSE_M:
                 break
             pose = outcome.pose
         return outcome

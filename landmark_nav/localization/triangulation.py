@@ -91,7 +91,6 @@ def triangulate(
     map_covariance: npt.ArrayLike | None = None,
     start: PoseEstimate | None = None,
     config: TriangulationConfig | None = None,
-    common_variance: float = 0.0,
 ) -> Fix | Refusal:
     """
     Weighted least squares with outlier rejection, started by the closed form of every triple.
@@ -112,9 +111,6 @@ def triangulate(
         Prior of the pan axis: tried as a start, and the fix must be plausible beside it.
     config : TriangulationConfig, optional
         Limits.
-    common_variance : float
-        Variance that all bearings share, rad^2 (the pan encoder's in one frame). It turns the
-        heading and nothing else.
 
     Returns
     -------
@@ -158,7 +154,6 @@ def triangulate(
         used[index[np.argmax(w_statistics(solved))]] = False
 
     residual = bearing_residuals(solved.pose, position, bearing)
-    solved.covariance[2, 2] += common_variance
     fix = Fix(solved.pose, solved.covariance, residual, used, chi_square)
     return _doubt(fix, position[used], start, config) or fix
 

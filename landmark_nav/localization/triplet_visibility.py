@@ -56,7 +56,8 @@ class TripletConfig:
     )
     views: str = parameter(
         'one',
-        'Whether one view must hold a triplet, or several, one after the other.',
+        'Whether one view must hold a triplet, or several, one after the other; the same in '
+        'triplet_selector and triangulation_localizer.',
         choices=('one', 'several'),
     )
     look_s: float = parameter(

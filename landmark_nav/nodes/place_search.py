@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from threading import Event
-from typing import Any
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -18,7 +17,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization_stream import Relocalizer
-from landmark_nav.messages import decode, encode
+from landmark_nav.messages import encode
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
@@ -72,7 +71,6 @@ class PlaceSearch:
         self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
         self._found = Event()
         self._start = node.advertise('initialpose')
-        node.listen('odom', self._on_odometry, depth=50)
         node.offer('relocalize', self._search, group=MutuallyExclusiveCallbackGroup())
 
     @property
@@ -95,6 +93,11 @@ class PlaceSearch:
             self._odometry.clear()
             self._relocalizer = self._new_relocalizer()
 
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Keep odometry for the next picture, while one is wanted."""
+        if self.active:
+            self._odometry.append(sample)
+
     def look(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Go on with a picture; what is known of the place by now."""
         relocalizer = self._relocalizer
@@ -109,10 +112,6 @@ class PlaceSearch:
             self._start.publish(encode.pose(ros_factory, outcome, self._map_frame))
             self._found.set()
         return outcome
-
-    def _on_odometry(self, message: Any) -> None:
-        if self.active:
-            self._odometry.append(decode.odometry(message))
 
     def _new_relocalizer(self) -> Relocalizer:
         return Relocalizer(self.landmarks, self._mount, self._config)

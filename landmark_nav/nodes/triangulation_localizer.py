@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 import time
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.localization.pipeline import Observation, ObservationConfig, observe
+from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.localization.prior import PriorTrack
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
@@ -22,11 +24,13 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
+from landmark_nav.types import OdometrySample, PoseEstimate, Refusal, Triplet
 
 __all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
 
 
+# Ten seconds at 50 Hz: what may come between two pictures that are looked at.
+_BACKLOG = 500
 # Ages beyond that come of two clocks, such as a bag's and today's.
 _OTHER_CLOCK_S = 10.0
 
@@ -48,6 +52,7 @@ class Parameters(ObservationConfig):
     max_prior_age_s: float = parameter(
         0.5, 'how far odometry/fused may be from a picture, s', minimum=0.0
     )
+    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     relocalization: PlaceSearchConfig = field(default_factory=PlaceSearchConfig)
 
     def __post_init__(self) -> None:
@@ -68,7 +73,8 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._prior = PriorTrack(self._config.max_prior_age_s)
         search = self._config.relocalization
         self._search = PlaceSearch(self, self._mount, search, self._config.map_frame)
-        self._map: LandmarkMap | None = None
+        self._observer: Observer | None = None
+        self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None
         self._source: ImageSource | None = None
         # Joint states and odometry come in while a picture is looked at.
@@ -76,6 +82,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._latency = Latency()
         self._stale = 0
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
+        self.listen('odom', self._on_odometry, depth=50)
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
@@ -84,6 +91,11 @@ class TriangulationLocalizerNode(LandmarkNode):
         """What came of the last picture."""
         return self._health
 
+    def _on_odometry(self, message: Any) -> None:
+        sample = decode.odometry(message)
+        self._odometry.append(sample)
+        self._search.add_odometry(sample)
+
     def _on_fused(self, message: Any) -> None:
         self._prior.add(decode.pose_estimate(message), decode.odometry(message))
 
@@ -91,8 +103,11 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._triplet = decode.triplet(message)
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
-        self._map = decode.landmark_map(points, atlas)
-        self._search.landmarks = self._map
+        config, landmarks = self._config, decode.landmark_map(points, atlas)
+        self._observer = Observer(
+            landmarks, self._mount, config, config.odometry, config.pan_sigma_rad
+        )
+        self._search.landmarks = landmarks
         if self._frames.camera is not None:
             # Takes seconds, once: not while the first picture waits.
             _ = self._frames.camera.ray_grid
@@ -138,9 +153,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         prior = self._prior.at(stamp)
         if isinstance(prior, Refusal):
             raise LandmarkNavError(str(prior))
-        assert self._map is not None
-        sigma_rad = self._config.pan_sigma_rad
-        return observe(frame, prior, self._map, self._mount, self._config, sigma_rad)
+        assert self._observer is not None, 'pictures come after the map'
+        while self._odometry:
+            self._observer.add_odometry(self._odometry.popleft())
+        return self._observer.look(frame, prior, self._triplet)
 
     def _age_ns(self, message: Any) -> int:
         """Time since a picture was taken."""

@@ -12,7 +12,8 @@ from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Wall
 from landmark_nav.localization.fusion import FusionUpdate
-from landmark_nav.localization.pipeline import LocalizationUpdate, Observation
+from landmark_nav.localization.observation import Observation
+from landmark_nav.localization.pipeline import LocalizationUpdate
 from landmark_nav.types import (
     Candidate,
     Detections,

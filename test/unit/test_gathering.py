@@ -10,7 +10,15 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.gathering import SightingGatherer
 from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.localization.triangulation import TriangulationConfig
-from landmark_nav.types import Detections, FloatArray, LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.localization.triangulation_model import axis_from_base
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
 
 MOUNT = PanTiltMount(axis_xyz=(0.12, 0.05, 1.1))
 LANDMARKS = random_map(12, seed=2)
@@ -33,6 +41,12 @@ def sighted(pose: FloatArray, places: list[int], landmarks: FloatArray) -> Float
     axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
     delta = landmarks[places] - axis[:2]
     return wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - axis[2])
+
+
+def picture(stamp_ns: int, places: list[int], bearing: FloatArray, sigma_rad: float) -> Detections:
+    n, ids = len(bearing), LANDMARKS.ids[places]
+    variance = np.full(n, sigma_rad**2)
+    return Detections(stamp_ns, ids, bearing, variance, np.ones(n), np.zeros((n, 2)))
 
 
 def gathered(
@@ -62,17 +76,7 @@ def gathered(
             bearing = sighted(pose, VIEWS[k], landmarks)
             if rng is not None:
                 bearing = bearing + sigma_rad * rng.normal(size=len(bearing))
-            n = len(bearing)
-            gatherer.add(
-                Detections(
-                    k * STEP_NS,
-                    landmark_map.ids[VIEWS[k]],
-                    bearing,
-                    np.full(n, sigma_rad**2),
-                    np.ones(n),
-                    np.zeros((n, 2)),
-                )
-            )
+            gatherer.add(picture(k * STEP_NS, VIEWS[k], bearing, sigma_rad))
     prior = PoseEstimate(20 * STEP_NS, poses[-1] + prior_error, np.diag([0.2, 0.2, 0.15]) ** 2)
     fix = gatherer.fix(prior)
     assert isinstance(fix, PoseEstimate), str(fix)
@@ -85,6 +89,35 @@ def test_exact_bearings_give_the_pose_whatever_the_heading_was_taken_for() -> No
     for error in ([0.0, 0.0, 0.0], [0.1, -0.1, 0.1]):
         fix, true = gathered(LANDMARKS, OdometryNoiseConfig(), 1e-4, None, np.array(error))
         np.testing.assert_allclose(fix.pose, true, atol=2e-5)
+
+
+def test_bearings_of_one_picture_share_the_error_of_its_pan() -> None:
+    ids, pose = [0, 3, 5, 8], PoseEstimate(0, START, np.diag([0.1, 0.1, 0.05]) ** 2)
+    fixes = []
+    for pan_sigma in (0.0, 2e-3):
+        gatherer = SightingGatherer(
+            LANDMARKS, MOUNT, 0.0, OdometryNoiseConfig(), TriangulationConfig(), pan_sigma
+        )
+        bearing = sighted(START, ids, LANDMARKS.positions[:, :2])
+        gatherer.add(picture(0, ids, bearing, 1e-4))
+        fix = gatherer.fix(pose)
+        assert isinstance(fix, PoseEstimate)
+        fixes.append(axis_from_base(fix, MOUNT))
+    more = fixes[1].covariance - fixes[0].covariance
+    # It turns the heading and nothing else.
+    assert more[2, 2] == pytest.approx(4e-6, rel=1e-3)
+    assert np.abs(more[:2]).max() < 1e-9
+
+
+def test_without_a_window_pictures_do_not_mix() -> None:
+    gatherer = SightingGatherer(
+        LANDMARKS, MOUNT, 0.0, OdometryNoiseConfig(), TriangulationConfig()
+    )
+    for k, ids in enumerate(([0, 3], [5, 8])):
+        gatherer.add(picture(k * STEP_NS, ids, np.zeros(2), 1e-4))
+    fix = gatherer.fix(PoseEstimate(STEP_NS, START, np.eye(3)))
+    assert isinstance(fix, Refusal)
+    assert fix.reason == 'fewer than three bearings'
 
 
 def test_claims_what_odometry_bearings_and_map_allow() -> None:

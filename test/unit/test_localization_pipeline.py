@@ -19,13 +19,13 @@ from picture_drives import (
 import pytest
 
 from landmark_nav.localization.fusion import FusionConfig
+from landmark_nav.localization.observation import ObservationConfig, Observer
 from landmark_nav.localization.pipeline import (
     LocalizationConfig,
     LocalizationUpdate,
     Localizer,
-    ObservationConfig,
-    observe,
 )
+from landmark_nav.localization.triplet import TripletConfig
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -46,10 +46,11 @@ class Run:
     fixes: list[tuple[PoseEstimate, FloatArray]]
 
 
-def localize(mode: str, seed: int = 1, seconds: float = 9.0) -> Run:
+def localize(mode: str, seed: int = 1, seconds: float = 9.0, views: str = 'one') -> Run:
     """Drive with the camera turned to the triplet that the last picture asked for."""
     rng = np.random.default_rng(seed)
-    config = LocalizationConfig(fusion=FusionConfig(mode=mode))
+    observation = ObservationConfig(triplet=TripletConfig(views=views))
+    config = LocalizationConfig(observation, FusionConfig(mode=mode))
     localizer = Localizer(MAP, MOUNT, config)
     localizer.initialize(start_of(rng))
     updates, errors, nees, fixes, pan = [], [], [], [], 0.0
@@ -109,6 +110,18 @@ def test_fixes_err_as_their_covariances_say(run: Run) -> None:
     assert np.mean((errors / sigma) ** 2) < 2.5
 
 
+def test_fixes_of_several_views_come_from_what_was_gathered_on_the_way() -> None:
+    run = localize('poses', views='several')
+    assert np.sqrt(np.mean(np.sum(run.errors[8:, :2] ** 2, 1))) < 0.03
+    assert len(run.fixes) > 2
+    for fix, pose in run.fixes:
+        error = error_of(fix, pose)
+        assert error @ np.linalg.solve(fix.covariance, error) < 16.3  # 99.9 %
+    fixes = [update.observation.fix for update in run.updates]
+    reasons = {fix.reason for fix in fixes if isinstance(fix, Refusal)}
+    assert 'the triplet is not complete' in reasons
+
+
 def test_poses_may_correct_the_odometry_instead_of_bearings() -> None:
     run = localize('poses')
     later = run.errors[4:]
@@ -124,7 +137,7 @@ def test_the_fix_comes_from_the_bearings_alone() -> None:
     found = []
     for shift in ((0.0, 0.0, 0.0), (0.04, -0.03, 0.01), (-0.03, 0.04, -0.012)):
         prior = PoseEstimate(0, START + np.array(shift), np.diag([0.04, 0.04, 0.012]) ** 2)
-        seen = observe(frame, prior, MAP, MOUNT, ObservationConfig())
+        seen = Observer(MAP, MOUNT, ObservationConfig()).look(frame, prior)
         assert isinstance(seen.fix, PoseEstimate)
         found.append(seen.fix)
     for fix in found[1:]:
@@ -134,7 +147,7 @@ def test_the_fix_comes_from_the_bearings_alone() -> None:
 
 def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
     prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
-    seen = observe(picture(START, 0.2), prior, MAP, MOUNT, ObservationConfig())
+    seen = Observer(MAP, MOUNT, ObservationConfig()).look(picture(START, 0.2), prior)
     assert not set(seen.detections.ids.tolist()) & set(seen.refused)
     assert len(seen.detections) + len(seen.refused) >= 4
     assert all(refusal.reason for refusal in seen.refused.values())

@@ -1,0 +1,165 @@
+"""What pictures say about the pose: landmarks found in them, and fixes triangulated from those."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.gathering import SightingGatherer
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.triangulation import TriangulationConfig
+from landmark_nav.localization.triangulation_model import axis_from_base
+from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
+from landmark_nav.localization.worth import most_telling
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+    Triplet,
+)
+
+__all__ = ['Observation', 'ObservationConfig', 'Observer']
+
+
+@dataclass(frozen=True)
+class ObservationConfig:
+    """Parameters of the stages that look at a picture."""
+
+    triplet: TripletConfig = field(default_factory=TripletConfig)
+    detection: DetectionConfig = field(default_factory=DetectionConfig)
+    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
+    gather_s: float = parameter(
+        5.0,
+        'How long a sighting counts towards a fix where triplet.views is several, s.',
+        minimum=0.0,
+        maximum=60.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """
+    What a picture says about the pose.
+
+    `fix` is the triangulated pose of the base, computed from bearings alone, those of the picture
+    or of several; the prior told where to look, and rejects what cannot be.
+    """
+
+    detections: Detections
+    refused: Mapping[int, Refusal]
+    fix: PoseEstimate | Refusal
+
+
+class Observer:
+    """
+    Looks at one picture after the other.
+
+    With triplets in one view each picture gives a fix of its own. With several views sightings
+    are gathered, and give a fix when the chosen triplet is complete.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : ObservationConfig
+        Parameters.
+    odometry : OdometryNoiseConfig, optional
+        How far odometry is trusted with carrying sightings along.
+    pan_sigma_rad : float
+        What all bearings of a picture share: the error of the measured pan.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        mount: PanTiltMount,
+        config: ObservationConfig,
+        odometry: OdometryNoiseConfig | None = None,
+        pan_sigma_rad: float = 0.0,
+    ) -> None:
+        self._map, self._mount, self._config = landmark_map, mount, config
+        window_s = config.gather_s if config.triplet.views == 'several' else 0.0
+        self._window_ns = int(1e9 * window_s)
+        self._gatherer = SightingGatherer(
+            landmark_map,
+            mount,
+            window_s,
+            odometry or OdometryNoiseConfig(),
+            config.triangulation,
+            pan_sigma_rad,
+        )
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Move on."""
+        self._gatherer.add_odometry(sample)
+
+    def look(
+        self, frame: CameraFrame, prior: PoseEstimate, triplet: Triplet | Refusal | None = None
+    ) -> Observation:
+        """
+        Detect what should be in view and triangulate.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            Picture with its joint angles.
+        prior : PoseEstimate
+            Expected pose of the base at its stamp.
+        triplet : Triplet, optional
+            What the camera is after: with several views a fix waits for all three.
+
+        """
+        config = self._config
+        expected = visible_landmarks(
+            prior,
+            self._map,
+            frame.camera,
+            self._mount,
+            frame.pan_rad,
+            frame.tilt_rad,
+            config.triplet,
+        )
+        expected = most_telling(
+            axis_from_base(prior, self._mount),
+            self._map,
+            expected,
+            config.triplet.bearing_sigma_rad,
+            config.detection.max_count,
+        )
+        result = detect_landmarks(frame, prior, self._map, self._mount, config.detection, expected)
+        missed = np.array(sorted(result.refused), dtype=np.int64)
+        found = replace(result.detections, missed=missed, pan_rate_rad_s=frame.pan_rate_rad_s)
+        return Observation(found, result.refused, self._fix(found, prior, triplet))
+
+    def take(self, found: Detections, prior: PoseEstimate) -> Observation:
+        """Triangulate landmarks that were found elsewhere; what the map lacks is refused."""
+        known = np.isin(found.ids, self._map.ids)
+        unknown = {int(k): Refusal('not in the map') for k in found.ids[~known]}
+        found = found if known.all() else found.chosen(known)
+        return Observation(found, unknown, self._fix(found, prior, None))
+
+    def _fix(
+        self, found: Detections, prior: PoseEstimate, triplet: Triplet | Refusal | None
+    ) -> PoseEstimate | Refusal:
+        self._gatherer.add(found)
+        if self._window_ns and isinstance(triplet, Triplet):
+            missing = self._gatherer.missing(triplet)
+            if missing and found.stamp_ns - triplet.stamp_ns <= self._window_ns:
+                names = ', '.join(map(str, missing))
+                return Refusal('the triplet is not complete', f'{names} still to be found')
+        return self._gatherer.fix(prior)
