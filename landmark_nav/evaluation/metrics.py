@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.types import FloatArray
@@ -104,9 +104,9 @@ def consistency(errors: FloatArray, covariances: FloatArray) -> Consistency | No
     roots = np.linalg.cholesky(covariances[known])
     white = np.linalg.solve(roots, errors[known][..., None])[..., 0]
     nees = np.sum(white * white, axis=1)
-    bound = chi2.ppf(0.95, _DEGREES_OF_FREEDOM)
+    bound = chdtri(_DEGREES_OF_FREEDOM, 0.05)
     n = _independent(white)
-    low, high = chi2.ppf([0.025, 0.975], _DEGREES_OF_FREEDOM * n) / n
+    low, high = chdtri(_DEGREES_OF_FREEDOM * n, [0.975, 0.025]) / n
     return Consistency(
         float(np.mean(nees)), float(np.mean(nees < bound)), (float(low), float(high))
     )

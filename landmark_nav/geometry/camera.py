@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import RectBivariateSpline
+import scipy
 
 from landmark_nav.errors import LandmarkNavError
 
@@ -200,7 +200,9 @@ def _ray_grid(camera: CameraModel) -> npt.NDArray[np.float32]:
     v = np.linspace(0.0, camera.height - 1.0, max(8, camera.height // _GRID_PX))
     coarse = camera.unproject(np.stack(np.meshgrid(u, v), -1))
     columns, rows = np.arange(camera.width), np.arange(camera.height)
-    layers = [RectBivariateSpline(v, u, coarse[..., k])(rows, columns) for k in (0, 1)]
+    # Imported when it is used: that takes as long as the rest of this package.
+    spline = scipy.interpolate.RectBivariateSpline
+    layers = [spline(v, u, coarse[..., k])(rows, columns) for k in (0, 1)]
     return np.stack(layers, -1).astype(np.float32)
 
 

@@ -19,23 +19,22 @@ FloatArray = npt.NDArray[np.float64]
 def rotation(theta_rad: npt.ArrayLike) -> FloatArray:
     """Rotation matrices (..., 2, 2) of angles (...)."""
     theta = np.asarray(theta_rad, dtype=np.float64)
-    cos, sin = np.cos(theta), np.sin(theta)
-    return np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], -2)
+    turned = np.empty((*theta.shape, 2, 2))
+    turned[..., 0, 0] = turned[..., 1, 1] = np.cos(theta)
+    turned[..., 1, 0] = np.sin(theta)
+    turned[..., 0, 1] = -turned[..., 1, 0]
+    return turned
 
 
 def compose(pose_a_b: npt.ArrayLike, pose_b_c: npt.ArrayLike) -> FloatArray:
     """Pose of c in a, (..., 3), from b in a and c in b; the heading is wrapped."""
-    first, second = np.broadcast_arrays(
-        np.asarray(pose_a_b, dtype=np.float64), np.asarray(pose_b_c, dtype=np.float64)
-    )
+    first = np.asarray(pose_a_b, dtype=np.float64)
+    second = np.asarray(pose_b_c, dtype=np.float64)
     cos, sin = np.cos(first[..., 2]), np.sin(first[..., 2])
-    return np.stack(
-        [
-            first[..., 0] + cos * second[..., 0] - sin * second[..., 1],
-            first[..., 1] + sin * second[..., 0] + cos * second[..., 1],
-            wrap_rad(first[..., 2] + second[..., 2]),
-        ],
-        -1,
+    return _pose(
+        first[..., 0] + cos * second[..., 0] - sin * second[..., 1],
+        first[..., 1] + sin * second[..., 0] + cos * second[..., 1],
+        first[..., 2] + second[..., 2],
     )
 
 
@@ -43,14 +42,18 @@ def inverse(pose_a_b: npt.ArrayLike) -> FloatArray:
     """Pose of a in b, (..., 3)."""
     pose = np.asarray(pose_a_b, dtype=np.float64)
     cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-    return np.stack(
-        [
-            -cos * pose[..., 0] - sin * pose[..., 1],
-            sin * pose[..., 0] - cos * pose[..., 1],
-            wrap_rad(-pose[..., 2]),
-        ],
-        -1,
+    return _pose(
+        -cos * pose[..., 0] - sin * pose[..., 1],
+        sin * pose[..., 0] - cos * pose[..., 1],
+        -pose[..., 2],
     )
+
+
+def _pose(x: FloatArray, y: FloatArray, theta: FloatArray) -> FloatArray:
+    # Filled in, not stacked: most calls are for a single pose, and many.
+    pose = np.empty((*np.shape(theta), 3))
+    pose[..., 0], pose[..., 1], pose[..., 2] = x, y, wrap_rad(theta)
+    return pose
 
 
 def relative(pose_a_b: npt.ArrayLike, pose_a_c: npt.ArrayLike) -> FloatArray:

@@ -19,6 +19,7 @@ from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization_stream import Relocalizer
 from landmark_nav.localization.triplet import Gaze
+from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -45,6 +46,13 @@ class LocalizationConfig:
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+    choice_period_s: float = parameter(
+        0.5, 'time between two choices of the triplet, s', minimum=0.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +60,7 @@ class LocalizationUpdate:
     """
     All that came of one picture.
 
-    `triplet` is what the camera would best be turned to from here; `fused` is the filter's
+    `triplet` is what the camera would best be turned to, as last chosen; `fused` is the filter's
     estimate at the picture's stamp, after it; `search` is what came of looking for the place, if
     it was lost.
     """
@@ -102,6 +110,8 @@ class Localizer:
             landmark_map, mount, config.observation, config.odometry, config.fusion.pan_sigma_rad
         )
         self._gaze = Gaze(limits_rad=pan_limits_rad)
+        self._chosen_ns: int | None = None
+        self._triplet: Triplet | Refusal = Refusal('no picture')
         self._odometry: OdometrySample | None = None
         self._relocalizer: Relocalizer | None = self._new_search()
 
@@ -143,11 +153,10 @@ class Localizer:
         prior = self._filter.estimate(frame.stamp_ns)
         if prior is None:
             return self._search(frame)
-        gaze = replace(self._gaze, pan_rad=frame.pan_rad, tilt_rad=frame.tilt_rad)
-        triplet = self._camera.choose(prior, frame.camera, gaze).chosen
-        seen = self._observer.look(frame, prior, triplet)
+        self._choose(frame, prior)
+        seen = self._observer.look(frame, prior, self._triplet)
         self._camera.saw(seen.detections)
-        update = self._fused(frame.stamp_ns, triplet, seen)
+        update = self._fused(frame.stamp_ns, self._triplet, seen)
         lost = update.status == 'lost' and self._config.relocalization.when_lost
         if not lost or not self._map.landmarks:
             self._relocalizer = None
@@ -158,6 +167,14 @@ class Localizer:
             status, reason = self._filter.status
             update = replace(update, fused=outcome, status=status, reason=reason)
         return replace(update, search=outcome)
+
+    def _choose(self, frame: CameraFrame, prior: PoseEstimate) -> None:
+        """Choose the triplet anew if it is time to."""
+        period_ns = 1e9 * self._config.choice_period_s
+        if self._chosen_ns is None or not 0 <= frame.stamp_ns - self._chosen_ns < period_ns:
+            gaze = replace(self._gaze, pan_rad=frame.pan_rad, tilt_rad=frame.tilt_rad)
+            self._triplet = self._camera.choose(prior, frame.camera, gaze).chosen
+            self._chosen_ns = frame.stamp_ns
 
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Find the place; what the pose was made of is not used again."""

@@ -15,6 +15,9 @@ from landmark_nav.storage.fields import array_field, field, list_field, number_f
 
 __all__ = ['load_robot', 'load_room', 'read_yaml_mapping']
 
+# libyaml, where PyYAML has it, reads a map ten times as fast.
+_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
     """Top-level mapping of a YAML file; `LandmarkNavError` if there is none."""
@@ -23,7 +26,7 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
     try:
-        document = yaml.safe_load(text)
+        document = yaml.load(text, Loader=_LOADER)
     except yaml.YAMLError as error:
         raise LandmarkNavError(f'{path}: not YAML: {" ".join(str(error).split())}') from error
     if not isinstance(document, dict):
