@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment_problem import Linearized, Problem
@@ -241,7 +241,7 @@ def _misfit(
 def _bound(problem: Problem) -> FloatArray:
     """Largest misfit (n,) of what is no outlier: a place takes three of the numbers seen."""
     freedom = 2 * np.bincount(problem.landmark, minlength=problem.count) + 1 - 3
-    return np.asarray(chi2.isf(_OUTLIER_PROBABILITY, freedom))
+    return np.asarray(chdtri(freedom, _OUTLIER_PROBABILITY))
 
 
 def _noise(

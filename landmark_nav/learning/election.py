@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
@@ -139,8 +139,8 @@ def _refuse(
     config: ElectionConfig,
 ) -> Refusal | None:
     # Two views and a wall leave two numbers more than a place takes; each other view adds two.
-    likelihood = chi2.sf(config.max_chi_square, 2)
-    most = float(chi2.isf(likelihood, 2 * views - 2))
+    likelihood = chdtrc(2, config.max_chi_square)
+    most = float(chdtri(2 * views - 2, likelihood))
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
     if abs(off_wall) > config.max_off_wall_m or misfit > most:
         return Refusal('not on a wall', f'{off_wall * 100:.0f} cm off, misfit {misfit:.0f}')

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import theilslopes
+import scipy
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
@@ -105,7 +105,7 @@ def _complaint(
     along_m: FloatArray, off_m: FloatArray, slack_m: float, config: WallFitConfig
 ) -> str:
     """What is wrong with a wall; nothing unless its patches lie in one plane, as a wall's do."""
-    slope, offset, low, high = theilslopes(off_m, along_m)
+    slope, offset, low, high = scipy.stats.theilslopes(off_m, along_m)
     spread = float(np.median(np.abs(off_m - offset - slope * along_m)))
     if spread > config.max_spread_m:
         return ''

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 import numpy as np
 
@@ -88,23 +89,26 @@ def draw_landmarks(axes: Axes, landmarks: LandmarkMap, *, detailed: bool) -> Non
     if not detailed:
         return
     tips = positions + _NORMAL_M * normals
-    for base, tip in zip(positions, tips, strict=True):
-        axes.plot(*np.stack([base, tip], -1), color=LANDMARK, linewidth=1.0, zorder=5)
+    lines = list(np.stack([positions, tips], 1))
+    axes.add_collection(LineCollection(lines, colors=LANDMARK, linewidths=1.0, zorder=5))
     for landmark, place in zip(
         landmarks.landmarks, places_of_numbers(positions, normals), strict=True
     ):
         add_ellipse(
             axes, landmark.position, landmark.covariance[:2, :2], 3.0, LANDMARK, _MAGNIFIED
         )
-        axes.annotate(
+        number = axes.text(
+            place[0],
+            place[1],
             str(landmark.id),
-            place,
             fontsize=7,
             ha='center',
             va='center',
             color='#333333',
             zorder=7,
         )
+        # It lies inside the axes; to find that out for each takes long.
+        number.set_in_layout(False)
 
 
 def places_of_numbers(positions: FloatArray, normals: FloatArray) -> FloatArray:

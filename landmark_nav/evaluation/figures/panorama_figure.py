@@ -43,14 +43,15 @@ def draw_panorama(
 
     """
     rows, columns = panorama.image.shape[:2]
-    # Pixel for pixel, so that nothing has to be resampled.
+    # Pixel for pixel: nothing has to be resampled.
     left, bottom, right, top = _MARGINS_IN
     width, height = columns / DPI, rows / DPI
     size = (left + width + right, bottom + height + top)
     figure = new_figure(*size, arranged=False)
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
     rgb = np.where(panorama.mask[..., None], panorama.image[..., ::-1], np.uint8(255))
-    axes.imshow(rgb, aspect='auto', interpolation='nearest')
+    figure.figimage(rgb, round(left * DPI), round(bottom * DPI), zorder=-1)
+    axes.patch.set_visible(False)
     elected = 0
     for candidate, outcome in zip(candidates, outcomes, strict=True):
         elected += isinstance(outcome, Landmark)

@@ -70,8 +70,8 @@ def save(figure: Figure, path: Path, tight: bool = True) -> None:
         metadata={'Software': None},
         bbox_inches='tight' if tight else None,
         pad_inches=0.12,
-        # Half the size is not worth four times the time.
-        pil_kwargs={'compress_level': 2},
+        # Half the size is not worth many times the time.
+        pil_kwargs={'compress_level': 1},
     )
 
 
@@ -142,4 +142,5 @@ def add_ellipse(
         linewidth=0.8,
         zorder=4,
     )
+    ellipse.set_in_layout(False)
     axes.add_patch(ellipse)
