@@ -2,8 +2,8 @@
 Joint least squares of landmarks and panorama poses: a small bundle adjustment.
 
 What landmarks share (the pose errors of the panoramas) is kept apart from what each has alone,
-so that the map can say both. How precise panoramas are, and how differently things hang, is
-estimated from the residuals themselves, room by room.
+so that the map can say both. How precise panoramas, papers and walls are, and how differently
+things hang, is estimated from the residuals themselves, room by room.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ _NO_SAY = 1e-6
 _TAIL_SIGMAS = 2.5
 _NOISE_ITERATIONS = 60
 _NOISE_CONVERGED = 1e-3
+# Among the sigmas that are estimated.
+_HANGING, _SPREAD, _ALL_WALLS, _EACH_WALL = 2, slice(3, 7), 5, 6
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,8 @@ class AdjustmentConfig:
         maximum=1e9,
     )
     room_weight: float = parameter(
-        0.2,
-        'how many measurements the expected sigma of hanging counts for',
+        0.05,
+        'how many measurements the expected sigmas of walls and hanging count for',
         minimum=1e-3,
         maximum=1e9,
     )
@@ -91,9 +93,10 @@ class Adjustment:
         How far before its wall each landmark lies.
     chi_square : ndarray, shape (n,)
         Misfit of its sightings and its wall.
-    noise : ndarray, shape (4,)
-        Sigmas found: of azimuths, of tangents, of hanging; and the factor on the sigmas that
-        panoramas say their places have.
+    noise : ndarray, shape (7,)
+        Sigmas found: of azimuths, of tangents, of hanging; factors on the sigmas that panoramas
+        say their places have, in plan and in height; how far things hang off all walls, and how
+        far each wall lies from where the room says.
 
     """
 
@@ -138,22 +141,27 @@ def adjust(
     Adjustment
 
     """
-    problem = Problem(
-        sightings, walls, panoramas, room, config.common_hanging_sigma_m, config.wall_sigma_m
-    )
+    problem = Problem(sightings, walls, panoramas, room)
     expected = np.array(
-        [config.azimuth_sigma_rad, config.tangent_sigma, config.hanging_sigma_m, 1.0]
+        [
+            config.azimuth_sigma_rad,
+            config.tangent_sigma,
+            config.hanging_sigma_m,
+            *(1.0, 1.0),
+            config.common_hanging_sigma_m,
+            config.wall_sigma_m,
+        ]
     )
     points, shared = _settle(problem, start, expected)
     trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
     say = np.where(trusted, 1.0, _NO_SAY)
-    weight = np.full(4, config.camera_weight)
-    weight[2] = config.room_weight
+    weight = np.full(len(expected), config.camera_weight)
+    weight[[_HANGING, _ALL_WALLS, _EACH_WALL]] = config.room_weight
     noise = expected
     for _ in range(_NOISE_ITERATIONS):
         at = problem.linearize(points, shared)
         equations = problem.normal_equations(
-            at, shared, *_information(problem, at, noise, say), noise[3]
+            at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
         )
         point_step, shared_step = equations.solve()
         points, shared = points + point_step, shared + shared_step
@@ -166,7 +174,7 @@ def adjust(
     noise = noise * np.sqrt(fewness)
     at = problem.linearize(points, shared)
     equations = problem.normal_equations(
-        at, shared, *_information(problem, at, noise, say), noise[3]
+        at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
     )
     covariance = equations.shared_covariance()
     return Adjustment(
@@ -195,7 +203,7 @@ def _settle(
         weight = (1.0 + _misfit(problem, at, sigma) / doubt) ** -2.0
         seen, wall = _variances(problem, sigma)
         equations = problem.normal_equations(
-            at, shared, weight[problem.landmark, None] / seen, weight / wall
+            at, shared, weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD]
         )
         point_step, shared_step = equations.solve()
         points, shared = points + point_step, shared + shared_step
@@ -206,7 +214,7 @@ def _settle(
 
 def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Variances of sightings (k, 2) and walls (n,)."""
-    return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[2] ** 2)
+    return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[_HANGING] ** 2)
 
 
 def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
@@ -254,7 +262,7 @@ def _noise(
     weight: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Sigmas of azimuths, tangents and hanging that the residuals speak for, one step nearer.
+    Sigmas that the residuals speak for, one step nearer.
 
     Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
     Foerstner's form): squared residuals count against their redundancy, which is what the
@@ -263,7 +271,7 @@ def _noise(
     """
     at = problem.linearize(points, shared)
     information = _information(problem, at, noise, say)
-    equations = problem.normal_equations(at, shared, *information, noise[3])
+    equations = problem.normal_equations(at, shared, *information, noise[_SPREAD])
     predicted = problem.predicted_variance(at, equations)
     voice = say > 0.5
     seen_voice = voice[problem.landmark]
@@ -278,7 +286,7 @@ def _noise(
         part = noise[k] ** 2 / variance[who]
         squares[k] = np.sum((trust * residual**2)[who] * part)
         counts[k] = np.sum(np.maximum(1.0 - trust * explained, 0.0)[who] * part)
-    squares[-1], counts[-1] = problem.place_misfit(shared, equations, noise[-1])
+    squares[_SPREAD], counts[_SPREAD] = problem.spread_misfit(shared, equations, noise[_SPREAD])
     pull = weight * (expected / noise) ** 2
     better = noise * np.sqrt((squares + pull) / (counts + weight))
     return better, 1.0 + 2.0 * counts / (counts + weight) ** 2

@@ -93,8 +93,6 @@ class Problem:
         walls: Sequence[int],
         panoramas: Sequence[Panorama],
         room: Room,
-        common_hanging_sigma_m: float,
-        wall_sigma_m: float,
     ) -> None:
         """Collect what does not change while it is solved."""
         flat = [(k, s) for k, group in enumerate(sightings) for s in group]
@@ -114,10 +112,8 @@ class Problem:
         self.prior = np.append(poses.ravel(), np.zeros(planes))
         self._poses = slice(0, poses.size)
         self._walls = slice(poses.size, len(self.prior))
-        self._information = block_diag(
-            np.linalg.inv(_joint([p.covariance for p in panoramas])),
-            np.linalg.inv(common_hanging_sigma_m**2 + np.eye(planes) * wall_sigma_m**2),
-        )
+        self._places = _joint([p.covariance for p in panoramas])
+        self._height = np.arange(poses.size) % _POSE == 2
         # Which wall each landmark hangs on, (n, walls).
         self._hangs = np.eye(planes)[self.wall]
 
@@ -165,15 +161,15 @@ class Problem:
         shared: FloatArray,
         seen: FloatArray,
         wall: FloatArray,
-        place_scale: float = 1.0,
+        spread: FloatArray,
     ) -> NormalEquations:
         """
         Normal equations.
 
-        `seen` (k, 2) and `wall` (n,) are the information of sightings and walls; `place_scale`
-        multiplies the sigmas that panoramas say their places have.
+        `seen` (k, 2) and `wall` (n,) are the information of sightings and walls; `spread` as in
+        `prior_covariance`.
         """
-        prior = self.prior_information(place_scale)
+        prior = np.linalg.inv(self.prior_covariance(spread))
         jx = at.by_point * seen[..., None]
         h_xx = _sum_by(self.landmark, np.einsum('nki,nkj->nij', jx, at.by_point), self.count)
         h_xx += np.einsum('n,ni,nj->nij', wall, self.normal, self.normal)
@@ -190,20 +186,47 @@ class Problem:
         b_s[self._walls] -= hangs.T @ at.wall
         return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
 
-    def prior_information(self, place_scale: float = 1.0) -> FloatArray:
-        """Information (m, m) on the shared unknowns before there are sightings."""
-        scale = np.full(len(self.prior), place_scale)
-        scale[self._walls] = 1.0
-        return np.asarray(self._information / np.outer(scale, scale))
+    def prior_covariance(self, spread: FloatArray) -> FloatArray:
+        """
+        Covariance (m, m) of the shared unknowns before there are sightings.
 
-    def place_misfit(
-        self, shared: FloatArray, equations: NormalEquations, place_scale: float
-    ) -> tuple[float, float]:
-        """Squared misfit of the places that panoramas say they have, and its redundancy."""
-        moved = (shared - self.prior)[self._poses]
-        information = self.prior_information(place_scale)[self._poses, self._poses]
-        taken = np.sum(information * equations.shared_covariance()[self._poses, self._poses])
-        return float(moved @ information @ moved), float(len(moved) - taken)
+        `spread` (4,) are factors on the sigmas that panoramas say they have in plan and in
+        height, and sigmas of how far things hang before all walls, and before each.
+        """
+        plan, height, all_walls, each_wall = spread
+        factor = np.where(self._height, height, plan)
+        planes = len(self.prior) - len(factor)
+        off_walls = all_walls**2 + each_wall**2 * np.eye(planes)
+        return np.asarray(block_diag(self._places * np.outer(factor, factor), off_walls))
+
+    def spread_misfit(
+        self, shared: FloatArray, equations: NormalEquations, spread: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """
+        Squared misfit (4,) and redundancy (4,) of each of `spread` (4,).
+
+        They are what the derivative of the restricted likelihood is made of.
+        """
+        prior = self.prior_covariance(spread)
+        information = np.linalg.inv(prior)
+        misfit = information @ (shared - self.prior)
+        left = information @ (prior - equations.shared_covariance()) @ information
+        # The prior is the sum of what each of `spread` says of it, and falls apart so.
+        lifted = np.zeros(len(prior))
+        lifted[self._poses] = self._height
+        upward = 0.5 * (lifted[:, None] + lifted)
+        places, walls = np.zeros((2, *prior.shape))
+        places[self._poses, self._poses] = prior[self._poses, self._poses]
+        walls[self._walls, self._walls] = 1.0
+        parts = (
+            (1.0 - upward) * places,
+            upward * places,
+            spread[2] ** 2 * walls,
+            spread[3] ** 2 * walls * np.eye(len(prior)),
+        )
+        squares = np.array([misfit @ part @ misfit for part in parts])
+        counts = np.array([np.sum(part * left) for part in parts])
+        return np.maximum(squares, 0.0), np.maximum(counts, 0.0)
 
     def predicted_variance(
         self, at: Linearized, equations: NormalEquations

@@ -183,6 +183,36 @@ def test_places_of_panoramas_that_err_more_than_they_say_are_trusted_less() -> N
     assert 0.2 < scales[0] < 0.6 < scales[1] < 1.6 < scales[2] < 4.5
 
 
+def test_heights_that_err_more_than_they_say_do_not_make_the_plan_uncertain() -> None:
+    rng = np.random.default_rng(13)
+    world = world_of(rng, 100, hanging_m=0.002)
+    noise = []
+    for _ in range(8):
+        told = told_poses(world, rng)
+        told[:, 2] = world.poses[:, 2] + 8.0 * (told[:, 2] - world.poses[:, 2])
+        noise.append(solve(world, sightings_of(world, rng), told).noise)
+    plan, height = np.median(noise, axis=0)[3:5]
+    assert plan < 1.6 < 2.0 < height
+
+
+@pytest.mark.parametrize(('spread', 'least', 'most'), [(5e-4, 0.0, 3e-3), (0.02, 0.01, 0.04)])
+def test_how_far_walls_are_off_is_estimated_from_the_room(
+    spread: float, least: float, most: float
+) -> None:
+    rng = np.random.default_rng(14)
+    found = []
+    for _ in range(8):
+        world = world_of(rng, 100, hanging_m=0.002)
+        off = rng.normal(0.0, spread, len(ROOM.walls))
+        moved = world.points + off[np.asarray(world.walls), None] * ROOM.normals[world.walls]
+        world = replace(world, points=moved)
+        panoramas = panoramas_at(told_poses(world, rng, 0.2), 0.2**2 * PRIOR)
+        sightings = sightings_of(world, rng)
+        adjusted = adjust(sightings, world.walls, world.points, panoramas, ROOM, CONFIG)
+        found.append(adjusted.noise[-1])
+    assert least < np.median(found) < most
+
+
 def test_the_solution_is_that_of_sparse_least_squares() -> None:
     rng = np.random.default_rng(10)
     third = [3.0, 1.2, 1.1, 0.3]
@@ -191,16 +221,10 @@ def test_the_solution_is_that_of_sparse_least_squares() -> None:
     prior = told_poses(world, rng)
     sightings = sightings_of(world, None)
     found = solve(world, sightings, prior, AS_EXPECTED)
-    problem = Problem(
-        sightings,
-        world.walls,
-        panoramas_at(prior),
-        ROOM,
-        CONFIG.common_hanging_sigma_m,
-        CONFIG.wall_sigma_m,
-    )
+    problem = Problem(sightings, world.walls, panoramas_at(prior), ROOM)
     sigma = np.hypot(problem.own_sigma, [CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
-    root = np.linalg.cholesky(problem.prior_information())
+    spread = np.array([1.0, 1.0, CONFIG.common_hanging_sigma_m, CONFIG.wall_sigma_m])
+    root = np.linalg.cholesky(np.linalg.inv(problem.prior_covariance(spread)))
     count, shared = len(world.points), problem.prior
 
     def residuals(x: FloatArray) -> FloatArray:
