@@ -140,7 +140,7 @@ class PoseFilter:
     @property
     def state(self) -> FilterState | None:
         """The newest state, with the systematic errors; None before `initialize`."""
-        return self._history.newest
+        return self._history.at() if self._history.started else None
 
     @property
     def status(self) -> tuple[Status, str]:
@@ -258,10 +258,9 @@ class PoseFilter:
         Beyond the last odometry its twist predicts for a short while, then only the covariance
         grows. Before the history begins its first state is given.
         """
-        newest = self._history.newest
-        if newest is None:
+        if not self._history.started:
             return None
-        found = (newest if stamp_ns is None else self._history.at(stamp_ns)).estimate()
+        found = self._history.at(stamp_ns).estimate()
         if not self._health.missing:
             return found
         # The place is doubted, not the motion: this goes when landmarks are found here again.
@@ -276,7 +275,7 @@ class PoseFilter:
         return np.square([position, position, heading])
 
     def _untimely(self, stamp_ns: int) -> Refusal | None:
-        if self._history.newest is None:
+        if not self._history.started:
             return Refusal('not initialized', 'give a start pose')
         late = (self._history.begin_ns - stamp_ns) * 1e-9
         return Refusal('too late', f'{late:.3f} s before the history') if late > 0.0 else None

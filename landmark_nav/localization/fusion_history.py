@@ -31,6 +31,9 @@ Step = Callable[[FilterState], tuple[FilterState, FusionUpdate | None]]
 
 # Odometry older by this is not late: the clock was set back, or the start pose had another one.
 _CLOCK_STEP_NS = 10**9
+# Odometry comes more often than a state of its own is worth: motions add up over their parts. Of
+# those in each such piece of time, counted from 1970, the first has one, whatever came when.
+_STRIDE_NS = 100_000_000
 # What may have happened while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
 
@@ -64,9 +67,9 @@ class History:
         self._states: list[FilterState] = []  # after each event
 
     @property
-    def newest(self) -> FilterState | None:
-        """Newest state; None before `restart`."""
-        return self._states[-1] if self._states else None
+    def started(self) -> bool:
+        """Whether there is a state: not before `restart`."""
+        return bool(self._states)
 
     @property
     def begin_ns(self) -> int:
@@ -82,9 +85,6 @@ class History:
         """Begin anew with a state; odometry that came after it is kept."""
         self._events = [_Event(state.stamp_ns)]
         self._states = [state]
-        known = self._track.stamps_ns
-        if known is not None and known[1] > state.stamp_ns:
-            self.insert(known[1])
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what was wrong with the sample, if anything."""
@@ -98,9 +98,11 @@ class History:
         if sample.stamp_ns > self.begin_ns:
             # What was predicted since the sample before is now known better.
             since = known[1] if known is not None else self.begin_ns
-            first = self._place(since)
-            self._events.insert(self._place(sample.stamp_ns), _Event(sample.stamp_ns))
-            self._repeat(max(1, first))
+            first = max(1, self._place(since))
+            if sample.stamp_ns // _STRIDE_NS != since // _STRIDE_NS:
+                self._events.insert(self._place(sample.stamp_ns), _Event(sample.stamp_ns))
+            if first < len(self._events):
+                self._repeat(first)
         self._forget()
         return refusal
 
@@ -112,13 +114,16 @@ class History:
         self._forget()
         return update
 
-    def at(self, stamp_ns: int) -> FilterState:
+    def at(self, stamp_ns: int | None = None) -> FilterState:
         """
-        State at a time.
+        State at a time, the newest one by default.
 
         Beyond the last odometry its twist predicts for a short while, then only the covariance
         grows. Before the history begins its first state is given.
         """
+        if stamp_ns is None:
+            known = self._track.stamps_ns
+            stamp_ns = max(self._events[-1].stamp_ns, known[1] if known is not None else 0)
         state = self._states[max(self._place(stamp_ns) - 1, 0)]
         return self._moved(state, max(stamp_ns, state.stamp_ns))
 
