@@ -29,6 +29,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.triangulation_model import base_from_axis
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
@@ -47,11 +48,11 @@ WRONG_M = 0.3
 # Frames that lie so far apart in pan overlap by a third of a usual picture.
 FRAME_STEP_RAD = np.radians(25.0)
 FEATURES = 2000
-RATIO = 0.8
+RATIO = 0.7
 # A second match nearer than that to the first is the same thing, out of another frame.
 SAME_M = 0.05
 MIN_INLIERS = 12
-REPROJECTION_PX = 3.0
+REPROJECTION_PX = 2.0
 # What such a pose is trusted with in the filter.
 POSE_SIGMA = (0.03, 0.03, np.radians(0.5))
 
@@ -66,11 +67,12 @@ class SiftLocator:
         sweeps = list(read_sweeps(Bag(learn), mount))
         points, descriptors = [], []
         for sweep, pose in zip(sweeps, landmark_map.panorama_poses, strict=True):
-            last = -np.inf
+            # A map tells where the pan axis stood.
+            base, last = base_from_axis(pose, mount).pose, -np.inf
             for frame in sorted(sweep.frames, key=lambda frame: frame.pan_rad):
                 if frame.pan_rad - last >= FRAME_STEP_RAD:
                     last = frame.pan_rad
-                    placed, described = self._placed(frame, pose.pose, room)
+                    placed, described = self._placed(frame, base, room)
                     points.append(placed)
                     descriptors.append(described)
         self._points = np.concatenate(points)

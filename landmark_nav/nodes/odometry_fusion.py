@@ -10,9 +10,11 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion_health import HealthConfig
+from landmark_nav.localization.fusion_state import BORESIGHT, DELAY
 from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
 from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.latency import Latency
@@ -32,6 +34,19 @@ _SILENCE_NS = 1_200_000_000
 
 
 @dataclass(frozen=True)
+class LiveFusionConfig(FusionConfig):
+    """A robot can't be replayed: the delay of its joints is estimated as it drives."""
+
+    delay_sigma_s: float = parameter(
+        0.02,
+        'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '
+        'is estimated while the camera turns; 0 takes it as none, s.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True)
 class Parameters:
     """Of the node ``odometry_fusion``."""
 
@@ -43,7 +58,7 @@ class Parameters:
     start_sigma_rad: float = parameter(
         0.2, 'heading sigma of an initialpose that comes without covariance, rad', minimum=1e-4
     )
-    fusion: FusionConfig = field(default_factory=FusionConfig)
+    fusion: LiveFusionConfig = field(default_factory=LiveFusionConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
 
@@ -71,6 +86,7 @@ class OdometryFusionNode(LandmarkNode):
         self.listen('odom', self._on_odometry, depth=50)
         # Bearings and the poses made of them are the same information: only one is used.
         if self._config.fusion.mode == 'bearings':
+            self._frames = CameraFrames(self, self._mount)
             self.listen('detections', self._on_detections)
         else:
             self.listen('triangulation/pose', self._on_pose)
@@ -86,8 +102,21 @@ class OdometryFusionNode(LandmarkNode):
         else:
             status, reason = self._filter.status
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
-        values = counts | {'rejected': self._rejected} | self._latency.values()
+        values = counts | {'rejected': self._rejected} | self._latency.values() | self._offsets()
         return Health(_LEVELS[status], reason or status, values)
+
+    def _offsets(self) -> dict[str, str]:
+        """What is known of constant errors of the camera's direction, each with its sigma."""
+        state = self._filter.state
+        if state is None:
+            return {}
+        sigma = np.sqrt(np.diag(state.covariance))
+        named = {'joint_delay_ms': (DELAY, 1e3), 'boresight_deg': (BORESIGHT, np.degrees(1.0))}
+        return {
+            name: f'{scale * state.mean[place]:.2f} +- {scale * sigma[place]:.2f}'
+            for name, (place, scale) in named.items()
+            if sigma[place] > 0.0
+        }
 
     def _new_filter(self, landmarks: LandmarkMap) -> PoseFilter:
         config = self._config
@@ -130,6 +159,9 @@ class OdometryFusionNode(LandmarkNode):
 
     def _on_detections(self, message: Any) -> None:
         found = decode.detections(message)
+        joints = self._frames.joints_at(found.stamp_ns)
+        if joints is not None:
+            found = replace(found, pan_rate_rad_s=joints.pan_rate_rad_s)
         self._count(self._filter.add_detections(found))
         self._corrected(found.stamp_ns)
 

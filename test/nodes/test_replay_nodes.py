@@ -129,4 +129,8 @@ def test_learned_and_localized_as_offline(
     summary = error_summary(errors)
     assert summary['position_rmse_m'] < 0.03
     assert summary['heading_rmse_deg'] < 0.4
-    assert not client.said('odometry_fusion').lost
+    said = client.said('odometry_fusion')
+    assert not said.lost
+    delay, sigma = (float(word) for word in said.values['joint_delay_ms'].split(' +- '))
+    assert sigma < 10.0
+    assert abs(delay) < 4.0 * sigma + 1.0
