@@ -8,7 +8,11 @@ import numpy as np
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.odometry_noise import motion_variances, OdometryNoiseConfig
+from landmark_nav.localization.odometry_noise import (
+    Motion,
+    motion_variances,
+    OdometryNoiseConfig,
+)
 from landmark_nav.localization.odometry_track import OdometryTrack
 from landmark_nav.localization.relocalization import (
     locate,
@@ -127,12 +131,28 @@ class Relocalizer:
             self._outcome = outcome
         return outcome
 
+    def moved_on(self, found: PoseEstimate) -> PoseEstimate:
+        """Carry a place along to the time of the newest odometry."""
+        known = self._track.stamps_ns
+        if known is None or known[1] <= found.stamp_ns:
+            return found
+        motion = self._track.motion(found.stamp_ns, known[1])
+        by_pose, by_motion = se2.compose_jacobians(found.pose, motion.increment)
+        variances = self._variances(motion)
+        return PoseEstimate(
+            known[1],
+            se2.compose(found.pose, motion.increment),
+            by_pose @ found.covariance @ by_pose.T + (by_motion * variances) @ by_motion.T,
+        )
+
     def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
         """Poses (n, 3) of the base at the kept pictures, seen from now, and their variances."""
         motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
         poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
-        variances = [motion_variances(motion, self._odometry) for motion in motions]
-        # Wheels that nothing has calibrated yet err by a share of what they did, too.
-        way = np.hypot(poses[:, 0], poses[:, 1])
-        share = self._config.slip * np.stack([way, way, np.abs(poses[:, 2])], -1)
-        return poses, np.array(variances).reshape(-1, 3) + share**2
+        return poses, np.array([self._variances(motion) for motion in motions]).reshape(-1, 3)
+
+    def _variances(self, motion: Motion) -> FloatArray:
+        """Of a motion by wheels that nothing has calibrated yet: they err by a share, too."""
+        way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
+        share = self._config.slip * np.array([way, way, turn])
+        return np.asarray(motion_variances(motion, self._odometry) + share**2)

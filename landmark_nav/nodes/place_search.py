@@ -7,6 +7,7 @@ The service is asked in one thread and answered by the one that looks at picture
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
 
@@ -53,6 +54,8 @@ class PlaceSearch:
         Parameters.
     map_frame : str
         Frame of the place.
+    fused : callable
+        Gives the newest fused pose, None before there is one.
 
     """
 
@@ -62,8 +65,10 @@ class PlaceSearch:
         mount: PanTiltMount,
         config: PlaceSearchConfig,
         map_frame: str,
+        fused: Callable[[], PoseEstimate | None],
     ) -> None:
         self._mount, self._config, self._map_frame = mount, config, map_frame
+        self._fused = fused
         self.landmarks = LandmarkMap(())
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._relocalizer: Relocalizer | None = None
@@ -82,10 +87,11 @@ class PlaceSearch:
         """Whether odometry of that time or later is known."""
         return bool(self._odometry) and self._odometry[-1].stamp_ns >= stamp_ns
 
-    def consider(self, fused: PoseEstimate | None) -> None:
+    def consider(self) -> None:
         """Begin by itself where the fused pose is not known, end that where it is again."""
         if self._asked or not self._config.when_lost or not self.landmarks.landmarks:
             return
+        fused = self._fused()
         lost = fused is None or (np.trace(fused.covariance[:2, :2]) > self._config.lost_sigma_m**2)
         if not lost:
             self._relocalizer = None
@@ -105,11 +111,16 @@ class PlaceSearch:
             return self._outcome
         while self._odometry and self._odometry[0].stamp_ns <= frame.stamp_ns:
             relocalizer.add_odometry(self._odometry.popleft())
-        outcome = relocalizer.add_frame(frame)
-        self._outcome = outcome
-        if isinstance(outcome, PoseEstimate):
+        outcome = self._outcome = relocalizer.add_frame(frame)
+        # That took a while, in which somebody may have told the place.
+        self.consider()
+        if isinstance(outcome, PoseEstimate) and self.active:
+            # The filter may not reach back to the picture.
+            while self._odometry:
+                relocalizer.add_odometry(self._odometry.popleft())
+            place = relocalizer.moved_on(outcome)
             self._relocalizer, self._asked = None, False
-            self._start.publish(encode.pose(ros_factory, outcome, self._map_frame))
+            self._start.publish(encode.pose(ros_factory, place, self._map_frame))
             self._found.set()
         return outcome
 

@@ -72,7 +72,9 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._frames = CameraFrames(self, self._mount)
         self._prior = PriorTrack(self._config.max_prior_age_s)
         search = self._config.relocalization
-        self._search = PlaceSearch(self, self._mount, search, self._config.map_frame)
+        self._search = PlaceSearch(
+            self, self._mount, search, self._config.map_frame, lambda: self._prior.newest
+        )
         self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None
@@ -119,7 +121,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             )
 
     def _on_image(self, message: Any) -> None:
-        self._search.consider(self._prior.newest)
+        self._search.consider()
         if self._search.active:
             self._look(message)
             if self._prior.newest is None:
