@@ -3,9 +3,10 @@ How long a picture takes on the live graph: from its arrival to `odometry/fused`
 
 ``python test/live_latency.py DRIVE --map MAP --room R --robot R --start X Y THETA`` starts
 `landmark_learner` (which gives the map), `triangulation_localizer`, `odometry_fusion` and
-`triplet_selector` as processes and plays a drive's bag to them so that pictures come at 15 Hz. It
-prints the latency and what was dropped, and exits with 1 if the 95th percentile is over 60 ms or
-the latency grows.
+`triplet_selector` as processes and plays a drive's bag to them so that pictures come at 15 Hz:
+give one that was recorded at about that (``landmark-nav simulate --camera-rate 20``). It prints
+the latency and what was dropped, and exits with 1 if the 95th percentile is over 60 ms or the
+latency grows.
 """
 
 from __future__ import annotations

@@ -36,6 +36,8 @@ __all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'select_triplet', 'visible_
 
 # How many of the best triplets are looked at more closely, at first.
 _SHORTLIST = 24
+# A spread of that share of the nearest landmark's range changes variances by its square.
+_SMALL = 0.05
 # How many are told about.
 _RANKED = 8
 
@@ -111,7 +113,9 @@ class _Contest:
         # From here on a landmark counts once for each turn of the axis that sees it.
         self._index, self._chance = index[self._windows.place], chance[self._windows.place]
         self._corners = outlook.corners[self._index]
-        points, sigma = _sigma_points(outlook.axis), self._config.bearing_sigma_rad
+        delta = self._map.positions[self._index, :2] - outlook.axis.pose[:2]
+        points = _viewpoints(outlook.axis, float(np.hypot(*delta.T).min()))
+        sigma = self._config.bearing_sigma_rad
         self._tables: PairTables = pair_tables(points, self._map, self._index, sigma)
 
     def judge(self, previous: Triplet | None, standing: npt.NDArray[np.int8]) -> Ranking:
@@ -228,8 +232,10 @@ class _Contest:
         return float(ends[0] if now is None else ends[np.argmin(np.abs(ends - now))])
 
 
-def _sigma_points(axis: PoseEstimate) -> FloatArray:
-    """Four positions (4, 2) that stand for the prior's spread."""
+def _viewpoints(axis: PoseEstimate, nearest_m: float) -> FloatArray:
+    """Positions (p, 2) that stand for the prior's spread; the middle alone where it is small."""
     value, vector = np.linalg.eigh(axis.covariance[:2, :2])
     steps = (vector * np.sqrt(2.0 * np.maximum(value, 0.0))).T
+    if np.hypot(*steps[1]) < _SMALL * nearest_m:
+        return np.asarray(axis.pose[None, :2])
     return np.asarray(axis.pose[:2] + np.concatenate([steps, -steps]))
