@@ -74,15 +74,21 @@ class CameraFrames:
         """
         stamp = decode.stamp_ns(message.header)
         # Meanwhile what belongs to it arrives.
-        picture = decode.image(message)
+        picture = decode.image(message, grey=True)
         self._wait(stamp, seconds, also)
         joints = self.joints_at(stamp)
         if joints is None or self._camera is None:
             missing = 'joint_states' if joints is None else 'camera/camera_info'
             raise LandmarkNavError(f'nothing on {missing} near its stamp')
-        picture = decode.image(message, grey=True)
         camera = CameraInfos([(stamp, self._camera)]).for_picture(stamp, picture.shape)
-        return CameraFrame(stamp, picture, camera, joints.pan_rad, joints.tilt_rad)
+        return CameraFrame(
+            stamp,
+            picture,
+            camera,
+            joints.pan_rad,
+            joints.tilt_rad,
+            pan_rate_rad_s=joints.pan_rate_rad_s,
+        )
 
     def _on_joints(self, message: Any) -> None:
         sample = decode.joint_sample(message, self._mount)
