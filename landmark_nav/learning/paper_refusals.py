@@ -91,16 +91,22 @@ def why_not(
                 room.papers, measured_papers(best), in_view, best.seen, best.agreed, strict=True
             )
         )
+        alone = bool((measured_papers(best) | ~in_view).all())
+        remedy = (
+            'not all together: check how the pan axis stands in robot.yaml, and the papers'
+            if alone
+            else 'uncover the papers, or check their colours, sizes'
+        )
         return (
             f'no place in the room fits the papers; at the nearest, ({place_text(best)}), {told}: '
-            'uncover the papers, or check colours, sizes and places in room.yaml'
+            f'{remedy} and places in room.yaml'
         )
     counted = ', '.join(
         f'{len(b.misfit)} {p.color}' for p, b in zip(room.papers, blobs, strict=True)
     )
     return (
         f'no place in the room fits the blobs found ({counted}): '
-        'check colours, sizes and places of the papers in room.yaml'
+        'check colours, sizes and places of the papers in room.yaml, and the mount in robot.yaml'
     )
 
 
