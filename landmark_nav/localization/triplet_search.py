@@ -72,7 +72,7 @@ def best_triplets(
     weight[~np.isfinite(weight)] = np.inf
     bound = least.mean(axis=0) * weight
     search = _Search(tables, factor, cost, count)
-    search.add(_around_best_pairs(bound))
+    search.add(_around_best_pairs(bound).T)
     good = bound <= search.limit * _ROUNDING
     if len(factor) > _FEW:
         _add_across(least, tables, good)
@@ -148,12 +148,10 @@ class _Search:
         self._to_come[:-1] = np.cumsum(least[::-1], axis=0)[::-1] / len(least)
 
     def add(self, triplets: IndexArray) -> None:
-        """Look at triplets (t, 3)."""
-        i, j, k = np.ascontiguousarray(triplets.T)
-        weight = self._factor[i] * self._factor[j] * self._factor[k]
+        """Look at triplets (3, t)."""
+        i, j, k = triplets
+        weight = self._factor.take(i) * self._factor.take(j) * self._factor.take(k)
         weight *= _largest(self._cost, i, j, k)
-        possible = np.isfinite(weight)
-        i, j, k, weight = i[possible], j[possible], k[possible], weight[possible]
         total = np.zeros(len(i))
         for place, point in enumerate([None, *self._points]):
             if point is not None:
@@ -161,19 +159,26 @@ class _Search:
             lower = total
             if self._to_come is not None:
                 lower = total + _largest(self._to_come[place], i, j, k)
-            good = lower * weight <= self.limit * _ROUNDING
-            i, j, k, total, weight = (a[good] for a in (i, j, k, total, weight))
+            with np.errstate(invalid='ignore'):
+                good = np.flatnonzero(lower * weight <= self.limit * _ROUNDING)
+            i, j, k, total, weight = (a.take(good) for a in (i, j, k, total, weight))
         found = np.sort(np.stack([i, j, k], -1), axis=1)
         scores, triplets = total * weight, np.concatenate([self.triplets, found])
         finite = np.isfinite(scores)
         scores = np.concatenate([self.scores, scores])
         finite = np.concatenate([np.ones(len(self.scores), np.bool_), finite])
         scores, triplets = scores[finite], triplets[finite]
-        triplets, once = np.unique(triplets, axis=0, return_index=True)
-        order = np.argsort(scores[once], kind='stable')[: self._count]
-        self.scores, self.triplets = scores[once][order], triplets[order]
-        if len(order) == self._count:
+        once = _first_of_each(triplets)
+        best = once[np.argsort(scores[once], kind='stable')[: self._count]]
+        self.scores, self.triplets = scores[best], triplets[best]
+        if len(best) == self._count:
             self.limit = float(self.scores[-1])
+
+
+def _first_of_each(triplets: IndexArray) -> IndexArray:
+    """Places where each of the triplets (t, 3) of a list comes first, in ascending order."""
+    n = triplets.max(initial=0) + 1
+    return np.unique(triplets @ np.array([n * n, n, 1]), return_index=True)[1]
 
 
 def _largest(table: FloatArray, i: IndexArray, j: IndexArray, k: IndexArray) -> FloatArray:
@@ -191,11 +196,12 @@ def _around_best_pairs(bound: FloatArray) -> IndexArray:
     third = np.tile(np.arange(n), len(pairs))
     triplets = np.column_stack([np.repeat(pairs, n, axis=0), third])
     triplets = triplets[(third != triplets[:, 0]) & (third != triplets[:, 1])]
-    return np.unique(np.sort(triplets, axis=1), axis=0)
+    triplets = np.sort(triplets, axis=1)
+    return triplets[_first_of_each(triplets)]
 
 
 def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:
-    """Batches (t, 3) of triplets whose three pairs are all `good` (n, n)."""
+    """Batches (3, t) of triplets whose three pairs are all `good` (n, n)."""
     # Those with few partners first: each landmark then has few later ones.
     order = np.argsort(good.sum(axis=0), kind='stable')
     later = np.triu(good[np.ix_(order, order)], 1)
@@ -203,13 +209,14 @@ def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:
     waiting = 0
     for first in range(len(order) - 2):
         partners = np.flatnonzero(later[first])
-        second, third = np.nonzero(later[np.ix_(partners, partners)])
+        second, third = np.nonzero(later[partners][:, partners])
         if len(second):
-            firsts = np.full(len(second), first)
-            batch.append(np.stack([firsts, partners[second], partners[third]], -1))
+            partners = order[partners]
+            firsts = np.full(len(second), order[first])
+            batch.append(np.stack([firsts, partners[second], partners[third]]))
             waiting += len(second)
         if waiting >= _BATCH:
-            yield order[np.concatenate(batch)]
+            yield np.concatenate(batch, axis=1)
             batch, waiting = [], 0
     if batch:
-        yield order[np.concatenate(batch)]
+        yield np.concatenate(batch, axis=1)
