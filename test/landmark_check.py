@@ -3,7 +3,9 @@ Landmarks against the truth, in simulated rooms: where they are, and from where 
 
 ``python test/landmark_check.py --seeds 201 202`` simulates rooms, learns them from two sweeps and
 prints a line a room and their sum; it exits with 1 if a bound is missed. ``--rooms DIR`` takes
-rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written.
+rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. ``--measured`` tells
+the robot not the truth but what a person would have measured: walls, papers and the camera's
+height as wrong as the configuration says, and all that hangs on the walls a little before them.
 
 =================  ===============================================================================
 ``median``, ``p95``  distance of landmarks from the truth, millimetres; ``false`` ones are not on
@@ -22,7 +24,7 @@ rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written.
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 import sys
 import tempfile
@@ -33,6 +35,10 @@ import numpy.typing as npt
 from relocalize_check import changed, free_poses, picture
 
 from landmark_nav.cli.main import main as landmark_nav
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room as WallMap
+from landmark_nav.learning.adjustment import AdjustmentConfig
+from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.triplet_visibility import (
     axis_position,
@@ -42,8 +48,10 @@ from landmark_nav.localization.triplet_visibility import (
     whole_in_view,
 )
 from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 MAX_MEDIAN_M = 0.006
@@ -178,15 +186,52 @@ def check_area(room: Room) -> npt.NDArray[np.int64]:
     return counts
 
 
-def learned_map(seed: int, rooms: Path | None) -> LandmarkMap:
+def measured(
+    room: WallMap, mount: PanTiltMount, rng: np.random.Generator
+) -> tuple[WallMap, PanTiltMount]:
+    """What a person would have measured of a room whose walls meet at right angles."""
+    expected, papers = AdjustmentConfig(), ReferenceAreaConfig()
+    # Things hang before the walls: that is walls behind what is seen.
+    off = rng.normal(0.0, expected.wall_sigma_m, len(room.walls))
+    off -= abs(rng.normal(0.0, expected.common_hanging_sigma_m))
+    moved = off[:, None] * room.normals[:, :2]
+    starts = np.array([wall.start for wall in room.walls]) + moved + np.roll(moved, 1, axis=0)
+    corners = [(float(x), float(y)) for x, y in starts]
+    walls = tuple(
+        replace(wall, start=start, end=end)
+        for wall, start, end in zip(room.walls, corners, corners[1:] + corners[:1], strict=True)
+    )
+    sheets = []
+    for paper in room.papers:
+        wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
+        along, up = rng.normal(0.0, papers.paper_sigma_m, 2)
+        x, y = paper.center[:2] + along * np.subtract(wall.end, wall.start) / wall.length
+        sheets.append(replace(paper, center=(float(x), float(y), paper.center[2] + float(up))))
+    x, y, z = mount.axis_xyz
+    height = z + float(rng.normal(0.0, papers.height_sigma_m))
+    told = replace(room, walls=walls, papers=tuple(sheets))
+    return told, replace(mount, axis_xyz=(x, y, height))
+
+
+def learned_map(seed: int, rooms: Path | None, as_measured: bool) -> LandmarkMap:
     """Learn a room as a user would."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = (rooms or Path(scratch)) / str(seed)
         if rooms is None:
             _run('simulate', '--out', str(folder), '--seed', str(seed), '--drive-seconds', '1')
+        told = folder
+        if as_measured:
+            told = Path(scratch)
+            room, mount = measured(
+                load_room(folder / 'room.yaml'),
+                load_robot(folder / 'robot.yaml'),
+                np.random.default_rng([seed, 60]),
+            )
+            (told / 'room.yaml').write_text(room_document(room))
+            (told / 'robot.yaml').write_text(robot_document(mount))
         _run(
-            'learn', str(folder / 'learn'), '--room', str(folder / 'room.yaml'),
-            '--robot', str(folder / 'robot.yaml'), '--out', f'{scratch}/map',
+            'learn', str(folder / 'learn'), '--room', str(told / 'room.yaml'),
+            '--robot', str(told / 'robot.yaml'), '--out', f'{scratch}/map',
         )  # fmt: skip
         return load_map(f'{scratch}/map')
 
@@ -231,6 +276,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--seeds', type=int, nargs='+', required=True)
     parser.add_argument('--rooms', type=Path, help='folder of rooms that were kept')
+    parser.add_argument(
+        '--measured', action='store_true', help='tell the robot what a person would have measured'
+    )
     parser.add_argument('--maps', type=Path, help='folder of maps that were kept: MAPS/SEED')
     parser.add_argument('--poses', type=int, default=50, help='random poses in each room (50)')
     parser.add_argument('--area', action='store_true', help='check observation areas (a minute)')
@@ -240,7 +288,7 @@ def main() -> int:
         learned = (
             load_map(arguments.maps / str(seed))
             if arguments.maps
-            else learned_map(seed, arguments.rooms)
+            else learned_map(seed, arguments.rooms, arguments.measured)
         )
         rooms.append(check_places(seed, learned))
         seen.append(check_sightings(rooms[-1], arguments.poses))

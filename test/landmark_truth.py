@@ -33,16 +33,16 @@ class TrueWalls:
         self._walls = {}
         for wall, solid in zip(scene.room.walls, wall_solids(scene), strict=True):
             base, *papers = solid.surfaces
-            picture = base.albedo.copy()
-            scale = picture.shape[1] / base.width_m
+            grey = _grey(base.albedo)
+            rows, columns = grey.shape
             for paper in papers:
                 corner = paper.corner - base.corner
-                left, top = corner @ base.across * scale, corner @ base.down * scale
-                right, bottom = left + paper.width_m * scale, top + paper.height_m * scale
-                color = paper.albedo[0, 0, :3]
-                picture[round(top) : round(bottom), round(left) : round(right)] = color
-            grey = cv2.cvtColor(picture[..., :3], cv2.COLOR_BGR2GRAY).astype(np.float32)
-            self._walls[wall.id] = (wall, base, grey)
+                left, top = float(corner @ base.across), float(corner @ base.down)
+                across = _covered(left, left + paper.width_m, base.width_m, columns)
+                down = _covered(top, top + paper.height_m, base.height_m, rows)
+                share = np.outer(down, across)
+                grey = (1.0 - share) * grey + share * _grey(paper.albedo)[0, 0]
+            self._walls[wall.id] = (wall, base, grey.astype(np.float32))
 
     def place(self, landmark: Landmark) -> FloatArray | None:
         """
@@ -95,3 +95,14 @@ class TrueWalls:
             enter, leave = ends.min(-2).max(-1), ends.max(-2).min(-1)
             hidden |= (enter < leave) & (enter < 1.0 - 1e-6) & (leave > 0.0)
         return np.asarray(hidden)
+
+
+def _grey(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    return cv2.cvtColor(picture[..., :3], cv2.COLOR_BGR2GRAY).astype(np.float32)
+
+
+def _covered(low: float, high: float, length: float, count: int) -> FloatArray:
+    """Share of each of `count` texels along a `length` that lies between two places on it."""
+    edges = np.linspace(0.0, length, count + 1)
+    common = np.minimum(edges[1:], high) - np.maximum(edges[:-1], low)
+    return np.clip(common * count / length, 0.0, 1.0)
