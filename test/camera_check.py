@@ -33,7 +33,6 @@ from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Triplet
 
 STATE_RATE_HZ = 20
 CAMERA_RATE_HZ = 5
-CHOICE_S = 0.5
 START_SIGMA = (0.02, 0.02, 0.01)
 
 # What a rule gets to know: the last update, the time and the robot; it returns a pan.
@@ -159,7 +158,6 @@ def _drive(
     localizer.initialize(start)
     updates: list[LocalizationUpdate] = []
     truth: list[FloatArray] = []
-    next_choice_s = 0.0
     for k in range(round(seconds * STATE_RATE_HZ)):
         time_s = k / STATE_RATE_HZ
         world.command_velocity(*driver.command(world.true_pose))
@@ -170,11 +168,9 @@ def _drive(
             if isinstance(update, LocalizationUpdate):
                 updates.append(update)
                 truth.append(world.true_pose)
-                if time_s >= next_choice_s:
-                    next_choice_s = time_s + CHOICE_S
-                    pan = rule(update, time_s)
-                    if pan is not None:
-                        world.command_pan(pan)
+                pan = rule(update, time_s)
+                if pan is not None:
+                    world.command_pan(pan)
         world.advance(1.0 / STATE_RATE_HZ)
     fused = np.array([update.fused.pose for update in updates])
     none = np.full(3, np.nan)

@@ -69,6 +69,7 @@ class ActiveCamera:
         self.record = FoundRecord(len(landmark_map.landmarks))
         self._chosen: Triplet | None = None
         self._pending: dict[int, int] = {}  # looks in vain at what is still to be seen
+        self._aimed: set[int] = set()  # what the view shows that was chosen last
 
     def saw(self, picture: Detections) -> None:
         """Take note of what was found in a picture, and what was missed."""
@@ -80,6 +81,11 @@ class ActiveCamera:
             self._pending[k] += 1
             if self._pending[k] >= _PATIENCE:
                 del self._pending[k]
+
+    @property
+    def done_here(self) -> bool:
+        """Whether the view that was chosen last has shown what it was for, and another is next."""
+        return self._config.views == 'several' and not self._aimed & set(self._pending)
 
     def choose(self, prior: PoseEstimate, camera: CameraModel, gaze: Gaze) -> Ranking:
         """
@@ -118,8 +124,10 @@ class ActiveCamera:
         chosen = ranking.chosen
         if not isinstance(chosen, Triplet) or self._config.views == 'one':
             return ranking
-        pans = ranking.pan_rad[0][np.isin(ranking.ids[0], list(self._pending))]
-        if gaze.pan_rad is None or not len(pans):
+        pending = np.isin(ranking.ids[0], list(self._pending))
+        if gaze.pan_rad is None or not pending.any():
             return ranking
-        nearest = pans[np.argmin(np.abs(pans - gaze.pan_rad))]
+        away = np.where(pending, np.abs(ranking.pan_rad[0] - gaze.pan_rad), np.inf)
+        nearest = ranking.pan_rad[0][np.argmin(away)]
+        self._aimed = set(ranking.ids[0][ranking.pan_rad[0] == nearest].tolist())
         return replace(ranking, chosen=replace(chosen, pan_rad=float(nearest)))

@@ -121,7 +121,8 @@ class Observer:
         prior : PoseEstimate
             Expected pose of the base at its stamp.
         triplet : Triplet, optional
-            What the camera is after: with several views a fix waits for all three.
+            What the camera is after: looked for before all else, and with several views a fix
+            waits for all three. Its landmarks are in the map.
 
         """
         config = self._config
@@ -140,6 +141,7 @@ class Observer:
             expected,
             config.triplet.bearing_sigma_rad,
             config.detection.max_count,
+            self._map.indices(triplet.ids) if isinstance(triplet, Triplet) else (),
         )
         result = detect_landmarks(frame, prior, self._map, self._mount, config.detection, expected)
         missed = np.array(sorted(result.refused), dtype=np.int64)

@@ -170,8 +170,8 @@ class Localizer:
 
     def _choose(self, frame: CameraFrame, prior: PoseEstimate) -> None:
         """Choose the triplet anew if it is time to."""
-        period_ns = 1e9 * self._config.choice_period_s
-        if self._chosen_ns is None or not 0 <= frame.stamp_ns - self._chosen_ns < period_ns:
+        since_s = np.inf if self._chosen_ns is None else 1e-9 * (frame.stamp_ns - self._chosen_ns)
+        if self._camera.done_here or not 0.0 <= since_s < self._config.choice_period_s:
             gaze = replace(self._gaze, pan_rad=frame.pan_rad, tilt_rad=frame.tilt_rad)
             self._triplet = self._camera.choose(prior, frame.camera, gaze).chosen
             self._chosen_ns = frame.stamp_ns

@@ -17,6 +17,7 @@ def most_telling(
     index: npt.NDArray[np.intp],
     bearing_sigma: float,
     count: int,
+    wanted: npt.ArrayLike = (),
 ) -> npt.NDArray[np.intp]:
     """
     Choose landmarks greedily by what each adds to the information on the pose.
@@ -37,6 +38,8 @@ def most_telling(
         Expected measurement sigma, radians.
     count : int
         How many to choose.
+    wanted : array_like of int
+        Places in the map that come first.
 
     Returns
     -------
@@ -52,11 +55,13 @@ def most_telling(
     rows = np.column_stack([gradient, np.full(len(index), -1.0)]) / np.sqrt(variance)[:, None]
     covariance: FloatArray = axis.covariance
     chosen: list[int] = []
+    first = np.where(np.isin(index, wanted), np.inf, 0.0)
     for _ in range(count):
         spread = rows @ covariance
         gain = np.sum(spread * rows, -1)
         gain[chosen] = -1.0
-        best = int(np.argmax(gain))
+        best = int(np.argmax(gain + first))
+        first[best] = 0.0
         chosen.append(best)
         covariance = covariance - np.outer(spread[best], spread[best]) / (1.0 + gain[best])
     return np.asarray(index[np.sort(chosen)], dtype=np.intp)

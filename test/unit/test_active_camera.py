@@ -65,7 +65,9 @@ class TestSeveralViews:
             here = ranking.ids[0][ranking.pan_rad[0] == pan]
             assert set(here.tolist()) & left
             left -= set(here.tolist())
+            assert not camera.done_here
             camera.saw(picture(here.tolist()))
+            assert camera.done_here
             if left:
                 ranking = camera.choose(PRIOR, CAMERA, Gaze(pan))
                 assert isinstance(ranking.chosen, Triplet)

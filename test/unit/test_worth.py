@@ -56,3 +56,13 @@ def test_landmarks_whose_place_is_uncertain_are_passed_over(worse: int) -> None:
     doubtful = replace(LANDMARKS.landmarks[worse], covariance=np.eye(3))
     landmarks = tuple(doubtful if k == worse else LANDMARKS.landmarks[k] for k in EVERY)
     assert worse not in most_telling(AXIS, LandmarkMap(landmarks), EVERY, SIGMA, 12)
+
+
+def test_what_is_wanted_comes_first() -> None:
+    best = most_telling(AXIS, LANDMARKS, EVERY, SIGMA, 4)
+    wanted = np.setdiff1d(EVERY, best)[:3]
+    chosen = most_telling(AXIS, LANDMARKS, EVERY, SIGMA, 4, wanted)
+    assert set(wanted) < set(chosen)
+    assert len(chosen) == 4
+    # What is not in view can't be had.
+    assert set(most_telling(AXIS, LANDMARKS, EVERY[:6], SIGMA, 4, [9])) <= set(EVERY[:6])
