@@ -24,21 +24,18 @@ height as wrong as the configuration says, and all that hangs on the walls a lit
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 import sys
 import tempfile
 
 from landmark_truth import TrueWalls
+from measured_room import measured
 import numpy as np
 import numpy.typing as npt
 from relocalize_check import changed, free_poses, picture
 
 from landmark_nav.cli.main import main as landmark_nav
-from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.walls import Room as WallMap
-from landmark_nav.learning.adjustment import AdjustmentConfig
-from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.triplet_visibility import (
     axis_position,
@@ -184,33 +181,6 @@ def check_area(room: Room) -> npt.NDArray[np.int64]:
                 tried |= which
         counts += np.bincount((2 * predicted + observed)[counted], minlength=4)
     return counts
-
-
-def measured(
-    room: WallMap, mount: PanTiltMount, rng: np.random.Generator
-) -> tuple[WallMap, PanTiltMount]:
-    """What a person would have measured of a room whose walls meet at right angles."""
-    expected, papers = AdjustmentConfig(), ReferenceAreaConfig()
-    # Things hang before the walls: that is walls behind what is seen.
-    off = rng.normal(0.0, expected.wall_sigma_m, len(room.walls))
-    off -= abs(rng.normal(0.0, expected.common_hanging_sigma_m))
-    moved = off[:, None] * room.normals[:, :2]
-    starts = np.array([wall.start for wall in room.walls]) + moved + np.roll(moved, 1, axis=0)
-    corners = [(float(x), float(y)) for x, y in starts]
-    walls = tuple(
-        replace(wall, start=start, end=end)
-        for wall, start, end in zip(room.walls, corners, corners[1:] + corners[:1], strict=True)
-    )
-    sheets = []
-    for paper in room.papers:
-        wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
-        along, up = rng.normal(0.0, papers.paper_sigma_m, 2)
-        x, y = paper.center[:2] + along * np.subtract(wall.end, wall.start) / wall.length
-        sheets.append(replace(paper, center=(float(x), float(y), paper.center[2] + float(up))))
-    x, y, z = mount.axis_xyz
-    height = z + float(rng.normal(0.0, papers.height_sigma_m))
-    told = replace(room, walls=walls, papers=tuple(sheets))
-    return told, replace(mount, axis_xyz=(x, y, height))
 
 
 def learned_map(seed: int, rooms: Path | None, as_measured: bool) -> LandmarkMap:

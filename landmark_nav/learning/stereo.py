@@ -34,6 +34,9 @@ __all__ = ['StereoConfig', 'compare', 'hypothesize', 'match_in']
 # Depths before the wall that scale must rule out, and by how much correlation.
 _OTHER_DEPTHS_M = (0.2, 0.4)
 _SCALE_MARGIN = 0.03
+# How far places may be wrong, in their sigmas, and where a search on the wall ends.
+_SIGMAS = 3.0
+_LARGEST_MARGIN_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,10 @@ class StereoConfig:
         maximum=20,
     )
     margin_m: float = parameter(
-        0.04, 'search around the epipolar line for pose errors', minimum=0.005, maximum=0.5
+        0.04,
+        'search around the epipolar line, at least: more where places are uncertain',
+        minimum=0.005,
+        maximum=0.5,
     )
 
     def __post_init__(self) -> None:
@@ -245,7 +251,8 @@ def _search_area(
         _on_wall(patch, patch.position + depth / reach * to_here, there.center_map)
         for depth in (-config.behind_wall_m, 0.0, before)
     ]
-    margin = config.margin_m / patch.texel_m + 3.0
+    uncertain = _SIGMAS * np.hypot(_sigma_on_wall(patch, here), _sigma_on_wall(patch, there))
+    margin = np.clip(uncertain, config.margin_m, _LARGEST_MARGIN_M) / patch.texel_m + 3.0
     low = np.floor(np.min(shifts, 0) / patch.texel_m - margin).astype(int)
     high = np.ceil(np.max(shifts, 0) / patch.texel_m + margin).astype(int)
     right, down = patch_axes(patch.normal)
@@ -255,6 +262,16 @@ def _search_area(
         patch.position + across * right + below * down,
         (patch.shape[0] + rows, patch.shape[1] + columns),
     )
+
+
+def _sigma_on_wall(patch: WallPatch, panorama: Panorama) -> FloatArray:
+    """Metres (2,) right and down on the wall by which the panorama's place misplaces the patch."""
+    ray = patch.position - panorama.center_map
+    # By x, y, z and heading; then along the ray back onto the wall.
+    moved = np.vstack([np.eye(3), [-ray[1], ray[0], 0.0]])
+    moved -= np.outer(moved @ patch.normal / (ray @ patch.normal), ray)
+    by_place = np.stack(patch_axes(patch.normal)) @ moved.T
+    return np.asarray(np.sqrt(np.diag(by_place @ panorama.covariance @ by_place.T)))
 
 
 def _on_wall(patch: WallPatch, point: FloatArray, center: FloatArray) -> FloatArray:

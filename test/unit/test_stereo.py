@@ -96,6 +96,22 @@ def test_a_candidate_lies_where_its_ray_meets_the_wall(
     np.testing.assert_allclose([seen.azimuth_rad, seen.tangent], expected, atol=1e-9)
 
 
+def test_the_search_is_as_wide_as_places_are_uncertain(panoramas: list[Panorama]) -> None:
+    point = np.array([6.0, 2.5, 1.2])
+    told = panoramas[1].center_map + np.array([0.0, 0.0, 0.12])
+    found = []
+    for sigma in (0.001, 0.05):
+        covariance = np.diag([1e-3, 1e-3, sigma, 1e-3]) ** 2
+        raised = replace(panoramas[1], center_map=told, covariance=covariance)
+        found.append(match_at([panoramas[0], raised], point)[1])
+    assert isinstance(found[0], Refusal)
+    assert isinstance(found[1], Sighting)
+    _, usual = match_at(panoramas, point)
+    assert isinstance(usual, Sighting)
+    assert found[1].azimuth_rad == pytest.approx(usual.azimuth_rad, abs=2e-4)
+    assert found[1].tangent == pytest.approx(usual.tangent, abs=5e-4)
+
+
 def test_a_slanted_patch_is_wide_on_the_wall(panoramas: list[Panorama]) -> None:
     ahead = patch_at(panoramas[0], np.array([6.0, 2.0, 1.1]))
     aside = patch_at(panoramas[0], np.array([5.2, 0.0, 1.1]))
