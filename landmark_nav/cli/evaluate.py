@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 import json
 from pathlib import Path
 import tempfile
@@ -108,7 +109,8 @@ def run(args: argparse.Namespace) -> int:
         return replay(events, landmarks, mount, config, start, covariance)
 
     done = localized(0.0)
-    offsets = camera_offsets(done, landmarks, mount, config)
+    learned = replace(config, odometry=done.odometry_noise)
+    offsets = camera_offsets(done, landmarks, mount, learned)
     delay_s = offsets.delay_s if offsets.delay_matters else 0.0
     if delay_s:
         bag.warn(
@@ -119,9 +121,10 @@ def run(args: argparse.Namespace) -> int:
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     errors = run_errors(done)
-    report = run_report(done, errors, landmarks, mount, config)
+    learned = replace(config, odometry=done.odometry_noise)
+    report = run_report(done, errors, landmarks, mount, learned)
     report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
-    smoothed = smooth_run(done, landmarks, mount, config) if args.smooth else None
+    smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)
     folder = args.out or (args.json or args.report or Path('x')).parent

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import time
 
 import numpy as np
@@ -13,6 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import SensorEvent
 from landmark_nav.types import (
@@ -49,6 +50,8 @@ class Replay:
         Ground truth; empty where there is none.
     seconds : float
         Computing time of the whole run, reading and decoding included.
+    odometry_noise : OdometryNoiseConfig
+        How far the odometry was to be trusted, as it turned out in the end.
 
     """
 
@@ -59,6 +62,7 @@ class Replay:
     odometry: PoseTrack
     truth: PoseTrack
     seconds: float
+    odometry_noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
 
     @property
     def stamps_ns(self) -> npt.NDArray[np.int64]:
@@ -182,6 +186,7 @@ def replay(
         _dead_reckoning(PoseTrack.of(odometry), start),
         PoseTrack.of(truth),
         time.perf_counter() - begin,
+        localizer.odometry_noise,
     )
 
 

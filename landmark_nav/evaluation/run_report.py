@@ -89,6 +89,11 @@ def run_report(
         },
         'realtime_factor': span_s / run.seconds,
         'result_hash': result_hash(stamps, run.fused, run.fixes),
+        'odometry_noise': {
+            'along_m_per_sqrt_m': run.odometry_noise.along_m_per_sqrt_m,
+            'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
+            'slip_sigma': run.odometry_noise.slip_sigma,
+        },
         'found': {
             'after_s': 1e-9 * float(run.start.stamp_ns - begin),
             'pose': list(run.start.pose),

@@ -143,6 +143,12 @@ class PoseFilter:
         return self._history.at() if self._history.started else None
 
     @property
+    def odometry_noise(self) -> OdometryNoiseConfig:
+        """How far odometry is to be trusted, as far as it was learned."""
+        state = self._history.newest
+        return self._odometry if state is None else state.scales.of(self._odometry)
+
+    @property
     def status(self) -> tuple[Status, str]:
         """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
         return self.status_at(None)
@@ -225,6 +231,7 @@ class PoseFilter:
                 ids=self._map.ids,
                 lever=self._lever,
                 probability=self._config.bearing_probability,
+                odometry=self._odometry,
                 least=self._health.least(expected),
                 refine=self._config.landmarks == 'refine',
                 turn_sigma=self._config.turn_sigma_rad,

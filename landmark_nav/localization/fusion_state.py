@@ -17,10 +17,12 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
+from landmark_nav.localization.fusion_noise import NoiseScales
 from landmark_nav.localization.odometry_noise import (
+    blind_variances,
     Motion,
-    motion_variances,
     OdometryNoiseConfig,
+    sensed_variances,
 )
 from landmark_nav.localization.triangulation_model import bearing_gradients, bearing_residuals
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
@@ -68,6 +70,10 @@ class FilterState:
         Their places in map, metres.
     landmark_covariance : ndarray, shape (2n, 2n)
         Their joint covariance.
+    scales : NoiseScales
+        How noisy the odometry turned out to be.
+    by_noise : ndarray, shape (2, STATES, STATES)
+        What of `covariance` comes from the odometry's noise, and from its side slip.
 
     """
 
@@ -77,6 +83,8 @@ class FilterState:
     cross: FloatArray
     landmarks: FloatArray
     landmark_covariance: FloatArray
+    scales: NoiseScales
+    by_noise: FloatArray
 
     def estimate(self) -> PoseEstimate:
         """Return the pose alone."""
@@ -87,12 +95,13 @@ class MeasurementModel(NamedTuple):
     """
     A linearised measurement of m numbers: what a Kalman step needs.
 
-    `innovation` (m,) is measured minus expected at the prior, `state_covariance` (STATES, m) the
-    covariance of the state with it, `map_covariance` (2n, m) that of the landmarks, `covariance`
-    (m, m) its own.
+    `innovation` (m,) is measured minus expected at the prior, `jacobian` (m, STATES) what is
+    measured differentiated by the state, `state_covariance` (STATES, m) the covariance of the
+    state with it, `map_covariance` (2n, m) that of the landmarks, `covariance` (m, m) its own.
     """
 
     innovation: FloatArray
+    jacobian: FloatArray
     state_covariance: FloatArray
     map_covariance: FloatArray
     covariance: FloatArray
@@ -110,6 +119,8 @@ def initial_state(
     covariance = np.zeros((STATES, STATES))
     covariance[:3, :3] = start.covariance
     covariance[range(3, STATES), range(3, STATES)] = sigmas**2
+    by_noise = np.zeros((2, STATES, STATES))
+    by_noise[1, _SLIP, _SLIP] = odometry.slip_sigma**2
     return FilterState(
         start.stamp_ns,
         np.array([*start.pose, *np.zeros(STATES - 3)]),
@@ -117,6 +128,8 @@ def initial_state(
         np.zeros((STATES, 2 * len(landmark_map.landmarks))),
         landmark_map.positions[:, :2],
         landmark_map.joint_covariance_xy,
+        NoiseScales.unknown(odometry),
+        by_noise,
     )
 
 
@@ -146,13 +159,28 @@ def propagate(
     mean = state.mean.copy()
     mean[:3] = compose(state.mean[:3], corrected)
     mean[_SLIP] *= kept
+    scales = state.scales.moved(way, config)
+    noise, slipping = scales.factors
+    added = (by_motion * (noise * sensed_variances(motion, config))) @ by_motion.T
+    slip_variance = slipping * config.slip_sigma**2 * (1.0 - kept * kept)
     covariance = step @ state.covariance @ step.T
-    covariance[:3, :3] += (by_motion * motion_variances(motion, config)) @ by_motion.T
+    covariance[:3, :3] += added
+    if motion.blind_seconds > 0.0 or motion.ahead_s4 > 0.0:
+        covariance[:3, :3] += (by_motion * blind_variances(motion, config)) @ by_motion.T
+    covariance[_SLIP, _SLIP] += slip_variance
+    by_noise = step @ state.by_noise @ step.T
+    by_noise[0, :3, :3] += added
+    by_noise[1, _SLIP, _SLIP] += slip_variance
     wander = (config.bias_change_per_sqrt_m * config.bias_sigmas) ** 2 * way
     covariance[_BIASES, _BIASES] += np.diag(wander)
-    covariance[_SLIP, _SLIP] += config.slip_sigma**2 * (1.0 - kept * kept)
     return replace(
-        state, stamp_ns=stamp_ns, mean=mean, covariance=covariance, cross=step @ state.cross
+        state,
+        stamp_ns=stamp_ns,
+        mean=mean,
+        covariance=covariance,
+        cross=step @ state.cross,
+        scales=scales,
+        by_noise=by_noise,
     )
 
 
@@ -214,7 +242,7 @@ def bearing_model(
     offset[2] = wrap_rad(offset[2])
     innovation = residual - jacobian @ offset
     innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
-    return MeasurementModel(innovation, state_covariance, map_covariance, covariance)
+    return MeasurementModel(innovation, jacobian, state_covariance, map_covariance, covariance)
 
 
 def pose_model(prior: FilterState, measured: PoseEstimate) -> MeasurementModel:
@@ -223,6 +251,7 @@ def pose_model(prior: FilterState, measured: PoseEstimate) -> MeasurementModel:
     innovation[2] = wrap_rad(innovation[2])
     return MeasurementModel(
         innovation,
+        np.eye(3, STATES),
         prior.covariance[:, :3],
         prior.cross[:3].T,
         prior.covariance[:3, :3] + measured.covariance,
@@ -239,11 +268,13 @@ def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> Filter
     mean = prior.mean + gain @ model.innovation
     mean[2] = wrap_rad(mean[2])
     covariance = prior.covariance - gain @ model.state_covariance.T
+    left = np.eye(STATES) - gain @ model.jacobian
     state = replace(
         prior,
         mean=mean,
         covariance=0.5 * (covariance + covariance.T),
         cross=prior.cross - gain @ model.map_covariance.T,
+        by_noise=left @ prior.by_noise @ left.T,
     )
     if not refine:
         return state

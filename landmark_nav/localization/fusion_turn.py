@@ -9,12 +9,13 @@ import numpy.typing as npt
 
 from landmark_nav.localization.fusion_state import bearing_model, BORESIGHT, FilterState, HEADING
 from landmark_nav.localization.fusion_update import BearingFrame, FusionUpdate, update_bearings
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
 
 __all__ = ['update_turning']
 
 # An angle that all bearings share is a surprise beyond this many standard deviations.
-_SURPRISE = 3.0
+_SURPRISE = 4.0
 # So many bearings tell a common angle from a wrong place.
 _LEAST = 3
 
@@ -25,6 +26,7 @@ def update_turning(
     ids: npt.NDArray[np.int64],
     lever: FloatArray,
     probability: float,
+    odometry: OdometryNoiseConfig,
     least: int,
     refine: bool,
     turn_sigma: float,
@@ -37,7 +39,7 @@ def update_turning(
     boresight both become uncertain by `turn_sigma` [rad]; as the robot drives on, the direction in
     which it moves tells them apart.
     """
-    state, update = update_bearings(prior, frame, ids, lever, probability, least, refine)
+    state, update = update_bearings(prior, frame, ids, lever, probability, odometry, least, refine)
     if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
         return state, update
     turned = _common_turn(prior, frame, lever)
@@ -47,7 +49,7 @@ def update_turning(
     covariance[[HEADING, BORESIGHT], [HEADING, BORESIGHT]] += turn_sigma**2
     loose = replace(prior, covariance=covariance)
     loose_state, loose_update = update_bearings(
-        loose, frame, ids, lever, probability, max(least, _LEAST), refine
+        loose, frame, ids, lever, probability, odometry, max(least, _LEAST), refine
     )
     if loose_update.refusal is not None or loose_update.degrees < update.degrees:
         return state, update

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
+from landmark_nav.localization.fusion_noise import learned_scales
 from landmark_nav.localization.fusion_state import (
     bearing_model,
     correct,
@@ -17,6 +18,7 @@ from landmark_nav.localization.fusion_state import (
     MeasurementModel,
     pose_model,
 )
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.types import Detections, FloatArray, PoseEstimate, Refusal
 
 __all__ = ['BearingFrame', 'FusionUpdate', 'bearing_frame', 'update_bearings', 'update_pose']
@@ -127,6 +129,7 @@ def update_bearings(
     ids: npt.NDArray[np.int64],
     lever: FloatArray,
     probability: float,
+    odometry: OdometryNoiseConfig,
     least: int = 1,
     refine: bool = False,
 ) -> tuple[FilterState, FusionUpdate]:
@@ -145,6 +148,8 @@ def update_bearings(
         Pan axis in the base frame, metres.
     probability : float
         Chi-square level of the gates.
+    odometry : OdometryNoiseConfig
+        How far its noise may be learned.
     least : int
         Fewer agreeing bearings, or fewer than two thirds, are not used.
     refine : bool
@@ -172,11 +177,14 @@ def update_bearings(
     while len(chosen) >= least:
         first = before if len(chosen) == len(seen) else model_at(chosen, prior)
         state, model = _iterated(prior, first, partial(model_at, chosen), refine)
-        inverse = np.linalg.inv(model.covariance)
+        inverse = np.asarray(np.linalg.inv(model.covariance), np.float64)
         weighted = inverse @ model.innovation
         nis = float(model.innovation @ weighted)
         if nis <= float(chdtri(len(chosen), 1.0 - probability)):
-            return state, FusionUpdate(
+            scales = learned_scales(
+                prior.scales, model.innovation, inverse, model.jacobian, prior.by_noise, odometry
+            )
+            return replace(state, scales=scales), FusionUpdate(
                 prior.stamp_ns, seen[chosen], before.innovation[chosen], nis, len(chosen), rejected
             )
         # What the NIS would fall by without each: its square given all the others.

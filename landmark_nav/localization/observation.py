@@ -6,9 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.detection import (
+    detect_landmarks,
+    DetectionConfig,
+    DetectionResult,
+)
 from landmark_nav.localization.gathering import SightingGatherer
 from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.localization.triangulation import TriangulationConfig
@@ -28,6 +33,11 @@ from landmark_nav.types import (
 
 __all__ = ['Observation', 'ObservationConfig', 'Observer']
 
+# Share of what should be in view.
+_HARDLY_ANY = 0.25
+# So many bearings tell a turned camera from chance.
+_LEAST = 3
+
 
 @dataclass(frozen=True)
 class ObservationConfig:
@@ -36,6 +46,13 @@ class ObservationConfig:
     triplet: TripletConfig = field(default_factory=TripletConfig)
     detection: DetectionConfig = field(default_factory=DetectionConfig)
     triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
+    turned_sigma_rad: float = parameter(
+        0.035,
+        'How far a camera may be turned against the base by a knock: where hardly anything of '
+        'what should be in view is found, it is searched this much wider; 0 does not, rad.',
+        minimum=0.0,
+        maximum=1.0,
+    )
     gather_s: float = parameter(
         5.0,
         'How long a sighting counts towards a fix where triplet.views is several, s.',
@@ -143,10 +160,24 @@ class Observer:
             config.detection.max_count,
             self._map.indices(triplet.ids) if isinstance(triplet, Triplet) else (),
         )
-        result = detect_landmarks(frame, prior, self._map, self._mount, config.detection, expected)
+        result = self._detect(frame, prior, expected)
         missed = np.array(sorted(result.refused), dtype=np.int64)
         found = replace(result.detections, missed=missed, pan_rate_rad_s=frame.pan_rate_rad_s)
         return Observation(found, result.refused, self._fix(found, prior, triplet))
+
+    def _detect(
+        self, frame: CameraFrame, prior: PoseEstimate, expected: npt.NDArray[np.intp]
+    ) -> DetectionResult:
+        """Search where the prior says; if hardly anything is there, beside that as well."""
+        config = self._config
+        result = detect_landmarks(frame, prior, self._map, self._mount, config.detection, expected)
+        enough = len(result.detections) > _HARDLY_ANY * len(expected)
+        if enough or len(expected) < _LEAST or not config.turned_sigma_rad:
+            return result
+        turned = np.diag([0.0, 0.0, config.turned_sigma_rad**2])
+        wide = replace(prior, covariance=prior.covariance + turned)
+        again = detect_landmarks(frame, wide, self._map, self._mount, config.detection, expected)
+        return again if len(again.detections) >= _LEAST else result
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:
         """Triangulate landmarks that were found elsewhere; what the map lacks is refused."""

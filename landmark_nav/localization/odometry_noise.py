@@ -8,7 +8,7 @@ but three factors that the filter estimates; side slip is noise that lasts for s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +20,22 @@ from landmark_nav.types import FloatArray
 __all__ = [
     'Motion',
     'OdometryNoiseConfig',
+    'blind_variances',
     'fraction_of_motion',
     'motion_variances',
+    'sensed_variances',
     'twist_motion',
 ]
+
+
+_WHITE = (
+    'along_m_per_sqrt_m',
+    'across_m_per_sqrt_m',
+    'turn_rad_per_sqrt_m',
+    'turn_rad_per_sqrt_rad',
+    'floor_m_per_sqrt_s',
+    'floor_rad_per_sqrt_s',
+)
 
 
 class Motion(NamedTuple):
@@ -31,12 +43,14 @@ class Motion(NamedTuple):
     A planar motion in the body frame.
 
     `increment` (3,) is forward [m], left [m] and turn [rad], over `seconds`, of which nothing is
-    known for `blind_seconds` (odometry missing or broken).
+    known for `blind_seconds` (odometry missing or broken). Where it goes on beyond the last sample
+    with the last twist, `ahead_s4` is how the fourth power of the time since then grew.
     """
 
     increment: FloatArray
     seconds: float
     blind_seconds: float = 0.0
+    ahead_s4: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -94,6 +108,19 @@ class OdometryNoiseConfig:
     slip_length_m: float = parameter(
         0.3, 'Way over which side slip changes, m.', minimum=0.001, maximum=1000.0
     )
+    learning_sigma: float = parameter(
+        1.0,
+        'How far noise may differ from these parameters: sigma of the logarithm of a factor on '
+        'its variance. 0 takes them as they are.',
+        minimum=0.0,
+        maximum=5.0,
+    )
+    learning_range: float = parameter(
+        5.0, 'Largest factor on a sigma that is learned, and its inverse.', minimum=1.0
+    )
+    learning_way_m: float = parameter(
+        50.0, 'Way over which the noise may change, m.', minimum=0.1, maximum=1e6
+    )
     max_speed_m_s: float = parameter(
         3.0, 'Odometry that moves faster has jumped, m/s.', minimum=0.01, maximum=100.0
     )
@@ -110,9 +137,22 @@ class OdometryNoiseConfig:
         maximum=5.0,
     )
 
+    acceleration_m_s2: float = parameter(
+        0.5, 'Sigma of the acceleration meanwhile, m/s^2.', minimum=0.0, maximum=100.0
+    )
+    turn_acceleration_rad_s2: float = parameter(
+        2.0, 'Sigma of the angular acceleration meanwhile, rad/s^2.', minimum=0.0, maximum=1000.0
+    )
+
     def __post_init__(self) -> None:
         """Check the values."""
         check_parameters(self)
+
+    def scaled(self, noise: float, slip: float) -> OdometryNoiseConfig:
+        """Same with white noise and side slip of other sigmas, which are not to be learned."""
+        sigmas = {name: min(1.0, noise * getattr(self, name)) for name in _WHITE}
+        slip_sigma = min(1.0, slip * self.slip_sigma)
+        return replace(self, **sigmas, slip_sigma=slip_sigma, learning_sigma=0.0)
 
     @property
     def bias_sigmas(self) -> FloatArray:
@@ -123,12 +163,15 @@ class OdometryNoiseConfig:
 
 def motion_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     """Variances (3,) of a motion's forward, left and turn; they add up over its parts."""
+    return sensed_variances(motion, config) + blind_variances(motion, config)
+
+
+def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
+    """Variances (3,) of what the wheels told."""
     forward, left, turn = motion.increment
     way = float(np.hypot(forward, left))
     rest = config.floor_m_per_sqrt_s**2 * motion.seconds
-    rest += config.blind_m_per_sqrt_s**2 * motion.blind_seconds
     rest_turn = config.floor_rad_per_sqrt_s**2 * motion.seconds
-    rest_turn += config.blind_rad_per_sqrt_s**2 * motion.blind_seconds
     return np.array(
         [
             config.along_m_per_sqrt_m**2 * way + rest,
@@ -136,6 +179,19 @@ def motion_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
             config.turn_rad_per_sqrt_m**2 * way
             + config.turn_rad_per_sqrt_rad**2 * abs(turn)
             + rest_turn,
+        ]
+    )
+
+
+def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
+    """Variances (3,) of what they did not tell."""
+    position, heading = config.blind_m_per_sqrt_s**2, config.blind_rad_per_sqrt_s**2
+    ahead = 0.25 * motion.ahead_s4
+    return np.array(
+        [
+            motion.blind_seconds * position + ahead * config.acceleration_m_s2**2,
+            motion.blind_seconds * position,
+            motion.blind_seconds * heading + ahead * config.turn_acceleration_rad_s2**2,
         ]
     )
 

@@ -82,7 +82,8 @@ class OdometryTrack:
         if not self._stamps:
             return Motion(np.zeros(3), seconds, seconds)
         increment = relative(self._pose(from_ns), self._pose(to_ns))
-        return Motion(increment, seconds, self._blind_seconds(from_ns, to_ns))
+        ahead = self._ahead_s(to_ns) ** 4 - self._ahead_s(from_ns) ** 4
+        return Motion(increment, seconds, self._blind_seconds(from_ns, to_ns), ahead)
 
     def trim(self, before_ns: int) -> None:
         """Forget what is not needed for motions that start at `before_ns` or later."""
@@ -96,6 +97,11 @@ class OdometryTrack:
         self._blind.append(blind)
         self._last = sample
 
+    def _ahead_s(self, stamp_ns: int) -> float:
+        """How far the last twist has to predict."""
+        seconds = (stamp_ns - self._stamps[-1]) * 1e-9
+        return min(max(seconds, 0.0), self._config.horizon_s)
+
     def _pose(self, stamp_ns: int) -> FloatArray:
         """Pose (3,) at a time: interpolated at constant twist, or predicted by the last one."""
         after = bisect_left(self._stamps, stamp_ns)
@@ -103,7 +109,7 @@ class OdometryTrack:
             return self._poses[after]
         if after == len(self._stamps):
             assert self._last is not None
-            ahead = min((stamp_ns - self._stamps[-1]) * 1e-9, self._config.horizon_s)
+            ahead = self._ahead_s(stamp_ns)
             moved = twist_motion(self._last.linear_m_s, self._last.angular_rad_s, ahead)
             return compose(self._poses[-1], moved)
         begin, end = self._stamps[after - 1], self._stamps[after]

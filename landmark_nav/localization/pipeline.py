@@ -135,6 +135,11 @@ class Localizer:
             self._relocalizer.add_odometry(sample)
         return self._filter.add_odometry(sample)
 
+    @property
+    def odometry_noise(self) -> OdometryNoiseConfig:
+        """How far odometry is to be trusted, as far as it was learned."""
+        return self._filter.odometry_noise
+
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
         """Pose of the base at a time, the newest by default; None before one is known."""
         return self._filter.estimate(stamp_ns)

@@ -66,6 +66,34 @@ def test_nees_lies_in_its_interval(landmarks: str) -> None:
     assert results[:, 2].mean() == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.parametrize('factor', [0.3, 2.0])
+def test_how_noisy_the_wheels_are_is_learned(factor: float) -> None:
+    true_noise = NOISE.scaled(factor, factor)
+    found, nees = [], []
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 9])
+        true_map = landmark_map(14, seed=seed)
+        fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, FusionConfig(), NOISE)
+        fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
+        for k, moment in enumerate(drive(600, rng, true_noise)):
+            fused.add_odometry(moment.odometry)
+            if k % 4 == 0:
+                places = (int(rng.integers(14)) + np.arange(6)) % 14
+                noise = rng.normal(0.0, 1e-4, 6) + rng.normal(0.0, FusionConfig().pan_sigma_rad)
+                stamp = moment.odometry.stamp_ns
+                seen = detections(true_map, moment.pose, stamp, places, 1e-4, noise)
+                fused.add_detections(seen)
+        learned = fused.odometry_noise
+        found.append((learned.turn_rad_per_sqrt_m, learned.slip_sigma))
+        error, final = error_of(fused.estimate(), moment.pose), fused.estimate()
+        assert final is not None
+        nees.append(error @ np.linalg.solve(final.covariance, error))
+    wanted = np.log([true_noise.turn_rad_per_sqrt_m, true_noise.slip_sigma])
+    assert np.allclose(np.log(found).mean(axis=0), wanted, atol=np.log(1.4))
+    low, high = chi2.ppf([0.025, 0.975], 3 * len(nees)) / len(nees)
+    assert low < np.mean(nees) < high
+
+
 def test_refining_the_map_is_worth_it() -> None:
     squares = [
         np.mean([one_run(seed, FusionConfig(landmarks=k))[1] for seed in range(12)])
