@@ -145,7 +145,7 @@ class PoseFilter:
     @property
     def odometry_noise(self) -> OdometryNoiseConfig:
         """How far odometry is to be trusted, as far as it was learned."""
-        state = self._history.newest
+        state = self.state
         return self._odometry if state is None else state.scales.of(self._odometry)
 
     @property

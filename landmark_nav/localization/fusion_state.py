@@ -160,7 +160,7 @@ def propagate(
     mean[:3] = compose(state.mean[:3], corrected)
     mean[_SLIP] *= kept
     scales = state.scales.moved(way, config)
-    noise, slipping = scales.factors
+    noise, slipping, _ = scales.factors
     added = (by_motion * (noise * sensed_variances(motion, config))) @ by_motion.T
     slip_variance = slipping * config.slip_sigma**2 * (1.0 - kept * kept)
     covariance = step @ state.covariance @ step.T

@@ -177,12 +177,17 @@ def update_bearings(
     while len(chosen) >= least:
         first = before if len(chosen) == len(seen) else model_at(chosen, prior)
         state, model = _iterated(prior, first, partial(model_at, chosen), refine)
-        inverse = np.asarray(np.linalg.inv(model.covariance), np.float64)
+        inverse = np.linalg.inv(model.covariance)
         weighted = inverse @ model.innovation
         nis = float(model.innovation @ weighted)
         if nis <= float(chdtri(len(chosen), 1.0 - probability)):
             scales = learned_scales(
-                prior.scales, model.innovation, inverse, model.jacobian, prior.by_noise, odometry
+                prior.scales,
+                model.innovation,
+                model.covariance,
+                model.jacobian,
+                prior.by_noise,
+                odometry,
             )
             return replace(state, scales=scales), FusionUpdate(
                 prior.stamp_ns, seen[chosen], before.innovation[chosen], nis, len(chosen), rejected

@@ -112,6 +112,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         'update_ms',
         'realtime_factor',
         'result_hash',
+        'odometry_noise',
         'found',
     ]
     assert first['found'] is None
