@@ -182,7 +182,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
 def main() -> int:
     """Entry point of the executable."""
-    return run_node(TriangulationLocalizerNode, threads=2)
+    return run_node(TriangulationLocalizerNode)
 
 
 if __name__ == '__main__':

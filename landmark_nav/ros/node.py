@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 import logging
 import re
 import traceback
@@ -95,13 +95,22 @@ class LandmarkNode(Node):
         )
 
     def offer(
-        self, service: str, action: Callable[[], str], *, group: CallbackGroup | None = None
+        self,
+        service: str,
+        action: Callable[[], str | Awaitable[str]],
+        *,
+        group: CallbackGroup | None = None,
     ) -> None:
-        """Offer a Trigger service: `action` returns what it did or raises why it could not."""
+        """
+        Offer a Trigger service: `action` returns what it did or raises why it could not.
 
-        def answer(_request: Any, response: Any) -> Any:
+        One that waits for what other callbacks do is a coroutine in a group of its own.
+        """
+
+        async def answer(_request: Any, response: Any) -> Any:
             try:
-                response.message = action()
+                done = action()
+                response.message = done if isinstance(done, str) else await done
                 response.success = True
             except LandmarkNavError as error:
                 response.message = str(error)
