@@ -19,6 +19,7 @@ from landmark_nav.messages import encode
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.setup_documents import robot_document, start_document
 from landmark_nav.storage.bags import BagWriter
+from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import save_map
 from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
 from landmark_nav.storage.whole import write_whole
@@ -36,8 +37,8 @@ def add_parser(subparsers: Any) -> None:
         help='one robot of the UTIAS multi-robot data set (MR.CLAM)',
         description='Write the log of one robot as a bag BAG with detections, odom (the commanded '
         'velocities, integrated) and ground_truth/odom, and beside it the posts as a map without '
-        'pictures (BAG_map), BAG_robot.yaml and BAG_start.json. Sightings of other robots are '
-        'left out.',
+        'pictures (BAG_map), BAG_robot.yaml, BAG_start.json and BAG_config.yaml, the parameters '
+        'for such logs. Sightings of other robots are left out.',
     )
     mrclam.add_argument('folder', metavar='DIR', help='with Barcodes.dat; .dat or .dat.gz')
     mrclam.add_argument('--robot', required=True, type=int, choices=range(1, 6), metavar='N')
@@ -84,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
     robot = beside['robot'].with_suffix('.yaml')
     write_whole(robot, robot_document(PanTiltMount()))
     write_whole(args.out.with_name(f'{args.out.name}_start.json'), start_document(start))
+    config = args.out.with_name(f'{args.out.name}_config.yaml')
+    write_whole(config, shipped_config('mrclam.yaml').read_bytes())
     seen = sum(len(sighting) for sighting in log.sightings)
     print(
         f'{seen} bearings to {len(log.landmark_map.landmarks)} posts in {len(log.sightings)} '
@@ -92,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     )
     print(
         f'landmark-nav evaluate {args.out} --map {beside["map"]} --robot {robot} '
-        f'--start {_listed(start)}'
+        f'--config {config} --start {_listed(start)}'
     )
     return 0
 

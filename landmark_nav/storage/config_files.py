@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 import dataclasses
 from pathlib import Path
+import sys
 from typing import Any, TypeVar
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.setup_files import read_yaml_mapping
 
-__all__ = ['load_config']
+__all__ = ['load_config', 'shipped_config']
 
 T = TypeVar('T')
 
@@ -66,3 +67,15 @@ def _converted(value: Any, old: Any, where: str) -> Any:
     if type(value) is not type(old):
         raise LandmarkNavError(f'{where} is {value!r}: take a {type(old).__name__}')
     return value
+
+
+def shipped_config(name: str) -> Path:
+    """Path of a file of ``config/``: in the source tree, or where it was installed to."""
+    package = Path(__file__).resolve().parents[1]
+    installed = Path('share') / package.name / 'config'
+    places = [package.parent / 'config', Path(sys.prefix) / installed]
+    places += [folder / installed for folder in package.parents]
+    for folder in places:
+        if (folder / name).is_file():
+            return folder / name
+    raise LandmarkNavError(f'{name}: not among the installed files: install landmark_nav again')

@@ -9,13 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+import fusion_drives
 import numpy as np
 from picture_drives import drive, error_of, FRAME_NS, MAP, MOUNT, picture, START, START_SIGMA, Step
 import pytest
+from scipy.stats import chi2
 
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.replay import replay as replay_events
 from landmark_nav.geometry import se2
+from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, OdometrySample, PoseEstimate
@@ -330,3 +334,78 @@ def test_joint_states_that_are_late_are_measured(sensed: list[Sensed], late_s: f
     assert abs(offsets.delay_s - late_s) < 4.0 * offsets.delay_sigma_s
     assert offsets.delay_matters == (late_s != 0.0)
     assert abs(offsets.boresight_rad) < 4.0 * offsets.boresight_sigma_rad
+
+
+def test_joint_states_far_too_late_lose_the_pose_for_as_long_as_they_last(
+    sensed: list[Sensed],
+) -> None:
+    """The camera turns at up to 62 deg/s; where it is said to look it looked 0.2 s before."""
+
+    def late(step: Step, frame: CameraFrame | None) -> Sensed:
+        seconds = step.stamp_ns * 1e-9
+        if frame is not None and seconds < FAULT_S + 1.5:
+            frame = replace(frame, pan_rad=pan_rad(seconds - 0.2))
+        return step, frame
+
+    moments = list(run(sensed, late))
+    told = next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking')
+    assert told.after_s <= 2.0
+    assert told.reason
+    back = next(m for m in moments if m.after_s > 1.5 and m.status == 'tracking')
+    assert back.after_s <= 5.0
+    assert np.hypot(*back.error[:2]) < 0.05
+    check_honest(moments)
+
+
+def test_without_joint_states_no_picture_counts_and_odometry_goes_on(
+    sensed: list[Sensed],
+) -> None:
+    """Pictures without joint angles reach nobody: readers and nodes leave them out."""
+    fused = PoseFilter(MAP, MOUNT)
+    fused.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    sigmas = []
+    for step, _ in sensed:
+        fused.add_odometry(step.odometry)
+        estimate = fused.estimate()
+        assert estimate is not None
+        sigmas.append(float(np.hypot(*np.sqrt(np.diag(estimate.covariance)[:2]))))
+        if step.stamp_ns > 2 * 10**9:
+            status, reason = fused.status
+            assert status == 'coasting'
+            assert 'nothing accepted for' in reason
+    assert np.all(np.diff(sigmas) > 0.0)
+
+
+def test_a_minute_without_landmarks_is_told_and_survived() -> None:
+    """Along walls without landmarks; the claim grows with the error, and ends with a sighting."""
+    nees = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        noise = OdometryNoiseConfig()
+        true_map = fusion_drives.landmark_map(14, seed=seed)
+        fused = PoseFilter(true_map, fusion_drives.MOUNT)
+        fused.initialize(fusion_drives.start_estimate())
+        for k, moment in enumerate(fusion_drives.drive(1400, rng, noise)):
+            fused.add_odometry(moment.odometry)
+            seconds = k * fusion_drives.PERIOD_NS * 1e-9
+            if k % 4 == 0:
+                places = range(14) if not 5.0 < seconds < 65.0 else ()
+                scatter = rng.normal(0.0, 1e-3, len(places))
+                seen = fusion_drives.detections(
+                    true_map, moment.pose, moment.odometry.stamp_ns, places, 1e-3, scatter
+                )
+                fused.add_detections(seen)
+            if 7.0 < seconds < 65.0:
+                assert fused.status[0] != 'tracking'
+                assert fused.status[1]
+            if seconds == 64.0:
+                estimate = fused.estimate()
+                assert estimate is not None
+                error = fusion_drives.error_of(estimate, moment.pose)
+                nees.append(error @ np.linalg.solve(estimate.covariance, error))
+                assert np.hypot(*np.sqrt(np.diag(estimate.covariance)[:2])) > 0.05
+        assert fused.status == ('tracking', '')
+        back = fusion_drives.error_of(fused.estimate(), moment.pose)
+        assert np.hypot(*back[:2]) < 0.03
+    low, high = chi2.ppf([0.005, 0.995], 3 * len(nees)) / len(nees)
+    assert low < np.mean(nees) < high

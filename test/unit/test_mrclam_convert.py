@@ -115,6 +115,18 @@ def test_evaluated_smoothed_and_exported(
     assert len((tmp_path / 'tum' / 'fused.tum').read_text().splitlines()) == report['frames']
 
 
+def test_the_line_that_is_printed_evaluates_what_was_converted(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / 'run'
+    assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(bag)]) == 0
+    program, *arguments = capsys.readouterr().out.splitlines()[-1].split()
+    assert program == 'landmark-nav'
+    assert '--config' in arguments
+    assert main([*arguments, '--out', str(tmp_path)]) == 0
+    assert 'availability 1.000' in capsys.readouterr().out
+
+
 def test_a_delay_that_is_given_counts(log: Path, tmp_path: Path) -> None:
     arguments = ['convert', 'mrclam', str(log), '--robot', '1', '--command-delay', '0.5']
     assert main([*arguments, '--out', str(tmp_path / 'late')]) == 0
