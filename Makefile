@@ -21,7 +21,7 @@ NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector tri
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-offline test-nodes lint bench rooms landmarks config test-oldest clean
+.PHONY: install demo test test-offline test-nodes lint bench rooms landmarks alternatives cameras latency config test-oldest clean
 
 install: .venv/installed
 
