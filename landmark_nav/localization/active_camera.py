@@ -85,7 +85,8 @@ class ActiveCamera:
     @property
     def done_here(self) -> bool:
         """Whether the view that was chosen last has shown what it was for, and another is next."""
-        return self._config.views == 'several' and not self._aimed & set(self._pending)
+        several = self._config.views == 'several' and self._chosen is not None
+        return several and not self._aimed & set(self._pending)
 
     def choose(self, prior: PoseEstimate, camera: CameraModel, gaze: Gaze) -> Ranking:
         """
@@ -122,6 +123,7 @@ class ActiveCamera:
 
     def _towards_pending(self, ranking: Ranking, gaze: Gaze) -> Ranking:
         chosen = ranking.chosen
+        self._aimed = set(self._pending)
         if not isinstance(chosen, Triplet) or self._config.views == 'one':
             return ranking
         pending = np.isin(ranking.ids[0], list(self._pending))

@@ -7,7 +7,7 @@ from test_triplet import CAMERA, CONFIG, MOUNT, PRIOR, random_map
 
 from landmark_nav.localization.active_camera import ActiveCamera, FoundRecord
 from landmark_nav.localization.triplet import Gaze, TripletConfig
-from landmark_nav.types import Detections, Triplet
+from landmark_nav.types import Detections, Refusal, Triplet
 
 
 def picture(found: list[int], missed: list[int] | None = None) -> Detections:
@@ -73,6 +73,13 @@ class TestSeveralViews:
                 assert isinstance(ranking.chosen, Triplet)
                 assert set(ranking.chosen.ids) == set(chosen.ids)
                 pan = ranking.chosen.pan_rad
+
+    def test_without_a_triplet_there_is_nothing_to_go_on_to(self) -> None:
+        camera = ActiveCamera(random_map(2), MOUNT, TripletConfig(views='several'))
+        assert not camera.done_here
+        assert isinstance(camera.choose(PRIOR, CAMERA, Gaze(0.0)).chosen, Refusal)
+        camera.saw(picture([100]))
+        assert not camera.done_here
 
     def test_does_not_wait_for_what_is_not_found(self) -> None:
         camera = ActiveCamera(random_map(40), MOUNT, TripletConfig(views='several'))
