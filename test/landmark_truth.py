@@ -14,7 +14,8 @@ from landmark_nav.types import FloatArray, Landmark
 
 # How far along its wall a landmark's texture is looked for.
 _SEARCH_M = 0.06
-_MIN_SCORE = 0.6
+# What truly hangs there scores above 0.99.
+_MIN_SCORE = 0.9
 
 
 class TrueWalls:
