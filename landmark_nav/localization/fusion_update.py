@@ -28,6 +28,10 @@ IndexArray = npt.NDArray[np.intp]
 _MAX_ITERATIONS = 5
 # A step this small bends bearings by a few microradians only.
 _LINEAR_M = 2e-3
+# Matches of a picture that tell what correlation is to be expected in it.
+_FEW = 4
+# What of a template's variance a match may leave unexplained: times the median, and some more.
+_UNLIKE_TIMES, _UNLIKE_ANYWAY = 6.0, 0.1
 _NO_IDS = np.empty(0, dtype=np.int64)
 _NO_INNOVATIONS = np.empty(0)
 
@@ -102,6 +106,7 @@ def bearing_frame(
     """
     variance = detections.variance_rad2
     good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
+    unlike = _unlike_the_others(detections.score)
     unusable: dict[int, Refusal] = {}
     chosen: dict[int, int] = {}
     for k, landmark in enumerate(detections.ids.tolist()):
@@ -111,6 +116,10 @@ def bearing_frame(
             unusable[landmark] = Refusal('bearing or variance is not a number')
         elif landmark in chosen:
             unusable[landmark] = Refusal('given twice')
+        elif unlike[k]:
+            unusable[landmark] = Refusal(
+                'less alike than the others', f'correlation {detections.score[k]:.2f}'
+            )
         else:
             chosen[landmark] = k
     rows = list(chosen.values())
@@ -121,6 +130,21 @@ def bearing_frame(
         unusable,
         detections.pan_rate_rad_s,
     )
+
+
+def _unlike_the_others(score: FloatArray) -> npt.NDArray[np.bool_]:
+    """
+    Which matches leave far more unexplained than the others of their picture, (n,).
+
+    Light, blur and noise lower all correlations of a picture together. One far below the others
+    shows something else, as a picture that was exchanged, and is off by the same amount again
+    and again: its variance, which stands for noise, does not tell.
+    """
+    if len(score) < _FEW:
+        return np.zeros(len(score), dtype=np.bool_)
+    unexplained = 1.0 - score**2
+    limit = _UNLIKE_TIMES * np.median(unexplained) + _UNLIKE_ANYWAY
+    return np.asarray(unexplained > limit)
 
 
 def update_bearings(

@@ -409,3 +409,25 @@ def test_a_minute_without_landmarks_is_told_and_survived() -> None:
         assert np.hypot(*back[:2]) < 0.03
     low, high = chi2.ppf([0.005, 0.995], 3 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
+
+
+def test_a_picture_exchanged_for_a_similar_one_does_not_pull_again_and_again() -> None:
+    """It is found about there, a little less alike, and off by the same amount each time."""
+    true_map = fusion_drives.landmark_map(14)
+    errors = {}
+    for score in (1.0, 0.89):
+        fused = PoseFilter(true_map, fusion_drives.MOUNT)
+        fused.initialize(fusion_drives.start_estimate())
+        for k, moment in enumerate(fusion_drives.drive(120)):
+            fused.add_odometry(moment.odometry)
+            if k % 4 == 0:
+                stamp = moment.odometry.stamp_ns
+                offset = np.array([0.0, 0.0, 0.0, 0.0, 1.4e-3])
+                seen = fusion_drives.detections(
+                    true_map, moment.pose, stamp, range(5), 5e-4, offset
+                )
+                scores = np.array([0.998, 0.995, 0.997, 0.996, score])
+                update = fused.add_detections(replace(seen, score=scores))
+        errors[score] = np.hypot(*fusion_drives.error_of(fused.estimate(), moment.pose)[:2])
+        assert ('less alike' in str(update.rejected)) == (score < 0.9)
+    assert errors[0.89] < 0.2 * errors[1.0]
