@@ -37,8 +37,9 @@ class TripletConfig:
     min_sampling: float = parameter(
         0.5, 'Least sampling of a patch relative to its reference view.', minimum=0.01, maximum=1.0
     )
+    # Livatino and Madsen allow 2; a picture that is blurred as the patch is shows it from nearer.
     max_sampling: float = parameter(
-        2.0, 'Greatest sampling relative to the reference view.', minimum=1.0, maximum=100.0
+        4.0, 'Greatest sampling relative to the reference view.', minimum=1.0, maximum=100.0
     )
     min_range_m: float = parameter(0.5, 'Least distance, m.', minimum=0.0, maximum=100.0)
     max_range_m: float = parameter(12.0, 'Greatest distance, m.', minimum=0.1, maximum=1000.0)
