@@ -19,6 +19,10 @@ __all__ = ['Health', 'HealthConfig', 'Status']
 Status = Literal['tracking', 'coasting', 'lost']
 
 
+# So many bearings of one picture speak for themselves, however many others are missing.
+_ENOUGH = 4
+
+
 @dataclass(frozen=True)
 class HealthConfig:
     """When the filter calls itself coasting or lost."""
@@ -142,7 +146,8 @@ class Health:
 
     def too_few(self, found: int, expected: int) -> bool:
         """Whether those found among so many that are missing may be mistaken themselves."""
-        return found < self._config.usable_share * expected
+        # Several that are mistaken hardly agree with each other and with where they should be.
+        return found < min(self._config.usable_share * expected, _ENOUGH)
 
     def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
         """Remember that the odometry cannot be what it says."""
