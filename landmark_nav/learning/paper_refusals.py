@@ -93,13 +93,14 @@ def why_not(
         )
         alone = bool((measured_papers(best) | ~in_view).all())
         remedy = (
-            'not all together: check how the pan axis stands in robot.yaml, and the papers'
+            'not all together: check how the pan axis stands in robot.yaml, and where the papers '
+            'hang in room.yaml'
             if alone
-            else 'uncover the papers, or check their colours, sizes'
+            else 'uncover the papers, or check colours, sizes and places in room.yaml'
         )
         return (
             f'no place in the room fits the papers; at the nearest, ({place_text(best)}), {told}: '
-            f'{remedy} and places in room.yaml'
+            f'{remedy}'
         )
     counted = ', '.join(
         f'{len(b.misfit)} {p.color}' for p, b in zip(room.papers, blobs, strict=True)
