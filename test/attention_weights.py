@@ -28,7 +28,7 @@ from landmark_nav.learning.attention import attend, AttentionConfig, FEATURES
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.stereo import hypothesize, StereoConfig, wall_texture
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
-from landmark_nav.localization.triplet_visibility import (
+from landmark_nav.localization.triplet.visibility import (
     axis_position,
     observable,
     TripletConfig,

@@ -24,7 +24,7 @@ from scipy.sparse.linalg import spsolve
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
-from landmark_nav.localization.triangulation_model import (
+from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     bearing_gradients,
     bearing_residuals,

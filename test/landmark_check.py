@@ -37,7 +37,7 @@ from relocalize_check import changed, free_poses, picture
 
 from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
-from landmark_nav.localization.triplet_visibility import (
+from landmark_nav.localization.triplet.visibility import (
     axis_position,
     observable,
     patch_corners,

@@ -42,7 +42,7 @@ from landmark_nav.learning.pipeline import (
     PanoramaStages,
 )
 from landmark_nav.localization.triangulation import triangulate
-from landmark_nav.localization.triplet_visibility import (
+from landmark_nav.localization.triplet.visibility import (
     axis_position,
     observable,
     patch_corners,

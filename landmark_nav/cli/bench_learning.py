@@ -12,9 +12,9 @@ from landmark_nav.cli.bench_world import Comparison, MOUNT, STEP_RAD, World
 from landmark_nav.learning.attention import AttentionConfig, select_candidates
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.photometry import even_out, measure_photometry
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.wall_patch import WallPatch
+from landmark_nav.learning.stereo.wall_patch import WallPatch
 from landmark_nav.types import ImageArray
 
 __all__ = ['learning_comparisons']

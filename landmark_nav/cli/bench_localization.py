@@ -23,8 +23,8 @@ from landmark_nav.localization.observation import ObservationConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
 from landmark_nav.localization.triplet import Gaze, select_triplet, TripletConfig
-from landmark_nav.localization.triplet_geometry import pair_tables
-from landmark_nav.localization.triplet_search import mean_variance
+from landmark_nav.localization.triplet.geometry import pair_tables
+from landmark_nav.localization.triplet.search import mean_variance
 from landmark_nav.types import (
     Detections,
     FloatArray,

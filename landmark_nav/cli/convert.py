@@ -14,7 +14,7 @@ from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.odometry_commanded import command_delay_s, integrate_commands
+from landmark_nav.localization.odometry.commanded import command_delay_s, integrate_commands
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.setup_documents import robot_document, start_document

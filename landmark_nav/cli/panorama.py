@@ -11,10 +11,10 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.alignment import align_sweep, AlignmentConfig
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
+from landmark_nav.learning.calibration.alignment import align_sweep, AlignmentConfig
 from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.photometry import even_out, measure_photometry, Photometry
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import Bag, read_sweep_folder, read_sweeps

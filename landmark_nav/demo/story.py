@@ -14,7 +14,7 @@ from landmark_nav.demo.recorded_run import RECORDED_TOPICS
 from landmark_nav.demo.room import DemoRoom
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.localization.triangulation_model import base_from_axis
+from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.simulation.drive_path import PathFollower
 from landmark_nav.types import FloatArray, OdometrySample, Panorama, PoseEstimate
 

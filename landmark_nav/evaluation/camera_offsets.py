@@ -10,7 +10,7 @@ import numpy as np
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.fusion_state import BORESIGHT, DELAY
+from landmark_nav.localization.fusion.state import BORESIGHT, DELAY
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.types import LandmarkMap, OdometrySample
 

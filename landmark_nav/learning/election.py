@@ -16,7 +16,7 @@ from scipy.special import chdtrc, chdtri
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
-from landmark_nav.learning.wall_patch import Float32Image, Sighting, wall_texture, WallPatch
+from landmark_nav.learning.stereo.wall_patch import Float32Image, Sighting, wall_texture, WallPatch
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
 

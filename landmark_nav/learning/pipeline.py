@@ -16,14 +16,14 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
+from landmark_nav.learning.adjustment.wall_fit import check_walls, WallFitConfig
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
-from landmark_nav.learning.free_stereo import explain
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.stereo.free_stereo import explain
+from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
-from landmark_nav.learning.wall_fit import check_walls, WallFitConfig
-from landmark_nav.learning.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.types import (
     Candidate,
     Landmark,

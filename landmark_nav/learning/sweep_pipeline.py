@@ -24,7 +24,7 @@ from landmark_nav.learning.calibration import (
     SweepCalibration,
 )
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.photometry import even_out, measure_photometry, Photometry
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.reference_area import (
     check_agreement,
     locate_sweep,

@@ -14,12 +14,12 @@ from landmark_nav.localization.detection import (
     DetectionConfig,
     DetectionResult,
 )
-from landmark_nav.localization.gathering import SightingGatherer
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.detection.worth import most_telling
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.triangulation import TriangulationConfig
-from landmark_nav.localization.triangulation_model import axis_from_base
+from landmark_nav.localization.triangulation.gathering import SightingGatherer
+from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
-from landmark_nav.localization.worth import most_telling
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.active_camera import ActiveCamera
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
-from landmark_nav.localization.fusion_health import HealthConfig
+from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.localization.relocalization_stream import Relocalizer
+from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.localization.triplet import Gaze
+from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,

@@ -9,9 +9,9 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
-from landmark_nav.localization.fusion_health import HealthConfig
-from landmark_nav.localization.fusion_state import BORESIGHT, DELAY
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.fusion.health import HealthConfig
+from landmark_nav.localization.fusion.state import BORESIGHT, DELAY
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.ros.camera_frames import CameraFrames

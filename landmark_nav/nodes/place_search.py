@@ -19,7 +19,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.localization.relocalization_stream import Relocalizer
+from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.messages import encode
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory

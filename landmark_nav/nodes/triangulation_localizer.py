@@ -8,9 +8,9 @@ import time
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
-from landmark_nav.localization.prior import PriorTrack
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
 from landmark_nav.parameters import check_parameters, parameter
@@ -61,7 +61,7 @@ class Parameters(ObservationConfig):
 
 
 class TriangulationLocalizerNode(LandmarkNode):
-    """Pictures to ``detections`` and ``triangulation/pose``, by `localization.observe`."""
+    """Pictures to ``detections`` and ``triangulation/pose``, by an `Observer`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triangulation_localizer', 'detection', **options)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.localization.active_camera import ActiveCamera
 from landmark_nav.localization.triplet import Gaze, TripletConfig
-from landmark_nav.localization.triplet_ranking import Ranking
+from landmark_nav.localization.triplet.active_camera import ActiveCamera
+from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.parameters import check_parameters, parameter
@@ -51,7 +51,7 @@ class Parameters:
 
 
 class TripletSelectorNode(LandmarkNode):
-    """``odometry/fused`` to ``triplet`` and the pan, by `localization.active_camera`."""
+    """``odometry/fused`` to ``triplet`` and the pan, by `localization.triplet.active_camera`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triplet_selector', 'attention', **options)

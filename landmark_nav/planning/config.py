@@ -8,7 +8,7 @@ from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.stereo import StereoConfig
-from landmark_nav.localization.triplet_visibility import TripletConfig
+from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.parameters import check_parameters, parameter
 
 __all__ = ['PlanConfig']

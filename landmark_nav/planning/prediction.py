@@ -15,7 +15,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.walls import Room
-from landmark_nav.localization.triangulation_model import bearing_gradients
+from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.propagation import landmark_errors, localization_sigma
 from landmark_nav.planning.room_grid import WallSamples

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.odometry_noise import (
+from landmark_nav.localization.odometry.noise import (
     Motion,
     motion_variances,
     OdometryNoiseConfig,

@@ -5,8 +5,8 @@ import numpy.typing as npt
 import pytest
 from test_triplet import CAMERA, CONFIG, MOUNT, PRIOR, random_map
 
-from landmark_nav.localization.active_camera import ActiveCamera, FoundRecord
 from landmark_nav.localization.triplet import Gaze, TripletConfig
+from landmark_nav.localization.triplet.active_camera import ActiveCamera, FoundRecord
 from landmark_nav.types import Detections, Refusal, Triplet
 
 

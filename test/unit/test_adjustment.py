@@ -11,8 +11,8 @@ from scipy.sparse import lil_matrix
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
-from landmark_nav.learning.adjustment_problem import Problem
-from landmark_nav.learning.wall_patch import Sighting
+from landmark_nav.learning.adjustment.problem import Problem
+from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
 ROOM = rectangle_room(6.0, 5.0)

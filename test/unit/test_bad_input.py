@@ -19,7 +19,7 @@ from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.replay import replay as replay_events
 from landmark_nav.geometry import se2
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, OdometrySample, PoseEstimate

@@ -16,7 +16,7 @@ from landmark_nav.geometry.patches import patch_points
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusal
 
 Float32Image = npt.NDArray[np.float32]

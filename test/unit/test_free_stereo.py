@@ -9,9 +9,9 @@ import pytest
 from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
 
 from landmark_nav.geometry import se2
-from landmark_nav.learning.free_stereo import explain, match_freely
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.wall_patch import Sighting, WallPatch
+from landmark_nav.learning.stereo.free_stereo import explain, match_freely
+from landmark_nav.learning.stereo.wall_patch import Sighting, WallPatch
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)

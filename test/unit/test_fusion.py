@@ -20,14 +20,14 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
-from landmark_nav.localization.fusion_state import (
+from landmark_nav.localization.fusion.state import (
     bearing_model,
     BORESIGHT,
     initial_state,
     propagate,
 )
-from landmark_nav.localization.fusion_update import FusionUpdate
-from landmark_nav.localization.odometry_noise import Motion, OdometryNoiseConfig
+from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate
 
 FloatArray = npt.NDArray[np.float64]

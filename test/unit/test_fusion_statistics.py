@@ -18,9 +18,9 @@ from scipy.stats import chi2
 
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.triangulation import triangulate
-from landmark_nav.localization.triangulation_model import base_from_axis
+from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.types import Refusal
 
 NOISE = OdometryNoiseConfig()

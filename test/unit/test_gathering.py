@@ -7,10 +7,10 @@ from test_triplet import random_map
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.gathering import SightingGatherer
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.triangulation import TriangulationConfig
-from landmark_nav.localization.triangulation_model import axis_from_base
+from landmark_nav.localization.triangulation.gathering import SightingGatherer
+from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.types import (
     Detections,
     FloatArray,

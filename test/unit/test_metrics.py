@@ -18,7 +18,7 @@ from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig
-from landmark_nav.localization.odometry_noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.types import Detections, Landmark, LandmarkMap, PoseEstimate
 

@@ -12,7 +12,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.odometry_noise import twist_motion
+from landmark_nav.localization.odometry.noise import twist_motion
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.factory import rosbag_factory

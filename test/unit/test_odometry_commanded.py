@@ -7,8 +7,8 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.odometry_commanded import command_delay_s, integrate_commands
-from landmark_nav.localization.odometry_noise import twist_motion
+from landmark_nav.localization.odometry.commanded import command_delay_s, integrate_commands
+from landmark_nav.localization.odometry.noise import twist_motion
 from landmark_nav.types import Detections
 
 BEGIN_NS = 1_248_444_175_000_000_000

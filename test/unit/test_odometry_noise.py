@@ -7,14 +7,14 @@ import numpy.typing as npt
 import pytest
 
 from landmark_nav.geometry.se2 import compose, relative
-from landmark_nav.localization.odometry_noise import (
+from landmark_nav.localization.odometry.noise import (
     fraction_of_motion,
     Motion,
     motion_variances,
     OdometryNoiseConfig,
     twist_motion,
 )
-from landmark_nav.localization.odometry_track import OdometryTrack
+from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import OdometrySample
 
 CONFIG = OdometryNoiseConfig()

@@ -8,8 +8,8 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.paper_colors import hue_deg, NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
-from landmark_nav.learning.paper_edges import locate_edges, PROFILES
-from landmark_nav.learning.papers import ColorSearch, hue_direction
+from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
+from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
 from landmark_nav.types import FloatArray, ImageArray
 
 CYLINDER = Cylinder.with_resolution(200.0, -0.3, 0.3)

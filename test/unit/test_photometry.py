@@ -9,7 +9,7 @@ import pytest
 from turning_camera import turn_sweep
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.photometry import even_out, measure_photometry
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
 from landmark_nav.types import FloatArray, Sweep
 
 MOUNT = PanTiltMount()

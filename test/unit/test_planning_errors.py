@@ -12,7 +12,7 @@ from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.stereo import Sighting
 from landmark_nav.localization.triangulation import triangulate
-from landmark_nav.localization.triangulation_model import bearing_gradients
+from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.paper_pose import papers_seen, pose_covariance
 from landmark_nav.planning.prediction import Predictor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from landmark_nav.localization.prior import PriorTrack
+from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
 SPEED, RATE = 0.5, 0.8

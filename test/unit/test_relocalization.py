@@ -12,8 +12,8 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.relocalization import RelocalizationConfig, relocalize
-from landmark_nav.localization.relocalization_sightings import find_sightings, SightingConfig
-from landmark_nav.localization.relocalization_stream import Relocalizer
+from landmark_nav.localization.relocalization.sightings import find_sightings, SightingConfig
+from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,

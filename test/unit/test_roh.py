@@ -18,7 +18,7 @@ import pytest
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
-from landmark_nav.localization.triangulation_three import triangulate_three
+from landmark_nav.localization.triangulation.three import triangulate_three
 from landmark_nav.types import FloatArray
 
 SUBSETS = np.array(list(combinations(range(4), 3)))

@@ -12,15 +12,15 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig
-from landmark_nav.localization.odometry_noise import (
+from landmark_nav.localization.odometry.noise import (
     Motion,
     motion_variances,
     OdometryNoiseConfig,
     twist_motion,
 )
 from landmark_nav.localization.smoother import smooth, SmootherConfig
-from landmark_nav.localization.smoother_motion import motions_between
-from landmark_nav.localization.smoother_problem import Bearings, Problem
+from landmark_nav.localization.smoother.motion import motions_between
+from landmark_nav.localization.smoother.problem import Bearings, Problem
 from landmark_nav.types import (
     Detections,
     FloatArray,

@@ -13,7 +13,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import patch_points
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.wall_patch import own_sighting, Sighting, wall_texture, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, wall_texture, WallPatch
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
 Float32Image = npt.NDArray[np.float32]

@@ -10,7 +10,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
-from landmark_nav.localization.triangulation_model import (
+from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     base_from_axis,
     bearing_gradients,

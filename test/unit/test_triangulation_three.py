@@ -8,8 +8,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.triangulation_model import bearing_residuals, danger_distance
-from landmark_nav.localization.triangulation_three import triangulate_three
+from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
+from landmark_nav.localization.triangulation.three import triangulate_three
 
 FloatArray = npt.NDArray[np.float64]
 COORDINATE = st.floats(-10.0, 10.0)

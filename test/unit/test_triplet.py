@@ -13,7 +13,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.localization.triangulation import triangulate
-from landmark_nav.localization.triangulation_model import axis_from_base
+from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import (
     Gaze,
     rank_triplets,
@@ -21,10 +21,10 @@ from landmark_nav.localization.triplet import (
     TripletConfig,
     visible_landmarks,
 )
-from landmark_nav.localization.triplet_geometry import pair_tables, position_variance
-from landmark_nav.localization.triplet_ranking import Standing
-from landmark_nav.localization.triplet_search import best_triplets, mean_variance
-from landmark_nav.localization.triplet_views import PanWindows, travel_s
+from landmark_nav.localization.triplet.geometry import pair_tables, position_variance
+from landmark_nav.localization.triplet.ranking import Standing
+from landmark_nav.localization.triplet.search import best_triplets, mean_variance
+from landmark_nav.localization.triplet.views import PanWindows, travel_s
 from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate, Refusal, Triplet
 
 FloatArray = npt.NDArray[np.float64]

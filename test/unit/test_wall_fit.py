@@ -8,7 +8,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.adjustment import Adjustment
-from landmark_nav.learning.wall_fit import check_walls, WallFitConfig
+from landmark_nav.learning.adjustment.wall_fit import check_walls, WallFitConfig
 
 CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 4.0), (0.0, 4.0)]
 ROOM = Room(

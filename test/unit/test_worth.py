@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scenes import rectangle_room, textured_room, true_landmark
 
-from landmark_nav.localization.triangulation_model import bearing_gradients
-from landmark_nav.localization.worth import most_telling
+from landmark_nav.localization.detection.worth import most_telling
+from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 ROOM = rectangle_room(6.0, 5.0)

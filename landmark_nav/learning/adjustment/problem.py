@@ -1,0 +1,267 @@
+"""
+The measurements of an adjustment, linearized, and their normal equations.
+
+Unknowns are the landmarks, and what they share: poses of panoramas, and for each wall how far
+things hang before it on average. Landmarks are eliminated first (Schur complement; Triggs et al.,
+Bundle Adjustment, 2000): each meets the shared ones alone, so that the sparse structure is a
+stack of blocks of 3 x 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import block_diag
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.types import FloatArray, Panorama
+
+__all__ = ['Linearized', 'NormalEquations', 'Problem']
+
+# x, y, z, heading of each panorama; after all of them, how far things hang off each wall.
+_POSE = 4
+# Share of the variance in height that panoramas have in common.
+_COMMON_HEIGHT = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized:
+    """
+    Residuals at a point, and the model's derivatives.
+
+    `seen` (k, 2) are azimuths and tangents, by landmark `by_point` (k, 2, 3) and by what is
+    shared `by_shared` (k, 2, m); `wall` (n,) says how much nearer to their walls the landmarks
+    should be than they are.
+    """
+
+    seen: FloatArray
+    wall: FloatArray
+    by_point: FloatArray
+    by_shared: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Blocks of landmarks (x) and of what they share (s): ``H d = b``."""
+
+    h_xx: FloatArray
+    h_xs: FloatArray
+    h_ss: FloatArray
+    b_x: FloatArray
+    b_s: FloatArray
+
+    @property
+    def gain(self) -> FloatArray:
+        """How the shared unknowns move each landmark, (n, 3, m), with the opposite sign."""
+        return np.asarray(np.linalg.solve(self.h_xx, self.h_xs), dtype=np.float64)
+
+    def _schur(self) -> FloatArray:
+        return np.asarray(self.h_ss - np.einsum('nip,niq->pq', self.h_xs, self.gain))
+
+    def solve(self) -> tuple[FloatArray, FloatArray]:
+        """Steps of landmarks (n, 3) and shared unknowns (m,)."""
+        alone = np.linalg.solve(self.h_xx, self.b_x[..., None])[..., 0]
+        rhs = self.b_s - np.einsum('nip,ni->p', self.h_xs, alone)
+        shared = np.linalg.solve(self._schur(), rhs)
+        return alone - self.gain @ shared, shared
+
+    def own_covariance(self) -> FloatArray:
+        """Covariance of each landmark were the shared unknowns known, (n, 3, 3)."""
+        return np.asarray(np.linalg.inv(self.h_xx), dtype=np.float64)
+
+    def shared_covariance(self) -> FloatArray:
+        """Covariance of the shared unknowns, (m, m)."""
+        return np.asarray(np.linalg.inv(self._schur()))
+
+
+class Problem:
+    """
+    Sightings of n landmarks, the walls they hang on, and what is known of the panoramas.
+
+    `own_sigma` (k, 2) is what matching says of each sighting; `landmark` and `view` (k,) tell
+    what it is of.
+    """
+
+    def __init__(
+        self,
+        sightings: Sequence[Sequence[Sighting]],
+        walls: Sequence[int],
+        panoramas: Sequence[Panorama],
+        room: Room,
+    ) -> None:
+        """Collect what does not change while it is solved."""
+        flat = [(k, s) for k, group in enumerate(sightings) for s in group]
+        self.landmark = np.array([k for k, _ in flat], dtype=np.intp)
+        self.view = np.array([s.panorama for _, s in flat], dtype=np.intp)
+        self.own_sigma = np.array([(s.sigma_azimuth_rad, s.sigma_tangent) for _, s in flat])
+        self.count, self.views = len(sightings), len(panoramas)
+        self._seen = np.array([(s.azimuth_rad, s.tangent) for _, s in flat])
+
+        self.normal = room.normals[np.asarray(walls, dtype=np.intp)]
+        starts = np.array([room.walls[w].start for w in walls])
+        self._level = np.sum(self.normal[:, :2] * starts, 1)
+
+        poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
+        self.wall = np.asarray(walls, dtype=np.intp)
+        planes = len(room.walls)
+        self.prior = np.append(poses.ravel(), np.zeros(planes))
+        self._poses = slice(0, poses.size)
+        self._walls = slice(poses.size, len(self.prior))
+        self._places = _joint([p.covariance for p in panoramas])
+        self._height = np.arange(poses.size) % _POSE == 2
+        # Which wall each landmark hangs on, (n, walls).
+        self._hangs = np.eye(planes)[self.wall]
+
+    def off_wall(self, points: FloatArray) -> FloatArray:
+        """How far before their walls points (n, 3) lie, metres."""
+        return np.asarray(np.sum(points * self.normal, 1) - self._level)
+
+    def poses(self, shared: FloatArray) -> FloatArray:
+        """Poses (views, 4) among the shared unknowns."""
+        return np.asarray(shared[self._poses].reshape(self.views, _POSE))
+
+    def pose_covariance(self, covariance: FloatArray) -> FloatArray:
+        """Covariance (views, 4, 4) of each pose out of that of all that is shared."""
+        blocks = covariance[self._poses, self._poses].reshape(self.views, _POSE, self.views, _POSE)
+        diagonal = np.arange(self.views)
+        return np.asarray(blocks[diagonal, :, diagonal])
+
+    def linearize(self, points: FloatArray, shared: FloatArray) -> Linearized:
+        """Residuals and derivatives at landmarks (n, 3) and shared unknowns (m,)."""
+        poses = self.poses(shared)[self.view]
+        d = points[self.landmark] - poses[:, :3]
+        reach = np.hypot(d[:, 0], d[:, 1])
+        seen = self._seen - np.stack(
+            [np.arctan2(d[:, 1], d[:, 0]) - poses[:, 3], d[:, 2] / reach], 1
+        )
+        seen[:, 0] = wrap_rad(seen[:, 0])
+        by_point = np.zeros((len(d), 2, 3))
+        by_point[:, 0, 0] = -d[:, 1] / reach**2
+        by_point[:, 0, 1] = d[:, 0] / reach**2
+        by_point[:, 1, :2] = -(d[:, 2] / reach**3)[:, None] * d[:, :2]
+        by_point[:, 1, 2] = 1.0 / reach
+        by_shared = np.zeros((len(d), 2, len(shared)))
+        by_pose = np.zeros((len(d), 2, self.views, _POSE))
+        rows = np.arange(len(d))
+        by_pose[rows, :, self.view, :3] = -by_point
+        by_pose[rows, 0, self.view, 3] = -1.0
+        by_shared[..., self._poses] = by_pose.reshape(len(d), 2, -1)
+        return Linearized(
+            seen, shared[self._walls][self.wall] - self.off_wall(points), by_point, by_shared
+        )
+
+    def normal_equations(
+        self,
+        at: Linearized,
+        shared: FloatArray,
+        seen: FloatArray,
+        wall: FloatArray,
+        spread: FloatArray,
+    ) -> NormalEquations:
+        """
+        Normal equations.
+
+        `seen` (k, 2) and `wall` (n,) are the information of sightings and walls; `spread` as in
+        `prior_covariance`.
+        """
+        prior = np.linalg.inv(self.prior_covariance(spread))
+        jx = at.by_point * seen[..., None]
+        h_xx = _sum_by(self.landmark, np.einsum('nki,nkj->nij', jx, at.by_point), self.count)
+        h_xx += np.einsum('n,ni,nj->nij', wall, self.normal, self.normal)
+        b_x = _sum_by(self.landmark, np.einsum('nki,nk->ni', jx, at.seen), self.count)
+        b_x += (wall * at.wall)[:, None] * self.normal
+        h_xs = _sum_by(self.landmark, np.einsum('nki,nkp->nip', jx, at.by_shared), self.count)
+        hangs = wall[:, None] * self._hangs
+        h_xs[..., self._walls] -= self.normal[..., None] * hangs[:, None]
+        flat = at.by_shared.reshape(-1, len(shared))
+        weighted = flat * seen.reshape(-1, 1)
+        h_ss = prior + weighted.T @ flat
+        h_ss[self._walls, self._walls] += np.diag(hangs.sum(0))
+        b_s = prior @ (self.prior - shared) + weighted.T @ at.seen.ravel()
+        b_s[self._walls] -= hangs.T @ at.wall
+        return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
+
+    def prior_covariance(self, spread: FloatArray) -> FloatArray:
+        """
+        Covariance (m, m) of the shared unknowns before there are sightings.
+
+        `spread` (4,) are factors on the sigmas that panoramas say they have in plan and in
+        height, and sigmas of how far things hang before all walls, and before each.
+        """
+        plan, height, all_walls, each_wall = spread
+        factor = np.where(self._height, height, plan)
+        planes = len(self.prior) - len(factor)
+        off_walls = all_walls**2 + each_wall**2 * np.eye(planes)
+        return np.asarray(block_diag(self._places * np.outer(factor, factor), off_walls))
+
+    def spread_misfit(
+        self, shared: FloatArray, equations: NormalEquations, spread: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """
+        Squared misfit (4,) and redundancy (4,) of each of `spread` (4,).
+
+        They are what the derivative of the restricted likelihood is made of.
+        """
+        prior = self.prior_covariance(spread)
+        information = np.linalg.inv(prior)
+        misfit = information @ (shared - self.prior)
+        left = information @ (prior - equations.shared_covariance()) @ information
+        # The prior is the sum of what each of `spread` says of it, and falls apart so.
+        lifted = np.zeros(len(prior))
+        lifted[self._poses] = self._height
+        upward = 0.5 * (lifted[:, None] + lifted)
+        places, walls = np.zeros((2, *prior.shape))
+        places[self._poses, self._poses] = prior[self._poses, self._poses]
+        walls[self._walls, self._walls] = 1.0
+        parts = (
+            (1.0 - upward) * places,
+            upward * places,
+            spread[2] ** 2 * walls,
+            spread[3] ** 2 * walls * np.eye(len(prior)),
+        )
+        squares = np.array([misfit @ part @ misfit for part in parts])
+        counts = np.array([np.sum(part * left) for part in parts])
+        return np.maximum(squares, 0.0), np.maximum(counts, 0.0)
+
+    def predicted_variance(
+        self, at: Linearized, equations: NormalEquations
+    ) -> tuple[FloatArray, FloatArray]:
+        """Variance of what the solution says of each sighting (k, 2) and each wall (n,)."""
+        own, gain = equations.own_covariance(), equations.gain
+        shared = equations.shared_covariance()
+        by_shared = at.by_shared - at.by_point @ gain[self.landmark]
+        seen = np.einsum('nki,nij,nkj->nk', at.by_point, own[self.landmark], at.by_point)
+        seen += np.einsum('nkp,pq,nkq->nk', by_shared, shared, by_shared)
+        by_shared_wall = -np.einsum('ni,nip->np', self.normal, gain)
+        by_shared_wall[:, self._walls] -= self._hangs
+        wall = np.einsum('ni,nij,nj->n', self.normal, own, self.normal)
+        wall += np.einsum('np,pq,nq->n', by_shared_wall, shared, by_shared_wall)
+        return seen, wall
+
+
+def _joint(covariances: Sequence[FloatArray]) -> FloatArray:
+    """
+    Joint covariance (4 * views, 4 * views) of places that were found each for itself.
+
+    The camera stands equally high everywhere and saw the same papers: as much of the error in
+    height as can be is one and the same.
+    """
+    spread = [c + 1e-12 * np.eye(_POSE) for c in covariances]
+    joint = block_diag(*spread)
+    common = _COMMON_HEIGHT * min(1.0 / np.linalg.inv(c)[2, 2] for c in spread)
+    height = np.arange(2, len(joint), _POSE)
+    apart = height[:, None] != height
+    joint[np.ix_(height, height)] += common * apart
+    return np.asarray(joint)
+
+
+def _sum_by(index: npt.NDArray[np.intp], values: FloatArray, count: int) -> FloatArray:
+    """Sum values (k, ...) into rows (count, ...) by their index (k,)."""
+    out = np.zeros((count, *values.shape[1:]))
+    np.add.at(out, index, values)
+    return out

@@ -1,0 +1,292 @@
+"""
+Joint least squares of landmarks and panorama poses: a small bundle adjustment.
+
+What landmarks share (the pose errors of the panoramas) is kept apart from what each has alone,
+so that the map can say both. How precise panoramas, papers and walls are, and how differently
+things hang, is estimated from the residuals themselves, room by room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri
+
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment.problem import Linearized, Problem
+from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray, Panorama
+
+__all__ = ['Adjustment', 'AdjustmentConfig', 'adjust']
+
+_MAX_ITERATIONS = 15
+# Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
+_DOUBT_AT_FIRST, _DOUBT = 100.0, 6.0
+# A landmark that misses by more than this probability allows has no say in what is shared.
+_OUTLIER_PROBABILITY = 0.01
+_NO_SAY = 1e-6
+# What misses by more sigmas than this is taken to be less certain, until it does not.
+_TAIL_SIGMAS = 2.5
+_NOISE_ITERATIONS = 60
+_NOISE_CONVERGED = 1e-3
+# Among the sigmas that are estimated.
+_HANGING, _SPREAD, _ALL_WALLS, _EACH_WALL = 2, slice(3, 7), 5, 6
+
+
+@dataclass(frozen=True)
+class AdjustmentConfig:
+    """What is expected before there are sightings; they tell more."""
+
+    azimuth_sigma_rad: float = parameter(
+        1.5e-4, 'what a panorama adds to each azimuth', minimum=0, maximum=0.1
+    )
+    tangent_sigma: float = parameter(
+        1e-3, 'what a panorama adds to each tangent of elevation', minimum=0, maximum=0.1
+    )
+    hanging_sigma_m: float = parameter(
+        0.015, 'how differently far from the wall things hang', minimum=1e-4, maximum=1
+    )
+    common_hanging_sigma_m: float = parameter(
+        0.015, 'how far from the wall things hang on average', minimum=1e-4, maximum=1
+    )
+    wall_sigma_m: float = parameter(
+        0.005, 'how far a wall lies from where the room says', minimum=1e-4, maximum=1
+    )
+    camera_weight: float = parameter(
+        1.0,
+        'how many measurements the expected sigmas of panoramas and places count for',
+        minimum=1e-3,
+        maximum=1e9,
+    )
+    room_weight: float = parameter(
+        0.05,
+        'how many measurements the expected sigmas of walls and hanging count for',
+        minimum=1e-3,
+        maximum=1e9,
+    )
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """
+    Landmarks and panoramas after the adjustment.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (n, 3)
+        Landmarks in map, metres.
+    own_covariance : ndarray, shape (n, 3, 3)
+        What the error of each has alone.
+    shared_loading : ndarray, shape (n, 3, m)
+        The rest, as unit-variance factors that all have in common.
+    poses, pose_covariance : ndarray, shape (views, 4), (views, 4, 4)
+        x, y, z, heading of the panoramas.
+    off_wall_m : ndarray, shape (n,)
+        How far before its wall each landmark lies.
+    chi_square : ndarray, shape (n,)
+        Misfit of its sightings and its wall.
+    noise : ndarray, shape (7,)
+        Sigmas found: of azimuths, of tangents, of hanging; factors on the sigmas that panoramas
+        say their places have, in plan and in height; how far things hang off all walls, and how
+        far each wall lies from where the room says.
+
+    """
+
+    positions: FloatArray
+    own_covariance: FloatArray
+    shared_loading: FloatArray
+    poses: FloatArray
+    pose_covariance: FloatArray
+    off_wall_m: FloatArray
+    chi_square: FloatArray
+    noise: FloatArray
+
+
+def adjust(
+    sightings: Sequence[Sequence[Sighting]],
+    walls: Sequence[int],
+    start: FloatArray,
+    panoramas: Sequence[Panorama],
+    room: Room,
+    config: AdjustmentConfig,
+) -> Adjustment:
+    """
+    Adjust landmarks and panorama poses to all sightings.
+
+    Parameters
+    ----------
+    sightings : sequence of sequences
+        For each of n landmarks, where the panoramas show it.
+    walls : sequence of int
+        Wall of each landmark.
+    start : ndarray, shape (n, 3)
+        Positions to start from.
+    panoramas : sequence of Panorama
+        With prior poses and covariances.
+    room : Room
+        The walls; what hangs on them lies near them, not on them.
+    config : AdjustmentConfig
+        Standard deviations to expect.
+
+    Returns
+    -------
+    Adjustment
+
+    """
+    problem = Problem(sightings, walls, panoramas, room)
+    expected = np.array(
+        [
+            config.azimuth_sigma_rad,
+            config.tangent_sigma,
+            config.hanging_sigma_m,
+            *(1.0, 1.0),
+            config.common_hanging_sigma_m,
+            config.wall_sigma_m,
+        ]
+    )
+    points, shared = _settle(problem, start, expected)
+    trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
+    say = np.where(trusted, 1.0, _NO_SAY)
+    weight = np.full(len(expected), config.camera_weight)
+    weight[[_HANGING, _ALL_WALLS, _EACH_WALL]] = config.room_weight
+    noise = expected
+    for _ in range(_NOISE_ITERATIONS):
+        at = problem.linearize(points, shared)
+        equations = problem.normal_equations(
+            at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
+        )
+        point_step, shared_step = equations.solve()
+        points, shared = points + point_step, shared + shared_step
+        better, fewness = _noise(problem, points, shared, noise, expected, say, weight)
+        still = np.abs(better / noise - 1.0).max() < _NOISE_CONVERGED
+        noise = better
+        if still and max(np.abs(point_step).max(), np.abs(shared_step).max()) < 1e-7:
+            break
+    # The fewer residuals tell of a variance, the farther is its mean from its likeliest value.
+    noise = noise * np.sqrt(fewness)
+    at = problem.linearize(points, shared)
+    equations = problem.normal_equations(
+        at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
+    )
+    covariance = equations.shared_covariance()
+    return Adjustment(
+        points,
+        say[:, None, None] * equations.own_covariance(),
+        -equations.gain @ np.linalg.cholesky(covariance),
+        problem.poses(shared),
+        problem.pose_covariance(covariance),
+        problem.off_wall(points),
+        _misfit(problem, at, noise, trusted),
+        noise,
+    )
+
+
+def _settle(
+    problem: Problem, start: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Landmarks (n, 3) and shared unknowns (m,) that most landmarks agree on."""
+    points, shared = start.copy(), problem.prior
+    for step in range(_MAX_ITERATIONS):
+        # False matches, and what hangs off the walls, must bend neither their neighbours nor the
+        # poses, even where they are many: a weight that falls faster than the pull grows (Geman
+        # and McClure, 1987), stricter with each step, as the poses explain more of the misfit.
+        doubt = max(_DOUBT_AT_FIRST / 2**step, _DOUBT)
+        at = problem.linearize(points, shared)
+        weight = (1.0 + _misfit(problem, at, sigma) / doubt) ** -2.0
+        seen, wall = _variances(problem, sigma)
+        equations = problem.normal_equations(
+            at, shared, weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD]
+        )
+        point_step, shared_step = equations.solve()
+        points, shared = points + point_step, shared + shared_step
+        if step > 4 and max(np.abs(point_step).max(), np.abs(shared_step).max()) < 1e-7:
+            break
+    return points, shared
+
+
+def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Variances of sightings (k, 2) and walls (n,)."""
+    return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[_HANGING] ** 2)
+
+
+def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
+    """Share of its information that a residual keeps."""
+    with np.errstate(divide='ignore'):
+        return np.asarray(np.minimum(1.0, _TAIL_SIGMAS**2 * variance / residual**2))
+
+
+def _information(
+    problem: Problem, at: Linearized, noise: FloatArray, say: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    seen, wall = _variances(problem, noise)
+    return (
+        say[problem.landmark, None] * _tail(at.seen, seen) / seen,
+        say * _tail(at.wall, wall) / wall,
+    )
+
+
+def _misfit(
+    problem: Problem,
+    at: Linearized,
+    noise: FloatArray,
+    trusted: npt.NDArray[np.bool_] | bool = False,
+) -> FloatArray:
+    """Squared misfit of each landmark (n,); those `trusted` may hang off in the tail."""
+    seen, wall = _variances(problem, noise)
+    share = np.where(trusted, _tail(at.wall, wall), 1.0)
+    sums = np.bincount(problem.landmark, np.sum(at.seen**2 / seen, 1), problem.count)
+    return np.asarray(sums + share * at.wall**2 / wall)
+
+
+def _bound(problem: Problem) -> FloatArray:
+    """Largest misfit (n,) of what is no outlier: a place takes three of the numbers seen."""
+    freedom = 2 * np.bincount(problem.landmark, minlength=problem.count) + 1 - 3
+    return np.asarray(chdtri(freedom, _OUTLIER_PROBABILITY))
+
+
+def _noise(
+    problem: Problem,
+    points: FloatArray,
+    shared: FloatArray,
+    noise: FloatArray,
+    expected: FloatArray,
+    say: FloatArray,
+    weight: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Sigmas that the residuals speak for, one step nearer.
+
+    Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
+    Foerstner's form): squared residuals count against their redundancy, which is what the
+    unknowns did not take from them. Expected sigmas join in as `weight` residuals each. Returned
+    with the mean of each variance, given how many tell of it, over its likeliest value.
+    """
+    at = problem.linearize(points, shared)
+    information = _information(problem, at, noise, say)
+    equations = problem.normal_equations(at, shared, *information, noise[_SPREAD])
+    predicted = problem.predicted_variance(at, equations)
+    voice = say > 0.5
+    seen_voice = voice[problem.landmark]
+    variances = _variances(problem, noise)
+    groups = [
+        (at.seen[:, 0], variances[0][:, 0], information[0][:, 0], predicted[0][:, 0], seen_voice),
+        (at.seen[:, 1], variances[0][:, 1], information[0][:, 1], predicted[0][:, 1], seen_voice),
+        (at.wall, variances[1], information[1], predicted[1], voice),
+    ]
+    squares, counts = np.zeros((2, len(noise)))
+    for k, (residual, variance, trust, explained, who) in enumerate(groups):
+        part = noise[k] ** 2 / variance[who]
+        squares[k] = np.sum((trust * residual**2)[who] * part)
+        counts[k] = np.sum(np.maximum(1.0 - trust * explained, 0.0)[who] * part)
+    squares[_SPREAD], counts[_SPREAD] = problem.spread_misfit(shared, equations, noise[_SPREAD])
+    pull = weight * (expected / noise) ** 2
+    better = noise * np.sqrt((squares + pull) / (counts + weight))
+    return better, 1.0 + 2.0 * counts / (counts + weight) ** 2

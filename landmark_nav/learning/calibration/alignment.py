@@ -1,0 +1,139 @@
+"""
+Alignment of pictures whose angles are estimates: pan, tilt and roll of each, focal length and
+radial distortion of all, from what neighbours both show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.learning.calibration.overlap import track_overlaps
+from landmark_nav.learning.calibration.overlap_fit import COMMON, corrected, OverlapProblem
+from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, fit_significant
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.quality import CalibrationTerm, PanoramaQuality
+from landmark_nav.types import Sweep
+
+__all__ = ['AlignmentConfig', 'SweepAlignment', 'align_sweep']
+
+_ROUNDS = 2
+_LEAST_PER_FRAME = 6
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """How far the angles and the focal length may be off."""
+
+    pan_sigma_rad: float = parameter(
+        0.03, 'standard deviation of the given pan angles', minimum=1e-6, maximum=1
+    )
+    tilt_sigma_rad: float = parameter(
+        0.01, 'standard deviation of tilt and roll', minimum=1e-6, maximum=1
+    )
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+@dataclass(frozen=True, eq=False)
+class SweepAlignment:
+    """
+    A sweep with mended angles and one common camera.
+
+    `focal_px` is its focal length, `sigma_px` of it, that of the lens without distortion that
+    turns by the same angles; `focal_scale` is what the given one, the median over the frames, was
+    multiplied by for it. `terms` has the focal length's and the distortion's correction.
+    `residual_px` is the median distance of matches afterwards, `before_px` before.
+    `closure_rad` is by how much the turn, each link by its own matches, fails to close; None for
+    a part of a turn.
+    """
+
+    sweep: Sweep
+    focal_px: float
+    focal_sigma_px: float
+    focal_scale: float
+    terms: tuple[CalibrationTerm, ...]
+    before_px: float
+    residual_px: float
+    closure_rad: float | None
+
+    @property
+    def quality(self) -> PanoramaQuality:
+        """What is worth telling of it."""
+        return PanoramaQuality(
+            closure_rad=self.closure_rad,
+            residual_px=self.residual_px,
+            before_px=self.before_px,
+            calibration=self.terms,
+        )
+
+
+def align_sweep(sweep: Sweep, mount: PanTiltMount, config: AlignmentConfig) -> SweepAlignment:
+    """
+    Mend pan, tilt and roll of each frame and the common camera.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Frames that overlap their neighbours.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : AlignmentConfig
+        Prior standard deviations.
+
+    Returns
+    -------
+    SweepAlignment
+
+    Raises
+    ------
+    LandmarkNavError
+        Fewer than three frames, or no texture that neighbours share.
+
+    """
+    if len(sweep.frames) < 3:
+        raise LandmarkNavError(f'{len(sweep.frames)} frames are too few to align: take a sweep')
+    told = sweep = _with_one_camera(sweep)
+    camera = told.frames[0].camera
+    sigma = [config.pan_sigma_rad, config.tilt_sigma_rad, config.tilt_sigma_rad]
+    free = [COMMON.index('focal_length')]
+    if camera.model != 'equidistant':
+        free.append(COMMON.index('distortion'))
+    for _ in range(_ROUNDS):
+        overlaps = track_overlaps(sweep, mount, every_frame=True)
+        if len(overlaps) < _LEAST_PER_FRAME * len(sweep.frames):
+            raise LandmarkNavError(
+                f'{len(overlaps)} matches between neighbouring frames are too few to '
+                'align them: they need to overlap and to show texture'
+            )
+        problem = OverlapProblem(overlaps, told, mount)
+        fit, terms = fit_significant(problem, free, sigma, camera, CalibrationConfig())
+        sweep, _ = corrected(told, mount, fit.common, fit.frames)
+    focal = next(term for term in terms if term.name == 'focal_length')
+    scale = 1.0 + focal.value if focal.used else 1.0
+    return SweepAlignment(
+        sweep,
+        camera.fx * scale,
+        camera.fx * focal.sigma,
+        scale,
+        terms,
+        problem.misfit_px(np.zeros(len(COMMON))),
+        problem.misfit_px(fit.common, fit.frames),
+        problem.closure_rad(fit.common, fit.frames, fit.weight),
+    )
+
+
+def _with_one_camera(sweep: Sweep) -> Sweep:
+    """All frames with the median of their focal lengths: one camera took them."""
+    cameras = [frame.camera for frame in sweep.frames]
+    one = replace(
+        cameras[0],
+        fx=float(np.median([camera.fx for camera in cameras])),
+        fy=float(np.median([camera.fy for camera in cameras])),
+    )
+    return replace(sweep, frames=tuple(replace(frame, camera=one) for frame in sweep.frames))

@@ -1,0 +1,258 @@
+"""
+Least squares of a sweep's calibration over what its frames both show.
+
+A camera that turns on the spot sees pure rotations, and the last frame of a turn meets the first:
+that fixes angles and focal length (Szeliski and Shum, SIGGRAPH 1997). Robust, by weights, with
+standard deviations from the residuals' own spread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.learning.calibration.overlap import Overlaps
+from landmark_nav.types import FloatArray, Sweep
+
+__all__ = ['COMMON', 'Fit', 'OverlapProblem', 'RangeOfRay', 'corrected']
+
+# What all frames share: relative focal length, first radial distortion, relative pan, angles of
+# the camera, and the optical centre's place ahead of and left of the axis.
+COMMON = ('focal_length', 'distortion', 'pan_scale', 'tilt', 'roll', 'forward', 'left')
+_STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
+
+_ITERATIONS = 12
+_CONVERGED_PX = 5e-3
+_NEAR_PX = 0.3
+
+# Tracking is biased by about so much, however many points are tracked.
+_BIAS_PX = 0.01
+
+RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """
+    What fits best.
+
+    `common` (7,) in the order of `COMMON` with its covariance (7, 7) out of the matches' spread,
+    zero where it was not free, and `sigma` (7,) with the bias of tracking; `frames` (n, 3) are
+    pan, tilt and roll of each frame, zero where none was matched; `weight` (m,) of each match.
+    """
+
+    common: FloatArray
+    covariance: FloatArray
+    sigma: FloatArray
+    frames: FloatArray
+    weight: FloatArray
+
+
+class OverlapProblem:
+    """
+    Matches of a sweep as functions of its calibration.
+
+    Parameters
+    ----------
+    overlaps : Overlaps
+        Matches.
+    sweep : Sweep
+        As it is told to be, all frames with one camera.
+    mount : PanTiltMount
+        As it is told to be.
+    range_m : callable, optional
+        Horizontal distance from the axis of what is seen at azimuths and tangents (n,).
+
+    """
+
+    def __init__(
+        self,
+        overlaps: Overlaps,
+        sweep: Sweep,
+        mount: PanTiltMount,
+        range_m: RangeOfRay | None = None,
+    ) -> None:
+        self._overlaps, self._mount = overlaps, mount
+        self._camera = sweep.frames[0].camera
+        self._used, links = np.unique(overlaps.frames, return_inverse=True)
+        self._links = links.reshape(-1, 2)
+        self._count = len(sweep.frames)
+        chosen = [sweep.frames[k] for k in self._used]
+        self._angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in chosen])
+        self._rays: dict[tuple[float, float], FloatArray] = {}
+        self._last = np.zeros(0)
+        self._slopes: tuple[FloatArray, FloatArray] | None = None
+        self._range: FloatArray | None = None
+        if range_m is not None:
+            azimuth, tangent = self._seen(np.zeros(len(COMMON)), self._angles * 0.0)
+            self._range = range_m(azimuth[:, 0], tangent[:, 0])
+
+    def misfit(self, common: FloatArray, frames: FloatArray | None = None) -> FloatArray:
+        """Distances (m, 2) in azimuth and tangent between the two rays of each match."""
+        turns = self._angles * 0.0 if frames is None else frames[self._used]
+        return self._misfit(common, turns)
+
+    def _misfit(self, common: FloatArray, turns: FloatArray) -> FloatArray:
+        azimuth, tangent = self._seen(common, turns)
+        return np.stack([wrap_rad(azimuth[:, 0] - azimuth[:, 1]), tangent @ [1.0, -1.0]], 1)
+
+    def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
+        """
+        Fit some of the common terms, and the frames' angles about what they are told to be.
+
+        Parameters
+        ----------
+        free : sequence of int
+            Which of `COMMON`.
+        frame_sigma : sequence of float, shape (3,)
+            How far pan, tilt and roll of a single frame stray, radians.
+
+        """
+        count, focal = len(self._angles), self._camera.fx
+        size = len(COMMON) + 3 * count
+        index = np.concatenate([np.asarray(free, np.intp), np.arange(len(COMMON), size)])
+        precision = np.zeros(size)
+        precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), count)
+        x = self._last if self._last.size else np.zeros(size)
+        x[np.setdiff1d(np.arange(size), index)] = 0.0
+        for _ in range(_ITERATIONS):
+            common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
+            off = self._misfit(common, frames)
+            distance = focal * np.linalg.norm(off, axis=1)
+            # Median of a Rayleigh distribution.
+            sigma_px = max(float(np.median(distance)) / 1.1774, 1e-3)
+            weight = 1.0 / (1.0 + (distance / (2.0 * sigma_px)) ** 2)
+            slopes = self._slopes_at(x, off)[..., index]
+            scaled = slopes * (np.sqrt(weight) * focal / sigma_px)[:, None, None]
+            flat = scaled.reshape(-1, len(index))
+            normal = flat.T @ flat + np.diag(precision[index])
+            right = off * (np.sqrt(weight) * focal / sigma_px)[:, None]
+            step = np.linalg.solve(normal, flat.T @ right.ravel() + precision[index] * x[index])
+            x[index] -= step
+            if focal * np.abs(step).max() < _CONVERGED_PX:
+                break
+        self._last = x.copy()
+        chosen = len(free)
+        slope = focal * np.sqrt(np.mean(np.sum(slopes[..., :chosen] ** 2, 1), 0))
+        covariance = np.zeros((len(COMMON), len(COMMON)))
+        own = index[:chosen]
+        covariance[np.ix_(own, own)] = np.linalg.inv(normal)[:chosen, :chosen]
+        bias = np.zeros(len(COMMON))
+        bias[own] = _BIAS_PX / np.maximum(slope, 1e-9)
+        sigma = np.sqrt(np.diag(covariance) + bias**2)
+        common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
+        every = np.zeros((self._count, 3))
+        every[self._used] = frames
+        return Fit(common, covariance, sigma, every, weight)
+
+    def misfit_px(self, common: FloatArray, frames: FloatArray | None = None) -> float:
+        """Median distance of the two rays of a match, pixels."""
+        off = np.linalg.norm(self.misfit(common, frames), axis=1)
+        return self._camera.fx * float(np.median(off))
+
+    def closure_rad(
+        self, common: FloatArray, frames: FloatArray, weight: FloatArray
+    ) -> float | None:
+        """By how much the links of the chain, each by its own matches, miss a full turn."""
+        if not self._overlaps.closed:
+            return None
+        pair = self._overlaps.pair
+        off = self.misfit(common, frames)[:, 0]
+        total = np.bincount(pair, weight * off)
+        return float(np.sum(total / np.maximum(np.bincount(pair, weight), 1e-9)))
+
+    def _seen(self, common: FloatArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Azimuths and tangents (m, 2) at the axis of both rays of each match."""
+        camera, mount = _camera(self._camera, common), _mount(self._mount, common)
+        pan, tilt, roll = (_angles(self._angles, common) + turns)[self._links].T
+        rotation, center = mount.camera_pose_base(pan.T, tilt.T, roll.T)
+        lens = (float(common[0]), float(common[1]))
+        if lens not in self._rays:
+            self._rays[lens] = camera.unproject(self._overlaps.pixels)
+        ray = np.einsum('mkij,mkj->mki', rotation, self._rays[lens])
+        if self._range is None:
+            azimuth = np.arctan2(ray[..., 1], ray[..., 0])
+            return azimuth, ray[..., 2] / np.hypot(ray[..., 0], ray[..., 1])
+        start = center[..., :2] - np.asarray(mount.axis_xyz[:2])
+        square = np.sum(ray[..., :2] ** 2, -1)
+        along = np.sum(start * ray[..., :2], -1) / square
+        reach = self._range[:, None] ** 2 - np.sum(start**2, -1)
+        length = np.sqrt(np.maximum(along**2 + reach / square, 1e-9)) - along
+        point = start + length[..., None] * ray[..., :2]
+        azimuth = np.arctan2(point[..., 1], point[..., 0])
+        return azimuth, length * ray[..., 2] / self._range[:, None]
+
+    def _slopes_at(self, x: FloatArray, here: FloatArray) -> FloatArray:
+        """Slopes at `x`, or at a place so near that they are as good."""
+        if self._slopes is None or self._camera.fx * np.abs(x - self._slopes[0]).max() > _NEAR_PX:
+            common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
+            self._slopes = x.copy(), self._jacobian(common, frames, here)
+        return self._slopes[1]
+
+    def _jacobian(self, common: FloatArray, frames: FloatArray, here: FloatArray) -> FloatArray:
+        """Slopes (m, 2, 7 + 3n): each match touches what is common and its own two frames."""
+        matches = len(here)
+        out = np.zeros((matches, 2, len(COMMON) + frames.size))
+        for k, step in enumerate(_STEPS):
+            moved = common.copy()
+            moved[k] += step
+            off = self._misfit(moved, frames)
+            out[:, :, k] = (off - here) / step
+        azimuth, tangent = self._seen(common, frames)
+        row = np.arange(matches)
+        for axis in range(3):
+            step = 1e-6
+            turned = frames.copy()
+            turned[:, axis] += step
+            # All frames turn at once; each side of a match feels its own alone.
+            there = self._seen(common, turned)
+            for side, sign in ((0, 1.0), (1, -1.0)):
+                column = len(COMMON) + 3 * self._links[:, side] + axis
+                out[row, 0, column] += sign * wrap_rad(there[0] - azimuth)[:, side] / step
+                out[row, 1, column] += sign * (there[1] - tangent)[:, side] / step
+        return out
+
+
+def corrected(
+    sweep: Sweep, mount: PanTiltMount, common: FloatArray, frames: FloatArray | None = None
+) -> tuple[Sweep, PanTiltMount]:
+    """Sweep and mount with corrections of the common terms (7,) and of each frame (n, 3)."""
+    angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in sweep.frames])
+    turned = _angles(angles, common) + (0.0 if frames is None else frames)
+    camera = _camera(sweep.frames[0].camera, common)
+    return (
+        replace(
+            sweep,
+            frames=tuple(
+                replace(frame, camera=camera, pan_rad=pan, tilt_rad=tilt, roll_rad=roll)
+                for frame, (pan, tilt, roll) in zip(sweep.frames, turned.tolist(), strict=True)
+            ),
+        ),
+        _mount(mount, common),
+    )
+
+
+def _camera(camera: CameraModel, common: FloatArray) -> CameraModel:
+    scale, k1 = float(np.exp(common[0])), float(common[1])
+    if scale == 1.0 and k1 == 0.0:
+        return camera
+    first, *others = camera.distortion or (0.0,)
+    distortion = (first + k1, *others) if k1 else camera.distortion
+    return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=distortion)
+
+
+def _mount(mount: PanTiltMount, common: FloatArray) -> PanTiltMount:
+    x, y, z = mount.optical_center_offset
+    if not common[5] and not common[6]:
+        return mount
+    return replace(mount, optical_center_offset=(x + float(common[5]), y + float(common[6]), z))
+
+
+def _angles(angles: FloatArray, common: FloatArray) -> FloatArray:
+    """Pan, tilt and roll (n, 3) with what all share."""
+    scaled = angles * [1.0 + common[2], 1.0, 1.0]
+    return np.asarray(scaled + np.array([0.0, common[3], common[4]]))

@@ -1,0 +1,221 @@
+"""
+Exposure of each frame and vignetting of the lens, out of what frames show of the same places.
+
+The logarithm of what a frame shows of a place is the sum of the place's own, of the frame's gain
+and of a polynomial in the squared radius (after Goldman, PAMI 32(12), 2010). All gains and the
+polynomial are fitted at once, robustly; the places' own brightness is eliminated. Nothing is
+changed that is not significant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.learning.panorama.projection import sweep_cylinder
+from landmark_nav.types import CameraFrame, FloatArray, Sweep
+
+__all__ = ['Photometry', 'even_out', 'measure_photometry']
+
+# Frames are looked at so much smaller, at directions so far apart.
+_REDUCTION = 8
+_STEP_RAD = np.radians(2.5)
+_ROWS = 14
+# Darker is mostly noise, brighter may be clipped somewhere.
+_LEVELS = (15.0, 225.0)
+
+_ROUNDS = 5
+_SIGNIFICANCE = 4.0
+# Nobody sees less: a grey level.
+_WORTH = 0.004
+_LEAST_SAMPLES = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Photometry:
+    """
+    Relative brightness: `gain` (n,) of each frame and `falloff` (2,) of the lens.
+
+    A pixel at radius r, as a share of the farthest corner's, is multiplied by
+    ``exp(falloff[0] r^2 + falloff[1] r^4)``. What is not significant is 1, or 0.
+    """
+
+    gain: FloatArray
+    falloff: FloatArray
+
+    @classmethod
+    def none(cls, count: int) -> Photometry:
+        """Of `count` frames that are alike, with a perfect lens."""
+        return cls(np.ones(count), np.zeros(2))
+
+    @property
+    def vignetting(self) -> float:
+        """Share of light that the corners lose."""
+        return float(-np.expm1(np.sum(self.falloff)))
+
+    @property
+    def gain_spread(self) -> float:
+        """Standard deviation of the exposures, relative."""
+        return float(np.std(np.log(self.gain)))
+
+
+def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
+    """
+    Measure gains and vignetting.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Frames that overlap, with angles right to a few pixels.
+    mount : PanTiltMount
+        Where the camera turns.
+
+    Returns
+    -------
+    Photometry
+
+    """
+    count = len(sweep.frames)
+    nothing = Photometry.none(count)
+    place, frame, square, level = _samples(sweep, mount)
+    fine = (level > _LEVELS[0]) & (level < _LEVELS[1])
+    place, frame, square, level = place[fine], frame[fine], square[fine], level[fine]
+    if len(level) < _LEAST_SAMPLES:
+        return nothing
+    for powers in (2, 1, 0):
+        terms = np.stack([square, square**2], 1)[:, :powers]
+        found = _fit(place, frame, terms, np.log(level), count)
+        if found is None:
+            return nothing
+        values, covariance = found
+        falloff, spread = values[count:], covariance[count:, count:]
+        # The last power must matter, and so must the light that the corners lose.
+        last = np.eye(powers)[-1:] if powers else np.zeros((0, 0))
+        significant = all(
+            abs(row @ falloff) > _SIGNIFICANCE * np.sqrt(row @ spread @ row)
+            for row in (*last, *np.ones((1, powers))[:powers])
+        )
+        if significant and abs(falloff.sum()) >= (_WORTH if powers else 0.0):
+            break
+    sigma = np.sqrt(np.diag(covariance)[:count])
+    gain = values[:count]
+    used = (np.abs(gain) > _SIGNIFICANCE * sigma) & (np.abs(gain) > _WORTH)
+    padded = np.zeros(2)
+    padded[: len(falloff)] = falloff
+    return Photometry(np.where(used, np.exp(gain), 1.0), padded)
+
+
+def even_out(sweep: Sweep, photometry: Photometry) -> Sweep:
+    """Sweep whose frames are as if all had one exposure and a lens without vignetting."""
+    if not photometry.falloff.any() and np.all(photometry.gain == 1.0):
+        return sweep
+    flat: dict[CameraModel, npt.NDArray[np.float32]] = {}
+    frames = []
+    for frame, gain in zip(sweep.frames, photometry.gain, strict=True):
+        if photometry.falloff.any():
+            if frame.camera not in flat:
+                flat[frame.camera] = _flat_field(frame, photometry.falloff)
+            image = cv2.multiply(
+                frame.image, flat[frame.camera], scale=1.0 / float(gain), dtype=cv2.CV_8U
+            )
+        else:
+            image = cv2.convertScaleAbs(frame.image, alpha=1.0 / float(gain))
+        frames.append(replace(frame, image=np.asarray(image, dtype=np.uint8)))
+    return replace(sweep, frames=tuple(frames))
+
+
+def _flat_field(frame: CameraFrame, falloff: FloatArray) -> npt.NDArray[np.float32]:
+    rows, columns = frame.image.shape[:2]
+    u, v = np.meshgrid(np.arange(float(columns)), np.arange(float(rows)))
+    square = _square_radius(frame.camera, u, v)
+    field = np.exp(-square * (falloff[0] + falloff[1] * square)).astype(np.float32)
+    return field if frame.image.ndim == 2 else np.repeat(field[..., None], 3, axis=2)
+
+
+def _square_radius(camera: CameraModel, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Squared distance from the principal point, as a share of the farthest corner's."""
+    far = max(camera.cx, camera.width - 1.0 - camera.cx) ** 2
+    far += max(camera.cy, camera.height - 1.0 - camera.cy) ** 2
+    return np.asarray(((u - camera.cx) ** 2 + (v - camera.cy) ** 2) / far)
+
+
+def _samples(
+    sweep: Sweep, mount: PanTiltMount
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray, FloatArray]:
+    """Place, frame, squared radius and grey level of directions that frames cover."""
+    cylinder = sweep_cylinder(sweep, mount)
+    azimuth = np.arange(-np.pi, np.pi, _STEP_RAD)
+    tangent = cylinder.tangent(np.linspace(0, cylinder.height - 1, _ROWS + 2)[1:-1])
+    at = np.stack(np.meshgrid(azimuth, tangent), -1).reshape(-1, 2)
+    rays = np.column_stack([np.cos(at[:, 0]), np.sin(at[:, 0]), at[:, 1]])
+    places, frames, squares, levels = [], [], [], []
+    for k, frame in enumerate(sweep.frames):
+        rotation, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
+        seen = rays @ rotation
+        ahead = np.flatnonzero(seen[:, 2] > 0.3)
+        pixels = frame.camera.project(seen[ahead])
+        inside = frame.camera.contains(pixels, float(_REDUCTION))
+        u, v = pixels[inside].T
+        image = frame.image
+        small = cv2.resize(
+            image, None, fx=1 / _REDUCTION, fy=1 / _REDUCTION, interpolation=cv2.INTER_AREA
+        )
+        grey = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else small
+        at_small = (np.column_stack([u, v]) + 0.5) / _REDUCTION - 0.5
+        column, row = at_small.astype(np.float32).T
+        level = cv2.remap(np.float32(grey), column, row, cv2.INTER_LINEAR)
+        places.append(ahead[inside])
+        frames.append(np.full(len(u), k))
+        squares.append(_square_radius(frame.camera, u, v))
+        levels.append(np.ravel(level).astype(np.float64))
+    return (
+        np.concatenate(places),
+        np.concatenate(frames),
+        np.concatenate(squares),
+        np.concatenate(levels),
+    )
+
+
+def _fit(
+    place: npt.NDArray[np.intp],
+    frame: npt.NDArray[np.intp],
+    terms: FloatArray,
+    brightness: FloatArray,
+    count: int,
+) -> tuple[FloatArray, FloatArray] | None:
+    """Gains of `count` frames, of mean 0, then coefficients of `terms`; and their covariance."""
+    size, places = count + terms.shape[1], int(place.max()) + 1
+    weight = np.ones(len(brightness))
+    for _ in range(_ROUNDS):
+        total = np.maximum(np.bincount(place, weight, places), 1e-12)
+        mean = np.bincount(place, weight * brightness, places) / total
+        centred = brightness - mean[place]
+        # Sums over the samples of each place; what is common to them is the place's own.
+        own = np.zeros((places, size))
+        np.add.at(own, (place, frame), weight)
+        for k in range(terms.shape[1]):
+            own[:, count + k] = np.bincount(place, weight * terms[:, k], places)
+        weighted = weight[:, None] * terms
+        cross = np.stack(
+            [np.bincount(frame, weighted[:, k], count) for k in range(terms.shape[1])], 1
+        ) if terms.shape[1] else np.zeros((count, 0))  # fmt: skip
+        full = np.block(
+            [[np.diag(np.bincount(frame, weight, count)), cross], [cross.T, terms.T @ weighted]]
+        )
+        normal = full - own.T @ (own / total[:, None])
+        normal[:count, :count] += np.mean(np.diag(normal)[:count])
+        right = np.concatenate([np.bincount(frame, weight * centred, count), weighted.T @ centred])
+        try:
+            values = np.linalg.solve(normal, right)
+        except np.linalg.LinAlgError:
+            return None
+        model = values[frame] + terms @ values[count:]
+        off = centred - model + (np.bincount(place, weight * model, places) / total)[place]
+        sigma = max(float(np.median(np.abs(off))) / 0.6745, 1e-4)
+        weight = 1.0 / (1.0 + (off / (2.0 * sigma)) ** 2)
+    # Neighbouring samples err alike: as if each fourth counted.
+    return values, 4.0 * sigma**2 * np.linalg.inv(normal)

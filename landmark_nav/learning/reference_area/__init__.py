@@ -1,0 +1,21 @@
+"""Where a sweep was taken, measured from coloured papers."""
+
+from __future__ import annotations
+
+from landmark_nav.learning.reference_area.location import (
+    check_agreement,
+    LEAST_PAPERS,
+    locate_sweep,
+    optical_height,
+    ReferenceAreaConfig,
+    SweepPlace,
+)
+
+__all__ = [
+    'LEAST_PAPERS',
+    'ReferenceAreaConfig',
+    'SweepPlace',
+    'check_agreement',
+    'locate_sweep',
+    'optical_height',
+]

@@ -1,0 +1,263 @@
+"""The place of a sweep from all edges of all papers in all its frames: robust least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.reference_area.blobs import hue_direction
+from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
+from landmark_nav.learning.reference_area.model import (
+    edge_sigma_px,
+    EDGES,
+    GAMMA,
+    IntArray,
+    PaperModel,
+    PaperPriors,
+    SHIFT,
+)
+from landmark_nav.learning.reference_area.search import papers_in_view
+from landmark_nav.types import FloatArray, Sweep
+
+__all__ = ['PaperFit', 'PaperFitter']
+
+# Measurements along each edge of a paper in each frame.
+_PARTS = 4
+
+MOST_FRAMES = 12
+# Profiles go so far at first, then less; squared deviations at which a weight has fallen to a
+# quarter: strict only once all fits.
+_SEARCH_PX = (13.0, 8.0, 7.0)
+_DOUBTS = ((400.0, 100.0, 40.0), (60.0, 25.0, 12.0), (12.0, 9.0, 9.0))
+_SURELY_WRONG = 25.0
+
+_LEAST_WIDTH_PX = 7.0
+_GAMMA_RANGE = (0.8, 2.4)
+
+# How many frames the given deviation of joint angles is worth beside those of the sweep.
+_TRUSTED_FRAMES = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class PaperFit:
+    """
+    A place and how well the papers agree on it.
+
+    `pose_map_base` (3,); `rise_m` how much higher than told the camera is; `covariance` (4, 4) of
+    x, y, height, heading; `seen` (papers,) the share of each paper's edges that was found,
+    `agreed` (papers,) the share of those that fits; `hang_m` (papers, 2) how far along the wall
+    and up each hangs from where it should; `tilt_rad` (2,) of the axis; `misfit` the mean squared
+    deviation.
+    """
+
+    pose_map_base: FloatArray
+    rise_m: float
+    covariance: FloatArray
+    seen: FloatArray
+    agreed: FloatArray
+    hang_m: FloatArray
+    tilt_rad: FloatArray
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """
+    Edges that were found, arrays over n: which paper, frame and edge; where, and what.
+
+    `bright` is 1 where brightness was measured, not colour; `tried` (papers,) counts what was
+    looked for by colour. All was measured with one `gamma`.
+    """
+
+    paper: IntArray
+    frame: IntArray
+    edge: IntArray
+    bright: IntArray
+    points: FloatArray
+    normal: FloatArray
+    offset_px: FloatArray
+    sigma_px: FloatArray
+    by_gamma: FloatArray
+    tried: IntArray
+    gamma: float
+
+
+class PaperFitter:
+    """
+    Fits places to the frames of one sweep.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Its frames.
+    room : Room
+        Papers and walls.
+    mount : PanTiltMount
+        Where the camera turns.
+    priors : PaperPriors
+        How well everything else is known.
+
+    """
+
+    def __init__(self, sweep: Sweep, room: Room, mount: PanTiltMount, priors: PaperPriors) -> None:
+        self._frames, self._room, self._priors = sweep.frames, room, priors
+        self._model = PaperModel(sweep, room, mount, _PARTS * PROFILES)
+        self._hues = [hue_direction(paper.color) for paper in room.papers]
+
+    def fit(
+        self, pose_map_base: FloatArray, frames_per_paper: int = MOST_FRAMES
+    ) -> PaperFit | None:
+        """
+        Refine a base pose (3,); None where no paper shows an edge.
+
+        Fewer frames are quicker, enough to choose between places.
+        """
+        state = self._model.start(pose_map_base)
+        angle_sigma = np.full(2, self._priors.angle_rad)
+        fit = None
+        for reach, doubts in zip(_SEARCH_PX, _DOUBTS, strict=True):
+            measured = self._measure(state, frames_per_paper, reach)
+            if measured is None:
+                return None
+            base = state
+            for doubt in doubts:
+                state, angle_sigma, fit = self._solve(measured, base, state, doubt, angle_sigma)
+        return fit
+
+    def _measure(self, state: FloatArray, most: int, reach_px: float) -> _Measured | None:
+        """Find the edges of papers in the frames that look at them."""
+        model, middle = self._model, slice(PROFILES // 2, None, PROFILES)
+        gamma = float(np.clip(state[GAMMA], *_GAMMA_RANGE))
+        side = np.repeat(np.arange(EDGES), _PARTS)
+        tried = np.zeros(model.papers, np.intp)
+        columns = []
+        for k, f in self._views(state, most):
+            points = model.points[k]
+            paper, frame = np.full(len(points), k), np.full(len(points), f)
+            pixels = model.project(state, frame, paper, points)
+            beyond = model.project(state, frame, paper, points + 0.004 * model.outwards[k])
+            if not np.all(np.isfinite(pixels + beyond)):
+                continue
+            width = float(np.ptp(pixels, axis=0).min())
+            if width < _LEAST_WIDTH_PX:
+                continue
+            normal = _normals(pixels, beyond - pixels)
+            reach = min(reach_px, max(5.0, 0.6 * width))
+            image, hue = self._frames[f].image, self._hues[k]
+            found = locate_edges(image, pixels, normal, hue, reach, gamma)
+            tried[k] += len(side)
+            for kind in (0, 1):
+                good = np.isfinite(found.offset_px[kind])
+                columns.append(
+                    (
+                        paper[middle][good],
+                        frame[middle][good],
+                        side[good],
+                        np.full(int(good.sum()), kind),
+                        points[middle][good],
+                        normal[middle][good],
+                        found.offset_px[kind, good],
+                        found.sigma_px[kind, good],
+                        found.by_gamma[kind, good],
+                    )
+                )
+        if not tried.any():
+            return None
+        *known, by_gamma = (np.concatenate(c) for c in zip(*columns, strict=True))
+        # Noise moves an edge and its slope alike: each slope by itself would bend gamma.
+        _, group = np.unique(known[0] * 8 + known[2] * 2 + known[3], return_inverse=True)
+        by_gamma = (np.bincount(group, by_gamma) / np.bincount(group))[group]
+        paper, frame, edge, bright, points, normal, offset, sigma = known
+        return _Measured(
+            paper, frame, edge, bright, points, normal, offset, sigma, by_gamma, tried, gamma
+        )
+
+    def _views(self, state: FloatArray, most: int) -> list[tuple[int, int]]:
+        """Papers and the frames that show them nearest to the middle."""
+        camera = self._frames[0].camera
+        half = 0.5 * np.array([camera.width, camera.height])
+        frames = np.arange(len(self._frames))
+        pairs = []
+        for k in np.flatnonzero(papers_in_view(self._model.axis_xy(state), self._room)):
+            center = np.tile(self._model.points[k].mean(axis=0), (len(frames), 1))
+            pixels = self._model.project(state, frames, np.full(len(frames), k), center)
+            off = np.abs(pixels - half)
+            shown = np.isfinite(off).all(axis=1) & (off < half).all(axis=1)
+            order = np.flatnonzero(shown)[np.argsort(np.linalg.norm(off[shown], axis=1))]
+            pairs += [(int(k), int(f)) for f in order[:most]]
+        return pairs
+
+    def _solve(
+        self,
+        m: _Measured,
+        base: FloatArray,
+        state: FloatArray,
+        doubt: float,
+        angle_sigma: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, PaperFit]:
+        """One step of reweighted Gauss-Newton from `state`; edges were measured at `base`."""
+        model = self._model
+        shared = edge_sigma_px(self._priors, m.bright)
+        moved = model.project(state, m.frame, m.paper, m.points)
+        moved -= model.project(base, m.frame, m.paper, m.points)
+        jacobian = model.jacobian(state, m.frame, m.paper, m.points, m.normal)
+        rows = np.arange(len(m.bright))
+        jacobian[rows, GAMMA + m.bright] = -m.by_gamma
+        jacobian[:, SHIFT : SHIFT + 2] = np.where(m.bright[:, None] > 0, 0.0, m.normal)
+        innovation = (
+            m.offset_px
+            - np.sum(moved * m.normal, 1)
+            + m.by_gamma * (state[GAMMA + m.bright] - m.gamma)
+            - jacobian[:, SHIFT : SHIFT + 2] @ state[SHIFT : SHIFT + 2]
+        )
+        doubtful = innovation**2 / (m.sigma_px**2 + shared**2)
+        weight = (1.0 + doubtful / doubt) ** -2.0 / m.sigma_px**2
+        weight[doubtful > 4.0 * doubt] = 0.0
+        edge = model.edge_index(m.paper, m.edge, m.bright)
+        jacobian[rows, edge] = shared
+
+        prior = model.prior(self._priors, angle_sigma)
+        usual = model.start(state[:3])
+        information = (jacobian * weight[:, None]).T @ jacobian + np.diag(prior)
+        left = innovation - shared * state[edge]
+        right = jacobian.T @ (weight * left) + prior * (usual - state)
+        step = np.linalg.solve(information, right)
+        covariance = np.linalg.inv(information)
+        state = state + step
+
+        left = left - jacobian @ step
+        usual[:3] = state[:3]
+        chi = np.sum(weight * left**2) + np.sum(prior * (state - usual) ** 2)
+        misfit = float(chi / max(1.0, np.sum(weight * m.sigma_px**2) - 3.0))
+        by_color = m.bright == 0
+        found = np.bincount(m.paper[by_color], minlength=model.papers)
+        agreed = by_color & (doubtful < _SURELY_WRONG)
+        order = [0, 1, 3, 2]
+        fit = PaperFit(
+            state[:3].copy(),
+            float(state[3]),
+            covariance[np.ix_(order, order)] * max(1.0, misfit),
+            found / np.maximum(m.tried, 1),
+            np.bincount(m.paper[agreed], minlength=model.papers) / np.maximum(found, 1),
+            model.hang(state).copy(),
+            state[4:6].copy(),
+            misfit,
+        )
+        # The sweep itself tells how exact its joint angles are (expectation maximization).
+        used = np.unique(m.frame)
+        left_over = model.angles(state)[used] ** 2 + model.angles(np.diag(covariance))[used]
+        trusted = _TRUSTED_FRAMES * self._priors.angle_rad**2
+        spread = (trusted + left_over.sum(axis=0)) / (_TRUSTED_FRAMES + len(used))
+        return state, np.sqrt(spread), fit
+
+
+def _normals(pixels: FloatArray, outwards: FloatArray) -> FloatArray:
+    """Unit normals (n, 2) of four edges in turn, towards where `outwards` (n, 2) points."""
+    edges = pixels.reshape(EDGES, -1, 2)
+    along = np.asarray(np.gradient(edges, axis=1)).reshape(-1, 2)
+    normal = np.stack([along[:, 1], -along[:, 0]], 1)
+    normal *= np.sign(np.sum(normal * outwards, 1, keepdims=True))
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9))

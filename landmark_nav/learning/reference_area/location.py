@@ -1,0 +1,236 @@
+"""
+Where a sweep was taken, from coloured papers that hang at known places.
+
+Blobs in the panorama give hypotheses; the edges of the papers, found to sub-pixel in every frame
+that shows them, then decide and refine. Livatino and Madsen triangulate the three papers; all
+their edges together say the same more accurately, and their sizes tell wrong combinations from
+right ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.reference_area.blobs import ColorSearch
+from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
+from landmark_nav.learning.reference_area.model import PaperPriors
+from landmark_nav.learning.reference_area.refusals import (
+    LEAST_AGREED,
+    measured_papers,
+    place_text,
+    why_not,
+    wrong_prior,
+)
+from landmark_nav.learning.reference_area.search import find_places, papers_in_view
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray, Sweep
+
+__all__ = [
+    'LEAST_PAPERS',
+    'ReferenceAreaConfig',
+    'SweepPlace',
+    'check_agreement',
+    'locate_sweep',
+    'optical_height',
+]
+
+# Papers that it takes; with two there is no telling whether one hangs elsewhere.
+LEAST_PAPERS = 3
+# What is seen of all of them together, in whole papers.
+_LEAST_EVIDENCE = 1.6
+_MOST_MISFIT = 6.0
+# A place that costs so much more than one that fits is not worth a look.
+_HOPELESS = 20.0
+# Squared deviation of two places that are one: chi-square of 3 beyond all doubt.
+_DISAGREEMENT = 35.0
+# Places are told apart with so many frames a paper.
+_QUICK_FRAMES = 2
+
+
+@dataclass(frozen=True)
+class ReferenceAreaConfig:
+    """What is not exactly known when a place is measured from the papers."""
+
+    paper_sigma_m: float = parameter(
+        0.001, 'standard deviation of how exactly a paper hangs, metres', minimum=0, maximum=0.1
+    )
+    height_sigma_m: float = parameter(
+        0.005, "standard deviation of the camera's height, metres", minimum=1e-5, maximum=0.5
+    )
+    horizon_sigma_rad: float = parameter(
+        0.003, "standard deviation of the pan axis' tilt, radians", minimum=1e-6, maximum=0.2
+    )
+    edge_sigma_px: float = parameter(
+        0.05, 'standard deviation that all points of one edge share, pixels', minimum=0, maximum=2
+    )
+    pan_sigma_rad: float = parameter(
+        2e-4, 'standard deviation of the joint angles of a frame', minimum=0, maximum=0.1
+    )
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+@dataclass(frozen=True, eq=False)
+class SweepPlace:
+    """
+    Where a sweep was taken.
+
+    `pose_map_base` (3,) and `height_m` of the optical centre, `covariance` (4, 4) of x, y, z,
+    heading.
+    """
+
+    pose_map_base: FloatArray
+    height_m: float
+    covariance: FloatArray
+
+
+def locate_sweep(
+    sweep: Sweep,
+    view: CylinderImage,
+    room: Room,
+    mount: PanTiltMount,
+    config: ReferenceAreaConfig,
+) -> SweepPlace:
+    """
+    Measure the place of a sweep from the reference papers.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        The frames.
+    view : CylinderImage
+        The same as a cylinder in the base frame, to look for the papers in.
+    room : Room
+        Papers and walls in map.
+    mount : PanTiltMount
+        Pan axis in the base frame.
+    config : ReferenceAreaConfig
+        Prior standard deviations.
+
+    Returns
+    -------
+    SweepPlace
+
+    Raises
+    ------
+    LandmarkNavError
+        Fewer than three papers in the room or in sight, papers that don't hang as the room says,
+        or more than one place fits.
+
+    """
+    if len(room.papers) < LEAST_PAPERS:
+        raise LandmarkNavError(
+            f'the room names {len(room.papers)} reference papers: hang three and list them in '
+            'room.yaml, or give the pose of each sweep (sweep/pose)'
+        )
+    height = optical_height(sweep, mount)
+    search = ColorSearch(view)
+    colors = {color: search.blobs(color) for color in {p.color for p in room.papers}}
+    blobs = [colors[paper.color] for paper in room.papers]
+    priors = PaperPriors(
+        config.paper_sigma_m,
+        config.height_sigma_m,
+        config.horizon_sigma_rad,
+        config.edge_sigma_px,
+        config.pan_sigma_rad,
+    )
+    places = find_places(blobs, room, height)
+    fitter = PaperFitter(sweep, room, mount, priors)
+    lever = np.array([*mount.axis_xyz[:2], 0.0])
+    fits: list[PaperFit] = []
+    enough = np.inf
+    for place in places:
+        if place.cost > enough:
+            break
+        fit = fitter.fit(se2.compose(place.axis_pose, se2.inverse(lever)), _QUICK_FRAMES)
+        if fit is not None and room.contains(fit.pose_map_base[:2]):
+            fits.append(fit)
+            if _fits(fit, room):
+                enough = min(enough, place.cost + _HOPELESS)
+    good = sorted((f for f in fits if _fits(f, room)), key=lambda f: -_support(f))
+    if not good:
+        raise LandmarkNavError(why_not(blobs, places, fits, room, height))
+    for other in good[1:]:
+        away = se2.relative(good[0].pose_map_base, other.pose_map_base)
+        distinct = np.hypot(away[0], away[1]) > 0.1 or abs(away[2]) > 0.05
+        if distinct and _support(other) > 0.8 * _support(good[0]):
+            raise LandmarkNavError(
+                'the reference papers are ambiguous: '
+                f'({place_text(good[0])}) and ({place_text(other)}) fit alike; '
+                'hang them at unequal distances'
+            )
+    fit = fitter.fit(good[0].pose_map_base)
+    if fit is None or not _fits(fit, room):
+        raise LandmarkNavError(why_not(blobs, places, [fit] if fit else [], room, height))
+    wrong = wrong_prior(fit, room, priors)
+    if wrong:
+        raise LandmarkNavError(wrong)
+    return SweepPlace(fit.pose_map_base, height + fit.rise_m, fit.covariance)
+
+
+def check_agreement(
+    pose_map_base: FloatArray,
+    covariance: FloatArray,
+    sweep: Sweep,
+    view: CylinderImage,
+    room: Room,
+    mount: PanTiltMount,
+    config: ReferenceAreaConfig,
+) -> None:
+    """
+    Compare a place that is given, (3,) and (3, 3), with what papers tell, where they are in sight.
+
+    Raises
+    ------
+    LandmarkNavError
+        They disagree.
+
+    """
+    try:
+        seen = locate_sweep(sweep, view, room, mount, config)
+    except LandmarkNavError:
+        return
+    plane = np.ix_([0, 1, 3], [0, 1, 3])
+    off = seen.pose_map_base - pose_map_base
+    off[2] = wrap_rad(off[2])
+    if off @ np.linalg.solve(covariance + seen.covariance[plane], off) > _DISAGREEMENT:
+        raise LandmarkNavError(
+            f'sweep/pose and the papers disagree by {100 * np.hypot(off[0], off[1]):.1f} cm and '
+            f'{np.degrees(abs(off[2])):.2f} deg, more than their covariances allow: mend the '
+            'pose or its covariance, or the papers in room.yaml'
+        )
+
+
+def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:
+    """Height of the optical centre above the base, mean of the frames, metres."""
+    pan = np.array([frame.pan_rad for frame in sweep.frames])
+    tilt = np.array([frame.tilt_rad for frame in sweep.frames])
+    return float(mount.camera_pose_base(pan, tilt)[1][:, 2].mean())
+
+
+def _fits(fit: PaperFit, room: Room) -> bool:
+    """Whether enough papers agree, and few contradict."""
+    measured = measured_papers(fit)
+    wrong = (fit.seen >= 0.5) & (fit.agreed < LEAST_AGREED)
+    expected = np.sum(papers_in_view(fit.pose_map_base[:2], room))
+    return bool(
+        measured.sum() >= LEAST_PAPERS
+        and measured.sum() > 2 * wrong.sum()
+        and np.sum((fit.seen * fit.agreed)[measured]) > max(_LEAST_EVIDENCE, 0.4 * expected)
+        and fit.misfit < _MOST_MISFIT
+    )
+
+
+def _support(fit: PaperFit) -> float:
+    """How much of the papers is there."""
+    return float(np.sum(fit.seen * fit.agreed)) / max(1.0, fit.misfit)

@@ -1,0 +1,136 @@
+"""Why papers give no place: what was expected, what was seen, and what to do about it."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.reference_area.blobs import PaperBlobs
+from landmark_nav.learning.reference_area.fit import PaperFit
+from landmark_nav.learning.reference_area.model import PaperPriors
+from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
+
+__all__ = ['LEAST_AGREED', 'measured_papers', 'place_text', 'why_not', 'wrong_prior']
+
+# Shares of a paper's edges: what must be found of it, and what of that must fit.
+_LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
+# In standard deviations: beyond that a prior is wrong.
+_WRONG_PRIOR = 4.0
+# More papers than that are not tried in other orders when nothing fits.
+_MOST_SWAPPED = 4
+
+
+def measured_papers(fit: PaperFit) -> npt.NDArray[np.bool_]:
+    """Which papers were found where they should hang, (papers,)."""
+    return np.asarray((fit.seen >= _LEAST_SEEN) & (fit.agreed >= LEAST_AGREED))
+
+
+def place_text(fit: PaperFit) -> str:
+    """A place in words."""
+    x, y, heading = fit.pose_map_base
+    return f'{x:.2f} m, {y:.2f} m, {np.degrees(heading):.0f} deg'
+
+
+def wrong_prior(fit: PaperFit, room: Room, priors: PaperPriors) -> str | None:
+    """What was taken as nearly known and turns out to be wrong; None if nothing does."""
+    if abs(fit.rise_m) > _WRONG_PRIOR * priors.height_m:
+        return (
+            f'the camera is {100 * fit.rise_m:.1f} cm higher than robot.yaml says, as the papers '
+            'show it: measure the height of camera and papers again'
+        )
+    turn = float(np.hypot(*fit.tilt_rad))
+    if turn > _WRONG_PRIOR * priors.tilt_rad:
+        return (
+            f'the pan axis leans by {np.degrees(turn):.1f} deg from what robot.yaml says, as the '
+            'papers show it: level the robot, or set pan_axis rpy'
+        )
+    hang = np.abs(fit.hang_m).max(axis=1)
+    worst = int(np.argmax(hang))
+    if hang[worst] > _WRONG_PRIOR * max(priors.paper_m, 1e-4):
+        return (
+            f'the {room.papers[worst].color} paper hangs {100 * hang[worst]:.1f} cm from where '
+            'room.yaml says, as the others show it: measure the papers again'
+        )
+    return None
+
+
+def why_not(
+    blobs: list[PaperBlobs],
+    places: list[PaperPlace],
+    fits: list[PaperFit],
+    room: Room,
+    height: float,
+) -> str:
+    """What was expected, what was seen, and what to do."""
+    missing = [p.color for p, b in zip(room.papers, blobs, strict=True) if not len(b.misfit)]
+    expected = ', '.join(p.color for p in room.papers)
+    if missing:
+        return (
+            f'reference papers not found: {", ".join(missing)} of {expected}; '
+            'see that they hang in view and in light'
+        )
+    swapped = _swapped(blobs, places, room, height)
+    if swapped:
+        return swapped
+    if fits:
+        best = max(fits, key=lambda fit: float(np.sum(fit.seen * (fit.agreed > 0.95))))
+        in_view = papers_in_view(best.pose_map_base[:2], room)
+        told = ', '.join(
+            f'{paper.color} '
+            + (
+                'fits'
+                if measured
+                else 'is out of view'
+                if not seen_from
+                else f'shows {100 * seen:.0f} % of its edges, {100 * agreed:.0f} % of them fit'
+            )
+            for paper, measured, seen_from, seen, agreed in zip(
+                room.papers, measured_papers(best), in_view, best.seen, best.agreed, strict=True
+            )
+        )
+        alone = bool((measured_papers(best) | ~in_view).all())
+        remedy = (
+            'not all together: check how the pan axis stands in robot.yaml, and where the papers '
+            'hang in room.yaml'
+            if alone
+            else 'uncover the papers, or check colours, sizes and places in room.yaml'
+        )
+        return (
+            f'no place in the room fits the papers; at the nearest, ({place_text(best)}), {told}: '
+            f'{remedy}'
+        )
+    counted = ', '.join(
+        f'{len(b.misfit)} {p.color}' for p, b in zip(room.papers, blobs, strict=True)
+    )
+    return (
+        f'no place in the room fits the blobs found ({counted}): '
+        'check colours, sizes and places of the papers in room.yaml, and the mount in robot.yaml'
+    )
+
+
+def _swapped(
+    blobs: list[PaperBlobs], places: list[PaperPlace], room: Room, height: float
+) -> str | None:
+    """Whether all would fit if papers had changed places."""
+    papers = room.papers
+    if len(papers) > _MOST_SWAPPED:
+        return None
+    cost = min((place.cost for place in places), default=np.inf)
+    best: tuple[int, ...] | None = None
+    for order in permutations(range(len(papers))):
+        if all(papers[k].color == paper.color for k, paper in zip(order, papers, strict=True)):
+            continue
+        found = find_places([blobs[k] for k in order], room, height)
+        if found and found[0].cost < cost and (found[0].blob >= 0).all():
+            best, cost = order, found[0].cost
+    if best is None:
+        return None
+    told = ', '.join(
+        f'{papers[k].color} where {paper.color} should hang'
+        for k, paper in zip(best, papers, strict=True)
+        if papers[k].color != paper.color
+    )
+    return f'the reference papers seem swapped, {told}: change them, or room.yaml'

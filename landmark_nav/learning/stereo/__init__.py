@@ -1,0 +1,12 @@
+"""Places of patches, from panoramas that both show them."""
+
+from __future__ import annotations
+
+from landmark_nav.learning.stereo.wall_stereo import (
+    compare,
+    hypothesize,
+    match_in,
+    StereoConfig,
+)
+
+__all__ = ['StereoConfig', 'compare', 'hypothesize', 'match_in']

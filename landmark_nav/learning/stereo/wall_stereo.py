@@ -1,0 +1,283 @@
+"""
+Stereo between panoramas: where candidates lie on the walls, found again from another place.
+
+A candidate's ray meets a wall; the patch of wall that it then shows is what the other panorama
+should show too, wherever it was taken from. Both views are resampled on the wall, so that slant
+and distance are undone and only the shift along the epipolar curve is left to search (McMillan
+and Bishop, SIGGRAPH 1995, give the curve; on the wall it is a short straight line).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.geometry.patches import patch_axes
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.stereo.wall_patch import (
+    covered_rows,
+    Float32Image,
+    moved_before,
+    Sighting,
+    texels_per_pixel,
+    wall_texture,
+    WallPatch,
+)
+from landmark_nav.matching import blur_to, match_template
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
+
+__all__ = ['StereoConfig', 'compare', 'hypothesize', 'match_in']
+
+# Depths before the wall that scale must rule out, and by how much correlation.
+_OTHER_DEPTHS_M = (0.2, 0.4)
+_SCALE_MARGIN = 0.03
+# How far places may be wrong, in their sigmas, and where a search on the wall ends.
+_SIGMAS = 3.0
+_LARGEST_MARGIN_M = 0.5
+
+
+@dataclass(frozen=True)
+class StereoConfig:
+    """What counts as the same patch seen from two places."""
+
+    min_score: float = parameter(
+        0.75, 'least normalized cross-correlation between two views', minimum=0, maximum=1
+    )
+    max_second_ratio: float = parameter(
+        0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1
+    )
+    max_incidence_rad: float = parameter(
+        1.15, 'greatest angle between a view and the normal', minimum=0.1, maximum=1.5
+    )
+    min_parallax_rad: float = parameter(
+        0.10, 'least angle between two views of a landmark', minimum=0, maximum=1.5
+    )
+    min_scale_ratio: float = parameter(
+        1.25, 'least ratio of distances that shows a depth by scale', minimum=1, maximum=10
+    )
+    behind_wall_m: float = parameter(
+        0.15, 'how far behind the wall a match is searched', minimum=0, maximum=2
+    )
+    before_wall_m: float = parameter(
+        0.5, 'how far before the wall a match is searched', minimum=0, maximum=5
+    )
+    max_return_px: float = parameter(
+        1.0,
+        'how near to where it came from a match must lead back, pixels',
+        minimum=0.05,
+        maximum=20,
+    )
+    margin_m: float = parameter(
+        0.04,
+        'search around the epipolar line, at least: more where places are uncertain',
+        minimum=0.005,
+        maximum=0.5,
+    )
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+def hypothesize(
+    candidate: Candidate, source: int, panorama: Panorama, room: Room, config: StereoConfig
+) -> WallPatch | Refusal:
+    """Patch of wall behind a candidate of panorama number `source`."""
+    cylinder = panorama.cylinder
+    azimuth = float(cylinder.azimuth_rad(candidate.column)) + panorama.heading_rad
+    tangent = float(cylinder.tangent(candidate.row))
+    distances, walls = room.raycast(panorama.center_map[:2], azimuth)
+    distance, wall = float(distances), int(walls)
+    if wall < 0:
+        return Refusal('no wall behind it')
+    height = float(panorama.center_map[2]) + distance * tangent
+    normal = room.normals[wall]
+    direction = np.array([np.cos(azimuth), np.sin(azimuth)])
+    cosine = float(-direction @ normal[:2])
+    if cosine < np.cos(config.max_incidence_rad):
+        return Refusal('too oblique', f'{np.degrees(np.arccos(cosine)):.0f} deg')
+    texel = distance / cylinder.fy
+    shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))
+    half = 0.5 * shape[0] * texel
+    if not half < height < room.walls[wall].height - half:
+        return Refusal('floor or ceiling', f'height {height:.2f} m')
+    position = np.append(panorama.center_map[:2] + distance * direction, height)
+    right, _ = patch_axes(normal)
+    ends = position[:2] + np.array([[-0.5], [0.5]]) * shape[1] * texel * right[:2]
+    start, side = room.walls[wall].start, np.subtract(room.walls[wall].end, room.walls[wall].start)
+    share = (ends - start) @ side / (side @ side)
+    if share.min() < 0.0 or share.max() > 1.0:
+        return Refusal('across the corner of two walls')
+    return WallPatch(candidate, source, wall, position, normal, shape, texel)
+
+
+def match_in(
+    patch: WallPatch,
+    other: int,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[Float32Image],
+    room: Room,
+    config: StereoConfig,
+) -> Sighting | Refusal:
+    """
+    Find a patch of one panorama in another, number `other`.
+
+    That it lies on the wall shows in its parallax or, seen from nearly the same side, in its
+    scale; where neither can tell it is refused.
+    """
+    here, there = panoramas[patch.source], panoramas[other]
+    if not room.visible(there.center_map[:2], patch.position[:2]):
+        return Refusal('hidden from the other place')
+    to_here = (here.center_map - patch.position)[:2]
+    to_there = (there.center_map - patch.position)[:2]
+    if to_there @ patch.normal[:2] < np.cos(config.max_incidence_rad) * np.hypot(*to_there):
+        return Refusal('too oblique from the other place')
+    turn = float(to_here[0] * to_there[1] - to_here[1] * to_there[0])
+    parallax = abs(float(np.arctan2(turn, to_here @ to_there)))
+    ratio = float(np.hypot(*to_here) / np.hypot(*to_there))
+    if parallax >= config.min_parallax_rad:
+        return compare(patch, other, panoramas, greys, config)
+    if max(ratio, 1.0 / ratio) < config.min_scale_ratio:
+        return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
+    found = compare(patch, other, panoramas, greys, config)
+    if isinstance(found, Sighting):
+        for before in _OTHER_DEPTHS_M:
+            if before > 0.5 * min(to_here @ patch.normal[:2], to_there @ patch.normal[:2]):
+                continue
+            nearer = moved_before(patch, before, here)
+            rival = compare(nearer, other, panoramas, greys, config)
+            if isinstance(rival, Sighting) and rival.score > found.score - _SCALE_MARGIN:
+                return Refusal('too little parallax', 'its scale does not tell its distance')
+    return found
+
+
+def compare(
+    patch: WallPatch,
+    other: int,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[Float32Image],
+    config: StereoConfig,
+) -> Sighting | Refusal:
+    """
+    Match the two views resampled on the patch's plane, there and back.
+
+    `patch` may be anywhere; it is searched as far before and behind its plane as `config` says.
+    """
+    here, there = panoramas[patch.source], panoramas[other]
+    center, shape = _search_area(patch, here, there, config)
+    center, search = _window(there, greys[other], center, shape, patch)
+    template = wall_texture(
+        here, greys[patch.source], patch.position, patch.normal, patch.shape, patch.texel_m
+    )
+    if search is None or template is None:
+        return Refusal('not covered by both panoramas')
+    # The sharper view is blurred to what the other can show, or the peak would suffer.
+    own, seen = (texels_per_pixel(patch, p) for p in (here, there))
+    match = match_template(
+        blur_to(search, own, seen),
+        blur_to(template, seen, own),
+        min_score=config.min_score,
+        max_second_ratio=config.max_second_ratio,
+    )
+    if isinstance(match, Refusal):
+        return match
+    right, down = patch_axes(patch.normal)
+    across, below = (match.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
+    point = center + across * right + below * down
+    template = wall_texture(there, greys[other], point, patch.normal, patch.shape, patch.texel_m)
+    back_center, search = _window(here, greys[patch.source], patch.position, shape, patch)
+    if search is None or template is None:
+        return Refusal('not covered by both panoramas')
+    back = match_template(
+        blur_to(search, seen, own),
+        blur_to(template, own, seen),
+        min_score=0.9 * config.min_score,
+        max_second_ratio=config.max_second_ratio,
+    )
+    if isinstance(back, Refusal):
+        return Refusal('no way back', str(back))
+    across, below = (back.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
+    missed = (back_center + across * right + below * down - patch.position) / patch.texel_m
+    # In pixels of the coarser view.
+    off = float(np.hypot(missed @ right, missed @ down) / max(own.max(), seen.max()))
+    if off > config.max_return_px:
+        return Refusal('no way back', f'leads {off:.1f} px away')
+    ray = point - there.center_map
+    reach = float(np.hypot(ray[0], ray[1]))
+    cosine = -float(ray[:2] @ patch.normal[:2]) / reach
+    sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
+    return Sighting(
+        other,
+        float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
+        float(ray[2]) / reach,
+        float(sigma[0]) * cosine,
+        float(sigma[1]),
+        match.score,
+    )
+
+
+def _window(
+    panorama: Panorama,
+    grey: Float32Image,
+    center: FloatArray,
+    shape: tuple[int, int],
+    patch: WallPatch,
+) -> tuple[FloatArray, Float32Image | None]:
+    """Centre (3,) and view of the rows of a window on the patch's plane that are covered."""
+    rows = covered_rows(panorama, center, patch.normal, shape, patch.texel_m)
+    count = rows.stop - rows.start
+    if count < patch.shape[0] + 4:
+        return center, None
+    shift = (rows.start + (count - 1) / 2.0 - (shape[0] - 1) / 2.0) * patch.texel_m
+    center = center - np.array([0.0, 0.0, shift])
+    size = (count, shape[1])
+    return center, wall_texture(panorama, grey, center, patch.normal, size, patch.texel_m)
+
+
+def _search_area(
+    patch: WallPatch, here: Panorama, there: Panorama, config: StereoConfig
+) -> tuple[FloatArray, tuple[int, int]]:
+    """Centre (3,) and rows, columns of the wall where `there` may show the patch."""
+    # Depth along the source's ray moves the match along a line on the wall.
+    to_here = here.center_map - patch.position
+    reach = float(to_here @ patch.normal)
+    reach_there = float((there.center_map - patch.position) @ patch.normal)
+    # Not beyond half the way to either camera: near one, the line on the wall has no end.
+    before = min(config.before_wall_m, 0.5 * reach, 0.5 * reach_there)
+    shifts = [
+        _on_wall(patch, patch.position + depth / reach * to_here, there.center_map)
+        for depth in (-config.behind_wall_m, 0.0, before)
+    ]
+    uncertain = _SIGMAS * np.hypot(_sigma_on_wall(patch, here), _sigma_on_wall(patch, there))
+    margin = np.clip(uncertain, config.margin_m, _LARGEST_MARGIN_M) / patch.texel_m + 3.0
+    low = np.floor(np.min(shifts, 0) / patch.texel_m - margin).astype(int)
+    high = np.ceil(np.max(shifts, 0) / patch.texel_m + margin).astype(int)
+    right, down = patch_axes(patch.normal)
+    across, below = (low + high) / 2.0 * patch.texel_m
+    columns, rows = (high - low).tolist()
+    return (
+        patch.position + across * right + below * down,
+        (patch.shape[0] + rows, patch.shape[1] + columns),
+    )
+
+
+def _sigma_on_wall(patch: WallPatch, panorama: Panorama) -> FloatArray:
+    """Metres (2,) right and down on the wall by which the panorama's place misplaces the patch."""
+    ray = patch.position - panorama.center_map
+    # By x, y, z and heading; then along the ray back onto the wall.
+    moved = np.vstack([np.eye(3), [-ray[1], ray[0], 0.0]])
+    moved -= np.outer(moved @ patch.normal / (ray @ patch.normal), ray)
+    by_place = np.stack(patch_axes(patch.normal)) @ moved.T
+    return np.asarray(np.sqrt(np.diag(by_place @ panorama.covariance @ by_place.T)))
+
+
+def _on_wall(patch: WallPatch, point: FloatArray, center: FloatArray) -> FloatArray:
+    """Metres right and down on the wall where a point appears from `center`."""
+    ray = point - center
+    scale = ((patch.position - center) @ patch.normal) / float(ray @ patch.normal)
+    shift = center + scale * ray - patch.position
+    right, down = patch_axes(patch.normal)
+    return np.array([shift @ right, shift @ down])

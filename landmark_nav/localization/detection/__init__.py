@@ -1,0 +1,12 @@
+"""Landmarks found in a picture: what to expect, how it looks, where it is."""
+
+from __future__ import annotations
+
+from landmark_nav.localization.detection.correlation import (
+    camera_in_map,
+    detect_landmarks,
+    DetectionConfig,
+    DetectionResult,
+)
+
+__all__ = ['DetectionConfig', 'DetectionResult', 'camera_in_map', 'detect_landmarks']

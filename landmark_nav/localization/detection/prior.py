@@ -1,0 +1,63 @@
+"""Where the robot should be when a picture was taken, out of fused poses with their speeds."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.geometry import se2
+from landmark_nav.localization.odometry.noise import twist_motion
+from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
+
+__all__ = ['PriorTrack']
+
+_HISTORY = 200
+# So far ahead the speeds tell where to look: a picture need not wait for the next odometry.
+_AHEAD_NS = 100_000_000
+
+
+class PriorTrack:
+    """
+    The last fused poses.
+
+    Parameters
+    ----------
+    max_age_s : float
+        How far in time a pose may be from where it is asked for.
+
+    """
+
+    def __init__(self, max_age_s: float) -> None:
+        self._max_age_s = max_age_s
+        self._known: deque[tuple[PoseEstimate, float, float]] = deque(maxlen=_HISTORY)
+
+    def add(self, pose: PoseEstimate, speeds: OdometrySample) -> None:
+        """Take a fused pose and the speeds of the same time."""
+        self._known.append((pose, speeds.linear_m_s, speeds.angular_rad_s))
+
+    @property
+    def newest(self) -> PoseEstimate | None:
+        """The last one, if any came."""
+        return self._known[-1][0] if self._known else None
+
+    def reaches(self, stamp_ns: int) -> bool:
+        """Whether a pose is known from which the speeds lead to that time well enough."""
+        return bool(self._known) and self._known[-1][0].stamp_ns >= stamp_ns - _AHEAD_NS
+
+    def at(self, stamp_ns: int) -> PoseEstimate | Refusal:
+        """Pose nearest in time, moved by its own speeds."""
+        known = tuple(self._known)
+        if not known:
+            return Refusal('no fused pose yet', 'give a start on initialpose')
+        # Of poses of the same time the last one counts: a picture has corrected it.
+        pose, linear, angular = min(
+            reversed(known), key=lambda entry: abs(entry[0].stamp_ns - stamp_ns)
+        )
+        seconds = (stamp_ns - pose.stamp_ns) * 1e-9
+        if abs(seconds) > self._max_age_s:
+            return Refusal('no fused pose near its stamp', f'the nearest is {seconds:+.2f} s off')
+        motion = twist_motion(linear, angular, seconds)
+        moved = np.asarray(se2.compose(pose.pose, motion))
+        return replace(pose, stamp_ns=stamp_ns, pose=moved)

@@ -1,0 +1,248 @@
+"""Whether the filter can be believed: tracking, coasting or lost, and why."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import ceil
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray, PoseEstimate, Refusal
+
+__all__ = ['Health', 'HealthConfig', 'Status']
+
+Status = Literal['tracking', 'coasting', 'lost']
+
+
+# So many bearings of one picture speak for themselves, however many others are missing.
+_ENOUGH = 4
+
+
+@dataclass(frozen=True)
+class HealthConfig:
+    """When the filter calls itself coasting or lost."""
+
+    coasting_after_s: float = parameter(
+        1.0, 'Seconds without an accepted measurement until coasting.', minimum=0.0, maximum=3600.0
+    )
+    lost_after_rejections: int = parameter(
+        5, 'Measurements rejected in a row until lost.', minimum=1, maximum=1000
+    )
+    found_after_acceptances: int = parameter(
+        3, 'Measurements accepted in a row until no longer lost.', minimum=1, maximum=1000
+    )
+    lost_sigma_m: float = parameter(
+        1.0, 'Position sigma (root of the trace) above which the filter is lost, m.', minimum=0.0
+    )
+    lost_sigma_rad: float = parameter(
+        0.5, 'Heading sigma above which the filter is lost, rad.', minimum=0.0
+    )
+    trouble_s: float = parameter(
+        2.0, 'How long trouble with the odometry is told, s.', minimum=0.0, maximum=3600.0
+    )
+    missing_s: float = parameter(
+        1.4,
+        'Seconds in which next to nothing of what should be in view is found until lost.',
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    missing_expected: int = parameter(
+        10, 'Landmarks that should have been in view by then, at least.', minimum=1, maximum=10000
+    )
+    missing_share: float = parameter(
+        0.15, 'Share of them that counts as next to nothing.', minimum=0.0, maximum=1.0
+    )
+    missing_extent_m: float = parameter(
+        0.9,
+        'What is missing must reach further along the walls, m: one picture may be exchanged.',
+        minimum=0.0,
+        maximum=100.0,
+    )
+    usable_share: float = parameter(
+        0.3,
+        'Share of what should be in a picture that has to be found for it to be used.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    found_share: float = parameter(
+        0.4, 'Share of them that has to be found to be no longer lost.', minimum=0.0, maximum=1.0
+    )
+    nis_window: int = parameter(
+        10, 'Accepted measurements whose innovations are judged together.', minimum=1, maximum=1000
+    )
+    nis_correlation: float = parameter(
+        5.0,
+        'How many measurements in a row repeat one error: the same landmarks, the same map.',
+        minimum=1.0,
+        maximum=1000.0,
+    )
+    nis_probability: float = parameter(
+        0.999, 'Chi-square level of that window.', minimum=0.5, maximum=1.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+class _View(NamedTuple):
+    """What a picture showed."""
+
+    stamp_ns: int
+    found: int
+    missed: FloatArray
+
+
+class Health:
+    """Counts what was accepted and rejected."""
+
+    def __init__(self, config: HealthConfig) -> None:
+        """Start as never initialized."""
+        self._config = config
+        self._accepted_ns: int | None = None
+        self._rejections = 0
+        self._acceptances = 0
+        self._astray: str = ''
+        self._last_refusal: str = ''
+        self._window: deque[tuple[float, int]] = deque(maxlen=config.nis_window)
+        self._views: deque[_View] = deque()
+        self._missing = 0
+        self._trouble: tuple[int, str] | None = None
+
+    def restart(self, stamp_ns: int) -> None:
+        """Forget everything: a pose was given at that time."""
+        self._accepted_ns = stamp_ns
+        self._rejections = self._acceptances = 0
+        self._astray = self._last_refusal = ''
+        self._window.clear()
+        self._views.clear()
+        self._missing = 0
+
+    @property
+    def astray(self) -> bool:
+        """Whether measurements have contradicted the state for so long that it is not believed."""
+        return bool(self._astray)
+
+    @property
+    def missing(self) -> int:
+        """Pictures since lost in which next to nothing was found of what should be there."""
+        return self._missing
+
+    def least(self, expected: int) -> int:
+        """
+        How many bearings must agree with each other where so many should be in view.
+
+        What agrees with a pose that was contradicted before may be mistaken: three bearings have
+        a say of their own.
+        """
+        if self._astray:
+            return max(3, ceil(self._config.found_share * expected))
+        return 3 if self._rejections and expected >= 3 else 1
+
+    def too_few(self, found: int, expected: int) -> bool:
+        """Whether those found among so many that are missing may be mistaken themselves."""
+        # Several that are mistaken hardly agree with each other and with where they should be.
+        return found < min(self._config.usable_share * expected, _ENOUGH)
+
+    def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
+        """Remember that the odometry cannot be what it says."""
+        self._trouble = (stamp_ns, str(refusal))
+
+    def look(self, stamp_ns: int, found: int, missed: FloatArray) -> None:
+        """
+        Count what a picture showed of the landmarks that should be in view.
+
+        A wrong pose finds next to nothing where it looks, for as long as it is wrong; a covered
+        landmark or an exchanged picture leaves the others. `missed` (n, 3) are the places of those
+        not found.
+        """
+        if not found and not len(missed):
+            return
+        config = self._config
+        self._views.append(_View(stamp_ns, found, missed))
+        while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > config.missing_s:
+            self._views.popleft()
+        places = np.concatenate([view.missed for view in self._views])
+        found = sum(view.found for view in self._views)
+        expected = found + len(places)
+        lasts = (stamp_ns - self._views[0].stamp_ns) * 1e-9 >= 0.6 * config.missing_s
+        enough = lasts and expected >= config.missing_expected
+        if not enough or found > config.missing_share * expected:
+            return
+        if np.linalg.norm(np.ptp(places[:, :2], axis=0)) > config.missing_extent_m:
+            self._missing += 1
+            self._acceptances = 0
+            self._astray = (
+                f'{found} of {expected} landmarks that should be in the last '
+                f'{len(self._views)} pictures were found'
+            )
+
+    def note(self, refusal: Refusal) -> None:
+        """Remember why a measurement could not even be tried."""
+        self._last_refusal = f', last: {refusal}'
+
+    def observe(self, update: FusionUpdate) -> None:
+        """Take note of a measurement's fate."""
+        if update.degrees:
+            self._rejections = 0
+            self._last_refusal = ''
+            self._acceptances += 1
+            self._accepted_ns = max(self._accepted_ns or 0, update.stamp_ns)
+            self._window.append((update.nis, update.degrees))
+            if self._acceptances >= self._config.found_after_acceptances:
+                self._astray = ''
+                self._missing = 0
+        elif update.refusal is not None:
+            self.note(update.refusal)
+            self._rejections += 1
+            self._acceptances = 0
+            if self._rejections >= self._config.lost_after_rejections:
+                self._astray = (
+                    f'{self._rejections} measurements rejected in a row, last: {update.refusal}'
+                )
+                self._window.clear()
+
+    def status(
+        self, estimate: PoseEstimate | None, odometry_ns: int | None = None
+    ) -> tuple[Status, str]:
+        """
+        Judge an estimate; the reason is empty while tracking.
+
+        `odometry_ns` is the time of the last odometry, if any came.
+        """
+        if estimate is None or self._accepted_ns is None:
+            return 'lost', 'no start pose: give one on initialpose or call relocalize'
+        if self._astray:
+            return 'lost', self._astray
+        sigma = float(np.sqrt(np.trace(estimate.covariance[:2, :2])))
+        sigma_heading = float(np.sqrt(estimate.covariance[2, 2]))
+        if sigma > self._config.lost_sigma_m or sigma_heading > self._config.lost_sigma_rad:
+            return 'lost', f'sigma is {sigma:.2f} m and {np.degrees(sigma_heading):.1f} deg'
+        nis, degrees = np.sum(self._window, axis=0) if self._window else (0.0, 0)
+        repeats = min(self._config.nis_correlation, max(len(self._window), 1))
+        level = 1.0 - self._config.nis_probability
+        limit = repeats * float(chdtri(max(degrees / repeats, 1.0), level))
+        if nis > limit:
+            return 'lost', (
+                f'innovations are too large: NIS {nis:.0f} over the last {len(self._window)} '
+                f'measurements, limit {limit:.0f}'
+            )
+        waited = (estimate.stamp_ns - self._accepted_ns) * 1e-9
+        if waited > self._config.coasting_after_s:
+            return 'coasting', f'nothing accepted for {waited:.1f} s{self._last_refusal}'
+        recent = self._config.trouble_s
+        trouble, reason = self._trouble or (-(10**18), '')
+        if (
+            odometry_ns is not None
+            and (blind := (estimate.stamp_ns - odometry_ns) * 1e-9) > self._config.coasting_after_s
+        ):
+            last = f', last: {reason}' if reason else ''
+            return 'coasting', f'no odometry for {blind:.1f} s{last}'
+        if 0.0 <= (estimate.stamp_ns - trouble) * 1e-9 < recent:
+            return 'coasting', reason
+        return 'tracking', ''

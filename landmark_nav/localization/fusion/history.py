@@ -1,0 +1,171 @@
+"""
+The last seconds of a filter: every measurement in its time, whenever it arrives.
+
+What came in is kept sorted by stamp, with the state after each. What comes late is inserted and
+all after it is repeated, so the result does not depend on the order of arrival. A measurement
+newer than the odometry is first used where the last twist leads, then again where the odometry
+says.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from landmark_nav.localization.fusion.state import FilterState, propagate
+from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.odometry.noise import (
+    Motion,
+    motion_variances,
+    OdometryNoiseConfig,
+)
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.types import OdometrySample, Refusal
+
+__all__ = ['History', 'Step']
+
+Step = Callable[[FilterState], tuple[FilterState, FusionUpdate | None]]
+
+# Odometry older by this is not late: the clock was set back, or the start pose had another one.
+_CLOCK_STEP_NS = 10**9
+# Odometry comes more often than a state of its own is worth: motions add up over their parts. Of
+# those in each such piece of time, counted from 1970, the first has one, whatever came when.
+_STRIDE_NS = 100_000_000
+# What may have happened while the clock was set back.
+_BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Event:
+    """What happens to the state at a time; `step` is None for odometry alone."""
+
+    stamp_ns: int
+    step: Step | None = None
+
+
+class History:
+    """
+    States of the last seconds, moved by odometry and changed by steps.
+
+    Parameters
+    ----------
+    config : OdometryNoiseConfig
+        How far odometry is to be trusted.
+    span_s : float
+        How late a step may come.
+
+    """
+
+    def __init__(self, config: OdometryNoiseConfig, span_s: float) -> None:
+        self._config = config
+        self._span_ns = int(span_s * 1e9)
+        self._track = OdometryTrack(config)
+        self._events: list[_Event] = []
+        self._states: list[FilterState] = []  # after each event
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a state: not before `restart`."""
+        return bool(self._states)
+
+    @property
+    def begin_ns(self) -> int:
+        """Time before which nothing can be inserted any more."""
+        return self._events[0].stamp_ns
+
+    @property
+    def odometry_ns(self) -> tuple[int, int] | None:
+        """First and last time of the odometry; None while there is none."""
+        return self._track.stamps_ns
+
+    def restart(self, state: FilterState) -> None:
+        """Begin anew with a state; odometry that came after it is kept."""
+        self._events = [_Event(state.stamp_ns)]
+        self._states = [state]
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """Move on; what was wrong with the sample, if anything."""
+        known = self._track.stamps_ns
+        newest_ns = self._events[-1].stamp_ns if self._events else known[1] if known else 0
+        if sample.stamp_ns < newest_ns - max(self._span_ns, _CLOCK_STEP_NS):
+            return self._turn_back(sample, newest_ns)
+        refusal = self._track.add(sample)
+        if not self._events or self._track.stamps_ns == known:
+            return refusal
+        if sample.stamp_ns > self.begin_ns:
+            # What was predicted since the sample before is now known better.
+            since = known[1] if known is not None else self.begin_ns
+            first = max(1, self._place(since))
+            if sample.stamp_ns // _STRIDE_NS != since // _STRIDE_NS:
+                self._events.insert(self._place(sample.stamp_ns), _Event(sample.stamp_ns))
+            if first < len(self._events):
+                self._repeat(first)
+        self._forget()
+        return refusal
+
+    def insert(self, stamp_ns: int, step: Step | None = None) -> FusionUpdate | None:
+        """Put a step in its place and repeat what follows; what became of the step."""
+        place = self._place(stamp_ns)
+        self._events.insert(place, _Event(stamp_ns, step))
+        update = self._repeat(place)
+        self._forget()
+        return update
+
+    def at(self, stamp_ns: int | None = None) -> FilterState:
+        """
+        State at a time, the newest one by default.
+
+        Beyond the last odometry its twist predicts for a short while, then only the covariance
+        grows. Before the history begins its first state is given.
+        """
+        if stamp_ns is None:
+            known = self._track.stamps_ns
+            stamp_ns = max(self._events[-1].stamp_ns, known[1] if known is not None else 0)
+        state = self._states[max(self._place(stamp_ns) - 1, 0)]
+        return self._moved(state, max(stamp_ns, state.stamp_ns))
+
+    def _place(self, stamp_ns: int) -> int:
+        return bisect_right(self._events, stamp_ns, key=lambda event: event.stamp_ns)
+
+    def _moved(self, state: FilterState, stamp_ns: int) -> FilterState:
+        if stamp_ns == state.stamp_ns:
+            return state
+        motion = self._track.motion(state.stamp_ns, stamp_ns)
+        return propagate(state, stamp_ns, motion, self._config)
+
+    def _repeat(self, first: int) -> FusionUpdate | None:
+        """Compute the states from event `first` on; what became of that event."""
+        del self._states[first:]
+        updates = []
+        for event in self._events[first:]:
+            state, update = self._moved(self._states[-1], event.stamp_ns), None
+            if event.step is not None:
+                state, update = event.step(state)
+            self._states.append(state)
+            updates.append(update)
+        return updates[0]
+
+    def _forget(self) -> None:
+        """Drop events older than the span, all but the last of them."""
+        drop = self._place(self._events[-1].stamp_ns - self._span_ns) - 1
+        if drop > 0:
+            del self._events[:drop], self._states[:drop]
+            self._track.trim(self.begin_ns)
+
+    def _turn_back(self, sample: OdometrySample, last_ns: int) -> Refusal:
+        """Go on from the newest state where time has gone back (a bag that starts over)."""
+        self._track = OdometryTrack(self._config)
+        self._track.add(sample)
+        if self._states:
+            covariance = self._states[-1].covariance.copy()
+            covariance[:3, :3] += np.diag(motion_variances(_BLIND_SECOND, self._config))
+            self.restart(
+                replace(self._states[-1], stamp_ns=sample.stamp_ns, covariance=covariance)
+            )
+        return Refusal(
+            'clock was set back',
+            f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
+        )

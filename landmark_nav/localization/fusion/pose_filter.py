@@ -1,0 +1,307 @@
+"""
+Fusion of bearings with odometry: a Schmidt-Kalman filter that knows when it is lost.
+
+`state` holds the equations, `update` the gates, `history` the order of time
+and `health` the verdict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
+from landmark_nav.localization.fusion.history import History, Step
+from landmark_nav.localization.fusion.state import FilterState, initial_state
+from landmark_nav.localization.fusion.turn import update_turning
+from landmark_nav.localization.fusion.update import (
+    bearing_frame,
+    FusionUpdate,
+    update_pose,
+)
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+__all__ = ['FusionConfig', 'FusionUpdate', 'PoseFilter']
+
+
+@dataclass(frozen=True)
+class FusionConfig:
+    """What the filter takes and how strictly."""
+
+    mode: str = parameter(
+        'bearings',
+        'What corrects the odometry: every bearing by itself, or triangulated poses.',
+        choices=('bearings', 'poses'),
+    )
+    landmarks: str = parameter(
+        'consider',
+        'Landmark errors: carried along, so that the map is all that is ever claimed, or refined '
+        'by what is seen.',
+        choices=('consider', 'refine'),
+    )
+    bearing_probability: float = parameter(
+        0.999, 'Chi-square level of the gates for bearings.', minimum=0.5, maximum=1.0
+    )
+    pose_probability: float = parameter(
+        0.99, 'Chi-square level of the gate for poses.', minimum=0.5, maximum=1.0
+    )
+    pan_sigma_rad: float = parameter(
+        2e-4, 'Error of the pan angle, common to one picture, rad.', minimum=0.0, maximum=1.0
+    )
+    boresight_sigma_rad: float = parameter(
+        0.0,
+        'Sigma of a constant offset of all bearings that is estimated; 0 takes it as known.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    delay_sigma_s: float = parameter(
+        0.0,
+        'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '
+        'is estimated where the rate of the pan is known; 0 takes it as none, s.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    turn_sigma_rad: float = parameter(
+        0.035,
+        'Uncertainty of heading and boresight when all bearings are off by one angle; 0 has it '
+        'contradict the pose.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    history_s: float = parameter(
+        2.0, 'How late a measurement may come, s.', minimum=0.0, maximum=60.0
+    )
+    astray_sigma_m: float = parameter(
+        0.15,
+        'Position noise added with each picture that contradicts while lost, m.',
+        minimum=0.0,
+        maximum=10.0,
+    )
+    astray_sigma_rad: float = parameter(
+        0.05,
+        'Heading noise added with each picture that contradicts while lost, rad.',
+        minimum=0.0,
+        maximum=3.0,
+    )
+    astray_limit_m: float = parameter(
+        2.0, 'Position sigma at which that ends, m.', minimum=0.0, maximum=100.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+class PoseFilter:
+    """
+    Pose of ``base_link`` in map, out of odometry and landmarks.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        Landmarks with their joint covariance.
+    mount : PanTiltMount
+        Where the pan axis, the apex of all bearings, sits on the base.
+    config, odometry, health : optional
+        Parameters.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        mount: PanTiltMount,
+        config: FusionConfig | None = None,
+        odometry: OdometryNoiseConfig | None = None,
+        health: HealthConfig | None = None,
+    ) -> None:
+        """Wait for `initialize`."""
+        self._map = landmark_map
+        self._lever = np.asarray(mount.axis_xyz[:2], dtype=np.float64)
+        self._config = config or FusionConfig()
+        self._odometry = odometry or OdometryNoiseConfig()
+        self._history = History(self._odometry, self._config.history_s)
+        self._health = Health(health or HealthConfig())
+        self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
+
+    @property
+    def state(self) -> FilterState | None:
+        """The newest state, with the systematic errors; None before `initialize`."""
+        return self._history.at() if self._history.started else None
+
+    @property
+    def odometry_noise(self) -> OdometryNoiseConfig:
+        """How far odometry is to be trusted, as far as it was learned."""
+        state = self.state
+        return self._odometry if state is None else state.scales.of(self._odometry)
+
+    @property
+    def status(self) -> tuple[Status, str]:
+        """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
+        return self.status_at(None)
+
+    def status_at(self, stamp_ns: int | None) -> tuple[Status, str]:
+        """`status` as it will be at a time if nothing comes until then."""
+        known = self._history.odometry_ns
+        return self._health.status(self.estimate(stamp_ns), None if known is None else known[1])
+
+    def initialize(self, start: PoseEstimate) -> None:
+        """
+        Start anew at a pose; what was measured before its time no longer counts.
+
+        A stamp outside the odometry of the last seconds (RViz on another clock) is taken as now.
+
+        Raises
+        ------
+        LandmarkNavError
+            A pose or covariance that is not finite, or a covariance that is not positive.
+
+        """
+        if not _is_finite(start):
+            raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')
+        if np.linalg.eigvalsh(start.covariance)[0] < -1e-9:
+            raise LandmarkNavError('start pose: its covariance is not positive semidefinite')
+        known = self._history.odometry_ns
+        if known is not None and not known[0] <= start.stamp_ns <= known[1] + 10**9:
+            start = replace(start, stamp_ns=known[1])
+        self._history.restart(
+            initial_state(
+                start,
+                self._map,
+                self._odometry,
+                self._config.boresight_sigma_rad,
+                self._config.delay_sigma_s,
+            )
+        )
+        self._health.restart(start.stamp_ns)
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """
+        Move on.
+
+        Returns
+        -------
+        Refusal or None
+            What was wrong with the sample; the filter goes on without it.
+
+        """
+        refusal = self._history.add_odometry(sample)
+        if refusal is not None and refusal.reason == 'clock was set back':
+            self._health.restart(sample.stamp_ns)
+        if refusal is not None:
+            self._health.note_trouble(sample.stamp_ns, refusal)
+        return refusal
+
+    def add_detections(self, detections: Detections) -> FusionUpdate:
+        """Correct by the bearings of one picture, at its time."""
+        stamp = detections.stamp_ns
+        if self._config.mode != 'bearings':
+            return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
+        frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad)
+        refusal = self._untimely(stamp)
+        known = [k for k in detections.missed.tolist() if k in self._columns]
+        missed = self._map.positions[[self._columns[k] for k in known]]
+        expected = len(frame.columns) + len(missed)
+        if refusal is None and not len(frame.columns):
+            refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
+        elif refusal is None and self._health.too_few(len(frame.columns), expected):
+            refusal = Refusal('too few found', f'{len(frame.columns)} of {expected} landmarks')
+        if refusal is not None:
+            self._health.note(refusal)
+            self._health.look(stamp, 0, missed)
+            return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
+        update = self._measure(
+            stamp,
+            partial(
+                update_turning,
+                frame=frame,
+                ids=self._map.ids,
+                lever=self._lever,
+                probability=self._config.bearing_probability,
+                odometry=self._odometry,
+                least=self._health.least(expected),
+                refine=self._config.landmarks == 'refine',
+                turn_sigma=self._config.turn_sigma_rad,
+            ),
+        )
+        self._health.look(stamp, update.degrees, missed)
+        if update.turned_rad:
+            angle = f'{np.degrees(update.turned_rad):+.2f} deg'
+            reason = 'the camera, or the robot on the spot, was turned'
+            self._health.note_trouble(stamp, Refusal(reason, angle))
+        return update
+
+    def add_pose(self, measured: PoseEstimate) -> FusionUpdate:
+        """Correct by a triangulated pose of the base, at its time."""
+        stamp = measured.stamp_ns
+        if self._config.mode != 'poses':
+            return FusionUpdate(stamp, refusal=Refusal('mode is bearings', 'poses are not used'))
+        refusal = self._untimely(stamp)
+        if refusal is None and not _is_finite(measured):
+            refusal = Refusal('pose is not a number')
+        if refusal is not None:
+            self._health.note(refusal)
+            return FusionUpdate(stamp, refusal=refusal)
+        level = self._config.pose_probability
+        return self._measure(stamp, partial(update_pose, measured=measured, probability=level))
+
+    def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
+        """
+        Pose of the base at a time, the newest one by default; None before `initialize`.
+
+        Beyond the last odometry its twist predicts for a short while, then only the covariance
+        grows. Before the history begins its first state is given.
+        """
+        if not self._history.started:
+            return None
+        found = self._history.at(stamp_ns).estimate()
+        if not self._health.missing:
+            return found
+        # The place is doubted, not the motion: this goes when landmarks are found here again.
+        doubt = self._health.missing * self._doubt
+        doubt *= min(1.0, self._config.astray_limit_m**2 / (doubt[0] + 1e-300))
+        return replace(found, covariance=found.covariance + np.diag(doubt))
+
+    @property
+    def _doubt(self) -> FloatArray:
+        """Variances (3,) that each picture adds which contradicts a pose that is not believed."""
+        position, heading = self._config.astray_sigma_m, self._config.astray_sigma_rad
+        return np.square([position, position, heading])
+
+    def _untimely(self, stamp_ns: int) -> Refusal | None:
+        if not self._history.started:
+            return Refusal('not initialized', 'give a start pose')
+        late = (self._history.begin_ns - stamp_ns) * 1e-9
+        return Refusal('too late', f'{late:.3f} s before the history') if late > 0.0 else None
+
+    def _measure(self, stamp_ns: int, step: Step) -> FusionUpdate:
+        update = self._history.insert(stamp_ns, step)
+        assert update is not None
+        self._health.observe(update)
+        if self._health.astray and update.refusal is not None:
+            self._history.insert(stamp_ns, self._doubted)
+        return update
+
+    def _doubted(self, state: FilterState) -> tuple[FilterState, None]:
+        """Widen a state that measurements keep contradicting, until they can fit again."""
+        covariance = state.covariance.copy()
+        if np.trace(covariance[:2, :2]) < self._config.astray_limit_m**2:
+            covariance[range(3), range(3)] += self._doubt
+        return replace(state, covariance=covariance), None
+
+
+def _is_finite(estimate: PoseEstimate) -> bool:
+    return bool(np.isfinite(estimate.pose).all() and np.isfinite(estimate.covariance).all())

@@ -1,0 +1,287 @@
+"""
+The Schmidt-Kalman state and its two steps, as pure functions.
+
+Schmidt, Application of State-Space Methods to Navigation Problems, 1966: landmarks are consider
+states. Their errors and their correlations with the pose are carried along, but their places are
+not estimated, so repeated sightings never claim more than the map knows. On request they are
+estimated too (`correct` with `refine`), which is EKF-SLAM with the map as its prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import compose, compose_jacobians
+from landmark_nav.localization.fusion.noise import NoiseScales
+from landmark_nav.localization.odometry.noise import (
+    blind_variances,
+    Motion,
+    OdometryNoiseConfig,
+    sensed_variances,
+)
+from landmark_nav.localization.triangulation.model import bearing_gradients, bearing_residuals
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+
+__all__ = [
+    'BORESIGHT',
+    'DELAY',
+    'HEADING',
+    'STATES',
+    'FilterState',
+    'MeasurementModel',
+    'bearing_model',
+    'correct',
+    'initial_state',
+    'pose_model',
+    'propagate',
+]
+
+IndexArray = npt.NDArray[np.intp]
+
+# x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight; by how
+# much the stamps of the joints are late.
+STATES = 9
+HEADING, BORESIGHT, DELAY = 2, 7, 8
+_SCALE, _DRIFT, _TURN_SCALE, _SLIP = 3, 4, 5, 6
+_BIASES = slice(_SCALE, _SLIP)
+
+
+@dataclass(frozen=True, eq=False)
+class FilterState:
+    """
+    What the filter knows at one time; never changed in place.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Time.
+    mean : ndarray, shape (STATES,)
+        Pose of the base in map and the systematic errors.
+    covariance : ndarray, shape (STATES, STATES)
+        Of `mean`.
+    cross : ndarray, shape (STATES, 2n)
+        Covariance of `mean` with the landmarks' (x, y).
+    landmarks : ndarray, shape (n, 2)
+        Their places in map, metres.
+    landmark_covariance : ndarray, shape (2n, 2n)
+        Their joint covariance.
+    scales : NoiseScales
+        How noisy the odometry turned out to be.
+    by_noise : ndarray, shape (2, STATES, STATES)
+        What of `covariance` comes from the odometry's noise, and from its side slip.
+
+    """
+
+    stamp_ns: int
+    mean: FloatArray
+    covariance: FloatArray
+    cross: FloatArray
+    landmarks: FloatArray
+    landmark_covariance: FloatArray
+    scales: NoiseScales
+    by_noise: FloatArray
+
+    def estimate(self) -> PoseEstimate:
+        """Return the pose alone."""
+        return PoseEstimate(self.stamp_ns, self.mean[:3].copy(), self.covariance[:3, :3].copy())
+
+
+class MeasurementModel(NamedTuple):
+    """
+    A linearised measurement of m numbers: what a Kalman step needs.
+
+    `innovation` (m,) is measured minus expected at the prior, `jacobian` (m, STATES) what is
+    measured differentiated by the state, `state_covariance` (STATES, m) the covariance of the
+    state with it, `map_covariance` (2n, m) that of the landmarks, `covariance` (m, m) its own.
+    """
+
+    innovation: FloatArray
+    jacobian: FloatArray
+    state_covariance: FloatArray
+    map_covariance: FloatArray
+    covariance: FloatArray
+
+
+def initial_state(
+    start: PoseEstimate,
+    landmark_map: LandmarkMap,
+    odometry: OdometryNoiseConfig,
+    boresight_sigma: float,
+    delay_sigma_s: float = 0.0,
+) -> FilterState:
+    """Return the state at a given pose, independent of the map."""
+    sigmas = np.array([*odometry.bias_sigmas, odometry.slip_sigma, boresight_sigma, delay_sigma_s])
+    covariance = np.zeros((STATES, STATES))
+    covariance[:3, :3] = start.covariance
+    covariance[range(3, STATES), range(3, STATES)] = sigmas**2
+    by_noise = np.zeros((2, STATES, STATES))
+    by_noise[1, _SLIP, _SLIP] = odometry.slip_sigma**2
+    return FilterState(
+        start.stamp_ns,
+        np.array([*start.pose, *np.zeros(STATES - 3)]),
+        covariance,
+        np.zeros((STATES, 2 * len(landmark_map.landmarks))),
+        landmark_map.positions[:, :2],
+        landmark_map.joint_covariance_xy,
+        NoiseScales.unknown(odometry),
+        by_noise,
+    )
+
+
+def propagate(
+    state: FilterState, stamp_ns: int, motion: Motion, config: OdometryNoiseConfig
+) -> FilterState:
+    """Move on by odometry, corrected by what is known of its systematic errors and its slip."""
+    forward, left, turn = motion.increment
+    way = float(np.hypot(forward, left))
+    scale, drift, turn_scale, slip = state.mean[_SCALE:BORESIGHT]
+    corrected = np.array(
+        [
+            (1.0 + scale) * forward,
+            (1.0 + scale) * left + slip * forward,
+            (1.0 + turn_scale) * turn + drift * forward,
+        ]
+    )
+    by_pose, by_motion = compose_jacobians(state.mean[:3], corrected)
+    kept = np.exp(-way / config.slip_length_m)
+    step = np.eye(STATES)
+    step[:3, :3] = by_pose
+    step[:3, _SCALE] = by_motion @ [forward, left, 0.0]
+    step[:3, _SLIP] = by_motion[:, 1] * forward
+    step[2, _DRIFT], step[2, _TURN_SCALE] = forward, turn
+    step[_SLIP, _SLIP] = kept
+
+    mean = state.mean.copy()
+    mean[:3] = compose(state.mean[:3], corrected)
+    mean[_SLIP] *= kept
+    scales = state.scales.moved(way, config)
+    noise, slipping, _ = scales.factors
+    added = (by_motion * (noise * sensed_variances(motion, config))) @ by_motion.T
+    slip_variance = slipping * config.slip_sigma**2 * (1.0 - kept * kept)
+    covariance = step @ state.covariance @ step.T
+    covariance[:3, :3] += added
+    if motion.blind_seconds > 0.0 or motion.ahead_s4 > 0.0:
+        covariance[:3, :3] += (by_motion * blind_variances(motion, config)) @ by_motion.T
+    covariance[_SLIP, _SLIP] += slip_variance
+    by_noise = step @ state.by_noise @ step.T
+    by_noise[0, :3, :3] += added
+    by_noise[1, _SLIP, _SLIP] += slip_variance
+    wander = (config.bias_change_per_sqrt_m * config.bias_sigmas) ** 2 * way
+    covariance[_BIASES, _BIASES] += np.diag(wander)
+    return replace(
+        state,
+        stamp_ns=stamp_ns,
+        mean=mean,
+        covariance=covariance,
+        cross=step @ state.cross,
+        scales=scales,
+        by_noise=by_noise,
+    )
+
+
+def bearing_model(
+    prior: FilterState,
+    at: FilterState,
+    columns: IndexArray,
+    bearings: FloatArray,
+    noise: FloatArray,
+    lever: FloatArray,
+    pan_rate: float = 0.0,
+) -> MeasurementModel:
+    """
+    Bearings with the uncertainty of a prior, linearised at a state.
+
+    Parameters
+    ----------
+    prior : FilterState
+        What is known without them.
+    at : FilterState
+        Where to linearise; its covariances are not used.
+    columns : ndarray of int, shape (m,)
+        Which landmarks.
+    bearings : ndarray, shape (m,)
+        What was measured, radians.
+    noise : ndarray, shape (m, m)
+        Measurement covariance, rad^2.
+    lever : ndarray, shape (2,)
+        Pan axis in the base frame, metres.
+    pan_rate : float
+        How fast the camera turned, rad/s: joint stamps that are late make bearings lag.
+
+    """
+    x, y, heading = at.mean[:3]
+    cos, sin = np.cos(heading), np.sin(heading)
+    arm = np.array([cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1]])
+    axis = np.array([x + arm[0], y + arm[1], heading])
+    seen = at.landmarks[columns]
+    shift = at.mean[BORESIGHT] - pan_rate * at.mean[DELAY]
+    residual = bearing_residuals(axis, seen, bearings - shift)
+    gradient = bearing_gradients(axis, seen)
+
+    jacobian = np.zeros((len(columns), STATES))
+    jacobian[:, :2] = gradient
+    jacobian[:, 2] = gradient[:, 1] * arm[0] - gradient[:, 0] * arm[1] - 1.0
+    jacobian[:, BORESIGHT] = 1.0
+    jacobian[:, DELAY] = -pan_rate
+
+    # The derivative by a landmark's x and y is minus the one by the axis'.
+    pair = np.stack([2 * columns, 2 * columns + 1], -1)
+    state_covariance = prior.covariance @ jacobian.T
+    state_covariance -= np.einsum('smi,mi->sm', prior.cross[:, pair], gradient)
+    map_covariance = prior.cross.T @ jacobian.T
+    map_covariance -= np.einsum('cmi,mi->cm', prior.landmark_covariance[:, pair], gradient)
+    covariance = jacobian @ state_covariance + noise
+    covariance -= np.einsum('mi,mij->mj', gradient, map_covariance[pair])
+
+    offset = prior.mean - at.mean
+    offset[2] = wrap_rad(offset[2])
+    innovation = residual - jacobian @ offset
+    innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
+    return MeasurementModel(innovation, jacobian, state_covariance, map_covariance, covariance)
+
+
+def pose_model(prior: FilterState, measured: PoseEstimate) -> MeasurementModel:
+    """Return a measured pose of the base with the uncertainty of a prior."""
+    innovation = measured.pose - prior.mean[:3]
+    innovation[2] = wrap_rad(innovation[2])
+    return MeasurementModel(
+        innovation,
+        np.eye(3, STATES),
+        prior.covariance[:, :3],
+        prior.cross[:3].T,
+        prior.covariance[:3, :3] + measured.covariance,
+    )
+
+
+def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> FilterState:
+    """
+    Kalman step from a prior; with a model linearised elsewhere it is an iterated one.
+
+    Bell and Cathey, The Iterated Kalman Filter Update as a Gauss-Newton Method, 1993.
+    """
+    gain = np.linalg.solve(model.covariance, model.state_covariance.T).T
+    mean = prior.mean + gain @ model.innovation
+    mean[2] = wrap_rad(mean[2])
+    covariance = prior.covariance - gain @ model.state_covariance.T
+    left = np.eye(STATES) - gain @ model.jacobian
+    state = replace(
+        prior,
+        mean=mean,
+        covariance=0.5 * (covariance + covariance.T),
+        cross=prior.cross - gain @ model.map_covariance.T,
+        by_noise=left @ prior.by_noise @ left.T,
+    )
+    if not refine:
+        return state
+    map_gain = np.linalg.solve(model.covariance, model.map_covariance.T).T
+    map_covariance = prior.landmark_covariance - map_gain @ model.map_covariance.T
+    return replace(
+        state,
+        landmarks=prior.landmarks + (map_gain @ model.innovation).reshape(-1, 2),
+        landmark_covariance=0.5 * (map_covariance + map_covariance.T),
+    )

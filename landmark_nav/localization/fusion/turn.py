@@ -1,0 +1,66 @@
+"""A camera that was bumped, or a robot turned on the spot: all bearings are off by one angle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.localization.fusion.state import bearing_model, BORESIGHT, FilterState, HEADING
+from landmark_nav.localization.fusion.update import BearingFrame, FusionUpdate, update_bearings
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.types import FloatArray
+
+__all__ = ['update_turning']
+
+# An angle that all bearings share is a surprise beyond this many standard deviations.
+_SURPRISE = 4.0
+# So many bearings tell a common angle from a wrong place.
+_LEAST = 3
+
+
+def update_turning(
+    prior: FilterState,
+    frame: BearingFrame,
+    ids: npt.NDArray[np.int64],
+    lever: FloatArray,
+    probability: float,
+    odometry: OdometryNoiseConfig,
+    least: int,
+    refine: bool,
+    turn_sigma: float,
+) -> tuple[FilterState, FusionUpdate]:
+    """
+    Use the bearings of a frame as `update_bearings` does, or as those of a camera that turned.
+
+    If they agree with each other but not with the prior's direction, either the camera turned
+    against the base or the base against the odometry. A bearing cannot tell which, so heading and
+    boresight both become uncertain by `turn_sigma` [rad]; as the robot drives on, the direction in
+    which it moves tells them apart.
+    """
+    state, update = update_bearings(prior, frame, ids, lever, probability, odometry, least, refine)
+    if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
+        return state, update
+    turned = _common_turn(prior, frame, lever)
+    if update.refusal is None and abs(turned) < _SURPRISE:
+        return state, update
+    covariance = prior.covariance.copy()
+    covariance[[HEADING, BORESIGHT], [HEADING, BORESIGHT]] += turn_sigma**2
+    loose = replace(prior, covariance=covariance)
+    loose_state, loose_update = update_bearings(
+        loose, frame, ids, lever, probability, odometry, max(least, _LEAST), refine
+    )
+    if loose_update.refusal is not None or loose_update.degrees < update.degrees:
+        return state, update
+    angle = float(np.median(loose_update.innovation_rad))
+    return loose_state, replace(loose_update, turned_rad=angle)
+
+
+def _common_turn(prior: FilterState, frame: BearingFrame, lever: FloatArray) -> float:
+    """How far all bearings are off together, in standard deviations."""
+    model = bearing_model(
+        prior, prior, frame.columns, frame.bearing_rad, frame.noise, lever, frame.pan_rate
+    )
+    weight = np.linalg.solve(model.covariance, np.ones(len(frame.columns)))
+    return float(weight @ model.innovation / np.sqrt(weight.sum()))

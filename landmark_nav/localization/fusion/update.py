@@ -1,0 +1,283 @@
+"""Which measurements to believe, and the iterated update with those."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri
+
+from landmark_nav.localization.fusion.noise import learned_scales
+from landmark_nav.localization.fusion.state import (
+    bearing_model,
+    correct,
+    FilterState,
+    MeasurementModel,
+    pose_model,
+)
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.types import Detections, FloatArray, PoseEstimate, Refusal
+
+__all__ = ['BearingFrame', 'FusionUpdate', 'bearing_frame', 'update_bearings', 'update_pose']
+
+IndexArray = npt.NDArray[np.intp]
+
+_MAX_ITERATIONS = 5
+# A step this small bends bearings by a few microradians only.
+_LINEAR_M = 2e-3
+# Matches of a picture that tell what correlation is to be expected in it.
+_FEW = 4
+# What of a template's variance a match may leave unexplained: times the median, and some more.
+_UNLIKE_TIMES, _UNLIKE_ANYWAY = 6.0, 0.1
+_NO_IDS = np.empty(0, dtype=np.int64)
+_NO_INNOVATIONS = np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class FusionUpdate:
+    """
+    What became of one measurement.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Its time.
+    accepted_ids : ndarray of int, shape (m,)
+        Landmarks whose bearings were used; empty for a pose.
+    innovation_rad : ndarray, shape (m,)
+        Their measured minus predicted bearings; for a pose its three differences.
+    nis : float
+        Normalized innovation squared of what was used.
+    degrees : int
+        Its degrees of freedom; 0 if nothing was used.
+    rejected : dict of int to Refusal
+        Why, by landmark id.
+    refusal : Refusal or None
+        Why the whole measurement was not used.
+    turned_rad : float
+        Angle by which all bearings were off, if that was more than could be expected; else 0.
+
+    """
+
+    stamp_ns: int
+    accepted_ids: npt.NDArray[np.int64] = field(default_factory=lambda: _NO_IDS)
+    innovation_rad: FloatArray = field(default_factory=lambda: _NO_INNOVATIONS)
+    nis: float = 0.0
+    degrees: int = 0
+    rejected: dict[int, Refusal] = field(default_factory=dict)
+    refusal: Refusal | None = None
+    turned_rad: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class BearingFrame:
+    """
+    The bearings of one picture, ready for the filter.
+
+    `columns` (m,) are places of the landmarks in the map, `noise` (m, m) the bearings' joint
+    covariance, `unusable` what was sorted out before.
+    """
+
+    columns: IndexArray
+    bearing_rad: FloatArray
+    noise: FloatArray
+    unusable: dict[int, Refusal]
+    pan_rate: float = 0.0
+
+
+def bearing_frame(
+    detections: Detections, columns: Mapping[int, int], common_sigma: float
+) -> BearingFrame:
+    """
+    Sort out what no filter can use.
+
+    Parameters
+    ----------
+    detections : Detections
+        Of one picture.
+    columns : mapping of int to int
+        Landmark id to place in the map.
+    common_sigma : float
+        Error that all bearings of the picture share, radians.
+
+    """
+    variance = detections.variance_rad2
+    good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
+    unlike = _unlike_the_others(detections.score)
+    unusable: dict[int, Refusal] = {}
+    chosen: dict[int, int] = {}
+    for k, landmark in enumerate(detections.ids.tolist()):
+        if landmark not in columns:
+            unusable[landmark] = Refusal('not in the map')
+        elif not good[k]:
+            unusable[landmark] = Refusal('bearing or variance is not a number')
+        elif landmark in chosen:
+            unusable[landmark] = Refusal('given twice')
+        elif unlike[k]:
+            unusable[landmark] = Refusal(
+                'less alike than the others', f'correlation {detections.score[k]:.2f}'
+            )
+        else:
+            chosen[landmark] = k
+    rows = list(chosen.values())
+    return BearingFrame(
+        np.array([columns[k] for k in chosen], dtype=np.intp),
+        detections.bearing_rad[rows],
+        np.diag(variance[rows]) + common_sigma**2,
+        unusable,
+        detections.pan_rate_rad_s,
+    )
+
+
+def _unlike_the_others(score: FloatArray) -> npt.NDArray[np.bool_]:
+    """
+    Which matches leave far more unexplained than the others of their picture, (n,).
+
+    Light, blur and noise lower all correlations of a picture together. One far below the others
+    shows something else, as a picture that was exchanged, and is off by the same amount again
+    and again: its variance, which stands for noise, does not tell.
+    """
+    if len(score) < _FEW:
+        return np.zeros(len(score), dtype=np.bool_)
+    unexplained = 1.0 - score**2
+    limit = _UNLIKE_TIMES * np.median(unexplained) + _UNLIKE_ANYWAY
+    return np.asarray(unexplained > limit)
+
+
+def update_bearings(
+    prior: FilterState,
+    frame: BearingFrame,
+    ids: npt.NDArray[np.int64],
+    lever: FloatArray,
+    probability: float,
+    odometry: OdometryNoiseConfig,
+    least: int = 1,
+    refine: bool = False,
+) -> tuple[FilterState, FusionUpdate]:
+    """
+    Use the bearings of a frame that agree with the prior and with each other.
+
+    Parameters
+    ----------
+    prior : FilterState
+        State at the frame's time.
+    frame : BearingFrame
+        What was seen.
+    ids : ndarray of int, shape (n,)
+        Of all landmarks of the map.
+    lever : ndarray, shape (2,)
+        Pan axis in the base frame, metres.
+    probability : float
+        Chi-square level of the gates.
+    odometry : OdometryNoiseConfig
+        How far its noise may be learned.
+    least : int
+        Fewer agreeing bearings, or fewer than two thirds, are not used.
+    refine : bool
+        Improve the landmarks' places too.
+
+    """
+
+    def model_at(chosen: IndexArray, at: FilterState) -> MeasurementModel:
+        noise = frame.noise[np.ix_(chosen, chosen)]
+        return bearing_model(
+            prior,
+            at,
+            frame.columns[chosen],
+            frame.bearing_rad[chosen],
+            noise,
+            lever,
+            frame.pan_rate,
+        )
+
+    seen = ids[frame.columns]
+    rejected = dict(frame.unusable)
+    before = model_at(np.arange(len(seen)), prior)
+    chosen = _inside_gate(before, prior, frame, seen, probability, rejected)
+    least = max(least, (2 * len(seen) + 2) // 3)
+    while len(chosen) >= least:
+        first = before if len(chosen) == len(seen) else model_at(chosen, prior)
+        state, model = _iterated(prior, first, partial(model_at, chosen), refine)
+        inverse = np.linalg.inv(model.covariance)
+        weighted = inverse @ model.innovation
+        nis = float(model.innovation @ weighted)
+        if nis <= float(chdtri(len(chosen), 1.0 - probability)):
+            scales = learned_scales(
+                prior.scales,
+                model.innovation,
+                model.covariance,
+                model.jacobian,
+                prior.by_noise,
+                odometry,
+            )
+            return replace(state, scales=scales), FusionUpdate(
+                prior.stamp_ns, seen[chosen], before.innovation[chosen], nis, len(chosen), rejected
+            )
+        # What the NIS would fall by without each: its square given all the others.
+        worst = int(np.argmax(weighted**2 / np.diag(inverse)))
+        rejected[int(seen[chosen[worst]])] = Refusal(
+            'disagrees with the others', f'joint NIS {nis:.1f} of {len(chosen)} bearings'
+        )
+        chosen = np.delete(chosen, worst)
+    refusal = Refusal(
+        'bearings do not fit the expected pose',
+        f'{len(chosen)} of {len(seen)} agree, '
+        f'largest innovation {np.degrees(np.abs(before.innovation).max()):.2f} deg',
+    )
+    return prior, FusionUpdate(prior.stamp_ns, rejected=rejected, refusal=refusal)
+
+
+def update_pose(
+    prior: FilterState, measured: PoseEstimate, probability: float
+) -> tuple[FilterState, FusionUpdate]:
+    """Use a triangulated pose of the base, if it agrees with the prior."""
+    model = pose_model(prior, measured)
+    nis = float(model.innovation @ np.linalg.solve(model.covariance, model.innovation))
+    limit = float(chdtri(3, 1.0 - probability))
+    if nis > limit:
+        refusal = Refusal('pose does not fit the expected one', f'NIS {nis:.1f} over {limit:.1f}')
+        return prior, FusionUpdate(prior.stamp_ns, refusal=refusal)
+    update = FusionUpdate(prior.stamp_ns, innovation_rad=model.innovation, nis=nis, degrees=3)
+    return correct(prior, model, refine=False), update
+
+
+def _inside_gate(
+    model: MeasurementModel,
+    prior: FilterState,
+    frame: BearingFrame,
+    seen: npt.NDArray[np.int64],
+    probability: float,
+    rejected: dict[int, Refusal],
+) -> IndexArray:
+    """Places of the bearings that each fit the prior; the others go to `rejected`."""
+    delta = prior.landmarks[frame.columns] - prior.mean[:2]
+    # What linearisation leaves out: the second derivative of a bearing is 1 / range^2.
+    curvature = np.trace(prior.covariance[:2, :2]) / np.sum(delta * delta, axis=-1)
+    variance = np.diag(model.covariance) + 0.5 * curvature**2
+    sigmas = np.abs(model.innovation) / np.sqrt(variance)
+    inside = sigmas**2 <= float(chdtri(1, 1.0 - probability))
+    for k in np.flatnonzero(~inside):
+        rejected[int(seen[k])] = Refusal(
+            'outside its gate', f'{np.degrees(model.innovation[k]):.2f} deg, {sigmas[k]:.1f} sigma'
+        )
+    return np.flatnonzero(inside)
+
+
+def _iterated(
+    prior: FilterState,
+    model: MeasurementModel,
+    model_at: Callable[[FilterState], MeasurementModel],
+    refine: bool,
+) -> tuple[FilterState, MeasurementModel]:
+    """Repeat the update, linearised about its own result, until that stays."""
+    at, state = prior, correct(prior, model, refine)
+    for _ in range(_MAX_ITERATIONS):
+        if np.abs(state.mean[:2] - at.mean[:2]).max() < _LINEAR_M:
+            break
+        at = state
+        model = model_at(at)
+        state = correct(prior, model, refine)
+    return state, model

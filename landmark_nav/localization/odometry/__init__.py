@@ -1,0 +1,1 @@
+"""What wheels tell, and how far it is to be trusted."""

@@ -1,0 +1,129 @@
+"""The last seconds of odometry as one continuous track, whatever its source does."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from landmark_nav.geometry.se2 import compose, relative
+from landmark_nav.localization.odometry.noise import (
+    fraction_of_motion,
+    Motion,
+    OdometryNoiseConfig,
+    twist_motion,
+)
+from landmark_nav.types import FloatArray, OdometrySample, Refusal
+
+__all__ = ['OdometryTrack']
+
+
+class OdometryTrack:
+    """
+    Odometry without its jumps, that can be asked for the motion between any two times.
+
+    Where a source jumps, the motion goes on with the last twist and counts as blind.
+    """
+
+    def __init__(self, config: OdometryNoiseConfig) -> None:
+        """Start empty."""
+        self._config = config
+        self._stamps: list[int] = []
+        self._poses: list[FloatArray] = []  # continuous
+        self._blind: list[bool] = []  # the interval that ends at each sample
+        self._last: OdometrySample | None = None
+
+    @property
+    def stamps_ns(self) -> tuple[int, int] | None:
+        """First and last time; None while empty."""
+        return (self._stamps[0], self._stamps[-1]) if self._stamps else None
+
+    def add(self, sample: OdometrySample) -> Refusal | None:
+        """
+        Append a sample.
+
+        Returns
+        -------
+        Refusal or None
+            ``odometry jumped`` was appended with what the last twist predicts; any other reason
+            means that the sample was dropped.
+
+        """
+        values = (*sample.pose_odom_base, sample.linear_m_s, sample.angular_rad_s)
+        if not np.isfinite(values).all():
+            return Refusal('odometry is not a number')
+        last = self._last
+        if last is None:
+            self._append(sample, np.asarray(sample.pose_odom_base, dtype=np.float64), False)
+            return None
+        seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
+        if seconds == 0.0:
+            return Refusal('odometry repeated a stamp', f'{sample.stamp_ns}')
+        if seconds < 0.0:
+            return Refusal('odometry went back in time', f'{-seconds:.3f} s')
+        increment = relative(last.pose_odom_base, sample.pose_odom_base)
+        way, turn = float(np.hypot(increment[0], increment[1])), abs(float(increment[2]))
+        jumped = (
+            way > self._config.max_speed_m_s * seconds
+            or turn > self._config.max_rate_rad_s * seconds
+        )
+        if jumped:
+            known = min(seconds, self._config.horizon_s)
+            increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
+        blind = jumped or seconds > self._config.max_gap_s
+        self._append(sample, compose(self._poses[-1], increment), blind)
+        if jumped:
+            return Refusal('odometry jumped', f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s')
+        return None
+
+    def motion(self, from_ns: int, to_ns: int) -> Motion:
+        """Motion between two times; before the first sample the robot stands."""
+        seconds = (to_ns - from_ns) * 1e-9
+        if not self._stamps:
+            return Motion(np.zeros(3), seconds, seconds)
+        increment = relative(self._pose(from_ns), self._pose(to_ns))
+        ahead = self._ahead_s(to_ns) ** 4 - self._ahead_s(from_ns) ** 4
+        return Motion(increment, seconds, self._blind_seconds(from_ns, to_ns), ahead)
+
+    def trim(self, before_ns: int) -> None:
+        """Forget what is not needed for motions that start at `before_ns` or later."""
+        keep = bisect_right(self._stamps, before_ns) - 1
+        if keep > 0:
+            del self._stamps[:keep], self._poses[:keep], self._blind[:keep]
+
+    def _append(self, sample: OdometrySample, pose: FloatArray, blind: bool) -> None:
+        self._stamps.append(sample.stamp_ns)
+        self._poses.append(pose)
+        self._blind.append(blind)
+        self._last = sample
+
+    def _ahead_s(self, stamp_ns: int) -> float:
+        """How far the last twist has to predict."""
+        seconds = (stamp_ns - self._stamps[-1]) * 1e-9
+        return min(max(seconds, 0.0), self._config.horizon_s)
+
+    def _pose(self, stamp_ns: int) -> FloatArray:
+        """Pose (3,) at a time: interpolated at constant twist, or predicted by the last one."""
+        after = bisect_left(self._stamps, stamp_ns)
+        if after < len(self._stamps) and (after == 0 or self._stamps[after] == stamp_ns):
+            return self._poses[after]
+        if after == len(self._stamps):
+            assert self._last is not None
+            ahead = self._ahead_s(stamp_ns)
+            moved = twist_motion(self._last.linear_m_s, self._last.angular_rad_s, ahead)
+            return compose(self._poses[-1], moved)
+        begin, end = self._stamps[after - 1], self._stamps[after]
+        whole = relative(self._poses[after - 1], self._poses[after])
+        part = fraction_of_motion(whole, (stamp_ns - begin) / (end - begin))
+        return compose(self._poses[after - 1], part)
+
+    def _blind_seconds(self, from_ns: int, to_ns: int) -> float:
+        horizon = self._stamps[-1] + int(self._config.horizon_s * 1e9)
+        blind = max(0, to_ns - max(from_ns, horizon))
+        first = max(bisect_right(self._stamps, from_ns), 1)
+        for k in range(first, len(self._stamps)):
+            if self._stamps[k - 1] >= to_ns:
+                break
+            if self._blind[k]:
+                blind += min(to_ns, self._stamps[k]) - max(from_ns, self._stamps[k - 1])
+        return blind * 1e-9

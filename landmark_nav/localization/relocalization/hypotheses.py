@@ -1,0 +1,231 @@
+"""
+Places out of sightings most of which are wrong: every pair proposes a pose, all vote on it.
+
+Two sightings with their ranges are two points around the robot, which the two landmarks' places
+fix in the map. A pose is worth as many landmarks as it explains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.walls import Room
+from landmark_nav.localization.relocalization.sightings import Sightings
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray, LandmarkMap
+
+__all__ = ['Hypotheses', 'HypothesisConfig', 'propose']
+
+# Poses judged at a time: their residuals stay small in memory.
+_BLOCK = 2048
+
+
+@dataclass(frozen=True)
+class HypothesisConfig:
+    """How poses are made of sightings."""
+
+    per_landmark: int = parameter(
+        4, 'sightings of a landmark that may be right', minimum=1, maximum=50
+    )
+    rough_rad: float = parameter(
+        0.07, 'bearing error that a pose of two sightings is allowed', minimum=1e-3, maximum=0.5
+    )
+    fine_rad: float = parameter(
+        0.02,
+        'bearing error that a pose of all its sightings is allowed',
+        minimum=1e-4,
+        maximum=0.5,
+    )
+    min_support: int = parameter(
+        4, 'least landmarks that a pose explains', minimum=3, maximum=1000
+    )
+    distinct_m: float = parameter(
+        0.4, 'poses nearer than this are one place', minimum=0.01, maximum=10.0
+    )
+    distinct_rad: float = parameter(0.2, 'and turned by less than this', minimum=0.01, maximum=3.0)
+    places: int = parameter(60, 'places followed up', minimum=2, maximum=10000)
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """Poses (n, 3) of the base in map, and how many landmarks each explains, (n,), descending."""
+
+    poses: FloatArray
+    support: npt.NDArray[np.intp]
+
+
+def propose(
+    sightings: Sightings, landmark_map: LandmarkMap, config: HypothesisConfig
+) -> Hypotheses:
+    """
+    Find the places that sightings speak for.
+
+    Parameters
+    ----------
+    sightings : Sightings
+        All in one base frame.
+    landmark_map : LandmarkMap
+        What was learned.
+    config : HypothesisConfig
+        Parameters.
+
+    Returns
+    -------
+    Hypotheses
+        Distinct places with at least ``min_support``; may be empty.
+
+    """
+    votes = _Votes(sightings, landmark_map, config)
+    poses = votes.of_pairs()
+    if landmark_map.walls:
+        poses = poses[Room(landmark_map.walls).contains(poses[:, :2])]
+    support = votes.support(poses, config.rough_rad)
+    kept = _distinct(poses, support, config)
+    # Half way, a pose of two becomes one of all that agree with it roughly.
+    poses = votes.refined(poses[kept], config.rough_rad)
+    poses = votes.refined(poses, 0.5 * (config.rough_rad + config.fine_rad))
+    poses = votes.refined(poses, config.fine_rad)
+    support = votes.support(poses, config.fine_rad)
+    kept = _distinct(poses, support, config)
+    return Hypotheses(poses[kept], support[kept])
+
+
+class _Votes:
+    """The best sightings of each landmark, sorted by landmark, as arrays."""
+
+    def __init__(
+        self, sightings: Sightings, landmark_map: LandmarkMap, config: HypothesisConfig
+    ) -> None:
+        order = np.lexsort((-sightings.score, sightings.landmark))
+        landmark = sightings.landmark[order]
+        first = np.searchsorted(landmark, landmark)
+        order = order[np.arange(len(order)) - first < config.per_landmark]
+        self.landmark = sightings.landmark[order]
+        self.azimuth = sightings.azimuth_rad[order]
+        self.range = sightings.range_m[order]
+        self.range_sigma = sightings.range_sigma[order]
+        self.center = sightings.center[order]
+        self.place = landmark_map.positions[self.landmark, :2]
+        self.normal = landmark_map.normals[self.landmark, :2]
+        self.direction = np.stack([np.cos(self.azimuth), np.sin(self.azimuth)], -1)
+        self.first = np.flatnonzero(np.diff(self.landmark, prepend=-1))
+
+    def of_pairs(self) -> FloatArray:
+        """Poses (m, 3) out of all pairs of different landmarks whose distance agrees."""
+        i, j = np.triu_indices(len(self.landmark), 1)
+        point = self.center + self.range[:, None] * self.direction
+        seen, true = point[j] - point[i], self.place[j] - self.place[i]
+        length, true_length = np.hypot(*seen.T), np.hypot(*true.T)
+        spread = (self.range * self.range_sigma) ** 2
+        # How much of each range's error goes into the distance.
+        with np.errstate(divide='ignore', invalid='ignore'):
+            along = seen / length[:, None]
+        share_i = np.sum(along * self.direction[i], -1) ** 2
+        share_j = np.sum(along * self.direction[j], -1) ** 2
+        sigma = np.sqrt(share_i * spread[i] + share_j * spread[j] + 0.03**2)
+        good = (self.landmark[i] != self.landmark[j]) & (true_length > 0.3) & (length > 0.3)
+        good &= np.abs(length - true_length) < 2.5 * sigma
+        i, j, seen, true = i[good], j[good], seen[good], true[good]
+        heading = np.arctan2(true[:, 1], true[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
+        # The nearer one fixes the place.
+        weight = (spread[j] / (spread[i] + spread[j]))[:, None]
+        turn = np.exp(1j * heading)
+        anchor = weight * point[i] + (1.0 - weight) * point[j]
+        turned = turn * (anchor[:, 0] + 1j * anchor[:, 1])
+        at = weight * self.place[i] + (1.0 - weight) * self.place[j]
+        position = at - np.stack([turned.real, turned.imag], -1)
+        return np.column_stack([position, wrap_rad(heading)])
+
+    def _residuals(self, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Landmarks (h, s, 2) as the poses see them, bearing and relative range errors (h, s)."""
+        cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+        dx = self.place[:, 0] - poses[:, :1]
+        dy = self.place[:, 1] - poses[:, 1:2]
+        x = cos * dx + sin * dy - self.center[:, 0]
+        y = cos * dy - sin * dx - self.center[:, 1]
+        ahead = self.direction[:, 0] * x + self.direction[:, 1] * y
+        aside = self.direction[:, 0] * y - self.direction[:, 1] * x
+        bearing = np.arctan2(aside, ahead)
+        relative = np.log(self.range / np.hypot(x, y))
+        return np.stack([x, y], -1), bearing, relative
+
+    def _agree(
+        self,
+        poses: FloatArray,
+        points: FloatArray,
+        bearing: FloatArray,
+        relative: FloatArray,
+        tolerance_rad: float,
+    ) -> npt.NDArray[np.bool_]:
+        """Which sightings (h, s) fit which poses: bearing, range, seen from the front."""
+        cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+        normal_x = cos * self.normal[:, 0] + sin * self.normal[:, 1]
+        normal_y = cos * self.normal[:, 1] - sin * self.normal[:, 0]
+        facing = normal_x * points[..., 0] + normal_y * points[..., 1] < 0.0
+        near = np.abs(relative) < 3.0 * self.range_sigma + tolerance_rad
+        return np.asarray(facing & near & (np.abs(bearing) < tolerance_rad))
+
+    def support(self, poses: FloatArray, tolerance_rad: float) -> npt.NDArray[np.intp]:
+        """How many landmarks each pose explains, (h,)."""
+        count = np.zeros(len(poses), dtype=np.intp)
+        for start in range(0, len(poses), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            fits = self._agree(poses[block], *self._residuals(poses[block]), tolerance_rad)
+            count[block] = np.logical_or.reduceat(fits, self.first, axis=1).sum(axis=1)
+        return count
+
+    def refined(self, poses: FloatArray, tolerance_rad: float) -> FloatArray:
+        """Poses after a Gauss-Newton step on the bearings and ranges that agree with each."""
+        points, bearing, relative = self._residuals(poses)
+        fits = self._agree(poses, points, bearing, relative, tolerance_rad)
+        x, y = points[..., 0], points[..., 1]
+        square = x**2 + y**2
+        cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+        # Landmarks move against the base: derivatives by a shift in its own frame and a turn
+        # about its origin, of the expected bearing and of the log of the expected range.
+        from_base_x, from_base_y = x + self.center[:, 0], y + self.center[:, 1]
+        by_turn = np.stack([from_base_y, -from_base_x], -1)
+        by_bearing = np.stack(
+            [y / square, -x / square, (x * by_turn[..., 1] - y * by_turn[..., 0]) / square], -1
+        )
+        by_range = np.stack(
+            [-x / square, -y / square, (x * by_turn[..., 0] + y * by_turn[..., 1]) / square], -1
+        )
+        weight_bearing = fits / (0.3 * tolerance_rad) ** 2
+        weight_range = fits / self.range_sigma**2
+        normal = np.einsum('hs,hsi,hsj->hij', weight_bearing, by_bearing, by_bearing)
+        normal += np.einsum('hs,hsi,hsj->hij', weight_range, by_range, by_range)
+        # Measured minus expected: `bearing` is expected minus measured.
+        right = np.einsum('hs,hsi,hs->hi', -weight_bearing, by_bearing, bearing)
+        right += np.einsum('hs,hsi,hs->hi', weight_range, by_range, relative)
+        step = np.linalg.solve(normal + 1e-6 * np.eye(3), right[..., None])[..., 0]
+        moved_x = cos[:, 0] * step[:, 0] - sin[:, 0] * step[:, 1]
+        moved_y = sin[:, 0] * step[:, 0] + cos[:, 0] * step[:, 1]
+        return np.asarray(poses + np.stack([moved_x, moved_y, step[:, 2]], -1))
+
+
+def _distinct(
+    poses: FloatArray, support: npt.NDArray[np.intp], config: HypothesisConfig
+) -> npt.NDArray[np.intp]:
+    """Best first, without those near a better one."""
+    left = support.astype(np.float64)
+    left[support < config.min_support] = -1.0
+    kept: list[int] = []
+    while len(kept) < config.places and len(left):
+        best = int(np.argmax(left))
+        if left[best] < 0.0:
+            break
+        kept.append(best)
+        offset = poses - poses[best]
+        near = np.hypot(offset[:, 0], offset[:, 1]) < config.distinct_m
+        near &= np.abs(wrap_rad(offset[:, 2])) < config.distinct_rad
+        left[near] = -1.0
+    return np.array(kept, dtype=np.intp)

@@ -1,0 +1,279 @@
+"""
+Finding one's place from nothing: from one sweep, or from a few seconds of driving.
+
+Sightings of all landmarks without a prior -> poses that explain them -> what each lets expect is
+looked for -> one place, if there is but one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import transform_points
+from landmark_nav.localization.detection import DetectionConfig
+from landmark_nav.localization.relocalization.hypotheses import HypothesisConfig, propose
+from landmark_nav.localization.relocalization.sightings import (
+    find_sightings,
+    SightingConfig,
+    Sightings,
+)
+from landmark_nav.localization.relocalization.verification import (
+    CarriedFrames,
+    Verification,
+    verify,
+)
+from landmark_nav.localization.triangulation import TriangulationConfig
+from landmark_nav.localization.triplet.visibility import TripletConfig
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
+
+__all__ = [
+    'RelocalizationConfig',
+    'locate',
+    'relocalize',
+    'shows_new',
+    'view_direction_rad',
+]
+
+# A picture tells something new if it looks this share of half the field of view elsewhere, or
+# from this far away.
+_NEW_VIEW = 0.9
+_NEW_PLACE_M = 0.6
+
+
+@dataclass(frozen=True)
+class RelocalizationConfig:
+    """How one's place is found, and when it is believed."""
+
+    when_lost: bool = parameter(
+        True, 'look for the place without being asked, when it is not known any more'
+    )
+    min_landmarks: int = parameter(
+        6, 'least landmarks that must speak for a place', minimum=4, maximum=1000
+    )
+    min_found_share: float = parameter(
+        0.4, 'least share of the landmarks to be expected there', minimum=0.0, maximum=1.0
+    )
+    min_spread_rad: float = parameter(0.6, 'least angle that they span', minimum=0.0, maximum=6.28)
+    max_sigma_m: float = parameter(
+        0.03, 'largest predicted position sigma (root of the trace), m', minimum=0.0, maximum=10.0
+    )
+    max_sigma_rad: float = parameter(
+        0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
+    )
+    max_rival_share: float = parameter(
+        0.5,
+        'most that another place may have, of the landmarks of the best',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    max_drift_m: float = parameter(
+        0.1, 'odometry sigma of a picture that still counts, m', minimum=0.001, maximum=10.0
+    )
+    max_drift_rad: float = parameter(
+        0.1, 'odometry sigma of a picture that still counts, rad', minimum=1e-4, maximum=1.0
+    )
+    slip: float = parameter(
+        0.04, 'share of way and turn that odometry may be wrong by', minimum=0.0, maximum=1.0
+    )
+    max_frames: int = parameter(30, 'pictures that count at a time', minimum=2, maximum=1000)
+    candidates: int = parameter(4, 'places that are looked at closely', minimum=2, maximum=100)
+    pan_sigma_rad: float = parameter(
+        2e-4, 'error of the measured pan, rad', minimum=0.0, maximum=0.1
+    )
+    sighting: SightingConfig = field(default_factory=SightingConfig)
+    hypothesis: HypothesisConfig = field(default_factory=HypothesisConfig)
+    visibility: TripletConfig = field(default_factory=TripletConfig)
+    detection: DetectionConfig = field(default_factory=DetectionConfig)
+    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
+
+
+def relocalize(
+    frames: Sequence[CameraFrame],
+    poses_last_base: FloatArray,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: RelocalizationConfig | None = None,
+    variances: FloatArray | None = None,
+) -> PoseEstimate | Refusal:
+    """
+    Find the robot's place without any prior.
+
+    Parameters
+    ----------
+    frames : sequence of CameraFrame, length n
+        Pictures in the order they were taken. What shows nothing new is left aside.
+    poses_last_base : ndarray, shape (n, 3)
+        By odometry: the base at each picture in the base frame at the last one; zeros for a
+        sweep of a standing robot.
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : RelocalizationConfig, optional
+        Parameters.
+    variances : ndarray, shape (n, 3), optional
+        Of `poses_last_base`, along, across and turning; by default it is exact.
+
+    Returns
+    -------
+    PoseEstimate or Refusal
+        The base at the stamp of the last picture. ``not unique`` where another place explains
+        what was seen about as well, ``nothing recognised`` where none does, ``too little seen``
+        where the evidence is thin.
+
+    Raises
+    ------
+    LandmarkNavError
+        No frames, or poses that do not match them.
+
+    """
+    config = config or RelocalizationConfig()
+    poses = np.asarray(poses_last_base, dtype=np.float64)
+    drift = np.zeros_like(poses) if variances is None else np.asarray(variances, np.float64)
+    if not len(frames) or poses.shape != (len(frames), 3) or drift.shape != poses.shape:
+        raise LandmarkNavError(
+            f'relocalization: {len(frames)} frames, poses {poses.shape}, variances '
+            f'{drift.shape}: give at least one frame and (n, 3) of each'
+        )
+    if not (np.isfinite(poses).all() and np.isfinite(drift).all()):
+        raise LandmarkNavError('relocalization: a pose or variance is not a number')
+    directions = np.array([view_direction_rad(frame, mount) for frame in frames])
+    telling: list[int] = []
+    for k, frame in enumerate(frames):
+        if shows_new(frame, directions[k], poses[k], directions[telling], poses[telling]):
+            telling.append(k)
+    chosen = [frames[k] for k in telling]
+    sightings = [find_sightings(f, landmark_map, mount, config.sighting) for f in chosen]
+    carried = CarriedFrames(frames[-1].stamp_ns, chosen, poses[telling], drift[telling])
+    return locate(carried, sightings, landmark_map, mount, config)
+
+
+def view_direction_rad(frame: CameraFrame, mount: PanTiltMount) -> float:
+    """Azimuth in the base frame that a picture looks along."""
+    turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+    return float(np.arctan2(turn[1, 2], turn[0, 2]))
+
+
+def shows_new(
+    frame: CameraFrame,
+    direction_rad: float,
+    pose: FloatArray,
+    directions_rad: FloatArray,
+    poses: FloatArray,
+) -> bool:
+    """
+    Whether a picture tells more than those before it.
+
+    Their directions (n,) in the base frame and poses (n, 3) are in one frame with its own.
+    """
+    turned = directions_rad + poses[:, 2] - direction_rad - pose[2]
+    same = np.abs(wrap_rad(turned)) < _NEW_VIEW * frame.camera.half_fov_rad
+    near = np.hypot(*(poses[:, :2] - pose[:2]).T) < _NEW_PLACE_M
+    return not np.any(same & near)
+
+
+def locate(
+    carried: CarriedFrames,
+    sightings: Sequence[Sightings],
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: RelocalizationConfig,
+) -> PoseEstimate | Refusal:
+    """Return what `relocalize` does, with the sightings of each frame already at hand."""
+    moved = [
+        replace(
+            seen,
+            azimuth_rad=seen.azimuth_rad + pose[2],
+            center=transform_points(pose, seen.center),
+        )
+        for seen, pose in zip(sightings, carried.poses_last_base, strict=True)
+    ]
+    proposed = propose(Sightings.joined(moved), landmark_map, config.hypothesis)
+    if not len(proposed.poses):
+        return Refusal('nothing recognised', 'no two sightings agree on a place')
+    places: list[Verification] = []
+    for pose in proposed.poses[: config.candidates]:
+        outcome = verify(
+            pose,
+            carried,
+            landmark_map,
+            mount,
+            config.visibility,
+            config.detection,
+            config.triangulation,
+            config.pan_sigma_rad,
+        )
+        if isinstance(outcome, Verification) and not _known(outcome, places, config.hypothesis):
+            places.append(outcome)
+    return _judged(places, len(proposed.poses), config)
+
+
+def _known(place: Verification, others: Sequence[Verification], config: HypothesisConfig) -> bool:
+    """Whether another hypothesis led to the same place."""
+    offsets = [place.estimate.pose - other.estimate.pose for other in others]
+    return any(
+        np.hypot(*offset[:2]) < 0.5 * config.distinct_m
+        and abs(wrap_rad(offset[2])) < 0.5 * config.distinct_rad
+        for offset in offsets
+    )
+
+
+def _judged(
+    places: Sequence[Verification], proposed: int, config: RelocalizationConfig
+) -> PoseEstimate | Refusal:
+    """Take the best place if the evidence is good and no other comes near it."""
+    if not places:
+        return Refusal(
+            'nothing recognised', f'none of {proposed} places shows what is to be seen there'
+        )
+    best, *others = sorted(places, key=lambda place: -len(place.ids))
+    found = len(best.ids)
+    rival = max((len(other.ids) for other in others), default=0)
+    x, y, heading = best.estimate.pose
+    where = f'({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg'
+    if rival > config.max_rival_share * found:
+        a, b, turn = others[0].estimate.pose
+        return Refusal(
+            'not unique',
+            f'{found} landmarks speak for {where}, {rival} for ({a:.2f}, {b:.2f}) m, '
+            f'{np.degrees(turn):.0f} deg',
+        )
+    if found < config.min_found_share * best.expected:
+        return Refusal(
+            'nothing recognised',
+            f'at {where} only {found} of {best.expected} landmarks are found',
+        )
+    if found < config.min_landmarks:
+        return Refusal('too little seen', f'{found} landmarks speak for {where}')
+    spread = _span(best.bearing_rad)
+    if spread < config.min_spread_rad:
+        return Refusal(
+            'too little seen',
+            f'all {found} landmarks lie within {np.degrees(spread):.0f} deg: look around',
+        )
+    sigma = float(np.sqrt(np.trace(best.estimate.covariance[:2, :2])))
+    sigma_turn = float(np.sqrt(best.estimate.covariance[2, 2]))
+    if sigma > config.max_sigma_m or sigma_turn > config.max_sigma_rad:
+        return Refusal(
+            'too little seen',
+            f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
+        )
+    return best.estimate
+
+
+def _span(bearing_rad: FloatArray) -> float:
+    """Angle of the smallest sector that holds all bearings, radians."""
+    ordered = np.sort(wrap_rad(bearing_rad))
+    gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
+    return float(2.0 * np.pi - gaps.max())

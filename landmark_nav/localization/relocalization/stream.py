@@ -1,0 +1,158 @@
+"""Finding one's place while pictures and odometry come in: by bags, and by the nodes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.odometry.noise import (
+    Motion,
+    motion_variances,
+    OdometryNoiseConfig,
+)
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.relocalization.search import (
+    locate,
+    RelocalizationConfig,
+    shows_new,
+    view_direction_rad,
+)
+from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
+from landmark_nav.localization.relocalization.verification import CarriedFrames
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+__all__ = ['Relocalizer']
+
+
+# Odometry older by this is not late: the clock was set back.
+_CLOCK_STEP_NS = 2 * 10**9
+
+
+class _Glimpse(NamedTuple):
+    """A picture that was kept."""
+
+    frame: CameraFrame
+    direction_base_rad: float
+    sightings: Sightings
+
+
+class Relocalizer:
+    """
+    Gathers views of the room until they fit one place only.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : RelocalizationConfig, optional
+        Parameters.
+    odometry : OdometryNoiseConfig, optional
+        How far the odometry is to be trusted.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        mount: PanTiltMount,
+        config: RelocalizationConfig | None = None,
+        odometry: OdometryNoiseConfig | None = None,
+    ) -> None:
+        self._map, self._mount = landmark_map, mount
+        self._config = config or RelocalizationConfig()
+        self._odometry = odometry or OdometryNoiseConfig()
+        self._track = OdometryTrack(self._odometry)
+        self._kept: list[_Glimpse] = []
+        self._outcome = Refusal('nothing seen yet', 'no picture came')
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """Move on; why the sample was left out, if it was."""
+        refusal = self._track.add(sample)
+        known = self._track.stamps_ns
+        if known is not None and known[1] - sample.stamp_ns > _CLOCK_STEP_NS:
+            # What was seen by another clock helps no more.
+            self._kept, self._track = [], OdometryTrack(self._odometry)
+            self._track.add(sample)
+        if self._kept:
+            self._track.trim(self._kept[0].frame.stamp_ns)
+        return refusal
+
+    def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
+        """
+        Look at a picture.
+
+        Returns
+        -------
+        PoseEstimate or Refusal
+            The base at the picture's stamp; or why its place is not known yet, which stays the
+            same as long as pictures show nothing new.
+
+        """
+        direction = view_direction_rad(frame, self._mount)
+        poses, variances = self._carried(frame.stamp_ns)
+        # What odometry has carried too far helps no more, nor does what is from another clock.
+        config = self._config
+        sure = [
+            glimpse.frame.stamp_ns < frame.stamp_ns
+            and max(variance[:2]) < config.max_drift_m**2
+            and variance[2] < config.max_drift_rad**2
+            for glimpse, variance in zip(self._kept, variances, strict=True)
+        ]
+        self._kept = [glimpse for glimpse, keep in zip(self._kept, sure, strict=True) if keep]
+        poses, variances = poses[sure], variances[sure]
+        looked = np.array([glimpse.direction_base_rad for glimpse in self._kept])
+        if not shows_new(frame, direction, np.zeros(3), looked, poses):
+            return self._outcome
+        sightings = find_sightings(frame, self._map, self._mount, config.sighting)
+        self._kept.append(_Glimpse(frame, direction, sightings))
+        recent = slice(-config.max_frames, None)
+        self._kept = self._kept[recent]
+        carried = CarriedFrames(
+            frame.stamp_ns,
+            [glimpse.frame for glimpse in self._kept],
+            np.vstack([poses, np.zeros(3)])[recent],
+            np.vstack([variances, np.zeros(3)])[recent],
+        )
+        seen = [glimpse.sightings for glimpse in self._kept]
+        outcome = locate(carried, seen, self._map, self._mount, config)
+        if isinstance(outcome, Refusal):
+            self._outcome = outcome
+        return outcome
+
+    def moved_on(self, found: PoseEstimate) -> PoseEstimate:
+        """Carry a place along to the time of the newest odometry."""
+        known = self._track.stamps_ns
+        if known is None or known[1] <= found.stamp_ns:
+            return found
+        motion = self._track.motion(found.stamp_ns, known[1])
+        by_pose, by_motion = se2.compose_jacobians(found.pose, motion.increment)
+        variances = self._variances(motion)
+        return PoseEstimate(
+            known[1],
+            se2.compose(found.pose, motion.increment),
+            by_pose @ found.covariance @ by_pose.T + (by_motion * variances) @ by_motion.T,
+        )
+
+    def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
+        """Poses (n, 3) of the base at the kept pictures, seen from now, and their variances."""
+        motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
+        poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
+        return poses, np.array([self._variances(motion) for motion in motions]).reshape(-1, 3)
+
+    def _variances(self, motion: Motion) -> FloatArray:
+        """Of a motion by wheels that nothing has calibrated yet: they err by a share, too."""
+        way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
+        share = self._config.slip * np.array([way, way, turn])
+        return np.asarray(motion_variances(motion, self._odometry) + share**2)

@@ -1,0 +1,218 @@
+"""Whether the robot is where a hypothesis says: what should be seen from there is looked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
+from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
+from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
+
+__all__ = ['CarriedFrames', 'Verification', 'verify']
+
+# A landmark is looked for in so many pictures: those that have it nearest to their middle.
+_VIEWS = 2
+# A hypothesis is that good, a fix that was found from it that much better.
+_SIGMAS = ((0.08, 0.08, 0.025), (0.02, 0.02, 0.008))
+# Passes over the bearings taken from elsewhere, whose shift depends on the heading.
+_HEADING_PASSES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedFrames:
+    """
+    Pictures with where the base was at each, (n, 3), in the base frame of the time `stamp_ns`.
+
+    `variances` (n, 3) is how sure that is, along, across and turning.
+    """
+
+    stamp_ns: int
+    frames: Sequence[CameraFrame]
+    poses_last_base: FloatArray
+    variances: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """
+    A hypothesis that holds.
+
+    `ids` are the landmarks that it rests on, `bearing_rad` their directions from the base at the
+    end; `expected` is how many should have been seen.
+    """
+
+    estimate: PoseEstimate
+    ids: npt.NDArray[np.int64]
+    bearing_rad: FloatArray
+    expected: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Bearings:
+    """Bearings of landmarks (places in the map), each out of one of the frames."""
+
+    landmark: npt.NDArray[np.intp]
+    frame: npt.NDArray[np.intp]
+    bearing: FloatArray
+    variance: FloatArray
+
+
+def verify(
+    pose_map_base: FloatArray,
+    carried: CarriedFrames,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    visibility: TripletConfig,
+    detection: DetectionConfig,
+    triangulation: TriangulationConfig,
+    pan_sigma_rad: float,
+) -> Verification | Refusal:
+    """
+    Look for all landmarks that a pose lets expect, and triangulate from those found.
+
+    Parameters
+    ----------
+    pose_map_base : ndarray, shape (3,)
+        Hypothesis: the base at the pictures' common time, good to some 10 cm and 2 degrees.
+    carried : CarriedFrames
+        The pictures.
+    landmark_map, mount : LandmarkMap, PanTiltMount
+        What was learned, where the camera turns.
+    visibility, detection, triangulation : TripletConfig, DetectionConfig, TriangulationConfig
+        Parameters of the stages.
+    pan_sigma_rad : float
+        Error of the measured pan.
+
+    Returns
+    -------
+    Verification or Refusal
+
+    """
+    estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
+    for sigmas in _SIGMAS:
+        prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
+        found, expected = _look(prior, carried, landmark_map, mount, visibility, detection)
+        fix = _solve(found, prior, carried, landmark_map, mount, triangulation, pan_sigma_rad)
+        if isinstance(fix, Refusal):
+            return fix
+        estimate = base_from_axis(fix.at(carried.stamp_ns), mount)
+    assert isinstance(fix, Fix)
+    landmark = np.unique(found.landmark[fix.used])
+    offset = landmark_map.positions[landmark, :2] - fix.pose[:2]
+    bearing = wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - fix.pose[2])
+    return Verification(estimate, landmark_map.ids[landmark], bearing, expected)
+
+
+def _look(
+    prior: PoseEstimate,
+    carried: CarriedFrames,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    visibility: TripletConfig,
+    detection: DetectionConfig,
+) -> tuple[_Bearings, int]:
+    """Bearings found, and how many landmarks were to be expected."""
+    priors = [
+        PoseEstimate(frame.stamp_ns, np.asarray(pose), prior.covariance + np.diag(drift))
+        for frame, pose, drift in zip(
+            carried.frames,
+            se2.compose(prior.pose, carried.poses_last_base),
+            carried.variances,
+            strict=True,
+        )
+    ]
+    landmarks, frames, asides = [], [], []
+    for k, (frame, here) in enumerate(zip(carried.frames, priors, strict=True)):
+        index = visible_landmarks(
+            here, landmark_map, frame.camera, mount, frame.pan_rad, frame.tilt_rad, visibility
+        )
+        axis = axis_from_base(here, mount).pose
+        turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+        offset = landmark_map.positions[index, :2] - axis[:2]
+        middle = axis[2] + np.arctan2(turn[1, 2], turn[0, 2])
+        landmarks.append(index)
+        frames.append(np.full(len(index), k))
+        asides.append(np.abs(wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - middle)))
+    landmark, of_frame = np.concatenate(landmarks), np.concatenate(frames)
+    order = np.lexsort((np.concatenate(asides), landmark))
+    landmark, of_frame = landmark[order], of_frame[order]
+    best = np.arange(len(order)) - np.searchsorted(landmark, landmark) < _VIEWS
+    expected = len(np.unique(landmark))
+
+    parts = []
+    for k, (frame, here) in enumerate(zip(carried.frames, priors, strict=True)):
+        index = landmark[best & (of_frame == k)]
+        seen = detect_landmarks(frame, here, landmark_map, mount, detection, index).detections
+        where = landmark_map.indices(seen.ids)
+        parts.append(_Bearings(where, np.full(len(seen), k), seen.bearing_rad, seen.variance_rad2))
+    return (
+        _Bearings(
+            np.concatenate([p.landmark for p in parts]),
+            np.concatenate([p.frame for p in parts]),
+            np.concatenate([p.bearing for p in parts]),
+            np.concatenate([p.variance for p in parts]),
+        ),
+        expected,
+    )
+
+
+def _solve(
+    found: _Bearings,
+    prior: PoseEstimate,
+    carried: CarriedFrames,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: TriangulationConfig,
+    pan_sigma_rad: float,
+) -> Fix | Refusal:
+    """
+    Triangulate the pan axis at the last picture from bearings taken from everywhere.
+
+    A bearing taken elsewhere is one to a virtual landmark, shifted by how far the axis has moved
+    since (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009). What odometry
+    adds to its error counts as the virtual landmark's.
+    """
+    axis = np.array([*mount.axis_xyz[:2], 0.0])
+    moved = se2.relative(axis, se2.compose(carried.poses_last_base, axis))[found.frame]
+    position = landmark_map.positions[found.landmark, :2]
+    start = axis_from_base(prior, mount)
+    rows = np.stack([2 * found.landmark, 2 * found.landmark + 1], -1).reshape(-1)
+    covariance = landmark_map.joint_covariance_xy[np.ix_(rows, rows)]
+    covariance += _drift(position - start.pose[:2], carried.variances[found.frame])
+    heading = float(start.pose[2])
+    for _ in range(_HEADING_PASSES):
+        fix = triangulate(
+            position - moved[:, :2] @ se2.rotation(heading).T,
+            wrap_rad(found.bearing + moved[:, 2]),
+            found.variance + pan_sigma_rad**2,
+            covariance,
+            start=start,
+            config=config,
+        )
+        if isinstance(fix, Refusal) or not moved.any():
+            return fix
+        heading = float(fix.pose[2])
+    return fix
+
+
+def _drift(sight: FloatArray, variances: FloatArray) -> FloatArray:
+    """
+    Covariance (2n, 2n) of virtual landmarks, seen along `sight` (n, 2), by the odometry's errors.
+
+    They add up from the last picture back, so two bearings share those of the later one. A wrong
+    turn moves a landmark across the line of sight, in proportion to its range.
+    """
+    across = np.stack([-sight[:, 1], sight[:, 0]], -1).reshape(-1)
+    turn = np.minimum.outer(variances[:, 2], variances[:, 2])
+    way = variances[:, :2].max(axis=1)
+    by_turn = np.repeat(np.repeat(turn, 2, axis=0), 2, axis=1) * np.outer(across, across)
+    return np.asarray(by_turn + np.kron(np.minimum.outer(way, way), np.eye(2)))

@@ -1,0 +1,11 @@
+"""The best line of a whole recording."""
+
+from __future__ import annotations
+
+from landmark_nav.localization.smoother.smoothing import (
+    smooth,
+    Smoothed,
+    SmootherConfig,
+)
+
+__all__ = ['Smoothed', 'SmootherConfig', 'smooth']

@@ -1,0 +1,97 @@
+"""Odometry between the poses of a smoother: what it says, and how wrong that may be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.se2 import compose, rotation
+from landmark_nav.localization.odometry.noise import motion_variances, OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.types import FloatArray, OdometrySample
+
+__all__ = ['Motions', 'motions_between']
+
+# Motion is compounded in steps of about this, each an arc.
+_STEP_NS = 50_000_000
+# Poses at one time still need some weight between them: a tenth of a millimetre and of a mrad.
+_LEAST_VARIANCE = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """
+    Motions between consecutive times.
+
+    Parameters
+    ----------
+    increment : ndarray, shape (m, 3)
+        Pose of each time in the frame of the one before.
+    by_bias : ndarray, shape (m, 3, 3)
+        Its derivative by the scale of the way, the drift per metre and the scale of turns.
+    covariance : ndarray, shape (m, 3, 3)
+        What is random in it.
+
+    """
+
+    increment: FloatArray
+    by_bias: FloatArray
+    covariance: FloatArray
+
+
+def motions_between(
+    stamps_ns: npt.NDArray[np.int64],
+    odometry: Sequence[OdometrySample],
+    config: OdometryNoiseConfig,
+) -> Motions:
+    """
+    Compound the odometry between times (m + 1,), step by step.
+
+    Side slip, which the filter carries as a state, counts as white noise of the same effect over
+    ways much longer than its own.
+    """
+    track = OdometryTrack(config)
+    for sample in odometry:
+        track.add(sample)
+    parts = [
+        _between(
+            np.linspace(begin, end, 1 + max(1, round((end - begin) / _STEP_NS)), dtype=np.int64),
+            track,
+            config,
+        )
+        for begin, end in pairwise(stamps_ns.tolist())
+    ]
+    increment, by_bias, covariance = (np.array(part) for part in zip(*parts, strict=True))
+    return Motions(increment, by_bias, covariance)
+
+
+def _between(
+    times_ns: npt.NDArray[np.int64], track: OdometryTrack, config: OdometryNoiseConfig
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Increment (3,), its derivative by the biases (3, 3) and its covariance (3, 3)."""
+    poses, steps, variances = [np.zeros(3)], [], []
+    slip = 2.0 * config.slip_length_m * config.slip_sigma**2
+    for begin, end in pairwise(times_ns.tolist()):
+        motion = track.motion(begin, end)
+        variance = motion_variances(motion, config)
+        variance[1] += slip * abs(float(motion.increment[0]))
+        steps.append(motion.increment)
+        variances.append(variance)
+        poses.append(compose(poses[-1], motion.increment))
+    pose, step = np.array(poses), np.array(steps)
+    # How a change of each step, in its own frame, moves the end: it turns what comes after.
+    lever = pose[-1, :2] - pose[1:, :2]
+    effect = np.zeros((len(step), 3, 3))
+    effect[:, :2, :2] = rotation(pose[:-1, 2])
+    effect[:, 0, 2], effect[:, 1, 2] = -lever[:, 1], lever[:, 0]
+    effect[:, 2, 2] = 1.0
+    shifted = np.zeros((len(step), 3, 3))
+    shifted[:, :2, 0] = step[:, :2]
+    shifted[:, 2, 1] = step[:, 0]
+    shifted[:, 2, 2] = step[:, 2]
+    covariance = np.einsum('mij,mj,mkj->ik', effect, np.array(variances), effect)
+    return pose[-1], np.sum(effect @ shifted, axis=0), covariance + _LEAST_VARIANCE * np.eye(3)

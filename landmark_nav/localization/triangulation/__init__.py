@@ -1,0 +1,12 @@
+"""A pose from bearings."""
+
+from __future__ import annotations
+
+from landmark_nav.localization.triangulation.robust import (
+    Fix,
+    triangulate,
+    triangulate_three,
+    TriangulationConfig,
+)
+
+__all__ = ['Fix', 'TriangulationConfig', 'triangulate', 'triangulate_three']

@@ -1,0 +1,224 @@
+"""
+Fixes from sightings of several pictures, taken while the robot moves and the camera turns.
+
+Every bearing is carried to a common time by odometry: seen from the later pose, a landmark that
+was sighted from ``v`` aside lies at ``L - R(heading) v`` (a virtual landmark), and its bearing
+turned with the robot. The closed form then applies, and is repeated as the heading gets better
+known. What odometry may be wrong by counts as an error of the virtual landmarks, which those
+sighted at the same time, or over the same way, have in common.
+
+Font-Llagunes and Batlle, Consistent triangulation for mobile robot localization using
+discontinuous angular measurements, Robotics and Autonomous Systems 57(9), 2009, treat the same
+question with a filter.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import compose, compose_jacobians, rotation
+from landmark_nav.localization.odometry.noise import motion_variances, OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
+from landmark_nav.localization.triangulation.robust import Fix, triangulate, TriangulationConfig
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+    Triplet,
+)
+
+__all__ = ['SightingGatherer']
+
+# Virtual landmarks take the heading of the pass before: each leaves a tenth of its error.
+_PASSES = 10
+_CLOSE_M = 1e-6
+# Of odometry, kept beyond what can be asked for.
+_SPARE_NS = 1_000_000_000
+
+
+class _Sighting(NamedTuple):
+    stamp_ns: int
+    bearing_rad: float
+    variance_rad2: float
+
+
+class SightingGatherer:
+    """
+    The last sighting of each landmark, until a fix has used it.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the pan axis, the apex of all bearings, sits on the base.
+    window_s : float
+        For how long a sighting counts; 0 leaves those of the last picture.
+    odometry, triangulation : OdometryNoiseConfig, TriangulationConfig
+        Parameters.
+    pan_sigma_rad : float
+        What all bearings of a picture share: the error of the measured pan.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        mount: PanTiltMount,
+        window_s: float,
+        odometry: OdometryNoiseConfig,
+        triangulation: TriangulationConfig,
+        pan_sigma_rad: float = 0.0,
+    ) -> None:
+        self._map, self._mount = landmark_map, mount
+        self._lever = np.asarray(mount.axis_xyz[:2], dtype=np.float64)
+        self._window_ns = int(1e9 * window_s)
+        self._odometry, self._triangulation = odometry, triangulation
+        self._pan_variance = pan_sigma_rad**2
+        self._track = OdometryTrack(odometry)
+        self._sightings: dict[int, _Sighting] = {}
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Take odometry; what is wrong with it is the filter's to tell."""
+        self._track.add(sample)
+        self._track.trim(sample.stamp_ns - 2 * self._window_ns - _SPARE_NS)
+
+    def add(self, found: Detections) -> None:
+        """Take the landmarks of a picture, and forget what is older than the window."""
+        oldest = found.stamp_ns - self._window_ns
+        self._sightings = {
+            k: sighting
+            for k, sighting in self._sightings.items()
+            if oldest <= sighting.stamp_ns <= found.stamp_ns
+        }
+        for k, bearing, variance in zip(
+            found.ids.tolist(), found.bearing_rad, found.variance_rad2, strict=True
+        ):
+            self._sightings[k] = _Sighting(found.stamp_ns, float(bearing), float(variance))
+
+    def missing(self, triplet: Triplet) -> list[int]:
+        """Landmarks of a triplet that are still to be sighted."""
+        return [k for k in triplet.ids.tolist() if k not in self._sightings]
+
+    def fix(self, prior: PoseEstimate) -> PoseEstimate | Refusal:
+        """
+        Triangulate the base at the time of the prior from all that was sighted lately.
+
+        What a fix used is used up, so that fixes stay independent of each other.
+        """
+        ids = np.array(sorted(self._sightings), dtype=np.int64)
+        if len(ids) < 3:
+            return Refusal('fewer than three bearings', f'{len(ids)} given')
+        sightings = [self._sightings[k] for k in ids.tolist()]
+        stamps = np.array([sighting.stamp_ns for sighting in sightings])
+        motions, errors = self._motions(prior.stamp_ns, stamps)
+        outcome = self._solved(
+            self._map.indices(ids),
+            np.array([sighting.bearing_rad for sighting in sightings]) + motions[:, 2],
+            np.array([sighting.variance_rad2 for sighting in sightings]),
+            motions,
+            errors,
+            self._pan_variance * (stamps[:, None] == stamps),
+            axis_from_base(prior, self._mount),
+        )
+        if isinstance(outcome, Refusal):
+            return outcome
+        self._sightings.clear()
+        return base_from_axis(outcome.at(prior.stamp_ns), self._mount)
+
+    def _solved(
+        self,
+        index: np.ndarray[tuple[int], np.dtype[np.intp]],
+        bearing: FloatArray,
+        variance: FloatArray,
+        motions: FloatArray,
+        errors: FloatArray,
+        pan_covariance: FloatArray,
+        start: PoseEstimate,
+    ) -> Fix | Refusal:
+        """Fix of the axis with virtual landmarks, again and again with the heading it gives."""
+        rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
+        map_covariance = self._map.joint_covariance_xy[np.ix_(rows, rows)]
+        position = self._map.positions[index, :2]
+        turned = np.array([rotation(turn) for turn in motions[:, 2]])
+        aside = motions[:, :2] + turned @ self._lever - self._lever
+        # Derivative of `aside` by the motion's turn.
+        by_turn = np.stack([-(turned @ self._lever)[:, 1], (turned @ self._lever)[:, 0]], axis=-1)
+        pose = start.pose
+        for _ in range(_PASSES):
+            heading = rotation(pose[2])
+            virtual = position - aside @ heading.T
+            delta = virtual - pose[:2]
+            # A bearing that is wrong shifts the virtual landmark across the view.
+            across = np.stack([-delta[:, 1], delta[:, 0]], -1)
+            by_motion = np.concatenate(
+                [
+                    np.broadcast_to(-heading, (len(index), 2, 2)),
+                    (-by_turn @ heading.T - across)[..., None],
+                ],
+                axis=-1,
+            )
+            carried = np.einsum('iab,ibjc,jdc->iajd', by_motion, errors, by_motion)
+            carried += np.einsum('ia,ij,jb->iajb', across, pan_covariance, across)
+            outcome = triangulate(
+                virtual,
+                bearing,
+                variance,
+                map_covariance + carried.reshape(map_covariance.shape),
+                start,
+                self._triangulation,
+            )
+            if isinstance(outcome, Refusal):
+                break
+            moved = aside @ (rotation(outcome.pose[2]) - heading).T
+            if np.abs(moved).max() < _CLOSE_M:
+                break
+            pose = outcome.pose
+        return outcome
+
+    def _motions(self, stamp_ns: int, stamps_ns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Poses (n, 3) of the base at the sightings, seen from that at `stamp_ns`, and their errors.
+
+        The errors are a joint covariance (n, 3, n, 3).
+        """
+        if (stamps_ns == stamp_ns).all():
+            n = len(stamps_ns)
+            return np.zeros((n, 3)), np.zeros((n, 3, n, 3))
+        times, place = np.unique(stamps_ns, return_inverse=True)
+        poses = np.zeros((len(times), 3))
+        # Each row of factors is what the errors of all ways between the times do to a pose.
+        factors = np.zeros((len(times), 3, 3 * len(times)))
+        later_ns, pose, factor = stamp_ns, np.zeros(3), np.zeros((3, 3 * len(times)))
+        for k in range(len(times) - 1, -1, -1):
+            motion = self._track.motion(int(times[k]), later_ns)
+            back = _inverse(motion.increment)
+            by_pose, by_back = compose_jacobians(pose, back)
+            sigma = np.sqrt(np.maximum(motion_variances(motion, self._odometry), 0.0))
+            factor = by_pose @ factor
+            factor[:, 3 * k : 3 * k + 3] = by_back @ _inverse_jacobian(motion.increment) * sigma
+            pose = np.asarray(compose(pose, back))
+            poses[k], factors[k], later_ns = pose, factor, int(times[k])
+        joint = np.einsum('iam,jbm->iajb', factors, factors)
+        return poses[place], joint[place][:, :, place]
+
+
+def _inverse(motion: FloatArray) -> FloatArray:
+    return np.array([*(-rotation(motion[2]).T @ motion[:2]), -motion[2]])
+
+
+def _inverse_jacobian(motion: FloatArray) -> FloatArray:
+    """Derivative (3, 3) of a motion's inverse by the motion."""
+    back = _inverse(motion)
+    jacobian = -np.eye(3)
+    jacobian[:2, :2] = -rotation(motion[2]).T
+    # d(R^T)/d(turn) = -J R^T, with J the turn by 90 degrees.
+    jacobian[:2, 2] = [back[1], -back[0]]
+    return jacobian

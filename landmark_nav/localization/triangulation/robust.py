@@ -1,0 +1,211 @@
+"""
+A pose out of bearings to known landmarks, with its first-order covariance, or why there is none.
+
+The unknown is the pose of the pan axis with the orientation of the base; `base_from_axis` turns
+it into the base's pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.triangulation.least_squares import best_start, solve, w_statistics
+from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
+from landmark_nav.localization.triangulation.three import triangulate_three
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray, PoseEstimate, Refusal
+
+__all__ = ['Fix', 'TriangulationConfig', 'triangulate', 'triangulate_three']
+
+
+@dataclass(frozen=True)
+class TriangulationConfig:
+    """When a fix is believed."""
+
+    fit_probability: float = parameter(
+        0.999, 'Chi-square level up to which bearings count as meeting.', minimum=0.5, maximum=1.0
+    )
+    start_probability: float = parameter(
+        0.9999, 'Chi-square level of the distance from the prior.', minimum=0.5, maximum=1.0
+    )
+    max_sigma_m: float = parameter(
+        0.3, 'Largest predicted position sigma (root of the trace), m.', minimum=0.0, maximum=100.0
+    )
+    min_range_m: float = parameter(
+        0.5, 'Least distance from a landmark, m.', minimum=0.0, maximum=100.0
+    )
+    danger_margin: float = parameter(
+        0.075,
+        'Least distance of a three-bearing fix from the circle through its landmarks, relative to '
+        'its radius or to the range (0.075 is 0.15 of the squared radius as power).',
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Fix:
+    """
+    A triangulated pose of the pan axis.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (3,)
+        x, y [m] of the pan axis and heading [rad] of the base, map frame.
+    covariance : ndarray, shape (3, 3)
+        First order, with the map's error.
+    residual_rad : ndarray, shape (n,)
+        Measured minus expected bearing.
+    used : ndarray of bool, shape (n,)
+        Which bearings the pose rests on.
+    chi_square : float
+        Of the used residuals, with ``used.sum() - 3`` degrees of freedom.
+
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    residual_rad: FloatArray
+    used: npt.NDArray[np.bool_]
+    chi_square: float
+
+    def at(self, stamp_ns: int) -> PoseEstimate:
+        """Return it as a pose estimate of that time."""
+        return PoseEstimate(stamp_ns, self.pose, self.covariance)
+
+
+def triangulate(
+    positions: npt.ArrayLike,
+    bearings: npt.ArrayLike,
+    variances: npt.ArrayLike,
+    map_covariance: npt.ArrayLike | None = None,
+    start: PoseEstimate | None = None,
+    config: TriangulationConfig | None = None,
+) -> Fix | Refusal:
+    """
+    Weighted least squares with outlier rejection, started by the closed form of every triple.
+
+    Weights are ``(S_b + G Sigma_L G^T)^-1`` with G the derivative of the bearings by the
+    landmarks. An outlier is the bearing with the largest w-statistic (Baarda, A Testing Procedure
+    for Use in Geodetic Networks, 1968) while the chi-square test fails and four others remain.
+
+    Parameters
+    ----------
+    positions : array_like, shape (n, 2)
+        Landmarks in map, metres.
+    bearings, variances : array_like, shape (n,)
+        Bearings at the pan axis [rad] and their own variances [rad^2].
+    map_covariance : array_like, shape (2n, 2n), optional
+        Joint covariance of `positions`, metres squared.
+    start : PoseEstimate, optional
+        Prior of the pan axis: tried as a start, and the fix must be plausible beside it.
+    config : TriangulationConfig, optional
+        Limits.
+
+    Returns
+    -------
+    Fix or Refusal
+
+    Raises
+    ------
+    LandmarkNavError
+        Arrays that do not match, values that are not finite, variances that are not positive.
+
+    """
+    config = config or TriangulationConfig()
+    position, bearing, variance, map_cov = _checked(positions, bearings, variances, map_covariance)
+    n = len(bearing)
+    if n < 3:
+        return Refusal('fewer than three bearings', f'{n} given')
+    pose = best_start(position, bearing, variance, start)
+    if pose is None:
+        return Refusal('degenerate geometry', 'no three landmarks fix a pose')
+
+    used = np.ones(n, dtype=np.bool_)
+    while True:
+        index = np.flatnonzero(used)
+        rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
+        solved = solve(
+            position[index], bearing[index], variance[index], map_cov[np.ix_(rows, rows)], pose
+        )
+        if isinstance(solved, Refusal):
+            return solved
+        chi_square = float(solved.residual @ solved.weight @ solved.residual)
+        # Three bearings meet exactly or not at all; one degree of freedom stands for rounding.
+        limit = float(chdtri(max(len(index) - 3, 1), 1.0 - config.fit_probability))
+        if chi_square <= limit:
+            break
+        if len(index) <= 4:
+            return Refusal(
+                'bearings do not meet',
+                f'chi-square {chi_square:.1f} of {len(index)} bearings, limit {limit:.1f}, '
+                f'largest residual {np.degrees(np.abs(solved.residual).max()):.2f} deg',
+            )
+        used[index[np.argmax(w_statistics(solved))]] = False
+
+    residual = bearing_residuals(solved.pose, position, bearing)
+    fix = Fix(solved.pose, solved.covariance, residual, used, chi_square)
+    return _doubt(fix, position[used], start, config) or fix
+
+
+def _checked(
+    positions: npt.ArrayLike,
+    bearings: npt.ArrayLike,
+    variances: npt.ArrayLike,
+    map_covariance: npt.ArrayLike | None,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    position = np.asarray(positions, dtype=np.float64).reshape(-1, 2)
+    bearing = np.asarray(bearings, dtype=np.float64)
+    variance = np.asarray(variances, dtype=np.float64)
+    n = len(bearing)
+    covariance = np.zeros((2 * n, 2 * n)) if map_covariance is None else map_covariance
+    map_cov = np.asarray(covariance, dtype=np.float64)
+    if len(position) != n or variance.shape != (n,) or map_cov.shape != (2 * n, 2 * n):
+        raise LandmarkNavError(
+            f'triangulation: {len(position)} positions, {n} bearings, {len(variance)} variances, '
+            f'map covariance {map_cov.shape}: give n, n, n and (2n, 2n)'
+        )
+    if not all(np.isfinite(a).all() for a in (position, bearing, variance, map_cov)):
+        raise LandmarkNavError('triangulation: a position, bearing or variance is not a number')
+    if np.any(variance <= 0.0):
+        raise LandmarkNavError('triangulation: bearing variances must be positive')
+    return position, bearing, variance, map_cov
+
+
+def _doubt(
+    fix: Fix, position: FloatArray, start: PoseEstimate | None, config: TriangulationConfig
+) -> Refusal | None:
+    """Why a solved fix is not to be believed; None if it is."""
+    nearest = float(np.min(np.hypot(*(position - fix.pose[:2]).T)))
+    if nearest < config.min_range_m:
+        return Refusal('too close to a landmark', f'{nearest:.2f} m')
+    sigma = float(np.sqrt(np.trace(fix.covariance[:2, :2])))
+    if sigma > config.max_sigma_m:
+        return Refusal('too uncertain', f'position sigma {sigma:.2f} m')
+    if len(position) == 3:
+        distance, relative = danger_distance(fix.pose[:2], position)
+        if relative < config.danger_margin or distance < 3.0 * sigma:
+            return Refusal(
+                'danger circle', f'{distance:.2f} m from the circle through the three landmarks'
+            )
+    if start is not None:
+        offset = fix.pose - start.pose
+        offset[2] = wrap_rad(offset[2])
+        spread = start.covariance + fix.covariance
+        distance_sq = float(offset @ np.linalg.solve(spread, offset))
+        if distance_sq > float(chdtri(3, 1.0 - config.start_probability)):
+            return Refusal(
+                'far from the expected place',
+                f'{np.hypot(offset[0], offset[1]):.2f} m and {np.degrees(offset[2]):.1f} deg away',
+            )
+    return None

@@ -1,0 +1,152 @@
+"""What can be seen from where the robot probably is, and in which views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.triangulation.model import axis_from_base, bearing_gradients
+from landmark_nav.localization.triplet.ranking import Standing
+from landmark_nav.localization.triplet.views import PanWindows
+from landmark_nav.localization.triplet.visibility import (
+    axis_position,
+    patch_corners,
+    standings,
+    TripletConfig,
+    whole_in_view,
+)
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+
+__all__ = ['Gaze', 'Outlook']
+
+IndexArray = npt.NDArray[np.intp]
+
+# Greatest share of half the view that a wide prior may claim as margin.
+_MAX_MARGIN = 0.25
+
+
+@dataclass(frozen=True)
+class Gaze:
+    """
+    Where the camera looks and how far it turns.
+
+    Parameters
+    ----------
+    pan_rad : float or None
+        Pan now: turning away from it takes time. None if that should not count.
+    tilt_rad : float
+        Tilt, positive upwards.
+    limits_rad : tuple of float
+        Least and greatest pan; the same twice for a camera that does not turn.
+
+    """
+
+    pan_rad: float | None = None
+    tilt_rad: float = 0.0
+    limits_rad: tuple[float, float] = (-np.pi, np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """
+    A map as it is seen from a prior pose of the base.
+
+    Parameters
+    ----------
+    prior : PoseEstimate
+        Of the base in map; its spread widens the margins.
+    landmark_map : LandmarkMap
+        What was learned, n landmarks.
+    camera, mount : CameraModel, PanTiltMount
+        What looks.
+    config : TripletConfig
+        What counts as visible.
+    gaze : Gaze
+        Where the camera looks and how far it turns.
+
+    """
+
+    prior: PoseEstimate
+    landmark_map: LandmarkMap
+    camera: CameraModel
+    mount: PanTiltMount
+    config: TripletConfig
+    gaze: Gaze
+
+    @cached_property
+    def axis(self) -> PoseEstimate:
+        """Expected pose of the pan axis, with the orientation of the base."""
+        return axis_from_base(self.prior, self.mount)
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """Of the patches, (n, 4, 3)."""
+        return patch_corners(self.landmark_map)
+
+    def standing(self) -> npt.NDArray[np.int8]:
+        """`Standing` of each landmark (n,)."""
+        viewer = axis_position(self.prior.pose, self.mount)
+        standing = standings(viewer, self.landmark_map, self.config)
+        index = np.flatnonzero(standing == Standing.USABLE)
+        windows = self.windows(index)
+        reachable = np.isin(np.arange(len(index)), windows.place)
+        # Those ahead of some pan must be whole in that view: neither too high nor too low.
+        azimuth = self._azimuth(self.expected_bearings(index)[0])
+        straight = np.clip(azimuth, *self.gaze.limits_rad)
+        ahead = np.abs(straight - azimuth) < 1e-9
+        whole = self.whole(self.corners[index], straight) | ~ahead
+        standing[index[~whole]] = Standing.CUT
+        standing[index[~reachable]] = Standing.BEYOND_LIMITS
+        return standing
+
+    def windows(self, index: IndexArray) -> PanWindows:
+        """Pans at which each of the landmarks `index` (m,) is probably whole in the picture."""
+        bearing, sigma = self.expected_bearings(index)
+        half_fov = self.camera.half_fov_rad
+        # However wide the prior, some of the picture stays to be used.
+        margin = np.minimum(self.config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
+        reach = half_fov - margin - _half_width(self.axis.pose, self.corners[index])
+        limits, pan = self.gaze.limits_rad, self.gaze.pan_rad
+        return PanWindows.around(self._azimuth(bearing), reach, limits, pan, self.config)
+
+    def _azimuth(self, bearing_rad: FloatArray) -> FloatArray:
+        return wrap_rad(bearing_rad - self.mount.axis_rpy[2])
+
+    def whole(self, corners: FloatArray, pan_rad: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether views (m,) hold their patches' corners (m, 4, 3)."""
+        return whole_in_view(
+            corners,
+            self.prior.pose,
+            self.camera,
+            self.mount,
+            pan_rad,
+            self.gaze.tilt_rad,
+            self.config.border_px,
+        )
+
+    def expected_bearings(self, index: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Bearings (n,) at the pan axis and their sigmas (n,) by prior and map."""
+        position = self.landmark_map.positions[index, :2]
+        delta = position - self.axis.pose[:2]
+        bearing = wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - self.axis.pose[2])
+        gradient = bearing_gradients(self.axis.pose, position)
+        jacobian = np.column_stack([gradient, np.full(len(index), -1.0)])
+        variance = np.einsum('ni,ij,nj->n', jacobian, self.axis.covariance, jacobian)
+        variance += np.einsum(
+            'ni,nij,nj->n', gradient, self.landmark_map.covariances[index, :2, :2], gradient
+        )
+        return bearing, np.sqrt(variance)
+
+
+def _half_width(axis_pose: FloatArray, corners: FloatArray) -> FloatArray:
+    """Greatest angle (n,) between the centre of a patch and its corners (n, 4, 3), in plan."""
+    delta = corners[..., :2] - axis_pose[:2]
+    azimuth = np.arctan2(delta[..., 1], delta[..., 0])
+    center = delta.mean(axis=1)
+    middle = np.arctan2(center[:, 1], center[:, 0])
+    return np.asarray(np.abs(wrap_rad(azimuth - middle[:, None])).max(axis=1, initial=0.0))

@@ -1,0 +1,226 @@
+"""
+The best triplets out of all, without looking at all.
+
+The variance of a fix is at least what any two of its three landmarks allow (`geometry`),
+so pairs that alone are worse than triplets already known are left out, and with them most
+triplets; of the others the viewpoints are computed one after the other, and a triplet is given up
+once what it has and what it must still get are too much. What is left out is provably worse: the
+result is that of looking at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.localization.triplet.geometry import IndexArray, PairTables, position_variance
+from landmark_nav.types import FloatArray
+
+__all__ = ['best_triplets', 'mean_variance']
+
+# Triplets worked on at a time: their arrays stay in the cache.
+_BATCH = 16384
+# Pairs that are completed in every way for a first bound.
+_FIRST_PAIRS = 16
+# With no more landmarks the bounds cost more than they save; else there are 2^4 groups.
+_FEW = 64
+_HALVINGS = 4
+# Instead of a distance of zero.
+_NOWHERE = 1e-150
+# Bounds are compared with so much room for rounding.
+_ROUNDING = 1.0 + 1e-9
+
+
+def mean_variance(tables: PairTables, triplets: IndexArray) -> FloatArray:
+    """Position variance (t,) of triplets (t, 3), averaged over the tables' viewpoints (p,)."""
+    i, j, k = np.ascontiguousarray(triplets.T)
+    return np.asarray(position_variance(tables, i, j, k).mean(axis=0))
+
+
+def best_triplets(
+    tables: PairTables, factor: FloatArray, cost: FloatArray, count: int
+) -> tuple[FloatArray, IndexArray]:
+    """
+    Triplets with the least score: variance times the landmarks' factors times the cost.
+
+    Parameters
+    ----------
+    tables : PairTables
+        Of n landmarks from viewpoints (p,), over which the variance is averaged.
+    factor : ndarray, shape (n,)
+        Of each landmark, at least 1.
+    cost : ndarray, shape (n, n)
+        Of each pair, at least 1, symmetric; a triplet costs the most of its pairs. Infinite for
+        pairs that can't be combined.
+    count : int
+        How many are wanted.
+
+    Returns
+    -------
+    scores : ndarray, shape (m,)
+        Ascending; fewer than `count` if there are no more.
+    triplets : ndarray of int, shape (m, 3)
+        Each ascending.
+
+    """
+    with np.errstate(divide='ignore', invalid='ignore'):
+        least = tables.error / tables.distance
+    least[~np.isfinite(least)] = np.inf
+    weight = np.outer(factor, factor) * factor.min(initial=np.inf) * cost
+    weight[~np.isfinite(weight)] = np.inf
+    bound = least.mean(axis=0) * weight
+    search = _Search(tables, factor, cost, count)
+    search.add(_around_best_pairs(bound).T)
+    good = bound <= search.limit * _ROUNDING
+    if len(factor) > _FEW:
+        _add_across(least, tables, good)
+        good &= least.mean(axis=0) * weight <= search.limit * _ROUNDING
+    search.expect(least)
+    for triplets in _triangles(good & np.isfinite(bound)):
+        search.add(triplets)
+    return search.scores, search.triplets
+
+
+def _add_across(least: FloatArray, tables: PairTables, good: npt.NDArray[np.bool_]) -> None:
+    """
+    Raise the least variances (p, n, n) of pairs by what remains across the pair's line.
+
+    A third inverse point at distance q from the line adds its own variance over q squared, and
+    that of the best mean of the pair. Third points are taken in groups: the least variance of a
+    group and the greatest q that its enclosing circle allows.
+    """
+    first, second = np.nonzero(np.triu(good, 1))
+    groups = _groups(tables.gradient[0].T)
+    for point, table in zip(
+        least, (PairTables(*t) for t in zip(*tables, strict=True)), strict=True
+    ):
+        x, y = table.gradient
+        length = np.sqrt(table.distance[first, second])
+        normal_x, normal_y = (y[second] - y[first]) / length, (x[first] - x[second]) / length
+        offset = normal_x * x[first] + normal_y * y[first]
+        pair = table.own[first] * table.own[second] / (table.own[first] + table.own[second])
+        across = np.full(len(first), np.inf)
+        for group in groups:
+            center_x, center_y = x[group].mean(), y[group].mean()
+            radius = np.hypot(x[group] - center_x, y[group] - center_y).max()
+            reach = np.abs(normal_x * center_x + normal_y * center_y - offset) + radius
+            least_own = table.own[group].min() + pair
+            across = np.minimum(across, least_own / np.maximum(reach, _NOWHERE) ** 2)
+        point[first, second] += across
+        point[second, first] += across
+
+
+def _groups(points: FloatArray) -> list[IndexArray]:
+    """Indices of points (n, 2) that lie close together, by halving again and again."""
+    groups = [np.arange(len(points))]
+    for _ in range(_HALVINGS):
+        halves = []
+        for group in groups:
+            wide = int(np.argmax(np.ptp(points[group], axis=0)))
+            order = group[np.argsort(points[group, wide], kind='stable')]
+            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
+        groups = halves
+    return groups
+
+
+class _Search:
+    """The best triplets so far, and the score that a new one must not exceed."""
+
+    def __init__(
+        self,
+        tables: PairTables,
+        factor: FloatArray,
+        cost: FloatArray,
+        count: int,
+    ) -> None:
+        self._points = [PairTables(*point) for point in zip(*tables, strict=True)]
+        self._factor, self._cost, self._count = factor, cost, count
+        self._to_come: FloatArray | None = None
+        self.limit = np.inf
+        self.scores: FloatArray = np.empty(0)
+        self.triplets: IndexArray = np.empty((0, 3), dtype=np.intp)
+
+    def expect(self, least: FloatArray) -> None:
+        """Learn what each viewpoint adds at least, to any triplet with a pair, (p, n, n)."""
+        self._to_come = np.zeros((len(least) + 1, *least.shape[1:]))
+        self._to_come[:-1] = np.cumsum(least[::-1], axis=0)[::-1] / len(least)
+
+    def add(self, triplets: IndexArray) -> None:
+        """Look at triplets (3, t)."""
+        i, j, k = triplets
+        weight = self._factor.take(i) * self._factor.take(j) * self._factor.take(k)
+        weight *= _largest(self._cost, i, j, k)
+        total = np.zeros(len(i))
+        for place, point in enumerate([None, *self._points]):
+            if point is not None:
+                total += position_variance(point, i, j, k) / len(self._points)
+            lower = total
+            if self._to_come is not None:
+                lower = total + _largest(self._to_come[place], i, j, k)
+            with np.errstate(invalid='ignore'):
+                good = np.flatnonzero(lower * weight <= self.limit * _ROUNDING)
+            i, j, k, total, weight = (a.take(good) for a in (i, j, k, total, weight))
+        found = np.sort(np.stack([i, j, k], -1), axis=1)
+        scores, triplets = total * weight, np.concatenate([self.triplets, found])
+        finite = np.isfinite(scores)
+        scores = np.concatenate([self.scores, scores])
+        finite = np.concatenate([np.ones(len(self.scores), np.bool_), finite])
+        scores, triplets = scores[finite], triplets[finite]
+        once = _first_of_each(triplets)
+        best = once[np.argsort(scores[once], kind='stable')[: self._count]]
+        self.scores, self.triplets = scores[best], triplets[best]
+        if len(best) == self._count:
+            self.limit = float(self.scores[-1])
+
+
+def _first_of_each(triplets: IndexArray) -> IndexArray:
+    """Places where each of the triplets (t, 3) of a list comes first, in ascending order."""
+    n = triplets.max(initial=0) + 1
+    return np.unique(triplets @ np.array([n * n, n, 1]), return_index=True)[1]
+
+
+def _largest(table: FloatArray, i: IndexArray, j: IndexArray, k: IndexArray) -> FloatArray:
+    n, flat = len(table), table.reshape(-1)
+    largest = np.maximum(flat.take(n * i + j), flat.take(n * i + k))
+    return np.asarray(np.maximum(largest, flat.take(n * j + k)))
+
+
+def _around_best_pairs(bound: FloatArray) -> IndexArray:
+    """Triplets (t, 3) of the best pairs with every third, each ascending."""
+    n = len(bound)
+    first, second = np.triu_indices(n, 1)
+    best = np.argsort(bound[first, second], kind='stable')[:_FIRST_PAIRS]
+    pairs = np.stack([first[best], second[best]], -1)
+    third = np.tile(np.arange(n), len(pairs))
+    triplets = np.column_stack([np.repeat(pairs, n, axis=0), third])
+    triplets = triplets[(third != triplets[:, 0]) & (third != triplets[:, 1])]
+    triplets = np.sort(triplets, axis=1)
+    return triplets[_first_of_each(triplets)]
+
+
+def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:
+    """Batches (3, t) of triplets whose three pairs are all `good` (n, n)."""
+    # Those with few partners first: each landmark then has few later ones.
+    order = np.argsort(good.sum(axis=0), kind='stable')
+    later = np.triu(good[np.ix_(order, order)], 1)
+    firsts: list[int] = []
+    seconds: list[IndexArray] = []
+    thirds: list[IndexArray] = []
+    waiting = 0
+    for first in range(len(order) - 2):
+        partners = np.flatnonzero(later[first])
+        # A flat search and a division are quicker than a search by row and column.
+        found = np.flatnonzero(later[partners][:, partners])
+        if len(found):
+            second = found // len(partners)
+            third = found - second * len(partners)
+            firsts.append(order[first])
+            seconds.append(order[partners][second])
+            thirds.append(order[partners][third])
+            waiting += len(found)
+        if waiting >= _BATCH or (waiting and first == len(order) - 3):
+            whole = np.repeat(firsts, [len(second) for second in seconds])
+            yield np.stack([whole, np.concatenate(seconds), np.concatenate(thirds)])
+            firsts, seconds, thirds, waiting = [], [], [], 0

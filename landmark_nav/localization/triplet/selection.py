@@ -1,0 +1,241 @@
+"""
+Triplet selection: the three landmarks that promise the most certain pose for the time they take.
+
+Madsen and Andersen, Optimal landmark selection for triangulation of robot position, Robotics and
+Autonomous Systems 23(4), 1998: propagate the measurement noise through the triangulation for every
+triplet that fits one view. Here the map's errors count too, those that landmarks share as such; so
+do the prior's spread, the chance that all three are found, and the time to turn to them. A triplet
+may also be spread over several views, one after the other.
+
+The score is variance x time / chance: the inverse of the information to be expected in a second.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.triangulation.model import base_from_axis
+from landmark_nav.localization.triplet.geometry import (
+    fix_covariances,
+    IndexArray,
+    pair_tables,
+    PairTables,
+)
+from landmark_nav.localization.triplet.outlook import Gaze, Outlook
+from landmark_nav.localization.triplet.ranking import Ranking, Standing
+from landmark_nav.localization.triplet.search import best_triplets, mean_variance
+from landmark_nav.localization.triplet.views import Tours
+from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
+
+__all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'select_triplet', 'visible_landmarks']
+
+# How many of the best triplets are looked at more closely, at first.
+_SHORTLIST = 24
+# A spread of that share of the nearest landmark's range changes variances by its square.
+_SMALL = 0.05
+# How many are told about.
+_RANKED = 8
+
+
+def select_triplet(
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    config: TripletConfig,
+    gaze: Gaze | None = None,
+    previous: Triplet | None = None,
+    found_rate: npt.ArrayLike | None = None,
+) -> Triplet | Refusal:
+    """Choose three landmarks and the pan that sees them; parameters as for `rank_triplets`."""
+    ranking = rank_triplets(prior, landmark_map, camera, mount, config, gaze, previous, found_rate)
+    return ranking.chosen
+
+
+def rank_triplets(
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    config: TripletConfig,
+    gaze: Gaze | None = None,
+    previous: Triplet | None = None,
+    found_rate: npt.ArrayLike | None = None,
+) -> Ranking:
+    """
+    Compare all triplets that can be seen and choose one.
+
+    Parameters
+    ----------
+    prior : PoseEstimate
+        Of the base in map; its spread widens the margins and averages the promise.
+    landmark_map : LandmarkMap
+        What was learned.
+    camera, mount : CameraModel, PanTiltMount
+        What looks.
+    config : TripletConfig
+        What counts as visible, and what time costs.
+    gaze : Gaze, optional
+        Where the camera looks and how far it turns; a full turn at no cost by default.
+    previous : Triplet, optional
+        What is being looked at; kept unless another is better by `config.hysteresis`.
+    found_rate : array_like, shape (n,), optional
+        How often each landmark of the map was found when looked for, (0, 1].
+
+    Returns
+    -------
+    Ranking
+        Of the chosen triplet `sigma_rad` is the spread of the expected bearings by prior and map,
+        `covariance` that of the base's pose, and `pan_rad` the first pan to look at.
+
+    """
+    outlook = Outlook(prior, landmark_map, camera, mount, config, gaze or Gaze())
+    standing = outlook.standing()
+    index = np.flatnonzero(standing == Standing.USABLE)
+    if len(index) < 3:
+        detail = f'{len(index)} of {len(standing)}'
+        return Ranking.none(Refusal('fewer than three landmarks are visible', detail), standing)
+    chance = np.ones(len(standing)) if found_rate is None else np.asarray(found_rate)
+    return _Contest(outlook, index, chance[index]).judge(previous, standing)
+
+
+class _Contest:
+    """Triplets of the landmarks `index` (n,), by the windows of pan that see them."""
+
+    def __init__(self, outlook: Outlook, index: IndexArray, chance: FloatArray) -> None:
+        self._outlook, self._map, self._config = outlook, outlook.landmark_map, outlook.config
+        self._windows = outlook.windows(index)
+        # From here on a landmark counts once for each turn of the axis that sees it.
+        self._index, self._chance = index[self._windows.place], chance[self._windows.place]
+        self._corners = outlook.corners[self._index]
+        delta = self._map.positions[self._index, :2] - outlook.axis.pose[:2]
+        points = _viewpoints(outlook.axis, float(np.hypot(*delta.T).min()))
+        sigma = self._config.bearing_sigma_rad
+        self._tables: PairTables = pair_tables(points, self._map, self._index, sigma)
+
+    def judge(self, previous: Triplet | None, standing: npt.NDArray[np.int8]) -> Ranking:
+        """Find the best and compare it with what is being looked at."""
+        triplets = np.concatenate([self._windows_of(previous), self._best()])
+        tours = self._tours(triplets)
+        score = self._scores(triplets, tours)
+        favoured = score.copy()
+        favoured[self._are(previous, triplets)] /= 1.0 + self._config.hysteresis
+        order = np.argsort(favoured, kind='stable')
+        order = order[np.isfinite(score[order])]
+        # Each once, in its best turn of the axis.
+        _, once = np.unique(np.sort(self._index[triplets[order]]), axis=0, return_index=True)
+        order = order[np.sort(once)[:_RANKED]]
+        if not len(order):
+            views = 'one view' if self._config.views == 'one' else 'the views'
+            reason = Refusal(f'fewer than three landmarks fit {views}', 'of those visible')
+            return Ranking.none(reason, standing)
+        tours = Tours(*(part[order] for part in tours))
+        return self._ranking(triplets[order], tours, score[order], standing)
+
+    def _best(self) -> IndexArray:
+        """
+        Return triplets (t, 3) that hold the best one.
+
+        The search does not look whether patches are whole; it is asked for more until what it
+        has not given must be worse than the best there is.
+        """
+        factor, cost = 1.0 / self._chance, self._windows.costs()
+        count = _SHORTLIST
+        while True:
+            floor, triplets = best_triplets(self._tables, factor, cost, count)
+            score = self._scores(triplets, self._tours(triplets))
+            if len(floor) < count or np.min(score) <= floor[-1]:
+                return triplets
+            count *= 8
+
+    def _tours(self, triplets: IndexArray) -> Tours:
+        """Tours of triplets (t, 3) that show all patches whole."""
+        tours = self._windows.tours(triplets)
+        corners = self._corners[triplets].reshape(-1, 4, 3)
+        whole = self._outlook.whole(corners, tours.pan_rad.reshape(-1))
+        good = whole.reshape(-1, 3).all(axis=1)
+        return tours._replace(cost=np.where(good, tours.cost, np.inf))
+
+    def _scores(self, triplets: IndexArray, tours: Tours) -> FloatArray:
+        if not len(triplets):
+            return np.empty(0)
+        chance = np.prod(self._chance[triplets], axis=-1)
+        variance = mean_variance(self._tables, triplets)
+        return np.asarray(variance / chance * tours.cost)
+
+    def _windows_of(self, previous: Triplet | None) -> IndexArray:
+        """The previous triplet (t, 3) in all turns of the axis that see it; none if one can't."""
+        if previous is None:
+            return np.empty((0, 3), dtype=np.intp)
+        ids = self._map.ids[self._index]
+        return np.array(
+            list(product(*(np.flatnonzero(ids == k) for k in previous.ids))), dtype=np.intp
+        ).reshape(-1, 3)
+
+    def _are(self, previous: Triplet | None, triplets: IndexArray) -> npt.NDArray[np.bool_]:
+        """Whether triplets (t, 3) are the previous one."""
+        if previous is None:
+            return np.zeros(len(triplets), dtype=np.bool_)
+        ids = np.sort(self._map.ids[self._index[triplets]], axis=-1)
+        return np.asarray((ids == np.sort(previous.ids)).all(axis=-1))
+
+    def _ranking(
+        self,
+        triplets: IndexArray,
+        tours: Tours,
+        score: FloatArray,
+        standing: npt.NDArray[np.int8],
+    ) -> Ranking:
+        """Tell about triplets (m, 3) in order, the chosen one first."""
+        axis = self._outlook.axis
+        chosen = self._index[triplets]
+        covariance = fix_covariances(
+            axis.pose[:2], self._map, chosen, self._config.bearing_sigma_rad
+        )
+        sigma_m = np.sqrt(np.trace(covariance[:, :2, :2], axis1=1, axis2=2))
+        pan, seconds = tours.pan_rad, (tours.cost - 1.0) * self._config.look_s
+        best: Triplet | Refusal
+        if sigma_m[0] > self._config.max_sigma_m:
+            detail = f'the best promises {sigma_m[0]:.2f} m'
+            best = Refusal('no triplet is accurate enough', detail)
+        else:
+            bearing, sigma = self._outlook.expected_bearings(chosen[0])
+            fix = PoseEstimate(axis.stamp_ns, axis.pose, covariance[0])
+            best = Triplet(
+                axis.stamp_ns,
+                self._map.ids[chosen[0]],
+                bearing,
+                sigma,
+                base_from_axis(fix, self._outlook.mount).covariance,
+                float(self._nearest(pan[0])),
+            )
+        return Ranking(
+            best,
+            standing,
+            self._map.ids[chosen],
+            covariance,
+            np.prod(self._chance[triplets], axis=-1),
+            seconds,
+            pan,
+            score,
+        )
+
+    def _nearest(self, pan_rad: FloatArray) -> float:
+        """Where a tour of pans (3,) starts: at its end that is nearer to where it looks now."""
+        ends = np.array([pan_rad.min(), pan_rad.max()])
+        now = self._outlook.gaze.pan_rad
+        return float(ends[0] if now is None else ends[np.argmin(np.abs(ends - now))])
+
+
+def _viewpoints(axis: PoseEstimate, nearest_m: float) -> FloatArray:
+    """Positions (p, 2) that stand for the prior's spread; the middle alone where it is small."""
+    value, vector = np.linalg.eigh(axis.covariance[:2, :2])
+    steps = (vector * np.sqrt(2.0 * np.maximum(value, 0.0))).T
+    if np.hypot(*steps[1]) < _SMALL * nearest_m:
+        return np.asarray(axis.pose[None, :2])
+    return np.asarray(axis.pose[:2] + np.concatenate([steps, -steps]))

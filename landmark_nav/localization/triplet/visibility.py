@@ -1,0 +1,201 @@
+"""Which landmarks can be seen well from a place, and which of them a view takes in whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.observation import observed_well
+from landmark_nav.geometry.se2 import compose, rotation
+from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.localization.triplet.ranking import Standing
+from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+
+__all__ = [
+    'TripletConfig',
+    'axis_position',
+    'observable',
+    'patch_corners',
+    'standings',
+    'visible_landmarks',
+    'whole_in_view',
+]
+
+
+@dataclass(frozen=True)
+class TripletConfig:
+    """Which landmarks count as visible, and what a triplet promises."""
+
+    bearing_sigma_rad: float = parameter(
+        4e-4, 'Expected measurement sigma of a bearing, rad.', minimum=1e-6, maximum=0.5
+    )
+    min_sampling: float = parameter(
+        0.5, 'Least sampling of a patch relative to its reference view.', minimum=0.01, maximum=1.0
+    )
+    # Livatino and Madsen allow 2; a picture that is blurred as the patch is shows it from nearer.
+    max_sampling: float = parameter(
+        4.0, 'Greatest sampling relative to the reference view.', minimum=1.0, maximum=100.0
+    )
+    min_range_m: float = parameter(0.5, 'Least distance, m.', minimum=0.0, maximum=100.0)
+    max_range_m: float = parameter(12.0, 'Greatest distance, m.', minimum=0.1, maximum=1000.0)
+    border_px: float = parameter(
+        4.0, 'Rim of the picture that a patch must not touch, pixels.', minimum=0.0, maximum=1000.0
+    )
+    margin_sigmas: float = parameter(
+        3.0, 'Predicted bearing sigmas a patch must stay inside the view.', minimum=0.0
+    )
+    hysteresis: float = parameter(
+        0.3,
+        'A new triplet must score so much better than the one looked at.',
+        minimum=0.0,
+        maximum=100.0,
+    )
+    views: str = parameter(
+        'one',
+        'Whether one view must hold a triplet, or several, one after the other; the same in '
+        'triplet_selector and triangulation_localizer.',
+        choices=('one', 'several'),
+    )
+    look_s: float = parameter(
+        1.0, 'Time of a look, beside which that of turning counts, s.', minimum=0.01
+    )
+    pan_rate_rad_s: float = parameter(1.0, 'Rate of the pan unit, rad/s.', minimum=0.01)
+    pan_acceleration_rad_s2: float = parameter(
+        8.0, 'Acceleration of the pan unit, rad/s^2.', minimum=0.01
+    )
+    max_sigma_m: float = parameter(
+        0.5,
+        'Worst position sigma (root of the trace) worth a look, m.',
+        minimum=0.0,
+        maximum=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
+
+
+def visible_landmarks(
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    pan_rad: float,
+    tilt_rad: float,
+    config: TripletConfig,
+) -> npt.NDArray[np.intp]:
+    """
+    Landmarks to be expected whole in a given view.
+
+    Parameters
+    ----------
+    prior : PoseEstimate
+        Of the base in map.
+    landmark_map : LandmarkMap
+        What was learned.
+    camera, mount : CameraModel, PanTiltMount
+        What looks.
+    pan_rad, tilt_rad : float
+        Measured joint angles.
+    config : TripletConfig
+        What counts as visible.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
+        Places in the map.
+
+    """
+    seen = observable(axis_position(prior.pose, mount), landmark_map, config)
+    index = np.flatnonzero(seen)
+    corners = patch_corners(landmark_map)[index]
+    pans = np.full(len(index), pan_rad)
+    inside = whole_in_view(corners, prior.pose, camera, mount, pans, tilt_rad, config.border_px)
+    return index[inside]
+
+
+def axis_position(pose_map_base: FloatArray, mount: PanTiltMount) -> FloatArray:
+    """Pan axis (3,) in map."""
+    x, y, _ = compose(pose_map_base, [*mount.axis_xyz[:2], 0.0])
+    return np.array([x, y, mount.axis_xyz[2]])
+
+
+def observable(
+    viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
+) -> npt.NDArray[np.bool_]:
+    """Which landmarks (n,) look as learned from a viewer (3,)."""
+    return np.asarray(standings(viewer, landmark_map, config) == Standing.USABLE)
+
+
+def standings(
+    viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
+) -> npt.NDArray[np.int8]:
+    """
+    `Standing` of the landmarks (n,) seen from a viewer (3,): area, range, no wall between.
+
+    Those without a size are points that other sensors see: no picture of them was learned.
+    """
+    position = landmark_map.positions
+    distance = np.hypot(*(position[:, :2] - viewer[:2]).T)
+    standing = np.full(len(position), Standing.USABLE, dtype=np.int8)
+    well = observed_well(
+        position,
+        landmark_map.normals,
+        landmark_map.viewpoints,
+        viewer,
+        config.min_sampling,
+        config.max_sampling,
+    )
+    standing[~well] = Standing.OUTSIDE_AREA
+    standing[(distance < config.min_range_m) | (distance > config.max_range_m)] = (
+        Standing.OUT_OF_RANGE
+    )
+    standing[landmark_map.sizes_m.min(axis=1, initial=np.inf) <= 0.0] = Standing.NO_PICTURE
+    left = np.flatnonzero(standing == Standing.USABLE)
+    if landmark_map.walls and len(left):
+        seen = _room(landmark_map.walls).visible(viewer[:2], position[left, :2])
+        standing[left[~seen]] = Standing.HIDDEN
+    return standing
+
+
+def patch_corners(landmark_map: LandmarkMap) -> FloatArray:
+    """Corners (n, 4, 3) of the patches on the wall, map frame."""
+    normal = landmark_map.normals
+    along = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], -1)
+    half = 0.5 * landmark_map.sizes_m
+    signs = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+    sideways = (signs[:, 0] * half[:, :1])[..., None] * along[:, None]
+    upward = (signs[:, 1] * half[:, 1:])[..., None] * np.array([0.0, 0.0, 1.0])
+    return np.asarray(landmark_map.positions[:, None] + sideways + upward)
+
+
+def whole_in_view(
+    points_map: FloatArray,
+    pose_map_base: FloatArray,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    pan_rad: FloatArray,
+    tilt_rad: float,
+    border_px: float,
+) -> npt.NDArray[np.bool_]:
+    """
+    Whether views (m,) hold all of their points (m, k, 3).
+
+    `pan_rad` (m,) gives each its own pan.
+    """
+    from_base, center_base = mount.camera_pose_base(pan_rad, tilt_rad)
+    points_base = points_map - [pose_map_base[0], pose_map_base[1], 0.0]
+    points_base[..., :2] = points_base[..., :2] @ rotation(pose_map_base[2])
+    points = (points_base - center_base[:, None]) @ from_base
+    inside = camera.contains(camera.project(points), border_px)
+    return np.asarray(inside.all(axis=-1))
+
+
+@lru_cache(maxsize=8)
+def _room(walls: tuple[Wall, ...]) -> Room:
+    return Room(walls)
