@@ -10,7 +10,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
-from landmark_nav.learning.stereo import Sighting
+from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
