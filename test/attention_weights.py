@@ -26,7 +26,8 @@ import numpy as np
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.attention import attend, AttentionConfig, FEATURES
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
-from landmark_nav.learning.stereo import hypothesize, StereoConfig, wall_texture
+from landmark_nav.learning.stereo import hypothesize, StereoConfig
+from landmark_nav.learning.stereo.wall_patch import wall_texture
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
