@@ -12,7 +12,14 @@ import pytest
 
 from landmark_nav.demo.supervisor import ProcessEndedError, Supervisor
 
-SLEEP = [sys.executable, '-S', '-c', 'import time; print("up", flush=True); time.sleep(60)']
+# Where the tests run in the background of a shell, children begin with SIGINT ignored.
+SLEEP = [
+    *(sys.executable, '-S', '-c'),
+    'import signal, time\n'
+    'signal.signal(signal.SIGINT, signal.SIG_DFL)\n'
+    'print("up", flush=True)\n'
+    'time.sleep(60)',
+]
 STUBBORN = [
     *(sys.executable, '-S', '-c'),
     'import signal, time\n'
@@ -21,7 +28,10 @@ STUBBORN = [
     'print("up", flush=True)\n'
     'time.sleep(60)',
 ]
-FAILING = [sys.executable, '-S', '-c', 'print("first"); raise SystemExit("the wheel fell off")']
+FAILING = [
+    *(sys.executable, '-S', '-c'),
+    'print("first", flush=True); raise SystemExit("the wheel fell off")',
+]
 
 
 def wait_for(log: Path, word: str) -> None:
