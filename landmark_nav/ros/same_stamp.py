@@ -12,7 +12,7 @@ from landmark_nav.ros.node import LandmarkNode
 __all__ = ['listen_together']
 
 # Sets that may be incomplete at once; the oldest is forgotten first.
-_MAX_WAITING = 4
+_MAX_WAITING = 8
 
 
 def listen_together(

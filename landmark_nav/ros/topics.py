@@ -19,7 +19,16 @@ from rclpy.qos import (
 
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
 
-__all__ = ['LATCHED', 'RELIABLE', 'SENSOR_DATA', 'SWEEP', 'TOPICS', 'Topic', 'with_depth']
+__all__ = [
+    'LATCHED',
+    'PANORAMAS',
+    'RELIABLE',
+    'SENSOR_DATA',
+    'SWEEP',
+    'TOPICS',
+    'Topic',
+    'with_depth',
+]
 
 
 def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
@@ -35,6 +44,8 @@ SENSOR_DATA = qos_profile_sensor_data
 RELIABLE = _reliable(10, DurabilityPolicy.VOLATILE)
 # REP-2003 for maps: who comes later still gets the last one.
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
+# Several are needed, and one that comes soon must not push out one that is still on its way.
+PANORAMAS = _reliable(8, DurabilityPolicy.TRANSIENT_LOCAL)
 # Deep enough for all frames of a sweep, should a bag deliver them at once.
 SWEEP = _reliable(400, DurabilityPolicy.VOLATILE)
 
@@ -59,7 +70,7 @@ _PROFILES = (
     ),
     (SWEEP, 'sweep/image', 'sweep/image/compressed', 'sweep/camera_info'),
     (RELIABLE, 'sweep/trajectory', 'sweep/pose', 'pan_tilt/command', 'cmd_vel', 'initialpose'),
-    (LATCHED, 'panorama/image', 'panorama/camera_info', 'panorama/pose'),
+    (PANORAMAS, 'panorama/image', 'panorama/camera_info', 'panorama/pose'),
     (LATCHED, 'landmarks', 'landmarks/atlas', 'landmarks/markers'),
     (RELIABLE, 'triplet', 'detections', 'triangulation/pose', 'odometry/fused'),
 )
