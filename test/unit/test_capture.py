@@ -16,6 +16,8 @@ from landmark_nav.learning.capture import (
     Shot,
     SweepCapture,
 )
+from landmark_nav.learning.capture.frames import FrameLog
+from landmark_nav.learning.capture.joints import JointTrack
 from landmark_nav.learning.sharpness import Look
 from landmark_nav.types import JointSample, OdometrySample
 
@@ -537,3 +539,16 @@ def test_time_to_go_is_told():
     robot.run()
     assert told == pytest.approx((robot.now - start) * 1e-9, rel=0.5)
     assert robot.sweep.seconds_to_go(robot.now) == 0.0
+
+
+def test_a_picture_that_outran_its_joint_state_is_not_frozen_for_ever():
+    config = CaptureConfig()
+    log, track = FrameLog(config), JointTrack(config)
+    track.add(JointSample(0, -0.9))
+    # It shows -1.0 already, of which the joint states do not know yet.
+    assert not log.seen_elsewhere(b'picture', 20_000_000, track)
+    for k in range(1, 4):
+        track.add(JointSample(20_000_000 * k, -1.0))
+        assert not log.seen_elsewhere(b'picture', 20_000_000 * k, track)
+    track.add(JointSample(10_000_000_000, 0.5))
+    assert log.seen_elsewhere(b'picture', 10_000_000_000, track)

@@ -9,6 +9,7 @@ import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.capture.config import CaptureConfig
+from landmark_nav.learning.capture.joints import JointTrack
 from landmark_nav.learning.sharpness import Look, relative_sharpness
 from landmark_nav.types import JointSample
 
@@ -46,7 +47,7 @@ class FrameLog:
     def __init__(self, config: CaptureConfig) -> None:
         self._config = config
         self._last_ns = -1
-        self._pan_of: dict[bytes, float] = {}
+        self._first: dict[bytes, tuple[int, tuple[float, float]]] = {}
 
     def untimely(self, stamp_ns: int, joints_ns: int) -> str:
         """Why a stamp cannot be right; nothing if it can. `joints_ns` is the newest joint's."""
@@ -60,14 +61,25 @@ class FrameLog:
 
     def is_first(self, digest: bytes) -> bool:
         """Whether no other picture has come before this one."""
-        return next(iter(self._pan_of)) == digest
+        return next(iter(self._first)) == digest
 
-    def seen_elsewhere(self, digest: bytes, pan_rad: float) -> bool:
+    def remember(self, digest: bytes, stamp_ns: int, pans_rad: tuple[float, float]) -> None:
+        """Take a picture that came before, with the least and greatest pan it may have had."""
+        self._first[digest] = (stamp_ns, pans_rad)
+        if len(self._first) > _REMEMBERED:
+            del self._first[next(iter(self._first))]
+
+    def seen_elsewhere(self, digest: bytes, stamp_ns: int, track: JointTrack) -> bool:
         """Whether this very picture came at another pan; remembers it."""
-        first = self._pan_of.setdefault(digest, pan_rad)
-        if len(self._pan_of) > _REMEMBERED:
-            del self._pan_of[next(iter(self._pan_of))]
-        return abs(first - pan_rad) > self._config.arrival_tolerance_rad
+        pans_rad = track.around(stamp_ns)
+        if pans_rad is None:
+            return False
+        first_ns, first_rad = self._first.get(digest, (stamp_ns, pans_rad))
+        # It may have come before the joint state of its time.
+        first_rad = track.around(first_ns) or first_rad
+        self.remember(digest, first_ns, first_rad)
+        apart = max(pans_rad[0] - first_rad[1], first_rad[0] - pans_rad[1])
+        return apart > self._config.arrival_tolerance_rad
 
 
 class Album(Generic[FrameT]):

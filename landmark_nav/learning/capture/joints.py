@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import deque
 
 import numpy as np
@@ -60,6 +61,17 @@ class JointTrack:
             off = np.maximum.accumulate(np.abs(angles[:, 0] - target_rad))
             still &= off <= self._config.arrival_tolerance_rad
         return bool(still.any())
+
+    def around(self, stamp_ns: int) -> tuple[float, float] | None:
+        """Least and greatest pan around a stamp; None before the samples that are kept."""
+        stamps = [sample.stamp_ns for sample in self._samples]
+        after = bisect_left(stamps, stamp_ns)
+        if after < len(stamps) and stamps[after] == stamp_ns:
+            return self._samples[after].pan_rad, self._samples[after].pan_rad
+        if after == 0:
+            return None
+        near = [sample.pan_rad for sample in list(self._samples)[after - 1 : after + 1]]
+        return min(near), max(near)
 
     def at(self, stamp_ns: int) -> JointSample | None:
         """Angles at a stamp, interpolated; None if the samples around it are too far apart."""

@@ -77,7 +77,8 @@ class SweepCapture(Generic[FrameT]):
         self._track = JointTrack(self._config)
         self._log = FrameLog(self._config)
         for kept in self.kept:
-            self._log.seen_elsewhere(kept.digest, kept.joints.pan_rad)
+            pan_rad = kept.joints.pan_rad
+            self._log.remember(kept.digest, kept.joints.stamp_ns, (pan_rad, pan_rad))
         self._fault = ''
         self._heard_ns = self._run_start_ns = now_ns
         self._run_frames = 0
@@ -137,8 +138,7 @@ class SweepCapture(Generic[FrameT]):
         if self._fault or newest is None or step is None:
             return
         untimely = self._log.untimely(shot.stamp_ns, newest.stamp_ns)
-        pan_rad = (self._track.at(shot.stamp_ns) or newest).pan_rad
-        frozen = not untimely and self._log.seen_elsewhere(shot.digest, pan_rad)
+        frozen = not untimely and self._log.seen_elsewhere(shot.digest, shot.stamp_ns, self._track)
         self._image_age_s = (newest.stamp_ns - shot.stamp_ns) * 1e-9
         if step.phase is not Phase.EXPOSING or now_ns < step.again_ns:
             return
