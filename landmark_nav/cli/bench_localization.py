@@ -22,7 +22,7 @@ from landmark_nav.localization.fusion import PoseFilter
 from landmark_nav.localization.observation import ObservationConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
-from landmark_nav.localization.triplet import Gaze, select_triplet, TripletConfig
+from landmark_nav.localization.triplet import Gaze, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.geometry import pair_tables
 from landmark_nav.localization.triplet.search import mean_variance
 from landmark_nav.types import (
@@ -73,7 +73,7 @@ def _triplet(world: World) -> Comparison:
 
     return Comparison(
         'choice of the triplet',
-        lambda: select_triplet(world.prior, world.learned.map, CAMERA, MOUNT, config),
+        lambda: rank_triplets(world.prior, world.learned.map, CAMERA, MOUNT, config),
         f'covariances of {len(triplets)} triplets, one by one',
         one_by_one,
     )
@@ -111,7 +111,7 @@ def _triplet_of(count: int, views: str) -> Comparison:
     tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
     return Comparison(
         f'triplet among {count}, views: {views}',
-        lambda: select_triplet(prior, landmark_map, CAMERA, MOUNT, config, gaze),
+        lambda: rank_triplets(prior, landmark_map, CAMERA, MOUNT, config, gaze),
         f'variances of {len(few)} triplets, all at once',
         lambda: mean_variance(tables, few),
     )

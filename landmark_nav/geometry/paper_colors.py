@@ -7,7 +7,7 @@ import re
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['NAMED_HUES_DEG', 'hue_deg', 'paper_bgr']
+__all__ = ['NAMED_HUES_DEG', 'paper_bgr']
 
 NAMED_HUES_DEG = {
     'red': 0,
@@ -64,9 +64,3 @@ def paper_bgr(color: str) -> tuple[float, float, float]:
             'hang a more vivid paper'
         )
     return 255.0 * rgb[2], 255.0 * rgb[1], 255.0 * rgb[0]
-
-
-def hue_deg(color: str) -> float:
-    """Hue of a paper's colour, degrees from 0 (red)."""
-    blue, green, red = paper_bgr(color)
-    return 360.0 * colorsys.rgb_to_hsv(red, green, blue)[0]

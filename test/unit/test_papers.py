@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+import colorsys
+
 import cv2
 import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.paper_colors import hue_deg, NAMED_HUES_DEG, paper_bgr
+from landmark_nav.geometry.paper_colors import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
@@ -16,6 +18,11 @@ CYLINDER = Cylinder.with_resolution(200.0, -0.3, 0.3)
 SHAPE = (CYLINDER.height, CYLINDER.width)
 
 Rectangle = tuple[FloatArray, float, float, float, float]
+
+
+def hue_deg(color: str) -> float:
+    blue, green, red = paper_bgr(color)
+    return 360.0 * colorsys.rgb_to_hsv(red, green, blue)[0]
 
 
 def color_of(name: str, saturation: int = 200, value: int = 190) -> FloatArray:

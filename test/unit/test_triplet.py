@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import Any
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,7 +18,6 @@ from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import (
     Gaze,
     rank_triplets,
-    select_triplet,
     TripletConfig,
     visible_landmarks,
 )
@@ -43,6 +43,10 @@ ROOM = tuple(
         ('west', (0.0, DEPTH), (0.0, 0.0)),
     )
 )
+
+
+def select_triplet(*given: Any, **options: Any) -> Triplet | Refusal:
+    return rank_triplets(*given, **options).chosen
 
 
 def landmark(k: int, xy: tuple[float, float], normal: tuple[float, float], z: float) -> Landmark:

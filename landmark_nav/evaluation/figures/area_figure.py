@@ -27,11 +27,14 @@ from landmark_nav.evaluation.figures.style import (
 )
 from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.walls import Room
+from landmark_nav.localization.triplet import TripletConfig
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap
 
 __all__ = ['AreaTest', 'draw_observation_areas', 'typical_landmarks']
 
 _COUNT = 3
+# As the robot has them.
+_BOUNDS = TripletConfig()
 _CELL_M = 0.04
 _MARGIN_M = 0.3
 _LEVELS = (0.5, 1.5)
@@ -101,8 +104,8 @@ def draw_observation_areas(
     panels[0].get_legend().set_bbox_to_anchor((0.5, 1.08))
     text = (
         f'Figure 6. Observation areas of {len(chosen)} landmarks: there neither width nor height '
-        'of the patch is seen with less than half or more than twice the resolution of the view '
-        'that it was learned from.'
+        f'of the patch is seen with less than {_BOUNDS.min_sampling:g} or more than '
+        f'{_BOUNDS.max_sampling:g} times the resolution of the view that it was learned from.'
     )
     if tests:
         same, total = np.sum(agree, axis=0)
@@ -136,10 +139,9 @@ def _draw_area(
         axes.plot(*test.xy[~test.found].T, 'x', color=ODOMETRY, markersize=4, zorder=3)
         predicted = _predicted(landmark, room, test.xy)
         agree = int(np.sum(predicted == test.found)), len(predicted)
-        title += (
-            f': found from {test.found[predicted].mean():.0%} of the places inside, '
-            f'{test.found[~predicted].mean():.0%} outside'
-        )
+        inside, outside = test.found[predicted], test.found[~predicted]
+        title += f': found from {inside.sum()} of {len(inside)} places inside, '
+        title += f'{outside.sum()} of {len(outside)} outside'
     axes.set_title(title, fontsize=11)
     _draw_patch(axes, landmark, low, high)
     return agree
@@ -147,7 +149,12 @@ def _draw_area(
 
 def _predicted(landmark: Landmark, room: Room, xy: FloatArray) -> npt.NDArray[np.bool_]:
     seen = observed_well(
-        landmark.position[None], landmark.normal[None], landmark.viewpoint[None], xy
+        landmark.position[None],
+        landmark.normal[None],
+        landmark.viewpoint[None],
+        xy,
+        _BOUNDS.min_sampling,
+        _BOUNDS.max_sampling,
     )[:, 0]
     return np.asarray(seen & room.contains(xy) & room.visible(xy, landmark.position[:2]))
 

@@ -80,7 +80,8 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
         axes.plot(seconds, factor * fixes[:, k], '.', color=FIX, markersize=3, label='fix')
         axes.plot(seconds, factor * fused[:, k], color=FUSED, linewidth=1.3, label='fused')
         axes.axhline(0.0, color=TRUTH, linewidth=0.6)
-        shown = np.concatenate([band, np.abs(factor * fused[:, k])])
+        # A robot that is lost may be anywhere: its band runs off the axes.
+        shown = np.concatenate([band[~run.lost], np.abs(factor * fused[:, k])])
         limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
         axes.set_ylim(-limit, limit)
         axes.set_ylabel(label)

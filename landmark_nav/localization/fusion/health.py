@@ -19,10 +19,6 @@ __all__ = ['Health', 'HealthConfig', 'Status']
 Status = Literal['tracking', 'coasting', 'lost']
 
 
-# So many bearings of one picture speak for themselves, however many others are missing.
-_ENOUGH = 4
-
-
 @dataclass(frozen=True)
 class HealthConfig:
     """When the filter calls itself coasting or lost."""
@@ -146,8 +142,7 @@ class Health:
 
     def too_few(self, found: int, expected: int) -> bool:
         """Whether those found among so many that are missing may be mistaken themselves."""
-        # Several that are mistaken hardly agree with each other and with where they should be.
-        return found < min(self._config.usable_share * expected, _ENOUGH)
+        return found < self._config.usable_share * expected
 
     def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
         """Remember that the odometry cannot be what it says."""

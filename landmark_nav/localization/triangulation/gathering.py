@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.se2 import compose, compose_jacobians, rotation
+from landmark_nav.geometry.se2 import compose, compose_jacobians, inverse, rotation
 from landmark_nav.localization.odometry.noise import motion_variances, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
@@ -86,7 +86,10 @@ class SightingGatherer:
         self._sightings: dict[int, _Sighting] = {}
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Take odometry; what is wrong with it is the filter's to tell."""
+        """Take odometry, which one picture alone does not need."""
+        if not self._window_ns:
+            return
+        # What is wrong with it is the filter's to tell.
         self._track.add(sample)
         self._track.trim(sample.stamp_ns - 2 * self._window_ns - _SPARE_NS)
 
@@ -199,7 +202,7 @@ class SightingGatherer:
         later_ns, pose, factor = stamp_ns, np.zeros(3), np.zeros((3, 3 * len(times)))
         for k in range(len(times) - 1, -1, -1):
             motion = self._track.motion(int(times[k]), later_ns)
-            back = _inverse(motion.increment)
+            back = inverse(motion.increment)
             by_pose, by_back = compose_jacobians(pose, back)
             sigma = np.sqrt(np.maximum(motion_variances(motion, self._odometry), 0.0))
             factor = by_pose @ factor
@@ -210,13 +213,9 @@ class SightingGatherer:
         return poses[place], joint[place][:, :, place]
 
 
-def _inverse(motion: FloatArray) -> FloatArray:
-    return np.array([*(-rotation(motion[2]).T @ motion[:2]), -motion[2]])
-
-
 def _inverse_jacobian(motion: FloatArray) -> FloatArray:
     """Derivative (3, 3) of a motion's inverse by the motion."""
-    back = _inverse(motion)
+    back = inverse(motion)
     jacobian = -np.eye(3)
     jacobian[:2, :2] = -rotation(motion[2]).T
     # d(R^T)/d(turn) = -J R^T, with J the turn by 90 degrees.

@@ -32,7 +32,7 @@ from landmark_nav.localization.triplet.views import Tours
 from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
 
-__all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'select_triplet', 'visible_landmarks']
+__all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'visible_landmarks']
 
 # How many of the best triplets are looked at more closely, at first.
 _SHORTLIST = 24
@@ -40,21 +40,6 @@ _SHORTLIST = 24
 _SMALL = 0.05
 # How many are told about.
 _RANKED = 8
-
-
-def select_triplet(
-    prior: PoseEstimate,
-    landmark_map: LandmarkMap,
-    camera: CameraModel,
-    mount: PanTiltMount,
-    config: TripletConfig,
-    gaze: Gaze | None = None,
-    previous: Triplet | None = None,
-    found_rate: npt.ArrayLike | None = None,
-) -> Triplet | Refusal:
-    """Choose three landmarks and the pan that sees them; parameters as for `rank_triplets`."""
-    ranking = rank_triplets(prior, landmark_map, camera, mount, config, gaze, previous, found_rate)
-    return ranking.chosen
 
 
 def rank_triplets(
