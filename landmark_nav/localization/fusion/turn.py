@@ -36,31 +36,34 @@ def update_turning(
 
     If they agree with each other but not with the prior's direction, either the camera turned
     against the base or the base against the odometry. A bearing cannot tell which, so heading and
-    boresight both become uncertain by `turn_sigma` [rad]; as the robot drives on, the direction in
-    which it moves tells them apart.
+    boresight both become uncertain by that angle, `turn_sigma` [rad] at most; as the robot drives
+    on, the direction in which it moves tells them apart.
     """
     state, update = update_bearings(prior, frame, ids, lever, probability, odometry, least, refine)
     if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
         return state, update
-    turned = _common_turn(prior, frame, lever)
-    if update.refusal is None and abs(turned) < _SURPRISE:
+    angle, sigma = _common_turn(prior, frame, lever)
+    if update.refusal is None and abs(angle) < _SURPRISE * sigma:
         return state, update
     covariance = prior.covariance.copy()
-    covariance[[HEADING, BORESIGHT], [HEADING, BORESIGHT]] += turn_sigma**2
+    covariance[[HEADING, BORESIGHT], [HEADING, BORESIGHT]] += min(angle**2, turn_sigma**2)
     loose = replace(prior, covariance=covariance)
     loose_state, loose_update = update_bearings(
         loose, frame, ids, lever, probability, odometry, max(least, _LEAST), refine
     )
     if loose_update.refusal is not None or loose_update.degrees < update.degrees:
         return state, update
-    angle = float(np.median(loose_update.innovation_rad))
-    return loose_state, replace(loose_update, turned_rad=angle)
+    turned = float(np.median(loose_update.innovation_rad))
+    return loose_state, replace(loose_update, turned_rad=turned)
 
 
-def _common_turn(prior: FilterState, frame: BearingFrame, lever: FloatArray) -> float:
-    """How far all bearings are off together, in standard deviations."""
+def _common_turn(
+    prior: FilterState, frame: BearingFrame, lever: FloatArray
+) -> tuple[float, float]:
+    """Angle by which all bearings are off together, and its standard deviation; radians."""
     model = bearing_model(
         prior, prior, frame.columns, frame.bearing_rad, frame.noise, lever, frame.pan_rate
     )
     weight = np.linalg.solve(model.covariance, np.ones(len(frame.columns)))
-    return float(weight @ model.innovation / np.sqrt(weight.sum()))
+    information = weight.sum()
+    return float(weight @ model.innovation / information), float(1.0 / np.sqrt(information))
