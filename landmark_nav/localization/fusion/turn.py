@@ -15,7 +15,7 @@ from landmark_nav.types import FloatArray
 __all__ = ['update_turning']
 
 # An angle that all bearings share is a surprise beyond this many standard deviations.
-_SURPRISE = 4.0
+_SURPRISE = 5.0
 # So many bearings tell a common angle from a wrong place.
 _LEAST = 3
 
@@ -37,24 +37,29 @@ def update_turning(
     If they agree with each other but not with the prior's direction, either the camera turned
     against the base or the base against the odometry. A bearing cannot tell which, so heading and
     boresight both become uncertain by that angle, `turn_sigma` [rad] at most; as the robot drives
-    on, the direction in which it moves tells them apart.
+    on, the direction in which it moves tells them apart. An angle that is only too large for the
+    gates of single bearings is laid to the odometry.
     """
     state, update = update_bearings(prior, frame, ids, lever, probability, odometry, least, refine)
     if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
         return state, update
     angle, sigma = _common_turn(prior, frame, lever)
-    if update.refusal is None and abs(angle) < _SURPRISE * sigma:
+    surprising = abs(angle) > _SURPRISE * sigma
+    if update.refusal is None and not surprising:
         return state, update
+    turned = [HEADING, BORESIGHT] if surprising else [HEADING]
     covariance = prior.covariance.copy()
-    covariance[[HEADING, BORESIGHT], [HEADING, BORESIGHT]] += min(angle**2, turn_sigma**2)
+    covariance[turned, turned] += min(angle**2, turn_sigma**2)
     loose = replace(prior, covariance=covariance)
     loose_state, loose_update = update_bearings(
         loose, frame, ids, lever, probability, odometry, max(least, _LEAST), refine
     )
     if loose_update.refusal is not None or loose_update.degrees < update.degrees:
         return state, update
-    turned = float(np.median(loose_update.innovation_rad))
-    return loose_state, replace(loose_update, turned_rad=turned)
+    if not surprising:
+        return loose_state, loose_update
+    angle = float(np.median(loose_update.innovation_rad))
+    return loose_state, replace(loose_update, turned_rad=angle)
 
 
 def _common_turn(
