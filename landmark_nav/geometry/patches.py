@@ -25,8 +25,8 @@ def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
 
     """
     n = np.asarray(normals, dtype=np.float64)
-    right = np.stack([-n[..., 1], n[..., 0], np.zeros_like(n[..., 0])], -1)
-    down = np.zeros_like(n)
+    right, down = np.zeros_like(n), np.zeros_like(n)
+    right[..., 0], right[..., 1] = -n[..., 1], n[..., 0]
     down[..., 2] = -1.0
     return right, down
 

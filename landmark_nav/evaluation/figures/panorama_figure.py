@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.patches import Rectangle
 import numpy as np
 
@@ -49,8 +52,7 @@ def draw_panorama(
     size = (left + width + right, bottom + height + top)
     figure = new_figure(*size, arranged=False)
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
-    rgb = np.where(panorama.mask[..., None], panorama.image[..., ::-1], np.uint8(255))
-    figure.figimage(rgb, round(left * DPI), round(bottom * DPI), zorder=-1)
+    figure.add_artist(_Picture(panorama, left * DPI, bottom * DPI))
     axes.patch.set_visible(False)
     elected = 0
     for candidate, outcome in zip(candidates, outcomes, strict=True):
@@ -76,6 +78,22 @@ def draw_panorama(
         f'{elected} of them elected (bold, with id)'
     )
     save(figure, path, tight=False)
+
+
+class _Picture(Artist):
+    """What is covered of a panorama, pixel for pixel; `figimage` would resample it, slowly."""
+
+    def __init__(self, panorama: Panorama, left_px: float, bottom_px: float) -> None:
+        super().__init__()
+        self.set_zorder(-1)
+        self._corner = round(left_px), round(bottom_px)
+        self._rgba = cv2.cvtColor(panorama.image, cv2.COLOR_BGR2RGBA)
+        self._rgba[~panorama.mask] = 255
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Paint it; the renderer counts rows from below."""
+        context = renderer.new_gc()
+        renderer.draw_image(context, *self._corner, np.flipud(self._rgba))
 
 
 def _frame(axes: Axes, candidate: Candidate, column: float, label: str) -> None:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
@@ -105,8 +104,9 @@ def _complaint(
     along_m: FloatArray, off_m: FloatArray, slack_m: float, config: WallFitConfig
 ) -> str:
     """What is wrong with a wall; nothing unless its patches lie in one plane, as a wall's do."""
-    slope, offset, low, high = scipy.stats.theilslopes(off_m, along_m)
-    spread = float(np.median(np.abs(off_m - offset - slope * along_m)))
+    slope, low, high = _slope(along_m, off_m)
+    straightened = off_m - slope * along_m
+    spread = float(np.median(np.abs(straightened - np.median(straightened))))
     if spread > config.max_spread_m:
         return ''
     if (
@@ -122,3 +122,14 @@ def _complaint(
         f'has its {len(off_m)} patches {abs(median) * 100:.1f} cm {place} it '
         f'(+-{spread * 100:.1f} cm)'
     )
+
+
+def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
+    """Median slope between any two points and its 95 % interval (Sen, JASA 63, 1968)."""
+    left, right = np.nonzero(x[:, None] < x)
+    slopes = np.sort((y[right] - y[left]) / (x[right] - x[left]))
+    count = len(x)
+    half = 0.5 * 1.96 * np.sqrt(count * (count - 1) * (2 * count + 5) / 18.0)
+    ranks = np.rint(0.5 * len(slopes) + np.array([-half - 1.0, half])).astype(int)
+    low, high = slopes[np.clip(ranks, 0, len(slopes) - 1)]
+    return float(np.median(slopes)), float(low), float(high)

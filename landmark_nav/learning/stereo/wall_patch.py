@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry import se2
-from landmark_nav.geometry.patches import patch_points
+from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.types import Candidate, FloatArray, Panorama
 
 __all__ = [
@@ -103,17 +102,18 @@ def wall_texture(
         None where the panorama does not cover it.
 
     """
-    pixels = _pixels(panorama, patch_points(position, normal, shape, texel_m))
-    rows = pixels[..., 1]
+    columns, rows = _pixels(panorama, position, normal, shape, texel_m)
     if rows.min() < 1.0 or rows.max() > grey.shape[0] - 2.0:
         return None
-    corner = pixels[:: max(shape[0] - 1, 1), :: max(shape[1] - 1, 1)].reshape(-1, 2)
-    inside = np.rint(corner).astype(int)
-    if not panorama.mask[inside[:, 1], inside[:, 0] % grey.shape[1]].all():
+    corners = np.rint(rows[[0, -1]][:, [0, -1]]).astype(int)
+    if not panorama.mask[corners, np.rint(columns[[0, -1]]).astype(int) % grey.shape[1]].all():
         return None
-    maps = pixels.astype(np.float32)
     found = cv2.remap(
-        grey, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP
+        grey,
+        np.tile(columns.astype(np.float32), (shape[0], 1)),
+        rows.astype(np.float32),
+        cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_WRAP,
     )
     return np.asarray(found, dtype=np.float32)
 
@@ -126,12 +126,14 @@ def covered_rows(
     texel_m: float,
 ) -> slice:
     """Rows of a patch, arguments as above, that a panorama covers; empty where it covers none."""
-    points = patch_points(position, normal, shape, texel_m)
-    pixels = np.rint(_pixels(panorama, points[:, [0, shape[1] // 2, -1]])).astype(int)
+    some = [0, shape[1] // 2, -1]
+    columns, rows = (
+        np.rint(pixels[..., some]).astype(int)
+        for pixels in _pixels(panorama, position, normal, shape, texel_m)
+    )
     height, width = panorama.mask.shape
-    row = np.clip(pixels[..., 1], 0, height - 1)
-    seen = (pixels[..., 1] >= 2) & (pixels[..., 1] <= height - 3)
-    covered = (seen & panorama.mask[row, pixels[..., 0] % width]).all(1)
+    seen = (rows >= 2) & (rows <= height - 3)
+    covered = (seen & panorama.mask[np.clip(rows, 0, height - 1), columns % width]).all(1)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], covered, [False]]).astype(int)))
     if not len(ends):
         return slice(0, 0)
@@ -140,10 +142,26 @@ def covered_rows(
     return slice(int(first), int(last))
 
 
-def _pixels(panorama: Panorama, points_map: FloatArray) -> FloatArray:
-    offset = points_map - panorama.center_map
-    turned = offset[..., :2] @ se2.rotation(panorama.heading_rad)
-    return panorama.cylinder.project(np.concatenate([turned, offset[..., 2:]], -1))
+def _pixels(
+    panorama: Panorama,
+    position: FloatArray,
+    normal: FloatArray,
+    shape: tuple[int, int],
+    texel_m: float,
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Where a panorama shows a patch: columns (w,) and rows (h, w) of its texels.
+
+    Patch and cylinder are upright: a column of the patch is a part of a column of the panorama.
+    """
+    cylinder = panorama.cylinder
+    right, down = patch_axes(normal)
+    offset = position - panorama.center_map
+    across, below = ((np.arange(n) - (n - 1) / 2.0) * texel_m for n in shape[::-1])
+    ray = offset[:2] + across[:, None] * right[:2]
+    azimuth = np.arctan2(ray[:, 1], ray[:, 0]) - panorama.heading_rad
+    tangent = (offset[2] + below * down[2])[:, None] / np.hypot(ray[:, 0], ray[:, 1])
+    return cylinder.column_of(azimuth), cylinder.row_of(tangent)
 
 
 def moved_before(patch: WallPatch, before_m: float, panorama: Panorama) -> WallPatch:
