@@ -10,6 +10,7 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
+from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
@@ -58,6 +59,13 @@ class Parameters:
     start_sigma_rad: float = parameter(
         0.2, 'heading sigma of an initialpose that comes without covariance, rad', minimum=1e-4
     )
+    correction_time_s: float = parameter(
+        0.0,
+        'over which a correction of the transform map to odom is spread, as a time constant, s; '
+        '0 makes it at once. odometry/fused is never held back',
+        minimum=0.0,
+        maximum=60.0,
+    )
     fusion: LiveFusionConfig = field(default_factory=LiveFusionConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
@@ -76,6 +84,7 @@ class OdometryFusionNode(LandmarkNode):
         self._mount = load_robot(self.required('robot_file', self._config.robot_file))
         self._fused = self.advertise('odometry/fused')
         self._transform = MapToOdom(self)
+        self._spread = SpreadCorrection(self._config.correction_time_s)
         self._filter = self._new_filter(LandmarkMap(()))
         self._landmarks = 0
         self._accepted = self._rejected = 0
@@ -140,6 +149,7 @@ class OdometryFusionNode(LandmarkNode):
             sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)
             start = replace(start, covariance=np.diag(np.square(sigma)))
         self._filter.initialize(start)
+        self._spread.restart()
         x, y, heading = start.pose
         self.get_logger().info(f'start at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
 
@@ -154,8 +164,9 @@ class OdometryFusionNode(LandmarkNode):
         if estimate is not None:
             self._publish(estimate, sample)
             # Only here: a transform is not to be told twice of one time.
+            pose = self._spread.at(sample.stamp_ns, estimate.pose, sample.pose_odom_base)
             frames = (self._config.map_frame, self._odom_frame)
-            self._transform.send(sample.stamp_ns, estimate.pose, sample.pose_odom_base, frames)
+            self._transform.send(sample.stamp_ns, pose, frames)
 
     def _on_detections(self, message: Any) -> None:
         found = decode.detections(message)

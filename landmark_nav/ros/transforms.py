@@ -6,7 +6,6 @@ from importlib.util import find_spec
 
 from rclpy.node import Node
 
-from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.messages.encode.headers import header, upright
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.types import FloatArray
@@ -28,17 +27,11 @@ class MapToOdom:
             kind = message_class('tf2_msgs/msg/TFMessage')
             self._publisher = node.create_publisher(kind, '/tf', 100)
 
-    def send(
-        self,
-        stamp_ns: int,
-        pose_map_base: FloatArray,
-        pose_odom_base: FloatArray,
-        frames: tuple[str, str],
-    ) -> None:
-        """Send the transform that joins the two poses of the base, between these two frames."""
+    def send(self, stamp_ns: int, pose_map_odom: FloatArray, frames: tuple[str, str]) -> None:
+        """Send a transform between these two frames."""
         if self._publisher is None:
             return
-        x, y, yaw = compose(pose_map_base, inverse(pose_odom_base))
+        x, y, yaw = pose_map_odom
         pose = upright(ros_factory, x, y, 0.0, yaw)
         transform = ros_factory(
             'geometry_msgs/msg/Transform',
