@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from test_triplet import CAMERA, CONFIG, MOUNT, PRIOR, random_map
+from triplet_room import CAMERA, CONFIG, MOUNT, PRIOR, random_map
 
 from landmark_nav.localization.triplet import Gaze, TripletConfig
 from landmark_nav.localization.triplet.active_camera import ActiveCamera, FoundRecord

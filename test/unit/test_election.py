@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
 from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+from wall_views import greys_of
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
@@ -35,10 +35,6 @@ def panoramas() -> list[Panorama]:
 
 def views_of(scene: Scene) -> list[Panorama]:
     return [draw_panorama(scene, c, h) for c, h in zip(CENTERS, HEADINGS, strict=True)]
-
-
-def greys_of(panoramas: Sequence[Panorama]) -> list[Float32Image]:
-    return [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY).astype(np.float32) for p in panoramas]
 
 
 def patch_at(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bare_landmarks import bare_landmark, bearings
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.pipeline import LocalizationConfig
-from landmark_nav.types import Detections, Landmark, LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate
 
 BEGIN_NS = 1_763_654_321_000_000_007
 STEP_NS = 20_000_001
@@ -25,18 +26,7 @@ POSTS = np.array([[0.0, 4.0], [4.0, 3.0], [5.0, -1.0], [-2.0, -3.0]])
 def posts() -> LandmarkMap:
     return LandmarkMap(
         tuple(
-            Landmark(
-                id=k,
-                position=np.array([*place, 0.0]),
-                covariance=1e-6 * np.eye(3),
-                shared_loading=np.zeros((3, 0)),
-                normal=np.array([1.0, 0.0, 0.0]),
-                width_m=0.0,
-                height_m=0.0,
-                patch=np.zeros((0, 0), np.uint8),
-                viewpoint=np.zeros(3),
-                threshold=0.0,
-            )
+            bare_landmark(k, np.array([*place, 0.0]), 1e-6 * np.eye(3))
             for k, place in enumerate(POSTS)
         )
     )
@@ -54,8 +44,7 @@ def run() -> Replay:
         events.append(PoseEstimate(stamp - 1_000_003, pose, np.zeros((3, 3))))
         events.append(OdometrySample(stamp, reckoned))
         if k % 5 == 0:
-            delta = POSTS - pose[:2]
-            bearing = np.arctan2(delta[:, 1], delta[:, 0]) - pose[2] + rng.normal(0, 0.01, 4)
+            bearing = bearings(pose, POSTS) + rng.normal(0, 0.01, 4)
             events.append(
                 Detections(
                     stamp,

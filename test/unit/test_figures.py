@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from bare_landmarks import bare_landmark
 import cv2
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from landmark_nav.localization.pipeline import LocalizationUpdate
 from landmark_nav.types import (
     Candidate,
     Detections,
-    Landmark,
     LandmarkMap,
     Panorama,
     PoseEstimate,
@@ -36,17 +36,11 @@ LANDMARK_BGR = (0x73, 0x9E, 0x00)
 
 
 def landmark(identity, x):
-    return Landmark(
-        id=identity,
-        position=np.array([x, 0.0, 1.2]),
-        covariance=1e-4 * np.eye(3),
-        shared_loading=np.zeros((3, 1)),
+    return bare_landmark(
+        identity,
+        np.array([x, 0.0, 1.2]),
+        1e-4 * np.eye(3),
         normal=np.array([0.0, 1.0, 0.0]),
-        width_m=0.2,
-        height_m=0.2,
-        patch=np.zeros((8, 8), np.uint8),
-        viewpoint=np.array([2.0, 2.0, 1.0]),
-        threshold=0.7,
         wall_id='south',
     )
 

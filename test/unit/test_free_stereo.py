@@ -2,17 +2,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+from wall_views import candidate_at, greys_of
 
 from landmark_nav.geometry import se2
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.free_stereo import explain, match_freely
 from landmark_nav.learning.stereo.wall_patch import Sighting, WallPatch
-from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
+from landmark_nav.types import FloatArray, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
 CONFIG = StereoConfig()
@@ -31,15 +30,8 @@ def views_of(*scenes: Scene) -> list[Panorama]:
     ]
 
 
-def greys_of(panoramas: list[Panorama]) -> list[npt.NDArray[np.float32]]:
-    return [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY).astype(np.float32) for p in panoramas]
-
-
 def patch_at(panorama: Panorama, point: FloatArray) -> WallPatch:
-    turned = (point - panorama.center_map)[:2] @ se2.rotation(panorama.heading_rad)
-    column, row = panorama.cylinder.project([*turned, point[2] - panorama.center_map[2]])
-    candidate = Candidate(float(np.rint(column)), float(np.rint(row)), 30, 30, 1.0)
-    patch = hypothesize(candidate, 0, panorama, ROOM, CONFIG)
+    patch = hypothesize(candidate_at(panorama, point, 30), 0, panorama, ROOM, CONFIG)
     assert isinstance(patch, WallPatch)
     return patch
 

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
+from bare_landmarks import bearings
 import numpy as np
 import pytest
-from test_triplet import random_map
+from triplet_room import random_map
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -39,8 +40,7 @@ def way(steps: int) -> FloatArray:
 
 def sighted(pose: FloatArray, places: list[int], landmarks: FloatArray) -> FloatArray:
     axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
-    delta = landmarks[places] - axis[:2]
-    return wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - axis[2])
+    return bearings(axis, landmarks[places])
 
 
 def picture(stamp_ns: int, places: list[int], bearing: FloatArray, sigma_rad: float) -> Detections:

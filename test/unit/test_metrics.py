@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from bare_landmarks import bare_landmark
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -20,7 +21,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
-from landmark_nav.types import Detections, Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import Detections, LandmarkMap, PoseEstimate
 
 SECOND = 1_000_000_000
 
@@ -144,17 +145,11 @@ PLACES = np.array([[3.0, 0.0], [0.0, 4.0], [-2.0, -1.0], [2.0, 2.0]])
 def landmarks(covariance, loading):
     return LandmarkMap(
         tuple(
-            Landmark(
-                id=10 * k,
-                position=np.array([x, y, 1.0]),
-                covariance=covariance + loading @ loading.T,
+            bare_landmark(
+                10 * k,
+                np.array([x, y, 1.0]),
+                covariance + loading @ loading.T,
                 shared_loading=loading,
-                normal=np.array([1.0, 0.0, 0.0]),
-                width_m=0.2,
-                height_m=0.2,
-                patch=np.zeros((8, 8), np.uint8),
-                viewpoint=np.array([1.0, 1.0, 1.0]),
-                threshold=0.7,
             )
             for k, (x, y) in enumerate(PLACES)
         )

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from bare_landmarks import bearings
 import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.odometry.noise import twist_motion
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
@@ -43,8 +43,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     times = BEGIN_S + STEP_S * np.arange(count)
     seen = []
     for time, pose in zip(times[2::5], truth[2::5], strict=True):
-        delta = POSTS - pose[:2]
-        bearing = wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - pose[2])
+        bearing = bearings(pose, POSTS)
         bearing += rng.normal(0.0, 0.008, len(POSTS))
         for k in np.flatnonzero(np.abs(bearing) < 0.8):
             # One reading in fifty is mistaken for another post.

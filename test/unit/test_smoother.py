@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from bare_landmarks import bare_landmark, bearings
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -24,7 +25,6 @@ from landmark_nav.localization.smoother.problem import Bearings, Problem
 from landmark_nav.types import (
     Detections,
     FloatArray,
-    Landmark,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -44,18 +44,7 @@ PLACES = np.array([[0.0, 0.0], [5.0, -0.2], [6.0, 3.0], [4.0, 5.0], [1.0, 5.2], 
 def surveyed(places: FloatArray, sigma: float = MAP_SIGMA) -> LandmarkMap:
     return LandmarkMap(
         tuple(
-            Landmark(
-                id=10 + k,
-                position=np.array([*place, 0.0]),
-                covariance=sigma**2 * np.eye(3),
-                shared_loading=np.zeros((3, 0)),
-                normal=np.array([1.0, 0.0, 0.0]),
-                width_m=0.0,
-                height_m=0.0,
-                patch=np.zeros((0, 0), np.uint8),
-                viewpoint=np.zeros(3),
-                threshold=0.0,
-            )
+            bare_landmark(10 + k, np.array([*place, 0.0]), sigma**2 * np.eye(3))
             for k, place in enumerate(places)
         )
     )
@@ -96,8 +85,7 @@ class Drive:
         self, k: int, pose: FloatArray, rng: np.random.Generator, noise: float
     ) -> Detections:
         axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
-        delta = self.real - axis[:2]
-        bearing = np.arctan2(delta[:, 1], delta[:, 0]) - axis[2] + self.boresight
+        bearing = bearings(axis, self.real) + self.boresight
         bearing += noise * (rng.normal() * FUSION.pan_sigma_rad + SIGMA * rng.normal(size=6))
         view = rng.permutation(6)[:3]
         return Detections(

@@ -3,13 +3,12 @@ from __future__ import annotations
 from dataclasses import replace
 import tracemalloc
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
 from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+from wall_views import candidate_at, greys_of
 
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import patch_points
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
@@ -41,17 +40,6 @@ def scene() -> Scene:
 @pytest.fixture(scope='module')
 def panoramas(scene: Scene) -> list[Panorama]:
     return views_of(scene)
-
-
-def greys_of(panoramas: list[Panorama]) -> list[Float32Image]:
-    return [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY).astype(np.float32) for p in panoramas]
-
-
-def candidate_at(panorama: Panorama, point: FloatArray, size: int = 32) -> Candidate:
-    """Candidate at the pixel nearest to where a panorama shows a point."""
-    turned = (point - panorama.center_map)[:2] @ se2.rotation(panorama.heading_rad)
-    column, row = panorama.cylinder.project([*turned, point[2] - panorama.center_map[2]])
-    return Candidate(float(np.rint(column)), float(np.rint(row)), size, size, 1.0)
 
 
 def patch_at(panorama: Panorama, point: FloatArray, size: int = 32) -> WallPatch | Refusal:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from bare_landmarks import bearings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -24,11 +25,6 @@ FloatArray = npt.NDArray[np.float64]
 LANDMARKS = np.array([[0.0, 1.0], [2.0, 4.0], [6.0, 3.0], [5.0, 0.0], [6.5, 1.0], [3.5, 4.4]])
 POSE = np.array([3.0, 2.0, 2.8])
 SIGMA = 1e-3
-
-
-def bearings(pose: FloatArray, landmarks: FloatArray) -> FloatArray:
-    delta = landmarks - pose[:2]
-    return wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - pose[2])
 
 
 def variances(n: int) -> FloatArray:

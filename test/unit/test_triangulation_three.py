@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from bare_landmarks import bearings
 from hypothesis import assume, given
 from hypothesis import strategies as st
 import numpy as np
@@ -15,11 +16,6 @@ FloatArray = npt.NDArray[np.float64]
 COORDINATE = st.floats(-10.0, 10.0)
 LANDMARKS = st.tuples(*[COORDINATE] * 6).map(lambda v: np.array(v).reshape(3, 2))
 POSES = st.tuples(COORDINATE, COORDINATE, st.floats(-np.pi, np.pi)).map(np.array)
-
-
-def bearings(pose: FloatArray, landmarks: FloatArray) -> FloatArray:
-    delta = landmarks - pose[:2]
-    return wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - pose[2])
 
 
 @given(LANDMARKS, POSES)

@@ -1,0 +1,67 @@
+"""Small bags: sweeps and drives of a camera that sees grey levels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.messages import encode
+from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.storage.bags import BagWriter
+from landmark_nav.types import JointSample, OdometrySample
+
+FACTORY = rosbag_factory()
+MOUNT = PanTiltMount()
+CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
+SECOND = 1_000_000_000
+START = 1000 * SECOND
+
+
+def picture(value):
+    return np.full((48, 64), value % 256, np.uint8)
+
+
+def odometry(stamp, pose, **frames):
+    return encode.odometry(FACTORY, OdometrySample(stamp, np.asarray(pose, float)), **frames)
+
+
+def write_sweep(bag, start, pans, *, keep=None, trajectory=True, topic='sweep/image', step=SECOND):
+    samples = [JointSample(start + k * step, float(p)) for k, p in enumerate(pans)]
+    for k, sample in enumerate(samples):
+        stamp = sample.stamp_ns
+        if keep is None or keep(k):
+            bag.write(topic, encode.image(FACTORY, picture(k), stamp, 'cam'), stamp)
+            info = encode.camera_info(FACTORY, CAMERA, stamp, 'cam')
+            bag.write('sweep/camera_info', info, stamp)
+        bag.write('joint_states', encode.joint_state(FACTORY, sample, MOUNT), stamp)
+    if trajectory:
+        end = samples[-1].stamp_ns
+        message = encode.sweep_trajectory(FACTORY, samples, MOUNT)
+        bag.write('sweep/trajectory', message, end)
+
+
+def full_turn(count=24):
+    return -np.pi + 2 * np.pi / count * np.arange(count)
+
+
+def write_drive(path, *, frames=10, damaged=(), info=True, bad_odometry=None, late_joints=False):
+    """Pan turns at 0.3 rad/s; joint states at 20 Hz, pictures at 5 Hz between two of them."""
+    with BagWriter(path) as bag:
+        for k in range(frames * 4):
+            stamp = START + k * 50_000_000
+            x = np.nan if k == bad_odometry else 0.01 * k
+            bag.write('odom', odometry(stamp, [x, 0.0, 0.0]), stamp)
+            joints_stamp = stamp + (9 * SECOND if late_joints else 0)
+            sample = JointSample(joints_stamp, 0.3 * k * 0.05)
+            bag.write('joint_states', encode.joint_state(FACTORY, sample, MOUNT), stamp)
+            bag.write('ground_truth/odom', odometry(stamp, [1.0, 2.0, 0.0], frame_id='map'), stamp)
+            if k % 4 == 0:
+                shot = stamp + 20_000_000
+                message = encode.compressed_image(FACTORY, picture(k), shot, 'cam')
+                if k // 4 in damaged:
+                    message.data = message.data[:30]
+                bag.write('camera/image_raw/compressed', message, shot)
+                if info:
+                    calibration = encode.camera_info(FACTORY, CAMERA, shot, 'cam')
+                    bag.write('camera/camera_info', calibration, shot)
+    return path

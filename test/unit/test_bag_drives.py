@@ -1,0 +1,65 @@
+"""A drive comes out of a bag as frames with their pans, odometry and ground truth."""
+
+from __future__ import annotations
+
+from bag_writers import CAMERA, FACTORY, MOUNT, picture, SECOND, START, write_drive
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.messages import encode
+from landmark_nav.storage.bags import Bag, BagWriter, read_bag, sensor_events
+from landmark_nav.types import CameraFrame, JointSample, OdometrySample, PoseEstimate
+
+
+def test_frames_carry_the_pan_of_their_own_stamp(tmp_path):
+    events = list(sensor_events(Bag(write_drive(tmp_path / 'drive')), MOUNT))
+    frames = [e for e in events if isinstance(e, CameraFrame)]
+    assert len(frames) == 10
+    for k, frame in enumerate(frames[:-1]):
+        assert frame.stamp_ns == START + k * 200_000_000 + 20_000_000
+        assert frame.pan_rad == pytest.approx(0.3 * (0.2 * k + 0.02))
+        assert frame.camera == CAMERA
+    assert sum(isinstance(e, OdometrySample) for e in events) == 40
+    assert sum(isinstance(e, JointSample) for e in events) == 40
+    truth = [e for e in events if isinstance(e, PoseEstimate)]
+    assert len(truth) == 40
+    np.testing.assert_allclose(truth[0].pose, [1.0, 2.0, 0.0])
+
+
+def test_raw_pictures_are_preferred_to_compressed_ones(tmp_path):
+    path = write_drive(tmp_path / 'drive')
+    with BagWriter(tmp_path / 'both') as both:
+        for entry in read_bag(path):
+            both.write_serialized(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
+        stamp = START + SECOND
+        both.write('camera/image_raw', encode.image(FACTORY, picture(9), stamp, ''), stamp)
+    frames = [
+        e for e in sensor_events(Bag(tmp_path / 'both'), MOUNT) if isinstance(e, CameraFrame)
+    ]
+    assert [f.stamp_ns for f in frames] == [stamp]
+
+
+def test_a_damaged_picture_is_left_out_and_told(tmp_path):
+    warnings = []
+    bag = Bag(write_drive(tmp_path / 'drive', damaged=(2, 5)), warnings.append)
+    frames = [e for e in sensor_events(bag, MOUNT) if isinstance(e, CameraFrame)]
+    assert len(frames) == 8
+    assert len(warnings) == 1
+    assert '2 of 10 pictures left out' in warnings[0]
+    assert 'does not decode' in warnings[0]
+
+
+@pytest.mark.parametrize(
+    ('drive', 'match'),
+    [
+        ({'damaged': range(10)}, 'does not decode'),
+        ({'info': False}, 'camera/camera_info is missing'),
+        ({'bad_odometry': 7}, r'/odom: odometry position at 1000\.350 s .*nan'),
+        ({'late_joints': True}, 'no joint state near it'),
+    ],
+)
+def test_drives_that_cannot_be_used_are_refused(tmp_path, drive, match):
+    bag = Bag(write_drive(tmp_path / 'drive', **drive))
+    with pytest.raises(LandmarkNavError, match=match):
+        list(sensor_events(bag, MOUNT))

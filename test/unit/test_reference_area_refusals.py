@@ -1,0 +1,118 @@
+"""Papers that are hidden, swapped, moved or alike give no wrong place, but a reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import re
+
+import numpy as np
+from paper_sweeps import deviations, EAST, error_of, locate, MOUNT, scene_of, sweep_at
+import pytest
+from scenes import Board, flat_texture, rectangle_room
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.types import FloatArray, Sweep
+
+
+def test_a_missing_paper_is_named() -> None:
+    room = rectangle_room(papers=EAST)
+    sweep = sweep_at(scene_of(room, EAST[:2]), np.array([3.5, 2.0, 0.3]))
+    with pytest.raises(LandmarkNavError, match='not found: blue of red, green, blue') as caught:
+        locate(sweep, room)
+    assert '\n' not in str(caught.value)
+
+
+def test_a_hidden_paper_is_not_mistaken_for_something_of_its_colour() -> None:
+    room = rectangle_room(papers=EAST)
+    other = Paper('blue', (6.0, 4.3, 1.1), 0.21, 0.297)
+    sweep = sweep_at(scene_of(room, (*EAST[:2], other)), np.array([3.5, 2.0, 0.3]))
+    with pytest.raises(LandmarkNavError, match=r'red fits, green fits, blue shows 0 %'):
+        locate(sweep, room)
+
+
+def covered(share: float, pose: FloatArray, tall: bool = False) -> tuple[Sweep, Room]:
+    """Something grey before the left or the lower part of the blue paper."""
+    room = rectangle_room(papers=EAST)
+    scene = scene_of(room)
+    blue = EAST[2]
+    cut = blue.center[1] + blue.width / 2.0 - share * blue.width
+    low = blue.center[2] - blue.height / 2.0 + share * blue.height
+    cover = Board(
+        np.array([5.99, cut + 0.15, 1.0]) if tall else np.array([5.99, 3.6, low - 0.3]),
+        np.array([-1.0, 0.0, 0.0]),
+        0.3 if tall else 0.8,
+        1.2 if tall else 0.6,
+        flat_texture((70.0, 75.0, 80.0)),
+    )
+    return sweep_at(replace(scene, boards=(*scene.boards, cover)), pose), room
+
+
+@pytest.mark.parametrize('tall', [True, False], ids=['from the left', 'from below'])
+@pytest.mark.parametrize('share', [0.15, 0.5])
+def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share: float, tall: bool) -> None:
+    pose = np.array([3.5, 2.0, 0.3])
+    sweep, room = covered(share, pose, tall)
+    place = locate(sweep, room)
+    assert deviations(place, pose).max() < 3.5
+    assert np.hypot(*error_of(place, pose)[:2]) < 0.02
+
+
+def test_papers_that_changed_places_are_named() -> None:
+    told = rectangle_room(papers=EAST)
+    hung = (EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green'))
+    sweep = sweep_at(scene_of(told, hung), np.array([3.5, 2.0, 0.3]))
+    with pytest.raises(LandmarkNavError, match=r'swapped, blue where green .* green where blue'):
+        locate(sweep, told)
+
+
+@pytest.mark.parametrize(
+    'center',
+    [(2.0, 0.0, 1.3), (6.0, 2.38, 1.35), (6.0, 2.3, 1.43), (6.0, 2.315, 1.35)],
+    ids=str,
+)
+def test_papers_that_hang_elsewhere_than_the_room_says(
+    center: tuple[float, float, float],
+) -> None:
+    """A refusal, or, where what is seen of the paper can't be its, the place by the others."""
+    told = rectangle_room(papers=EAST)
+    hung = (EAST[0], replace(EAST[1], center=center), EAST[2])
+    pose = np.array([3.5, 2.0, 0.3])
+    sweep = sweep_at(scene_of(told, hung), pose)
+    try:
+        place = locate(sweep, told)
+    except LandmarkNavError as error:
+        message = str(error)
+    else:
+        assert deviations(place, pose).max() < 3.0
+        return
+    assert re.search('not found: green|green paper hangs|no place .* green', message)
+
+
+def test_a_camera_that_hangs_otherwise_than_told_is_refused() -> None:
+    room = rectangle_room(papers=EAST)
+    pose = np.array([3.5, 2.0, 0.3])
+    upside_down = replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0))
+    leaning = replace(MOUNT, axis_rpy=(0.03, 0.04, 0.0))
+    for mount in (upside_down, leaning):
+        with pytest.raises(LandmarkNavError) as caught:
+            locate(sweep_at(scene_of(room), pose, mount=mount), room)
+        assert '\n' not in str(caught.value)
+
+
+def test_two_places_that_fit_alike_are_named() -> None:
+    # The same three papers twice, on opposite walls: which ones does the room mean?
+    room = rectangle_room(papers=EAST)
+    twins = tuple(replace(p, center=(0.0, 5.0 - p.center[1], p.center[2])) for p in EAST)
+    pose = np.array([3.3, 2.4, 0.2])
+    sweep = sweep_at(scene_of(room, EAST + twins), pose, towards=EAST + twins)
+    with pytest.raises(LandmarkNavError, match=r'ambiguous.*fit alike'):
+        locate(sweep, room)
+
+
+@pytest.mark.parametrize('count', [0, 2])
+def test_fewer_than_three_papers_are_no_reference_area(count: int) -> None:
+    room = rectangle_room(papers=EAST[:count])
+    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
+    with pytest.raises(LandmarkNavError, match=f'names {count} reference papers.*sweep/pose'):
+        locate(sweep, room)

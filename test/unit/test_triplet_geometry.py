@@ -1,0 +1,144 @@
+"""What is visible, how far the camera turns for it, and how exact a fix it makes."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import numpy.typing as npt
+import pytest
+from triplet_room import CAMERA, CONFIG, DEPTH, landmark, MOUNT, PRIOR, random_map, ROOM, WIDTH
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.walls import Wall
+from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
+from landmark_nav.localization.triplet.geometry import pair_tables, position_variance
+from landmark_nav.localization.triplet.views import PanWindows, travel_s
+from landmark_nav.types import LandmarkMap, PoseEstimate
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class TestVisibility:
+    def test_wall_between(self) -> None:
+        behind = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
+        prior = PoseEstimate(0, np.array([2.0, 2.0, 0.0]), PRIOR.covariance)
+        view = (CAMERA, MOUNT, 0.0, 0.0, CONFIG)
+        assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=ROOM), *view)) == 1
+        corners = [
+            (0.0, 0.0), (4.0, 0.0), (4.0, 2.5), (4.2, 2.5), (4.2, 0.0), (WIDTH, 0.0),
+            (WIDTH, DEPTH), (0.0, DEPTH),
+        ]  # fmt: skip
+        walls = tuple(
+            Wall(str(k), corners[k], corners[(k + 1) % len(corners)], 2.6)
+            for k in range(len(corners))
+        )
+        assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=walls), *view)) == 0
+
+    def test_patch_must_be_whole_in_the_picture(self) -> None:
+        landmark_map = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),))
+        prior = PoseEstimate(0, np.array([3.0, 2.0, 0.0]), PRIOR.covariance)
+        seen = [
+            len(visible_landmarks(prior, landmark_map, CAMERA, MOUNT, pan, 0.0, CONFIG))
+            for pan in (0.0, 0.36, 0.41, np.pi)
+        ]
+        assert seen == [1, 1, 0, 0]
+        high = visible_landmarks(prior, landmark_map, CAMERA, MOUNT, 0.0, -0.5, CONFIG)
+        assert len(high) == 0
+
+    def test_facing_and_distance(self) -> None:
+        turned = LandmarkMap((landmark(0, (WIDTH, 2.0), (1.0, 0.0), 1.2),))
+        prior = PoseEstimate(0, np.array([3.0, 2.0, 0.0]), PRIOR.covariance)
+        assert not len(visible_landmarks(prior, turned, CAMERA, MOUNT, 0.0, 0.0, CONFIG))
+        facing = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),))
+        near = TripletConfig(max_range_m=2.0)
+        assert not len(visible_landmarks(prior, facing, CAMERA, MOUNT, 0.0, 0.0, near))
+
+
+class TestGeometry:
+    @settings(max_examples=60, deadline=None)
+    @given(st.integers(0, 10_000), st.integers(3, 9))
+    def test_tours_in_one_view_against_a_grid_of_pans(self, seed: int, n: int) -> None:
+        rng = np.random.default_rng(seed)
+        azimuth = rng.uniform(-np.pi, np.pi, n)
+        reach = rng.uniform(-0.1, 0.6, n)
+        limits = (-1.5, 2.0)
+        windows = PanWindows.around(azimuth, reach, limits, 0.3, CONFIG)
+        copies = np.array(list(combinations(range(len(windows.place)), 3)), dtype=np.intp)
+        copies = copies.reshape(-1, 3)
+        tours = windows.tours(copies)
+        triples = np.array(list(combinations(range(n), 3)))
+        pans = np.linspace(*limits, 20001)
+        inside = np.abs(wrap_rad(pans[:, None] - azimuth)) <= reach
+        for triple in triples:
+            # A grid of pans misses views that hardly exist.
+            views = pans[inside[:, triple].all(axis=1)]
+            mine = (np.sort(windows.place[copies], axis=1) == triple).all(axis=1)
+            cost = np.min(tours.cost[mine], initial=np.inf)
+            if len(views):
+                way = float(np.abs(views - 0.3).min())
+                assert cost == pytest.approx(1.0 + travel_s(way, 1.0, 8.0), abs=0.02)
+            if np.isfinite(cost):
+                pan = tours.pan_rad[mine][np.argmin(tours.cost[mine])]
+                assert np.ptp(pan) == 0.0
+                assert limits[0] <= pan[0] <= limits[1]
+                assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
+
+    @settings(max_examples=60, deadline=None)
+    @given(st.integers(0, 10_000), st.sampled_from(['one', 'several']))
+    def test_a_triplet_costs_the_most_of_its_pairs(self, seed: int, views: str) -> None:
+        rng = np.random.default_rng(seed)
+        azimuth, reach = rng.uniform(-np.pi, np.pi, 8), rng.uniform(0.05, 0.4, 8)
+        limits, now = (-np.pi, rng.uniform(1.0, 4.0)), rng.uniform(-3.0, 1.0)
+        windows = PanWindows.around(azimuth, reach, limits, now, TripletConfig(views=views))
+        triples = np.array(list(combinations(range(len(windows.place)), 3)), dtype=np.intp)
+        i, j, k = (triples := triples.reshape(-1, 3)).T
+        place, pairs, tours = windows.place, windows.costs(), windows.tours(triples)
+        distinct = (place[i] != place[j]) & (place[i] != place[k]) & (place[j] != place[k])
+        most = np.maximum(np.maximum(pairs[i, j], pairs[i, k]), pairs[j, k])
+        np.testing.assert_allclose(tours.cost[distinct], most[distinct])
+        off = np.abs(wrap_rad(tours.pan_rad - azimuth[place[triples]]))
+        assert np.all((off <= reach[place[triples]] + 1e-12)[np.isfinite(tours.cost) & distinct])
+
+    def test_variance_against_the_inverse_matrix(self) -> None:
+        landmark_map = random_map(12)
+        axis = np.array([3.1, 2.2])
+        triples = np.array(list(combinations(range(12), 3)))
+        seen = pair_tables(axis, landmark_map, np.arange(12), 4e-4)
+        traces = position_variance(seen, *triples.T)
+        for triple, trace in list(zip(triples, traces, strict=True))[::17]:
+            gradient = seen.gradient.T[triple]
+            rows = np.stack([2 * triple, 2 * triple + 1], -1).reshape(-1)
+            joint = landmark_map.joint_covariance_xy[np.ix_(rows, rows)]
+            derivative = np.zeros((3, 6))
+            for k in range(3):
+                derivative[k, 2 * k : 2 * k + 2] = -gradient[k]
+            noise = 4e-4**2 * np.eye(3) + derivative @ joint @ derivative.T
+            inverse = np.linalg.inv(np.column_stack([gradient, -np.ones(3)]))
+            covariance = inverse @ noise @ inverse.T
+            assert trace == pytest.approx(np.trace(covariance[:2, :2]), rel=1e-6)
+
+    def test_several_viewpoints_at_once(self) -> None:
+        landmark_map = random_map(6)
+        points = np.array([[3.0, 2.0], [2.5, 2.4]])
+        triples = np.array([[0, 1, 2], [3, 4, 5]])
+        both = position_variance(pair_tables(points, landmark_map, np.arange(6), 1e-3), *triples.T)
+        one = position_variance(
+            pair_tables(points[1], landmark_map, np.arange(6), 1e-3), *triples.T
+        )
+        assert both.shape == (2, 2)
+        np.testing.assert_allclose(both[1], one)
+
+    def test_danger_circle_promises_nothing(self) -> None:
+        angles = np.array([0.3, 1.5, 4.0])
+        circle = LandmarkMap(
+            tuple(
+                landmark(k, (2.0 * np.cos(a), 2.0 * np.sin(a)), (1.0, 0.0), 1.2)
+                for k, a in enumerate(angles)
+            )
+        )
+        there = 2.0 * np.array([np.cos(2.6), np.sin(2.6)])
+        seen = pair_tables(there, circle, np.arange(3), 1e-3)
+        assert position_variance(seen, *np.array([[0], [1], [2]]))[0] > 1e6

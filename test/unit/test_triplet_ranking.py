@@ -1,0 +1,118 @@
+"""No triplet is ranked too high, by the search or by what turning and doubt cost."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from triplet_room import CAMERA, chosen, CONFIG, landmark, MOUNT, PRIOR, random_map, WIDTH
+
+from landmark_nav.localization.triplet import Gaze, rank_triplets, TripletConfig
+from landmark_nav.localization.triplet.geometry import pair_tables
+from landmark_nav.localization.triplet.ranking import Standing
+from landmark_nav.localization.triplet.search import best_triplets, mean_variance
+from landmark_nav.localization.triplet.views import travel_s
+from landmark_nav.types import LandmarkMap, PoseEstimate
+
+
+class TestSearch:
+    @settings(max_examples=30, deadline=None)
+    @given(st.integers(0, 10_000), st.integers(3, 80), st.sampled_from([0.01, 0.3]))
+    def test_pruned_is_exhaustive(self, seed: int, n: int, spread_m: float) -> None:
+        rng = np.random.default_rng(seed)
+        landmark_map = random_map(n, seed)
+        points = PRIOR.pose[:2] + spread_m * rng.normal(size=(4, 2))
+        tables = pair_tables(points, landmark_map, np.arange(n), 4e-4)
+        factor = 1.0 / rng.uniform(0.2, 1.0, n)
+        cost = 1.0 + rng.exponential(size=(n, n))
+        cost[rng.random((n, n)) < 0.3] = np.inf
+        cost = np.maximum(cost, cost.T)
+        scores, triplets = best_triplets(tables, factor, cost, 10)
+        every = np.array(list(combinations(range(n), 3)))
+        i, j, k = every.T
+        most = np.maximum(np.maximum(cost[i, j], cost[i, k]), cost[j, k])
+        score = mean_variance(tables, every) * factor[every].prod(axis=1) * most
+        order = np.argsort(score)[: len(scores)]
+        np.testing.assert_allclose(scores, score[order], rtol=1e-9)
+        assert {tuple(t) for t in triplets} == {tuple(t) for t in every[order]}
+        assert len(scores) == min(10, np.isfinite(score).sum())
+
+    @pytest.mark.parametrize('views', ['one', 'several'])
+    def test_no_triplet_scores_better_than_the_chosen(self, views: str) -> None:
+        """Against all, each judged by its own tour, variance and chance."""
+        config = TripletConfig(views=views)
+        gaze = Gaze(pan_rad=0.8, limits_rad=(-2.0, 2.0))
+        for seed in range(3):
+            landmark_map = random_map(18, seed)
+            rate = np.random.default_rng(seed).uniform(0.3, 1.0, 18)
+            ranking = rank_triplets(
+                PRIOR, landmark_map, CAMERA, MOUNT, config, gaze, found_rate=rate
+            )
+            best = np.inf
+            for triple in combinations(np.flatnonzero(ranking.standing == 0), 3):
+                alone = LandmarkMap(
+                    tuple(landmark_map.landmarks[k] for k in triple), walls=landmark_map.walls
+                )
+                only = rank_triplets(
+                    PRIOR, alone, CAMERA, MOUNT, config, gaze, found_rate=rate[list(triple)]
+                )
+                best = min(best, *only.score, np.inf)
+            assert ranking.score[0] == pytest.approx(best, rel=1e-9)
+            assert np.all(np.diff(ranking.score) >= 0.0)
+
+
+class TestRanking:
+    def test_the_spread_of_the_prior_counts(self) -> None:
+        """A small one changes next to nothing, a wide one makes near landmarks a gamble."""
+
+        def scores(sigma_m: float) -> tuple[float, set[int]]:
+            prior = PoseEstimate(0, PRIOR.pose, np.diag([sigma_m, sigma_m, 0.005]) ** 2)
+            # Without margins for it, so that the same views remain.
+            config = TripletConfig(margin_sigmas=0.0)
+            ranking = rank_triplets(prior, random_map(40), CAMERA, MOUNT, config)
+            return float(ranking.score[0]), set(chosen(ranking.chosen).ids.tolist())
+
+        exact, ids = scores(1e-6)
+        for sigma_m in (0.01, 0.04, 0.06):
+            score, others = scores(sigma_m)
+            assert score == pytest.approx(exact, rel=0.02)
+            assert others == ids
+        assert scores(0.4)[0] > 1.1 * exact
+
+    def test_turning_costs(self) -> None:
+        landmark_map = random_map(40)
+        hasty = TripletConfig(look_s=0.05)
+        for pan in (-2.0, 0.0, 2.0):
+            free = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG)
+            near = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, hasty, Gaze(pan))
+            assert near.travel_s[0] <= travel_s(abs(chosen(free.chosen).pan_rad - pan), 1.0, 8.0)
+            assert abs(chosen(near.chosen).pan_rad - pan) < 1.0
+
+    def test_several_views_promise_more(self) -> None:
+        several = TripletConfig(views='several', look_s=100.0)
+        for seed in range(5):
+            landmark_map = random_map(40, seed)
+            one = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG)
+            more = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, several)
+            assert more.sigma_m[0] < 0.5 * one.sigma_m[0]
+            assert len(set(more.pan_rad[0])) > 1
+
+    def test_reasons(self) -> None:
+        landmark_map = random_map(40)
+        ranking = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0))
+        reasons = ranking.reasons()
+        assert reasons[0] == 'chosen'
+        assert len(reasons) == len(ranking.score) > 3
+        assert sum(ranking.excluded().values()) == np.count_nonzero(ranking.standing)
+        limited = rank_triplets(
+            PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0, limits_rad=(-0.5, 0.5))
+        )
+        assert limited.excluded()[Standing.BEYOND_LIMITS.words] > 10
+
+    def test_a_landmark_above_the_picture_is_cut(self) -> None:
+        high = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 3.9), *random_map(9).landmarks))
+        ranking = rank_triplets(PRIOR, high, CAMERA, MOUNT, CONFIG)
+        assert ranking.standing[0] == Standing.CUT
