@@ -54,13 +54,19 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         'bench',
         help='time every stage beside a reference',
-        description='Times every stage on simulated data, and beside it, in the same run and on '
+        description='Time every stage on simulated data, and beside it, in the same run and on '
         'the same data, a reference. The ratio of the two can be compared between machines.',
     )
-    parser.add_argument('--json', type=Path, metavar='F', help='write the figures to F')
-    parser.add_argument('--seed', type=_whole(0), default=0, help='of the simulated room')
+    parser.add_argument('--json', type=Path, metavar='F', help='write the times to F')
     parser.add_argument(
-        '--repeats', type=_whole(1), default=7, help='of which the median is taken'
+        '--seed', type=_whole(0), default=0, metavar='N', help='of the simulated data (default 0)'
+    )
+    parser.add_argument(
+        '--repeats',
+        type=_whole(1),
+        default=7,
+        metavar='N',
+        help='how often, of which the median is taken (default 7)',
     )
 
 

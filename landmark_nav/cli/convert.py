@@ -30,7 +30,9 @@ __all__ = ['add_parser', 'run']
 
 def add_parser(subparsers: Any) -> None:
     """Declare the arguments."""
-    parser = subparsers.add_parser('convert', help='make a bag and a map of a foreign log')
+    parser = subparsers.add_parser(
+        'convert', help='make a bag and a map of the log of another project'
+    )
     kinds = parser.add_subparsers(dest='kind', metavar='KIND', required=True)
     mrclam = kinds.add_parser(
         'mrclam',
@@ -40,16 +42,20 @@ def add_parser(subparsers: Any) -> None:
         'pictures (BAG_map), BAG_robot.yaml, BAG_start.json and BAG_config.yaml, the parameters '
         'for such logs. Sightings of other robots are left out.',
     )
-    mrclam.add_argument('folder', metavar='DIR', help='with Barcodes.dat; .dat or .dat.gz')
-    mrclam.add_argument('--robot', required=True, type=int, choices=range(1, 6), metavar='N')
+    mrclam.add_argument(
+        'folder', metavar='DIR', help='folder with Barcodes.dat or Barcodes.dat.gz and the like'
+    )
+    mrclam.add_argument(
+        '--robot', required=True, type=int, choices=range(1, 6), metavar='N', help='1 to 5'
+    )
     mrclam.add_argument('--out', required=True, type=Path, metavar='BAG', help='bag to write')
     mrclam.add_argument(
         '--bearing-sigma',
         type=_positive,
         default=0.5,
         metavar='DEG',
-        help='of every bearing, which the data do not tell (default %(default)s degrees, the '
-        'scatter beside the truth)',
+        help='of every bearing in degrees, which the data do not tell (default %(default)s: their '
+        'scatter about the truth)',
     )
     mrclam.add_argument(
         '--landmark-sigma',
@@ -63,8 +69,8 @@ def add_parser(subparsers: Any) -> None:
         '--command-delay',
         type=float,
         metavar='S',
-        help='from a command to its effect (default: what makes commanded turns fit best with how '
-        'bearings change, without the truth)',
+        help='seconds from a command to its effect (default: what makes commanded turns fit best '
+        'with how bearings change, without the truth)',
     )
 
 

@@ -42,19 +42,19 @@ def add_parser(subparsers: Any) -> None:
     """Declare the arguments."""
     parser = subparsers.add_parser(
         'demo',
-        help='learn, drive and localize a simulated robot on a ROS graph (ROS)',
-        description='Start the nodes with a simulated robot, let it take two sweeps, learn its '
-        'landmarks by a service call and drive; record, measure and draw that. Exit status 0 '
-        'only if the map and the error are as they should be.',
+        help='learn, drive and localize with a simulated robot (ROS)',
+        description='Start the nodes on a ROS graph with a simulated robot, let it take two '
+        'sweeps, learn its landmarks by a service call and drive; record, measure and draw '
+        'that. Exit status 0 only if the map and the error are as they should be.',
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
-    parser.add_argument('--seed', type=int, default=1, metavar='N', help='draws the room (1)')
+    parser.add_argument('--seed', type=int, default=1, metavar='N', help='of the room (default 1)')
     parser.add_argument(
         '--domain-id',
         type=int,
         default=10 + os.getpid() % 90,
         metavar='N',
-        help='ROS domain of the nodes, to look at them meanwhile (default: one of its own)',
+        help='ROS domain of the nodes, to look at them meanwhile (default: one for itself)',
     )
 
 

@@ -46,8 +46,10 @@ def add_parser(subparsers: Any) -> None:
         'errors.png.',
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file of a drive')
-    parser.add_argument('--map', required=True, metavar='MAP', help='map folder')
-    parser.add_argument('--robot', required=True, metavar='F', help='robot.yaml: the mount')
+    parser.add_argument('--map', required=True, metavar='MAP', help='map folder, of learn')
+    parser.add_argument(
+        '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
+    )
     parser.add_argument(
         '--start',
         nargs=3,
@@ -61,7 +63,8 @@ def add_parser(subparsers: Any) -> None:
         type=float,
         default=(0.05, 0.035),
         metavar=('M', 'RAD'),
-        help='how sure the start is: sigma of x and y, of the heading (default %(default)s)',
+        help='how sure the start is: sigma of x and y in m, of the heading in rad '
+        '(default 0.05 0.035)',
     )
     parser.add_argument(
         '--config',
@@ -74,14 +77,21 @@ def add_parser(subparsers: Any) -> None:
         action='store_true',
         help='also smooth over the whole drive: the best line that its measurements allow',
     )
-    parser.add_argument('--json', metavar='F', type=Path, help='write the figures to F')
+    parser.add_argument(
+        '--json', metavar='F', type=Path, help='write errors, availability and times to F'
+    )
     parser.add_argument(
         '--tum',
         metavar='DIR',
         type=Path,
         help='write truth.tum, fused.tum and odometry.tum to DIR, for evo and the like',
     )
-    parser.add_argument('--report', metavar='F.html', type=Path, help='write one page to F.html')
+    parser.add_argument(
+        '--report',
+        metavar='F.html',
+        type=Path,
+        help='write a page with numbers and pictures to F.html',
+    )
     parser.add_argument(
         '--out',
         metavar='DIR',

@@ -58,26 +58,30 @@ def add_parser(subparsers: Any) -> None:
     """Declare the arguments."""
     parser = subparsers.add_parser(
         'figures',
-        help='draw the figures of the paper from own data',
+        help='draw the figures of Livatino and Madsen from own data',
         description='Draw the counterparts of Figures 3 to 8 of Livatino and Madsen: panoramas, '
         'attention step by step, stereo, observation areas, each feature alone, all together. '
         'Without --bag, two sweeps are simulated in a furnished room.',
     )
     parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder to write')
-    parser.add_argument('--bag', metavar='BAG', help='sweeps of your own; needs --room, --robot')
+    parser.add_argument(
+        '--bag', metavar='BAG', help='bag of sweeps of your own; needs --room and --robot'
+    )
     parser.add_argument('--room', metavar='F', help='room.yaml: walls and papers')
-    parser.add_argument('--robot', metavar='F', help='robot.yaml: the mount')
+    parser.add_argument('--robot', metavar='F', help='robot.yaml: how the camera is mounted')
     parser.add_argument(
         '--map', metavar='MAP', help='a map of your own for Figure 6, which needs nothing else'
     )
-    parser.add_argument('--seed', type=int, default=7, help='of the simulated room (7)')
+    parser.add_argument(
+        '--seed', type=int, default=7, metavar='N', help='of the simulated room (default 7)'
+    )
     parser.add_argument(
         '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N',
-        help='which figures, 3 to 8; by default all that the data allow',
+        help='which figures, 3 to 8 (default: all that the data allow)',
     )  # fmt: skip
     parser.add_argument(
         '--feature', nargs='+', choices=FEATURES, metavar='NAME',
-        help=f'features that attract attention, the others not: {", ".join(FEATURES)}',
+        help=f'the only features that attract attention (default: all): {", ".join(FEATURES)}',
     )  # fmt: skip
 
 

@@ -47,11 +47,17 @@ def add_parser(subparsers: Any) -> None:
         'the landmarks that two of them or more agree on. The map folder also gets '
         'panorama_K.png with candidates and elected landmarks, and map.png.',
     )
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file with sweep/...')
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file with sweeps')
     parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')
-    parser.add_argument('--robot', required=True, metavar='F', help='robot.yaml: the mount')
-    parser.add_argument('--out', required=True, metavar='MAP', type=Path, help='map folder')
-    parser.add_argument('--json', metavar='F', type=Path, help='write the figures to F')
+    parser.add_argument(
+        '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
+    )
+    parser.add_argument(
+        '--out', required=True, metavar='MAP', type=Path, help='map folder to write'
+    )
+    parser.add_argument(
+        '--json', metavar='F', type=Path, help='write counts, errors and times to F'
+    )
 
 
 def run(args: argparse.Namespace) -> int:

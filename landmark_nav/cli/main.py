@@ -22,16 +22,16 @@ __all__ = ['main']
 
 # Command -> its module and what it does.
 COMMANDS = {
-    'demo': ('demo', 'learn, drive and localize a simulated robot on a ROS graph (ROS)'),
+    'demo': ('demo', 'learn, drive and localize with a simulated robot (ROS)'),
     'learn': ('learn', 'make a map out of a bag of sweeps'),
     'evaluate': ('evaluate', 'run a drive bag through the localizer and measure its errors'),
     'panorama': ('panorama', 'make a panorama out of a sweep'),
     'plan': ('plan', 'propose where to take panoramas'),
     'simulate': ('simulate', 'write bags of simulated sweeps and drives'),
-    'convert': ('convert', 'make a bag and a map of a foreign log'),
+    'convert': ('convert', 'make a bag and a map of the log of another project'),
     'play': ('play', 'play a bag onto topics with /clock (ROS)'),
-    'map': ('maps', 'look into maps'),
-    'figures': ('figures', 'draw the figures of the paper from own data'),
+    'map': ('maps', 'list, check, compare, join maps'),
+    'figures': ('figures', 'draw the figures of Livatino and Madsen from own data'),
     'bench': ('bench', 'time every stage beside a reference'),
 }
 
@@ -76,8 +76,9 @@ def _run(name: str, arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(
         prog='landmark-nav',
         description='Lets a robot with one turning camera learn its landmarks by itself.',
-        epilog='landmark-nav COMMAND --help tells more. Exit status: 0 done, 1 the data does not '
-        'allow it (the message says why), 2 wrong usage.',
+        epilog='landmark-nav COMMAND --help tells more. What is marked (ROS) needs ROS 2, the '
+        'rest does not. Exit status: 0 done, 1 the data does not allow it (the message says why), '
+        '2 wrong usage.',
     )
     parser.add_argument('--version', action='version', version=f'landmark-nav {_version()}')
     parser.add_argument('-v', '--verbose', action='store_true', help='say what is being done')

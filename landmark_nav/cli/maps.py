@@ -25,7 +25,9 @@ _LISTED_SIGMAS = 3.0
 def add_parser(subparsers: Any) -> None:
     """Declare the arguments."""
     parser = subparsers.add_parser(
-        'map', help='work on maps', description='Work on the folders of learned maps.'
+        'map',
+        help='list, check, compare, join maps',
+        description='Work on the folders of learned maps.',
     )
     actions = parser.add_subparsers(dest='action', metavar='ACTION', required=True)
 
@@ -46,14 +48,14 @@ def add_parser(subparsers: Any) -> None:
     merge = action(
         'merge', _merge, 'Join two maps of one room: the newer one wins where a texture changed.'
     )
-    merge.add_argument('a', metavar='OLDER', help='map folder')
-    merge.add_argument('b', metavar='NEWER', help='map folder')
-    merge.add_argument('--out', required=True, metavar='MAP', help='folder of the joint map')
+    merge.add_argument('a', metavar='OLDER', help='map folder, the older one')
+    merge.add_argument('b', metavar='NEWER', help='map folder, the newer one')
+    merge.add_argument('--out', required=True, metavar='MAP', help='map folder to write')
     migrate = action(
-        'migrate', _migrate, "Write a map of an older version in today's: nothing else changes."
+        'migrate', _migrate, "Write a map of an older format in today's: nothing else changes."
     )
     migrate.add_argument('map', metavar='MAP', help='map folder')
-    migrate.add_argument('--out', metavar='MAP', help='folder to write; MAP itself by default')
+    migrate.add_argument('--out', metavar='MAP', help='map folder to write (default: the same)')
 
 
 def run(args: argparse.Namespace) -> int:

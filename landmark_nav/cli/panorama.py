@@ -42,7 +42,9 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument('--out', required=True, metavar='F.png', type=Path, help='PNG to write')
     parser.add_argument(
-        '--robot', metavar='F', help='robot.yaml: the mount; by default an ideal one'
+        '--robot',
+        metavar='F',
+        help='robot.yaml: how the camera is mounted (default: level, centred)',
     )
     parser.add_argument(
         '--blend',
@@ -55,20 +57,20 @@ def add_parser(subparsers: Any) -> None:
         type=int,
         default=PanoramaConfig.crop_px,
         metavar='PX',
-        help='use the central square of each frame alone (the paper: 350 of 512)',
+        help='use the central PX x PX square of each frame alone (default: all of it)',
     )
     parser.add_argument(
         '--even-out',
         action=argparse.BooleanOptionalAction,
         default=PanoramaConfig.even_out,
-        help='make up for exposures and vignetting (default %(default)s)',
+        help='make up for exposures and vignetting (the default)',
     )
     parser.add_argument(
         '--align',
         action=argparse.BooleanOptionalAction,
         default=True,
         help="calibrate from the overlaps; in a folder, where angles are estimates, each frame's "
-        'angles too (default %(default)s)',
+        'angles too (the default)',
     )
 
 

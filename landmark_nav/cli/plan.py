@@ -34,7 +34,9 @@ def add_parser(subparsers: Any) -> None:
         'not in the wall map: take the nearest free place.',
     )
     parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')
-    parser.add_argument('--robot', required=True, metavar='F', help='robot.yaml: the mount')
+    parser.add_argument(
+        '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
+    )
     parser.add_argument(
         '--positions', required=True, type=int, metavar='N', help='how many places, 2 or more'
     )
@@ -43,15 +45,16 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--focal', type=float, default=default.focal_px, metavar='PX',
-        help=f'focal length of the camera ({default.focal_px:g})',
+        help=f'focal length of the camera in pixels (default {default.focal_px:g})',
     )  # fmt: skip
     parser.add_argument(
         '--size', type=int, nargs=2, default=(default.width_px, default.height_px),
-        metavar=('W', 'H'), help=f'size of its pictures ({default.width_px} {default.height_px})',
+        metavar=('W', 'H'),
+        help=f'of its pictures in pixels (default {default.width_px} {default.height_px})',
     )  # fmt: skip
     parser.add_argument(
         '--clearance', type=float, default=default.clearance_m, metavar='M',
-        help=f'least distance of the robot from walls ({default.clearance_m:g})',
+        help=f'least distance of the robot from walls in metres (default {default.clearance_m:g})',
     )  # fmt: skip
 
 

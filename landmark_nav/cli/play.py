@@ -23,7 +23,10 @@ def add_parser(subparsers: Any) -> None:
         '/clock. Ends with the bag.',
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
-    parser.add_argument('--rate', type=float, default=1.0, help='speed relative to the recording')
+    parser.add_argument(
+        '--rate', type=float, default=1.0, metavar='R',
+        help='speed relative to the recording, 0.01 to 100 (default 1)',
+    )  # fmt: skip
     parser.add_argument(
         '--ros-args',
         nargs=argparse.REMAINDER,

@@ -56,36 +56,67 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
     parser.add_argument(
-        '--room', metavar='F', help='room.yaml to furnish; without it the room is drawn too'
-    )
-    parser.add_argument('--robot', metavar='F', help='robot.yaml; without it a default robot')
-    parser.add_argument(
-        '--seed', type=_at_least(0, int), default=1, metavar='N', help='draws everything'
+        '--room', metavar='F', help='room.yaml to furnish (default: a room is drawn, too)'
     )
     parser.add_argument(
-        '--sweeps', type=_at_least(1, int), default=2, metavar='N', help='sweeps (2)'
+        '--robot', metavar='F', help='robot.yaml: how the camera is mounted (default: 1.1 m up)'
     )
     parser.add_argument(
-        '--frames', type=_at_least(8, int), default=72, metavar='N', help='of each sweep (72)'
+        '--seed',
+        type=_at_least(0, int),
+        default=1,
+        metavar='N',
+        help='of all that is drawn at random (default 1)',
     )
     parser.add_argument(
-        '--drive-seconds', type=_at_least(0.5, float), default=40.0, metavar='S', help='(40)'
+        '--sweeps',
+        type=_at_least(1, int),
+        default=2,
+        metavar='N',
+        help='how many sweeps (default 2)',
+    )
+    parser.add_argument(
+        '--frames',
+        type=_at_least(8, int),
+        default=72,
+        metavar='N',
+        help='frames of each sweep (default 72)',
+    )
+    parser.add_argument(
+        '--drive-seconds',
+        type=_at_least(0.5, float),
+        default=40.0,
+        metavar='S',
+        help='length of the drive in seconds (default 40)',
     )
     parser.add_argument(
         '--camera-rate',
         type=_at_least(0.5, float),
         default=5.0,
         metavar='HZ',
-        help='pictures a second in the drive, a whole part of 20 (5)',
+        help='pictures a second in the drive, a whole part of 20 (default 5)',
     )
     parser.add_argument(
-        '--speed', type=_at_least(0.05, float), default=0.35, metavar='M/S', help='(0.35)'
+        '--speed',
+        type=_at_least(0.05, float),
+        default=0.35,
+        metavar='M/S',
+        help='of the robot in the drive (default 0.35)',
     )
     parser.add_argument(
-        '--jpeg-quality', type=int, choices=range(1, 101), default=90, metavar='Q', help='(90)'
+        '--jpeg-quality',
+        type=int,
+        choices=range(1, 101),
+        default=90,
+        metavar='Q',
+        help='of the pictures, 1 to 100 (default 90)',
     )
     parser.add_argument(
-        '--people', type=_at_least(0, int), default=0, metavar='N', help='who walk about (0)'
+        '--people',
+        type=_at_least(0, int),
+        default=0,
+        metavar='N',
+        help='who walk about (default 0)',
     )
     parser.add_argument(
         '--light-change',
@@ -97,7 +128,8 @@ def add_parser(subparsers: Any) -> None:
         type=_at_least(0.0, float),
         default=0.0,
         metavar='SHARE',
-        help='of the pictures on the walls, replaced by others between sweeps and drive (0)',
+        help='share of the pictures on the walls, 0 to 1, that are replaced by others between '
+        'sweeps and drive (default 0)',
     )
 
 
