@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray, Refusal
 
-__all__ = ['Match', 'blur_sigmas', 'blur_to', 'match_template']
+__all__ = ['Float32Image', 'Match', 'blur_sigmas', 'blur_to', 'match_template']
 
 Float32Image = npt.NDArray[np.float32]
 Pair = tuple[float, float] | FloatArray

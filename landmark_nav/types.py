@@ -28,6 +28,7 @@ __all__ = [
     'LandmarkMap',
     'OdometrySample',
     'Panorama',
+    'PatchView',
     'PoseEstimate',
     'Refusal',
     'Sweep',
@@ -176,6 +177,19 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
+class PatchView:
+    """
+    What a panorama shows of a landmark.
+
+    `patch` (rows, columns) is its grey texture in wall coordinates as `Landmark.patch` is, as fine
+    as that panorama shows it; `viewpoint` (3,) is where it was taken, in map.
+    """
+
+    viewpoint: FloatArray
+    patch: ImageArray
+
+
+@dataclass(frozen=True, eq=False)
 class Landmark:
     """
     An elected wall patch.
@@ -207,6 +221,8 @@ class Landmark:
         The wall that carries it.
     saliency : float
         Of its candidate.
+    views : tuple of PatchView
+        What the other panoramas show of it that it was found in; maps of before have none.
 
     """
 
@@ -222,6 +238,7 @@ class Landmark:
     threshold: float
     wall_id: str = ''
     saliency: float = 0.0
+    views: tuple[PatchView, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

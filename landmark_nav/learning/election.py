@@ -8,7 +8,7 @@ that come the size of the patch, how well its place is known, and whether it was
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
@@ -18,7 +18,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
 from landmark_nav.learning.stereo.wall_patch import Float32Image, Sighting, wall_texture, WallPatch
 from landmark_nav.parameters import check_parameters, parameter
-from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
+from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, PatchView, Refusal
 
 __all__ = ['ElectionConfig', 'elect']
 
@@ -124,6 +124,9 @@ def elect(
         if landmark is None:
             outcomes[k] = Refusal('runs out of its panorama')
             continue
+        others = [s.panorama for s in sightings[k] if s.panorama != patch.source]
+        views = [_view(landmark, panoramas[other], greys[other]) for other in others]
+        landmark = replace(landmark, views=tuple(view for view in views if view is not None))
         outcomes[k] = landmark
         taken.append(landmark)
     return outcomes
@@ -189,9 +192,23 @@ def _landmark(
         normal=patch.normal,
         width_m=patch.shape[1] * patch.texel_m,
         height_m=patch.shape[0] * patch.texel_m,
-        patch=np.clip(np.rint(texture), 0, 255).astype(np.uint8),
+        patch=_levels(texture),
         viewpoint=panorama.center_map,
         threshold=threshold,
         wall_id=room.walls[patch.wall].id,
         saliency=patch.candidate.saliency,
     )
+
+
+def _view(landmark: Landmark, panorama: Panorama, grey: Float32Image) -> PatchView | None:
+    """What another panorama shows of it, as fine as it does."""
+    reach = float(np.hypot(*(panorama.center_map - landmark.position)[:2]))
+    columns = max(8, round(landmark.width_m * panorama.cylinder.fy / reach))
+    texel = landmark.width_m / columns
+    shape = (max(8, round(landmark.height_m / texel)), columns)
+    texture = wall_texture(panorama, grey, landmark.position, landmark.normal, shape, texel)
+    return None if texture is None else PatchView(panorama.center_map, _levels(texture))
+
+
+def _levels(texture: Float32Image) -> ImageArray:
+    return np.clip(np.rint(texture), 0, 255).astype(np.uint8)

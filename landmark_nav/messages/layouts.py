@@ -53,12 +53,16 @@ LANDMARK_FIELDS: list[tuple[str, str] | tuple[str, str, tuple[int]]] = [
 ]
 
 
-def landmark_layout(factors: int, walls: int, name_bytes: int) -> np.dtype[np.void]:
+def landmark_layout(
+    factors: int, walls: int, name_bytes: int, views: int = 0
+) -> np.dtype[np.void]:
     """
     Return the layout of ``landmarks``.
 
     Beside its own values each row repeats what belongs to the map: the outline of the walls
     (start x, y, end x, y, height of each) and their names, so that the one topic suffices.
+    What other panoramas show of a landmark lies in the atlas too: `viewpoints` (x, y, z of each)
+    and `views` (x, y, width, height of each; 0 where a landmark has fewer).
 
     Parameters
     ----------
@@ -68,11 +72,15 @@ def landmark_layout(factors: int, walls: int, name_bytes: int) -> np.dtype[np.vo
         Walls of the map.
     name_bytes : int
         Length of their names, joined by line feeds, in UTF-8.
+    views : int
+        The most other views that a landmark has.
 
     """
     sized = [
         ('shared_loading', '<f8', (3 * factors,)),
         ('walls', '<f8', (5 * walls,)),
         ('wall_names', 'u1', (name_bytes,)),
+        ('viewpoints', '<f4', (3 * views,)),
+        ('views', '<u4', (4 * views,)),
     ]
     return np.dtype([*LANDMARK_FIELDS, *(field for field in sized if field[2][0] > 0)])

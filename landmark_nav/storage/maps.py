@@ -1,6 +1,8 @@
 """
 The map folder: ``map.yaml`` and ``patches/NNN.png``, to be read, diffed and kept in git.
 
+What other panoramas show of landmark NNN lies beside its patch, in ``patches/NNN_1.png`` and on.
+
 Numbers are written with as many digits as it takes to read the same ones back.
 """
 
@@ -25,7 +27,14 @@ from landmark_nav.storage.fields import (
 )
 from landmark_nav.storage.setup_files import read_yaml_mapping
 from landmark_nav.storage.whole import whole_folder
-from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import (
+    FloatArray,
+    ImageArray,
+    Landmark,
+    LandmarkMap,
+    PatchView,
+    PoseEstimate,
+)
 
 __all__ = ['MAP_FILES', 'SCHEMA_VERSION', 'load_map', 'save_map', 'write_map']
 
@@ -96,9 +105,10 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
     for landmark in landmarks.landmarks:
         if landmark.width_m == landmark.height_m == 0.0:  # a point, such as a surveyed beacon
             continue
-        path = folder / _patch_name(landmark.id)
-        if not cv2.imwrite(str(path), landmark.patch):
-            raise OSError(f'{path} cannot be written')
+        for number, patch in enumerate([landmark.patch, *(v.patch for v in landmark.views)]):
+            path = folder / _patch_name(landmark.id, number)
+            if not cv2.imwrite(str(path), patch):
+                raise OSError(f'{path} cannot be written')
 
 
 def load_map(folder: Path | str) -> LandmarkMap:
@@ -169,11 +179,13 @@ def _listed(values: Any) -> list[Any]:
     return listed
 
 
-def _patch_name(identity: int) -> str:
-    return f'patches/{identity:03d}.png'
+def _patch_name(identity: int, view: int = 0) -> str:
+    """Of the patch, or of what another panorama shows of it: views count from 1."""
+    return f'patches/{identity:03d}_{view}.png' if view else f'patches/{identity:03d}.png'
 
 
 def _described(landmark: Landmark) -> dict[str, Any]:
+    views = [_listed(view.viewpoint) for view in landmark.views]
     return {
         'id': int(landmark.id),
         'wall': landmark.wall_id,
@@ -185,7 +197,7 @@ def _described(landmark: Landmark) -> dict[str, Any]:
         'quality': float(landmark.saliency),
         'covariance': _listed(landmark.covariance),
         'shared_loading': _listed(landmark.shared_loading),
-    }
+    } | ({'views': views} if views else {})
 
 
 def _landmark(entry: Any, folder: Path, where: str) -> Landmark:
@@ -211,7 +223,18 @@ def _landmark(entry: Any, folder: Path, where: str) -> Landmark:
         threshold=number_field(entry, 'threshold', where),
         wall_id=str(field(entry, 'wall', where)),
         saliency=number_field(entry, 'quality', where),
+        views=tuple(
+            PatchView(viewpoint, _patch(folder / _patch_name(identity, k + 1), where))
+            for k, viewpoint in enumerate(_viewpoints(entry, where))
+        ),
     )
+
+
+def _viewpoints(entry: Any, where: str) -> FloatArray:
+    """Where other panoramas saw a landmark from (m, 3); maps of before do not say."""
+    if 'views' not in entry:
+        return np.empty((0, 3))
+    return array_field(entry, 'views', (None, 3), where)
 
 
 def _patch(path: Path, where: str) -> ImageArray:

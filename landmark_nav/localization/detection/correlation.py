@@ -19,7 +19,8 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import patch_axes, rays_to_patch
-from landmark_nav.matching import blur_sigmas, blur_to, Match, match_template
+from landmark_nav.localization.detection.appearance import APPEARANCES, textures
+from landmark_nav.matching import blur_sigmas, blur_to, Float32Image, Match, match_template
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
@@ -59,6 +60,12 @@ class DetectionConfig:
     )
     vertical_sigma_px: float = parameter(
         1.0, 'vertical error of the picture from tilt and floor', minimum=0.1, maximum=50
+    )
+    appearance: str = parameter(
+        'virtual_view',
+        'what is looked for: the patch as it was learned, or a view from here out of all '
+        'panoramas that saw it',
+        choices=APPEARANCES,
     )
     lens_sigma_px: float = parameter(
         0.03, 'what the lens model leaves, pixels', minimum=0, maximum=5
@@ -167,7 +174,7 @@ class _Expectation(NamedTuple):
 
     `left`, `top`, `right`, `bottom` are the template's rectangle in the picture, empty if nothing
     of the patch is in view; `window` (2,) the half width and height of the search around it;
-    `ray_to_texel` (3, 3) maps rays (x, y, 1) of the camera to columns and rows of the patch.
+    `ray_to_patch` (3, 3) maps rays (x, y, 1) of the camera to metres on the patch.
     """
 
     uv: FloatArray
@@ -176,7 +183,7 @@ class _Expectation(NamedTuple):
     right: int
     bottom: int
     window: tuple[int, int]
-    ray_to_texel: FloatArray
+    ray_to_patch: FloatArray
 
 
 def _expect(
@@ -212,15 +219,7 @@ def _expect(
     (left, top), (end_x, end_y) = corners.astype(int).tolist()
     window = _windows(position, landmark_map.covariances[indices], view, config)
     maps = rays_to_patch(position, normal, view.rotation, view.center)
-    texel = np.array(
-        [k.patch.shape[::-1] for k in map(landmark_map.landmarks.__getitem__, indices)]
-    )
-    to_texel = np.zeros((len(indices), 3, 3))
-    # Metres on the wall -> texels, in the same homography.
-    to_texel[:, 0, 0] = to_texel[:, 1, 1] = texel[:, 0] / (2.0 * half[:, 0])
-    to_texel[:, :2, 2] = 0.5 * (texel - 1)
-    to_texel[:, 2, 2] = 1.0
-    places = zip(pixels[:, 0], left, top, end_x, end_y, window, to_texel @ maps, strict=True)
+    places = zip(pixels[:, 0], left, top, end_x, end_y, window, maps, strict=True)
     return [_Expectation(*place) for place in places]
 
 
@@ -263,7 +262,7 @@ def _detect(
     landmark: Landmark, expected: _Expectation, view: _View, config: DetectionConfig
 ) -> tuple[FloatArray, Match] | Refusal:
     """Pixel (2,) of the landmark's centre, and how its template was found."""
-    _, left, top, right, bottom, (window_u, window_v), ray_to_texel = expected
+    _, left, top, right, bottom, (window_u, window_v), _ = expected
     size = (right - left + 1, bottom - top + 1)
     if right < left and bottom < top:
         return Refusal('out of view')
@@ -271,31 +270,15 @@ def _detect(
         return Refusal('too small or cut off', f'{size[0]} x {size[1]} px')
     x0, x1 = max(0, left - window_u), min(view.camera.width, right + window_u + 1)
     y0, y1 = max(0, top - window_v), min(view.camera.height, bottom + window_v + 1)
-    texel = cv2.perspectiveTransform(
-        view.camera.ray_grid[top : bottom + 1, left : right + 1], ray_to_texel
-    )
-    # Texels a pixel, across and down.
-    step = (
-        max(float(texel[size[1] // 2, -1, 0] - texel[size[1] // 2, 0, 0]) / (size[0] - 1), 1e-2),
-        max(float(texel[-1, size[0] // 2, 1] - texel[0, size[0] // 2, 1]) / (size[1] - 1), 1e-2),
-    )
-    column, row = cv2.split(texel)
-    template = cv2.remap(
-        blur_to(landmark.patch.astype(np.float32), step),
-        column,
-        row,
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    # A patch seen closer than it was learned is less sharp than the picture.
-    wanted = (1.0 / step[0], 1.0 / step[1])
-    search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), wanted)
+    template, finer = _template(landmark, expected, view, config.appearance)
+    # Where the picture shows more than the panoramas did, it is blurred to what they showed.
+    search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), finer)
     match = match_template(
         search,
-        np.asarray(template, dtype=np.float32),
+        template,
         min_score=landmark.threshold,
         max_second_ratio=config.max_second_ratio,
-        search_blur=blur_sigmas(wanted),
+        search_blur=blur_sigmas(finer),
     )
     if isinstance(match, Refusal):
         return match
@@ -303,6 +286,39 @@ def _detect(
     if abs(shift[1]) > window_v:
         return Refusal('wrong height', f'{shift[1]:.1f} px off')
     return expected.uv + shift, match
+
+
+def _template(
+    landmark: Landmark, expected: _Expectation, view: _View, appearance: str
+) -> tuple[Float32Image, tuple[float, float]]:
+    """How it should look in its rectangle, and by how much more the picture resolves there."""
+    _, left, top, right, bottom, _, ray_to_patch = expected
+    width, height = right - left + 1, bottom - top + 1
+    rays = view.camera.ray_grid[top : bottom + 1, left : right + 1]
+    template = np.zeros((height, width), np.float32)
+    finer = np.zeros(2)
+    for image, share, own_step in textures(landmark, view.center, appearance):
+        rows, columns = image.shape
+        scale = columns / landmark.width_m
+        to_texel = [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
+        texel = cv2.perspectiveTransform(rays, to_texel @ ray_to_patch)
+        # Texels a pixel, across and down.
+        step = (
+            max(float(texel[height // 2, -1, 0] - texel[height // 2, 0, 0]) / (width - 1), 1e-2),
+            max(float(texel[-1, width // 2, 1] - texel[0, width // 2, 1]) / (height - 1), 1e-2),
+        )
+        column, row = cv2.split(texel)
+        part = cv2.remap(
+            blur_to(image.astype(np.float32), step, own_step),
+            column,
+            row,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        template += share * part
+        finer += [share * max(own / s, 1.0) ** 2 for own, s in zip(own_step, step, strict=True)]
+    across, down = np.sqrt(finer).tolist()
+    return template, (across, down)
 
 
 def _bearings(

@@ -13,7 +13,7 @@ from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import finite, stamp_ns
 from landmark_nav.messages.decode.images import image
 from landmark_nav.messages.layouts import LANDMARK_FIELDS
-from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap
+from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap, PatchView
 
 __all__ = ['landmark_map']
 
@@ -66,6 +66,7 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
                 threshold=float(scalars[k, 2]),
                 wall_id=names.get(int(points['wall'][k]), ''),
                 saliency=float(scalars[k, 3]),
+                views=_views(atlas, points[k], stamp),
             )
             for k in range(len(points))
         ),
@@ -75,10 +76,26 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
 
 
 def _patch(atlas: ImageArray, point: np.void) -> ImageArray:
-    x, y = int(point['atlas_x']), int(point['atlas_y'])
-    width, height = int(point['atlas_width']), int(point['atlas_height'])
     if point['width'] == point['height'] == 0.0:  # a point, known by its bearing alone
         return np.zeros((0, 0), dtype=np.uint8)
+    names = ('atlas_x', 'atlas_y', 'atlas_width', 'atlas_height')
+    return _cut(atlas, point, *(int(point[name]) for name in names))
+
+
+def _views(atlas: ImageArray, point: np.void, stamp: int) -> tuple[PatchView, ...]:
+    """What other panoramas show of it; publishers of before do not say."""
+    if not {'viewpoints', 'views'} <= set(point.dtype.names or ()):
+        return ()
+    viewpoints = finite(point['viewpoints'], 'viewpoint', stamp).reshape(-1, 3)
+    places = point['views'].reshape(-1, 4).tolist()
+    return tuple(
+        PatchView(viewpoint, _cut(atlas, point, *place))
+        for viewpoint, place in zip(viewpoints, places, strict=True)
+        if place[2]
+    )
+
+
+def _cut(atlas: ImageArray, point: np.void, x: int, y: int, width: int, height: int) -> ImageArray:
     if atlas.ndim != 2 or not width or not height:
         raise LandmarkNavError(f'landmark {point["id"]} has no patch in a grey atlas')
     if x + width > atlas.shape[1] or y + height > atlas.shape[0]:

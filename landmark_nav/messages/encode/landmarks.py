@@ -36,8 +36,9 @@ def landmark_map(
         When it was published: the three belong together by it.
 
     """
-    patches = [k.patch for k in landmarks.landmarks]
-    corners, atlas = _pack_patches(patches)
+    members = landmarks.landmarks
+    views = [view.patch for k in members for view in k.views]
+    corners, atlas = _pack_patches([*(k.patch for k in members), *views])
     points = _points(landmarks, corners)
     return (
         pack_cloud(factory, header(factory, stamp_ns, landmarks.frame_id), points),
@@ -47,11 +48,12 @@ def landmark_map(
 
 
 def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
-    """Rows (n,) of the layout in `landmark_nav.messages.layouts`; `corners` are (n, 2)."""
+    """Rows (n,) of the layout in `landmark_nav.messages.layouts`; `corners` (n + views, 2)."""
     members, walls = landmarks.landmarks, landmarks.walls
     names = np.frombuffer('\n'.join(wall.id for wall in walls).encode(), dtype=np.uint8)
     factors = members[0].shared_loading.shape[1] if members else 0
-    points = np.zeros(len(members), dtype=landmark_layout(factors, len(walls), len(names)))
+    views = max((len(k.views) for k in members), default=0)
+    points = np.zeros(len(members), dtype=landmark_layout(factors, len(walls), len(names), views))
     points['id'] = landmarks.ids
     for triple, values in (
         (('x', 'y', 'z'), landmarks.positions),
@@ -64,7 +66,7 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
     points['threshold'] = [k.threshold for k in members]
     points['saliency'] = [k.saliency for k in members]
     points['covariance'] = landmarks.covariances.reshape(-1, 9)
-    points['atlas_x'], points['atlas_y'] = corners.T
+    points['atlas_x'], points['atlas_y'] = corners[: len(members)].T
     points['atlas_height'] = [k.patch.shape[0] for k in members]
     points['atlas_width'] = [k.patch.shape[1] for k in members]
     index = {wall.id: number for number, wall in enumerate(walls)}
@@ -74,6 +76,12 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
     if walls:
         points['walls'] = np.concatenate([[*w.start, *w.end, w.height] for w in walls])
         points['wall_names'] = names
+    if views:
+        left_top = iter(corners[len(members) :])
+        for point, landmark in zip(points, members, strict=True):
+            for k, view in enumerate(landmark.views):
+                point['viewpoints'][3 * k : 3 * k + 3] = view.viewpoint
+                point['views'][4 * k : 4 * k + 4] = *next(left_top), *view.patch.shape[::-1]
     return points
 
 
