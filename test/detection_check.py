@@ -2,17 +2,25 @@
 How well single bearings are measured, and whether their variances are honest.
 
 python test/detection_check.py --map MAP --robot robot.yaml BAG [--noise GREY] [--prior M RAD]
+    [--appearance patch virtual_view] [--start start.json] [--seeds N …]
+
+One row for each kind of expected appearance; `{seed}` in paths stands for the seeds, over which
+the last rows are means. With a start the drive is also localized, as `evaluate` does it.
 
 Every picture of a drive is searched for the landmarks in view from its true pose, made wrong by
 the prior's errors. What remains of the map's error (a shift of each landmark) and of the pan (one
-angle a picture) is fitted and taken out, so that the rest is the error of detection alone. A mean
-square of 1 is honest; the robust one stands on the median and leaves wrong matches out.
+angle a picture) is fitted and taken out, so that the rest is the error of detection alone (of
+`with_map_px` it is not). A mean square of 1 is honest; the robust one stands on the median and
+leaves wrong matches out.
 """
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, fields, replace
+from itertools import product
+import json
+from pathlib import Path
 import sys
 import time
 
@@ -21,9 +29,15 @@ import numpy as np
 from scipy.sparse import coo_matrix, vstack
 from scipy.sparse.linalg import spsolve
 
+from landmark_nav.evaluation.metrics import error_summary
+from landmark_nav.evaluation.replay import replay
+from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.detection.appearance import APPEARANCES
+from landmark_nav.localization.observation import ObservationConfig
+from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     bearing_gradients,
@@ -50,8 +64,13 @@ class Summary:
     robust_square: float
     rms_px: float
     median_px: float
+    with_map_px: float
     wrong: float
     ms_per_patch: float
+    fused_mm: float = np.nan
+    fused_deg: float = np.nan
+    fix_mm: float = np.nan
+    update_ms: float = np.nan
 
 
 def check(
@@ -105,9 +124,30 @@ def check(
         float(np.median(square)) / _MEDIAN_SQUARE,
         float(np.sqrt(np.mean(px[square < _FAR**2] ** 2))),
         float(np.median(px)),
+        focal * float(np.median(np.abs(wrap_rad(table[:, 2])))),
         float(np.mean(square > _FAR**2)),
         1e3 * seconds / looked,
     )
+
+
+def drive(
+    bag_path: str, map_path: str, robot_path: str, config: DetectionConfig, start: str
+) -> dict[str, float]:
+    """Errors of a whole drive, and the median time of an update."""
+    mount, landmarks = load_robot(robot_path), load_map(map_path)
+    localization = LocalizationConfig(observation=ObservationConfig(detection=config))
+    pose = np.array(json.loads(Path(start).read_text(encoding='utf-8'))['pose'])
+    covariance = np.diag([0.05, 0.05, 0.035]) ** 2
+    events = sensor_events(Bag(bag_path), mount)
+    run = replay(events, landmarks, mount, localization, pose, covariance)
+    errors = run_errors(run)
+    fused, fixes = error_summary(errors.fused), error_summary(errors.triangulation)
+    return {
+        'fused_mm': 1e3 * (fused['position_rmse_m'] or np.nan),
+        'fused_deg': fused['heading_rmse_deg'] or np.nan,
+        'fix_mm': 1e3 * (fixes['position_median_m'] or np.nan),
+        'update_ms': 1e3 * float(np.median(run.update_seconds)),
+    }
 
 
 def _without_map_and_pan(table: FloatArray, map_covariance: FloatArray) -> FloatArray:
@@ -144,7 +184,7 @@ def _without_map_and_pan(table: FloatArray, map_covariance: FloatArray) -> Float
 
 
 def main() -> int:
-    """Print one row."""
+    """Print one row for each appearance, noise and seed."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('bag')
     parser.add_argument('--map', required=True)
@@ -152,16 +192,34 @@ def main() -> int:
     parser.add_argument('--noise', type=float, nargs='+', default=[0.0], help='grey levels added')
     parser.add_argument('--every', type=int, default=1, help='look at every n-th picture')
     parser.add_argument('--prior', type=float, nargs=2, default=(0.02, 0.007))
+    parser.add_argument(
+        '--appearance', nargs='+', choices=APPEARANCES, default=[DetectionConfig().appearance]
+    )
+    parser.add_argument('--start', help='start.json: where the drive begins')
+    parser.add_argument('--seeds', nargs='+', default=[''])
     args = parser.parse_args()
     cv2.setNumThreads(1)
     names = [f.name for f in fields(Summary)]
-    print(f'{"noise":>14}' + ''.join(f'{name:>15}' for name in names))
-    for noise in args.noise:
-        row = check(
-            args.bag, args.map, args.robot, noise, tuple(args.prior), DetectionConfig(), args.every
-        )
-        print(f'{noise:14.1f}' + ''.join(f'{getattr(row, name):15.4g}' for name in names))
+    print(f'{"":>28}' + ''.join(f'{name:>14}' for name in names))
+    rows: dict[str, list[Summary]] = {}
+    for seed, noise, appearance in product(args.seeds, args.noise, args.appearance):
+        paths = [path.format(seed=seed) for path in (args.bag, args.map, args.robot)]
+        config = DetectionConfig(appearance=appearance)
+        summary = check(*paths, noise, tuple(args.prior), config, args.every)
+        if args.start:
+            summary = replace(summary, **drive(*paths, config, args.start.format(seed=seed)))
+        name = f'{appearance} {noise:g}'
+        rows.setdefault(name, []).append(summary)
+        _print(f'{seed} {name}', [summary])
+    if len(args.seeds) > 1:
+        for name, several in rows.items():
+            _print(f'all {name}', several)
     return 0
+
+
+def _print(name: str, rows: list[Summary]) -> None:
+    means = [np.mean([getattr(row, f.name) for row in rows]) for f in fields(Summary)]
+    print(f'{name:>28}' + ''.join(f'{mean:14.4g}' for mean in means), flush=True)
 
 
 if __name__ == '__main__':

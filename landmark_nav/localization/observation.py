@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+import logging
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,8 @@ from landmark_nav.types import (
     Refusal,
     Triplet,
 )
+
+_LOG = logging.getLogger(__name__)
 
 __all__ = ['Observation', 'ObservationConfig', 'Observer']
 
@@ -110,6 +113,7 @@ class Observer:
         pan_sigma_rad: float = 0.0,
     ) -> None:
         self._map, self._mount, self._config = landmark_map, mount, config
+        _warn_without_views(landmark_map, config.detection)
         window_s = config.gather_s if config.triplet.views == 'several' else 0.0
         self._window_ns = int(1e9 * window_s)
         self._gatherer = SightingGatherer(
@@ -196,3 +200,13 @@ class Observer:
                 names = ', '.join(map(str, missing))
                 return Refusal('the triplet is not complete', f'{names} still to be found')
         return self._gatherer.fix(prior)
+
+
+def _warn_without_views(landmark_map: LandmarkMap, config: DetectionConfig) -> None:
+    """Maps of before keep patches alone; points that have no picture need none."""
+    pictured = [k for k in landmark_map.landmarks if k.patch.size]
+    if config.appearance == 'virtual_view' and pictured and not any(k.views for k in pictured):
+        _LOG.warning(
+            'the map holds no views of other panoramas: landmarks are looked for as their '
+            'patches show them; learn the map again for virtual views'
+        )

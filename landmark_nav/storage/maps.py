@@ -1,7 +1,7 @@
 """
 The map folder: ``map.yaml`` and ``patches/NNN.png``, to be read, diffed and kept in git.
 
-What other panoramas show of landmark NNN lies beside its patch, in ``patches/NNN_1.png`` and on.
+What other panoramas show of landmark NNN is in ``views/NNN_1.png`` and on.
 
 Numbers are written with as many digits as it takes to read the same ones back.
 """
@@ -41,7 +41,7 @@ __all__ = ['MAP_FILES', 'SCHEMA_VERSION', 'load_map', 'save_map', 'write_map']
 SCHEMA_VERSION = 1
 
 # What this package writes into a map folder, for `whole_folder`.
-MAP_FILES = ('map.yaml', 'patches', 'map.png', 'panorama_*.png')
+MAP_FILES = ('map.yaml', 'patches', 'views', 'map.png', 'panorama_*.png')
 
 
 # Of a landmark of size 0 x 0: a point that has a bearing but no texture.
@@ -101,14 +101,18 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
     }
     text = yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
     (folder / 'map.yaml').write_text(text, encoding='utf-8')
-    (folder / 'patches').mkdir()
-    for landmark in landmarks.landmarks:
-        if landmark.width_m == landmark.height_m == 0.0:  # a point, such as a surveyed beacon
-            continue
-        for number, patch in enumerate([landmark.patch, *(v.patch for v in landmark.views)]):
-            path = folder / _patch_name(landmark.id, number)
-            if not cv2.imwrite(str(path), patch):
-                raise OSError(f'{path} cannot be written')
+    pictures = {
+        _patch_name(k.id): k.patch
+        for k in landmarks.landmarks
+        if k.width_m or k.height_m  # not of a point, such as a surveyed beacon
+    }
+    for k in landmarks.landmarks:
+        pictures |= {_view_name(k.id, n): view.patch for n, view in enumerate(k.views)}
+    for kind in ('patches', 'views'):
+        (folder / kind).mkdir()
+    for name, picture in pictures.items():
+        if not cv2.imwrite(str(folder / name), picture):
+            raise OSError(f'{folder / name} cannot be written')
 
 
 def load_map(folder: Path | str) -> LandmarkMap:
@@ -179,9 +183,13 @@ def _listed(values: Any) -> list[Any]:
     return listed
 
 
-def _patch_name(identity: int, view: int = 0) -> str:
-    """Of the patch, or of what another panorama shows of it: views count from 1."""
-    return f'patches/{identity:03d}_{view}.png' if view else f'patches/{identity:03d}.png'
+def _patch_name(identity: int) -> str:
+    return f'patches/{identity:03d}.png'
+
+
+def _view_name(identity: int, number: int) -> str:
+    """Of what another panorama shows of it; the file counts from 1."""
+    return f'views/{identity:03d}_{number + 1}.png'
 
 
 def _described(landmark: Landmark) -> dict[str, Any]:
@@ -224,7 +232,7 @@ def _landmark(entry: Any, folder: Path, where: str) -> Landmark:
         wall_id=str(field(entry, 'wall', where)),
         saliency=number_field(entry, 'quality', where),
         views=tuple(
-            PatchView(viewpoint, _patch(folder / _patch_name(identity, k + 1), where))
+            PatchView(viewpoint, _patch(folder / _view_name(identity, k), where))
             for k, viewpoint in enumerate(_viewpoints(entry, where))
         ),
     )

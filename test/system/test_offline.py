@@ -105,7 +105,7 @@ def test_learn_finds_the_sweeps_and_enough_landmarks(study):
 
 def test_learn_writes_the_map_and_its_pictures(study):
     names = {path.name for path in study.learned.iterdir()}
-    assert names == {'map.yaml', 'patches', 'map.png', 'panorama_1.png', 'panorama_2.png'}
+    assert names == {'map.yaml', 'patches', 'views', 'map.png', 'panorama_1.png', 'panorama_2.png'}
     assert len(list((study.learned / 'patches').iterdir())) == study.figures['elected']
 
 

@@ -23,13 +23,23 @@ from landmark_nav.localization.detection import (
     DetectionConfig,
     DetectionResult,
 )
-from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.localization.detection.appearance import textures
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    Landmark,
+    LandmarkMap,
+    PatchView,
+    PoseEstimate,
+)
 
 LENS = CameraModel(
     480, 360, 400.0, 400.0, 240.0, 180.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
 )
 MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15), optical_center_offset=(0.03, 0.0, 0.0))
 CONFIG = DetectionConfig()
+PATCH = DetectionConfig(appearance='patch')
+VIRTUAL = DetectionConfig(appearance='virtual_view')
 ROOM = rectangle_room(6.0, 5.0)
 SCENE = textured_room(ROOM, seed=6, feature_m=0.04)
 EAST = SCENE.boards[1]
@@ -51,15 +61,19 @@ def map_of(
     )
 
 
-LANDMARKS = map_of([(-0.8, 0.1), (-0.2, -0.3), (0.3, 0.2), (0.9, -0.1)])
+PLACES = [(-0.8, 0.1), (-0.2, -0.3), (0.3, 0.2), (0.9, -0.1)]
+LANDMARKS = map_of(PLACES)
 
 
 def detect(
-    frame: CameraFrame, prior: FloatArray, landmark_map: LandmarkMap = LANDMARKS
+    frame: CameraFrame,
+    prior: FloatArray,
+    landmark_map: LandmarkMap = LANDMARKS,
+    config: DetectionConfig = CONFIG,
 ) -> DetectionResult:
     everything = np.arange(len(landmark_map.landmarks))
     estimate = PoseEstimate(frame.stamp_ns, prior, PRIOR)
-    return detect_landmarks(frame, estimate, landmark_map, MOUNT, CONFIG, everything)
+    return detect_landmarks(frame, estimate, landmark_map, MOUNT, config, everything)
 
 
 def bearing_at(pose: FloatArray, landmark: Landmark) -> float:
@@ -146,6 +160,64 @@ def test_patches_are_found_aslant() -> None:
     result = detect(frame, pose, landmarks)
     assert len(result.detections) == 2
     assert np.abs(errors_of(result, pose, landmarks)).max() < 1e-3
+
+
+def seen_from_elsewhere(landmark_map: LandmarkMap, view: FloatArray) -> LandmarkMap:
+    """Map whose patches are of something else, and whose only other view is right."""
+    other = textured_room(ROOM, seed=7, feature_m=0.04)
+    wrong = [
+        true_landmark(other, k.id, other.boards[1], *place, k.viewpoint).patch
+        for k, place in zip(landmark_map.landmarks, PLACES, strict=True)
+    ]
+    return replace(
+        landmark_map,
+        landmarks=tuple(
+            replace(k, patch=patch, views=(PatchView(view, k.patch),))
+            for k, patch in zip(landmark_map.landmarks, wrong, strict=True)
+        ),
+    )
+
+
+def test_a_virtual_view_shows_what_the_nearest_panorama_saw() -> None:
+    # Things look otherwise from the other side, as what stands out or shines does.
+    beside = np.array([3.0, 2.3, 1.15])
+    landmarks = seen_from_elsewhere(map_of(PLACES, viewpoint=np.array([4.8, -1.5, 1.15])), beside)
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE)
+    virtual = detect(frame, HERE, landmarks, VIRTUAL)
+    assert sorted(virtual.detections.ids) == [1, 2, 3, 4]
+    assert np.abs(errors_of(virtual, HERE, landmarks)).max() < 2e-4
+    assert len(detect(frame, HERE, landmarks, PATCH).detections) == 0
+
+
+def test_landmarks_without_other_views_look_as_their_patch_does() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    both = [detect(frame, HERE, config=config).detections for config in (PATCH, VIRTUAL)]
+    np.testing.assert_allclose(both[0].bearing_rad, both[1].bearing_rad, atol=1e-5)
+
+
+def test_shares_of_a_virtual_view_follow_direction_and_distance() -> None:
+    landmark = replace(
+        LANDMARKS.landmarks[0],
+        viewpoint=np.array([3.0, 1.5, 1.15]),
+        views=(
+            PatchView(np.array([3.0, 4.0, 1.1]), np.zeros((40, 40), np.uint8)),
+            PatchView(np.array([0.5, 2.8, 1.1]), np.zeros((20, 20), np.uint8)),
+        ),
+    )
+
+    def shares(*viewer: float) -> dict[int, float]:
+        seen = textures(landmark, np.array([*viewer, 1.15]), 'virtual_view')
+        assert sum(texture.share for texture in seen) == pytest.approx(1.0)
+        images = [landmark.patch, *(view.patch for view in landmark.views)]
+        return {[i is t.image for i in images].index(True): t.share for t in seen}
+
+    assert max(shares(3.0, 1.5).items(), key=lambda e: e[1])[0] == 0
+    assert max(shares(3.0, 4.2).items(), key=lambda e: e[1])[0] == 1
+    # Between two they count alike, and half way between directions both do.
+    halfway = shares(3.0, 2.75)
+    assert min(halfway[0], halfway[1]) > 0.2
+    # What was seen from afar is worth less near by than what was seen from near.
+    assert shares(3.0, 2.75).get(2, 0.0) < 0.5 < shares(0.5, 2.8)[2] + 0.2
 
 
 def test_light_that_changed_changes_no_bearing() -> None:

@@ -104,6 +104,24 @@ def test_a_good_patch_becomes_a_landmark(panoramas: list[Panorama]) -> None:
     assert np.abs(landmark.patch - truth).mean() < 3.0
 
 
+def test_a_landmark_keeps_what_the_other_panoramas_show_of_it(panoramas: list[Panorama]) -> None:
+    patch = patch_at((6.0, 2.4, 1.2), saliency=0.8)
+    (landmark,) = elect_from(panoramas, [patch])
+    assert isinstance(landmark, Landmark)
+    (view,) = landmark.views
+    np.testing.assert_array_equal(view.viewpoint, CENTERS[1])
+    rows, columns = view.patch.shape
+    # As fine as that panorama shows it, and of the same piece of wall.
+    reach = np.hypot(*(CENTERS[1] - patch.position)[:2])
+    texel = landmark.width_m / columns
+    assert texel == pytest.approx(reach / panoramas[1].cylinder.fy, rel=0.05)
+    assert rows * texel == pytest.approx(landmark.height_m, abs=texel)
+    points = patch_points(patch.position, patch.normal, view.patch.shape, texel)
+    inwards = np.broadcast_to(-patch.normal, points.shape)
+    truth = SCENE.look(points + 0.1 * patch.normal, inwards)[0][..., 0]
+    assert np.abs(view.patch - truth).mean() < 4.0
+
+
 def test_ids_count_from_the_most_salient(panoramas: list[Panorama]) -> None:
     patches = [
         patch_at((6.0, 1.0 + 0.8 * k, 1.2), saliency=s) for k, s in enumerate((0.3, 0.9, 0.6))

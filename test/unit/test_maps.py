@@ -11,7 +11,7 @@ import yaml
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import load_map, save_map
-from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import Landmark, LandmarkMap, PatchView, PoseEstimate
 
 
 def make_map(seed=0, count=3, factors=4):
@@ -24,7 +24,10 @@ def make_map(seed=0, count=3, factors=4):
     landmarks = []
     for k in range(count):
         angle = rng.uniform(-np.pi, np.pi)
-        patch = rng.integers(0, 256, rng.integers(5, 40, 2)).astype(np.uint8)
+        patch, *others = (
+            rng.integers(0, 256, rng.integers(5, 40, 2)).astype(np.uint8)
+            for _ in range(1 + (2 - k) % 3)
+        )
         landmarks.append(
             Landmark(
                 id=7 * k,
@@ -39,6 +42,7 @@ def make_map(seed=0, count=3, factors=4):
                 threshold=float(rng.uniform(0.3, 0.95)),
                 wall_id=['north', 'on', '1', 'östlich: «a»'][k % 4],
                 saliency=float(rng.random()),
+                views=tuple(PatchView(rng.normal(size=3), other) for other in others),
             )
         )
     return LandmarkMap(
@@ -76,6 +80,9 @@ def test_a_map_comes_back_bit_by_bit(tmp_path_factory, seed, count, factors):
             'viewpoint',
         ):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        for view, saved_view in zip(one.views, other.views, strict=True):
+            np.testing.assert_array_equal(view.viewpoint, saved_view.viewpoint)
+            np.testing.assert_array_equal(view.patch, saved_view.patch)
 
 
 def test_the_file_is_short_lines_and_the_same_every_time(tmp_path):
@@ -88,6 +95,8 @@ def test_the_file_is_short_lines_and_the_same_every_time(tmp_path):
     assert text.startswith('schema_version: 1\n')
     names = sorted(p.name for p in (tmp_path / 'a' / 'patches').iterdir())
     assert names == ['000.png', '007.png', '014.png']
+    views = sorted(p.name for p in (tmp_path / 'a' / 'views').iterdir())
+    assert views == ['000_1.png', '000_2.png', '007_1.png']
 
 
 def test_a_map_is_replaced_as_a_whole_and_what_the_user_keeps_beside_it_stays(tmp_path):
@@ -155,6 +164,8 @@ def first(key, value):
         (first('covariance', [[1.0, 2], [2, 1, 0]]), 'not 3 x 3 numbers'),
         (first('shared_loading', [[1.0], [2.0], [3.0]]), 'as many columns'),
         (first('normal', [0.0, 0.0, 1.0]), 'normal is not horizontal'),
+        (first('views', [[1.0, 2.0]]), 'views is .*not n x 3 numbers'),
+        (first('views', [[1.0, 2.0, 1.1]] * 3), '000_3.png is not there'),
         (first('size', [0.0, 1.0]), 'must be positive'),
         (first('id', True), 'not an integer'),
         (lambda d: d['walls'][0].pop('height'), r'walls\[0\]: height is missing'),
@@ -167,6 +178,16 @@ def test_a_map_that_cannot_be_is_refused_in_one_line(tmp_path, edit, match):
         load_map(edited(tmp_path, edit))
     assert 'map.yaml' in str(error.value)
     assert '\n' not in str(error.value)
+
+
+def test_maps_of_before_have_no_other_views(tmp_path):
+    def forget(document):
+        for entry in document['landmarks']:
+            entry.pop('views', None)
+
+    old = load_map(edited(tmp_path, forget))
+    assert [k.views for k in old.landmarks] == [(), (), ()]
+    np.testing.assert_array_equal(old.landmarks[2].patch, make_map().landmarks[2].patch)
 
 
 def test_missing_parts_are_named(tmp_path):

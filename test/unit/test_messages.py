@@ -22,6 +22,7 @@ from landmark_nav.types import (
     LandmarkMap,
     OdometrySample,
     Panorama,
+    PatchView,
     PoseEstimate,
     Triplet,
 )
@@ -217,6 +218,12 @@ def some_map(count, factors, seed=4):
                 threshold=0.7,
                 wall_id=walls[k % 3].id,
                 saliency=0.5,
+                views=tuple(
+                    PatchView(
+                        rng.normal(size=3), rng.integers(0, 256, (9, 8 + view)).astype(np.uint8)
+                    )
+                    for view in range(k % 3)
+                ),
             )
         )
     return LandmarkMap(tuple(landmarks), 'map', walls)
@@ -240,6 +247,9 @@ def test_map_comes_back(deliver, count, factors):
         np.testing.assert_allclose(one.viewpoint, other.viewpoint, rtol=1e-6)
         assert one.wall_id == other.wall_id
         assert one.threshold == pytest.approx(other.threshold)
+        for view, sent_view in zip(one.views, other.views, strict=True):
+            np.testing.assert_allclose(view.viewpoint, sent_view.viewpoint, rtol=1e-6)
+            np.testing.assert_array_equal(view.patch, sent_view.patch)
 
 
 def test_empty_map_travels_and_a_foreign_atlas_is_refused():

@@ -77,5 +77,5 @@ def _seen_from(landmark: Landmark, viewpoint: FloatArray) -> tuple[float, float,
     x, y = (viewpoint[:2] - landmark.position[:2]).tolist()
     nx, ny = landmark.normal[:2].tolist()
     ahead, aside = x * nx + y * ny, y * nx - x * ny
-    reach = math.hypot(ahead, aside)
+    reach = max(math.hypot(ahead, aside), 1e-6)
     return math.atan2(aside, ahead), reach, max(ahead / reach, _LEAST_COSINE)
