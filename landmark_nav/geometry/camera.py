@@ -100,6 +100,11 @@ class CameraModel:
         return padded
 
     @cached_property
+    def _polynomial(self) -> list[float]:
+        """Eight coefficients, those of `plumb_bob` with zeros behind."""
+        return [*self._coefficients.tolist(), 0.0, 0.0, 0.0][:8]
+
+    @cached_property
     def _max_radius(self) -> float:
         """Largest normalised radius in the image; beyond it the polynomial may fold back."""
         u = np.linspace(-0.5, self.width - 0.5, 17)
@@ -159,7 +164,7 @@ class CameraModel:
             found = cv2.fisheye.projectPoints(inside, zero, zero, self.matrix, self._coefficients)
             return np.asarray(found[0], dtype=np.float64).reshape(-1, 2)
         # cv2.projectPoints computes derivatives too, and takes three times as long.
-        k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(self._coefficients, (0, 3))[:8]
+        k1, k2, p1, p2, k3, k4, k5, k6 = self._polynomial
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
         square = x * x + y * y
         radial = 1.0 + square * (k1 + square * (k2 + square * k3))
@@ -185,7 +190,7 @@ class CameraModel:
                 & (uv[..., 1] <= self.height - 1 - margin_px)
             )
 
-    @property
+    @cached_property
     def half_fov_rad(self) -> float:
         """Smaller of the two horizontal half angles of view, radians."""
         edge = self.unproject([[0.0, self.cy], [self.width - 1.0, self.cy]])

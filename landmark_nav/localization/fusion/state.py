@@ -230,13 +230,14 @@ def bearing_model(
     jacobian[:, DELAY] = -pan_rate
 
     # The derivative by a landmark's x and y is minus the one by the axis'.
-    pair = np.stack([2 * columns, 2 * columns + 1], -1)
-    state_covariance = prior.covariance @ jacobian.T
-    state_covariance -= np.einsum('smi,mi->sm', prior.cross[:, pair], gradient)
+    places = np.stack([2 * columns, 2 * columns + 1], -1).reshape(-1)
+    by_places = np.zeros((len(columns), len(columns), 2))
+    by_places[range(len(columns)), range(len(columns))] = gradient
+    by_places = by_places.reshape(len(columns), -1)
+    state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
     map_covariance = prior.cross.T @ jacobian.T
-    map_covariance -= np.einsum('cmi,mi->cm', prior.landmark_covariance[:, pair], gradient)
-    covariance = jacobian @ state_covariance + noise
-    covariance -= np.einsum('mi,mij->mj', gradient, map_covariance[pair])
+    map_covariance -= prior.landmark_covariance[:, places] @ by_places.T
+    covariance = jacobian @ state_covariance - by_places @ map_covariance[places] + noise
 
     offset = prior.mean - at.mean
     offset[2] = wrap_rad(offset[2])

@@ -7,8 +7,18 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.localization.fusion.state import bearing_model, BORESIGHT, FilterState, HEADING
-from landmark_nav.localization.fusion.update import BearingFrame, FusionUpdate, update_bearings
+from landmark_nav.localization.fusion.state import (
+    BORESIGHT,
+    FilterState,
+    HEADING,
+    MeasurementModel,
+)
+from landmark_nav.localization.fusion.update import (
+    BearingFrame,
+    expected_bearings,
+    FusionUpdate,
+    update_bearings,
+)
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
 
@@ -40,10 +50,13 @@ def update_turning(
     on, the direction in which it moves tells them apart. An angle that is only too large for the
     gates of single bearings is laid to the odometry.
     """
-    state, update = update_bearings(prior, frame, ids, lever, probability, odometry, least, refine)
+    expected = expected_bearings(prior, frame, lever)
+    state, update = update_bearings(
+        prior, frame, ids, lever, probability, odometry, least, refine, expected
+    )
     if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
         return state, update
-    angle, sigma = _common_turn(prior, frame, lever)
+    angle, sigma = _common_turn(expected)
     surprising = abs(angle) > _SURPRISE * sigma
     if update.refusal is None and not surprising:
         return state, update
@@ -62,13 +75,8 @@ def update_turning(
     return loose_state, replace(loose_update, turned_rad=angle)
 
 
-def _common_turn(
-    prior: FilterState, frame: BearingFrame, lever: FloatArray
-) -> tuple[float, float]:
+def _common_turn(model: MeasurementModel) -> tuple[float, float]:
     """Angle by which all bearings are off together, and its standard deviation; radians."""
-    model = bearing_model(
-        prior, prior, frame.columns, frame.bearing_rad, frame.noise, lever, frame.pan_rate
-    )
-    weight = np.linalg.solve(model.covariance, np.ones(len(frame.columns)))
+    weight = np.linalg.solve(model.covariance, np.ones(len(model.innovation)))
     information = weight.sum()
     return float(weight @ model.innovation / information), float(1.0 / np.sqrt(information))

@@ -21,7 +21,14 @@ from landmark_nav.localization.fusion.state import (
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import Detections, FloatArray, PoseEstimate, Refusal
 
-__all__ = ['BearingFrame', 'FusionUpdate', 'bearing_frame', 'update_bearings', 'update_pose']
+__all__ = [
+    'BearingFrame',
+    'FusionUpdate',
+    'bearing_frame',
+    'expected_bearings',
+    'update_bearings',
+    'update_pose',
+]
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -147,6 +154,15 @@ def _unlike_the_others(score: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray(unexplained > limit)
 
 
+def expected_bearings(
+    prior: FilterState, frame: BearingFrame, lever: FloatArray
+) -> MeasurementModel:
+    """All bearings of a frame as the prior expects them."""
+    return bearing_model(
+        prior, prior, frame.columns, frame.bearing_rad, frame.noise, lever, frame.pan_rate
+    )
+
+
 def update_bearings(
     prior: FilterState,
     frame: BearingFrame,
@@ -156,6 +172,7 @@ def update_bearings(
     odometry: OdometryNoiseConfig,
     least: int = 1,
     refine: bool = False,
+    expected: MeasurementModel | None = None,
 ) -> tuple[FilterState, FusionUpdate]:
     """
     Use the bearings of a frame that agree with the prior and with each other.
@@ -178,6 +195,8 @@ def update_bearings(
         Fewer agreeing bearings, or fewer than two thirds, are not used.
     refine : bool
         Improve the landmarks' places too.
+    expected : MeasurementModel, optional
+        What `expected_bearings` says of prior and frame, if it is known.
 
     """
 
@@ -195,7 +214,7 @@ def update_bearings(
 
     seen = ids[frame.columns]
     rejected = dict(frame.unusable)
-    before = model_at(np.arange(len(seen)), prior)
+    before = expected or expected_bearings(prior, frame, lever)
     chosen = _inside_gate(before, prior, frame, seen, probability, rejected)
     least = max(least, (2 * len(seen) + 2) // 3)
     while len(chosen) >= least:
