@@ -6,7 +6,7 @@ Frames are in the names: ``pose_map_base`` is the pose of ``base_link`` in ``map
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.quality import PanoramaQuality
 
@@ -28,7 +29,6 @@ __all__ = [
     'LandmarkMap',
     'OdometrySample',
     'Panorama',
-    'PatchView',
     'PoseEstimate',
     'Refusal',
     'Sweep',
@@ -37,8 +37,6 @@ __all__ = [
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.uint8]
-
-_NO_IDS = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -177,19 +175,6 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class PatchView:
-    """
-    What a panorama shows of a landmark.
-
-    `patch` (rows, columns) is its grey texture in wall coordinates as `Landmark.patch` is, as fine
-    as that panorama shows it; `viewpoint` (3,) is where it was taken, in map.
-    """
-
-    viewpoint: FloatArray
-    patch: ImageArray
-
-
-@dataclass(frozen=True, eq=False)
 class Landmark:
     """
     An elected wall patch.
@@ -222,7 +207,7 @@ class Landmark:
     saliency : float
         Of its candidate.
     views : tuple of PatchView
-        What the other panoramas show of it that it was found in; maps of before have none.
+        What other panoramas show of it; old maps do not tell.
 
     """
 
@@ -346,7 +331,7 @@ class Detections:
     variance_rad2: FloatArray
     score: FloatArray
     uv_px: FloatArray
-    missed: npt.NDArray[np.int64] = field(default_factory=lambda: _NO_IDS)
+    missed: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     pan_rate_rad_s: float = 0.0
 
     def __len__(self) -> int:
@@ -355,13 +340,11 @@ class Detections:
 
     def chosen(self, which: npt.NDArray[np.bool_]) -> Detections:
         """Some of them: `which` (n,) says whether to keep each."""
-        return Detections(
-            self.stamp_ns,
-            self.ids[which],
-            self.bearing_rad[which],
-            self.variance_rad2[which],
-            self.score[which],
-            self.uv_px[which],
-            self.missed,
-            self.pan_rate_rad_s,
+        return replace(
+            self,
+            ids=self.ids[which],
+            bearing_rad=self.bearing_rad[which],
+            variance_rad2=self.variance_rad2[which],
+            score=self.score[which],
+            uv_px=self.uv_px[which],
         )

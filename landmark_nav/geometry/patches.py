@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ['patch_axes', 'patch_points', 'rays_to_patch']
+__all__ = ['PatchView', 'patch_axes', 'patch_points', 'rays_to_patch']
 
 FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PatchView:
+    """
+    What a panorama shows of a patch.
+
+    `patch` (rows, columns) is its grey texture in wall coordinates, uint8, as fine as that
+    panorama shows it; `viewpoint` (3,) is where it was taken, in map.
+    """
+
+    viewpoint: FloatArray
+    patch: npt.NDArray[np.uint8]
 
 
 def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

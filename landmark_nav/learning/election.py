@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from landmark_nav.geometry.patches import patch_axes
+from landmark_nav.geometry.patches import patch_axes, PatchView
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
 from landmark_nav.learning.stereo.wall_patch import Float32Image, Sighting, wall_texture, WallPatch
 from landmark_nav.parameters import check_parameters, parameter
-from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, PatchView, Refusal
+from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
 
 __all__ = ['ElectionConfig', 'elect']
 

@@ -16,6 +16,7 @@ import numpy as np
 import yaml
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.fields import (
     array_field,
@@ -32,7 +33,6 @@ from landmark_nav.types import (
     ImageArray,
     Landmark,
     LandmarkMap,
-    PatchView,
     PoseEstimate,
 )
 

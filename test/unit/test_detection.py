@@ -18,6 +18,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.patches import PatchView
 from landmark_nav.localization.detection import (
     detect_landmarks,
     DetectionConfig,
@@ -29,7 +30,6 @@ from landmark_nav.types import (
     FloatArray,
     Landmark,
     LandmarkMap,
-    PatchView,
     PoseEstimate,
 )
 

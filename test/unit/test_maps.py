@@ -9,9 +9,10 @@ import pytest
 import yaml
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import load_map, save_map
-from landmark_nav.types import Landmark, LandmarkMap, PatchView, PoseEstimate
+from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
 
 
 def make_map(seed=0, count=3, factors=4):

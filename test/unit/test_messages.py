@@ -12,6 +12,7 @@ from wire import both, FACTORY, MOUNT, over_the_wire, STAMP
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
@@ -22,7 +23,6 @@ from landmark_nav.types import (
     LandmarkMap,
     OdometrySample,
     Panorama,
-    PatchView,
     PoseEstimate,
     Triplet,
 )

@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from landmark_nav.types import FloatArray, ImageArray, Landmark, PatchView
+from landmark_nav.geometry.patches import PatchView
+from landmark_nav.types import FloatArray, ImageArray, Landmark
 
 __all__ = ['APPEARANCES', 'Texture', 'textures']
 

@@ -231,9 +231,9 @@ def bearing_model(
 
     # The derivative by a landmark's x and y is minus the one by the axis'.
     places = np.stack([2 * columns, 2 * columns + 1], -1).reshape(-1)
-    by_places = np.zeros((len(columns), len(columns), 2))
-    by_places[range(len(columns)), range(len(columns))] = gradient
-    by_places = by_places.reshape(len(columns), -1)
+    row = np.arange(len(columns))
+    by_places = np.zeros((len(columns), len(places)))
+    by_places[row, 2 * row], by_places[row, 2 * row + 1] = gradient.T
     state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
     map_covariance = prior.cross.T @ jacobian.T
     map_covariance -= prior.landmark_covariance[:, places] @ by_places.T

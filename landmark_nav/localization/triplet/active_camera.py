@@ -73,8 +73,10 @@ class ActiveCamera:
 
     def saw(self, picture: Detections) -> None:
         """Take note of what was found in a picture, and what was missed."""
-        ids = self._map.ids
-        self.record.note(np.isin(ids, picture.missed), np.isin(ids, picture.ids))
+        missed, found = (
+            (self._map.ids[:, None] == ids).any(axis=1) for ids in (picture.missed, picture.ids)
+        )
+        self.record.note(missed, found)
         for k in picture.ids.tolist():
             self._pending.pop(k, None)
         for k in set(picture.missed.tolist()) & set(self._pending):

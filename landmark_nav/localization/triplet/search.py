@@ -20,8 +20,8 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['best_triplets', 'mean_variance']
 
-# Triplets worked on at a time: their arrays stay in the cache.
-_BATCH = 16384
+# Pairs completed at a time: the arrays of their triplets stay in the cache.
+_PAIRS = 1500
 # Pairs that are completed in every way for a first bound.
 _FIRST_PAIRS = 16
 # With no more landmarks the bounds cost more than they save; else there are 2^4 groups.
@@ -190,9 +190,11 @@ def _largest(table: FloatArray, i: IndexArray, j: IndexArray, k: IndexArray) -> 
 def _around_best_pairs(bound: FloatArray) -> IndexArray:
     """Triplets (t, 3) of the best pairs with every third, each ascending."""
     n = len(bound)
-    first, second = np.triu_indices(n, 1)
-    best = np.argsort(bound[first, second], kind='stable')[:_FIRST_PAIRS]
-    pairs = np.stack([first[best], second[best]], -1)
+    once = np.where(np.tri(n, dtype=np.bool_), np.inf, bound)
+    count = min(_FIRST_PAIRS, once.size - 1)
+    best = np.argpartition(once.reshape(-1), count)[:count]
+    first, second = np.divmod(best, n)
+    pairs = np.stack([first, second], -1)[first < second]
     third = np.tile(np.arange(n), len(pairs))
     triplets = np.column_stack([np.repeat(pairs, n, axis=0), third])
     triplets = triplets[(third != triplets[:, 0]) & (third != triplets[:, 1])]
@@ -205,22 +207,12 @@ def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:
     # Those with few partners first: each landmark then has few later ones.
     order = np.argsort(good.sum(axis=0), kind='stable')
     later = np.triu(good[np.ix_(order, order)], 1)
-    firsts: list[int] = []
-    seconds: list[IndexArray] = []
-    thirds: list[IndexArray] = []
-    waiting = 0
-    for first in range(len(order) - 2):
-        partners = np.flatnonzero(later[first])
+    first, second = np.nonzero(later)
+    for start in range(0, len(first), _PAIRS):
+        i, j = first[start : start + _PAIRS], second[start : start + _PAIRS]
         # A flat search and a division are quicker than a search by row and column.
-        found = np.flatnonzero(later[partners][:, partners])
+        found = np.flatnonzero(later[i] & later[j])
+        pair = found // len(order)
+        third = found - pair * len(order)
         if len(found):
-            second = found // len(partners)
-            third = found - second * len(partners)
-            firsts.append(order[first])
-            seconds.append(order[partners][second])
-            thirds.append(order[partners][third])
-            waiting += len(found)
-        if waiting >= _BATCH or (waiting and first == len(order) - 3):
-            whole = np.repeat(firsts, [len(second) for second in seconds])
-            yield np.stack([whole, np.concatenate(seconds), np.concatenate(thirds)])
-            firsts, seconds, thirds, waiting = [], [], [], 0
+            yield np.stack([order[i[pair]], order[j[pair]], order[third]])

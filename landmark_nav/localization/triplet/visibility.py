@@ -163,6 +163,7 @@ def standings(
     return standing
 
 
+@lru_cache(maxsize=8)
 def patch_corners(landmark_map: LandmarkMap) -> FloatArray:
     """Corners (n, 4, 3) of the patches on the wall, map frame."""
     normal = landmark_map.normals

@@ -8,12 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import finite, stamp_ns
 from landmark_nav.messages.decode.images import image
 from landmark_nav.messages.layouts import LANDMARK_FIELDS
-from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap, PatchView
+from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap
 
 __all__ = ['landmark_map']
 
