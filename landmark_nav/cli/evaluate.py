@@ -33,6 +33,8 @@ __all__ = ['add_parser', 'run']
 # Contract's names of what `sensor_events` passes on, for the length of the bar.
 _EVENTS = ('camera/image_raw', 'detections', 'odom', 'joint_states', 'ground_truth/odom')
 
+# Stretches without tracking that are told; the others are in the JSON.
+_MOST_SPELLS = 6
 _FIGURES = {'Trajectory': 'trajectory.png', 'Errors': 'errors.png'}
 
 
@@ -70,7 +72,7 @@ def add_parser(subparsers: Any) -> None:
         '--config',
         metavar='F',
         help='parameters that differ from the defaults: YAML with the sections observation, '
-        'fusion, odometry and health',
+        'fusion, odometry, health and relocalization',
     )
     parser.add_argument(
         '--smooth',
@@ -188,6 +190,12 @@ def _summary(report: Mapping[str, Any]) -> str:
             f'place found after {report["found"]["after_s"]:.1f} s: ({x:.2f}, {y:.2f}) m, '
             f'{np.degrees(heading):.1f} deg'
         )
+    lines += [
+        f'{spell["status"]} from {spell["from_s"]:.1f} to {spell["to_s"]:.1f} s: {spell["reason"]}'
+        for spell in report['spells'][:_MOST_SPELLS]
+    ]
+    if len(report['spells']) > _MOST_SPELLS:
+        lines.append(f'... {len(report["spells"]) - _MOST_SPELLS} more in --json')
     lines += [
         f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
         f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',

@@ -68,6 +68,15 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         f'<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>'
         for name, value in rest.items()
     )
+    spells = ''.join(
+        f'<tr><td>{escape(spell["status"])}</td><td>{spell["from_s"]:.1f}</td>'
+        f'<td>{spell["to_s"]:.1f}</td><td style="text-align:left">{escape(spell["reason"])}</td>'
+        '</tr>'
+        for spell in report['spells']
+    )
+    if spells:
+        head_of_spells = '<th>not tracking</th><th>from [s]</th><th>to [s]</th><th>reason</th>'
+        others += f'</table><table><tr>{head_of_spells}</tr>{spells}'
     pictures = ''.join(
         f'<h2>{escape(caption)}</h2><img alt="{escape(caption)}" '
         f'src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'

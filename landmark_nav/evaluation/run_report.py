@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def run_report(
     Figures of a run, by the keys of the contract.
 
     Those that need ground truth are None where the bag has none; ``found`` is None where the start
-    was given.
+    was given; ``spells`` are the stretches of pictures in which the state was coasting or lost.
     """
     bound = posterior_bound(
         run.truth, [_used(u) for u in run.updates], landmark_map, mount, config, run.start
@@ -89,6 +90,7 @@ def run_report(
         },
         'realtime_factor': span_s / run.seconds,
         'result_hash': result_hash(stamps, run.fused, run.fixes),
+        'spells': _spells(run, begin),
         'odometry_noise': {
             'along_m_per_sqrt_m': run.odometry_noise.along_m_per_sqrt_m,
             'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
@@ -101,6 +103,20 @@ def run_report(
         if run.searched
         else None,
     }
+
+
+def _spells(run: Replay, begin_ns: int) -> list[dict[str, Any]]:
+    """When the state was not tracking, and the reason that it gave first."""
+    spells = []
+    for status, group in groupby(run.updates, key=lambda update: update.status):
+        updates = list(group)
+        if status == 'tracking':
+            continue
+        first, last = ((updates[k].stamp_ns - begin_ns) * 1e-9 for k in (0, -1))
+        spells.append(
+            {'status': status, 'from_s': first, 'to_s': last, 'reason': updates[0].reason}
+        )
+    return spells
 
 
 def _used(update: LocalizationUpdate) -> Detections:

@@ -112,6 +112,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         'update_ms',
         'realtime_factor',
         'result_hash',
+        'spells',
         'odometry_noise',
         'found',
     ]
@@ -120,6 +121,26 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
     assert 0.0 <= first['availability'] <= 1.0
     assert first['crlb_ratio'] > 0.0
     assert first['triangulation']['position_rmse_m'] is None
+
+
+def test_stretches_without_tracking_are_told_with_the_first_reason():
+    done = run(drive())
+    shown = [(0, 'tracking', ''), (3, 'lost', '<nothing>'), (9, 'coasting', 'later')]
+    updates = [
+        replace(update, status=status, reason=f'{reason}{k}')
+        for k, update in enumerate(done.updates)
+        for _, status, reason in [[s for s in shown if s[0] <= k][-1]]
+    ]
+    done = replace(done, updates=tuple(updates))
+    report = run_report(done, run_errors(done), a_map(), MOUNT, CONFIG)
+    assert [(s['status'], s['reason']) for s in report['spells']] == [
+        ('lost', '<nothing>3'),
+        ('coasting', 'later9'),
+    ]
+    at_s = (done.stamps_ns - done.stamps_ns[0]) * 1e-9
+    ends = [(s['from_s'], s['to_s']) for s in report['spells']]
+    np.testing.assert_allclose(ends, [(at_s[3], at_s[8]), (at_s[9], at_s[-1])], atol=1e-6)
+    assert '&lt;nothing&gt;3' in html_report('run', report, {})
 
 
 def test_a_place_that_nothing_speaks_for_is_not_found():
