@@ -10,6 +10,7 @@ import numpy as np
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.fusion.delay import delay_matters
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.types import LandmarkMap, OdometrySample
@@ -19,9 +20,6 @@ __all__ = ['CameraOffsets', 'camera_offsets']
 # What could be, before anything is seen.
 _DELAY_SIGMA_S = 0.05
 _BORESIGHT_SIGMA_RAD = 0.03
-# So many sigmas are no chance, and less than this does no harm.
-_SIGNIFICANT = 4.0
-_LEAST_DELAY_S = 5e-4
 
 
 @dataclass(frozen=True)
@@ -41,8 +39,7 @@ class CameraOffsets:
     @property
     def delay_matters(self) -> bool:
         """Whether the delay is more than chance and worth a correction."""
-        least = max(_SIGNIFICANT * self.delay_sigma_s, _LEAST_DELAY_S)
-        return abs(self.delay_s) > least
+        return delay_matters(self.delay_s, self.delay_sigma_s)
 
     def report(self) -> dict[str, Any]:
         """Figures for ``evaluate --json``."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
+from landmark_nav.localization.fusion.delay import delay_matters
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY
@@ -24,7 +25,7 @@ from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.transforms import MapToOdom
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
@@ -112,7 +113,20 @@ class OdometryFusionNode(LandmarkNode):
             status, reason = self._filter.status
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
         values = counts | {'rejected': self._rejected} | self._latency.values() | self._offsets()
-        return Health(_LEVELS[status], reason or status, values)
+        return Health(_LEVELS[status], (reason or status) + self._delay_advice(), values)
+
+    def _delay_advice(self) -> str:
+        """What to do about stamps of the joints that are late: pictures are not put right here."""
+        state = self._filter.state
+        if state is None:
+            return ''
+        delay_s, sigma_s = state.mean[DELAY], np.sqrt(state.covariance[DELAY, DELAY])
+        if not delay_matters(delay_s, sigma_s):
+            return ''
+        return (
+            f'; joint_states are stamped {1e3 * delay_s:.1f} ms late: add {delay_s:.4f} to '
+            'joint_delay_s of triangulation_localizer'
+        )
 
     def _offsets(self) -> dict[str, str]:
         """What is known of constant errors of the camera's direction, each with its sigma."""
@@ -171,7 +185,7 @@ class OdometryFusionNode(LandmarkNode):
     def _on_detections(self, message: Any) -> None:
         found = decode.detections(message)
         joints = self._frames.joints_at(found.stamp_ns)
-        if joints is not None:
+        if not isinstance(joints, Refusal):
             found = replace(found, pan_rate_rad_s=joints.pan_rate_rad_s)
         self._count(self._filter.add_detections(found))
         self._corrected(found.stamp_ns)

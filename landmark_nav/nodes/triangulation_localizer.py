@@ -43,6 +43,13 @@ class Parameters(ObservationConfig):
     map_frame: str = parameter('map', 'frame of triangulation/pose')
     image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
     pan_sigma_rad: float = parameter(2e-4, 'error of the measured pan, rad', minimum=0.0)
+    joint_delay_s: float = parameter(
+        0.0,
+        'by how much joint_states are stamped later than pictures of the same moment, s; '
+        'odometry_fusion estimates what is left of it',
+        minimum=-1.0,
+        maximum=1.0,
+    )
     max_wait_s: float = parameter(
         0.15, 'how long a picture waits for joint_states and odometry/fused, s', minimum=0.0
     )
@@ -69,7 +76,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._mount = load_robot(self.required('robot_file', self._config.robot_file))
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
-        self._frames = CameraFrames(self, self._mount)
+        self._frames = CameraFrames(self, self._mount, self._config.joint_delay_s)
         self._prior = PriorTrack(self._config.max_prior_age_s)
         search = self._config.relocalization
         self._search = PlaceSearch(

@@ -12,12 +12,14 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
-from landmark_nav.types import CameraFrame, JointSample
+from landmark_nav.types import CameraFrame, JointSample, Refusal
 
 __all__ = ['CameraFrames']
 
 # Two seconds at 100 Hz.
 _HISTORY = 200
+# Joint states older by this are not late: the clock was set back.
+_CLOCK_STEP_NS = 500_000_000
 _POLL_S = 0.005
 
 
@@ -31,11 +33,15 @@ class CameraFrames:
         Whose subscriptions they are.
     mount : PanTiltMount
         Names of the joints.
+    joint_delay_s : float
+        By how much joint states are stamped later than pictures of the same moment.
 
     """
 
-    def __init__(self, node: LandmarkNode, mount: PanTiltMount) -> None:
-        self._mount = mount
+    def __init__(
+        self, node: LandmarkNode, mount: PanTiltMount, joint_delay_s: float = 0.0
+    ) -> None:
+        self._mount, self._delay_ns = mount, round(1e9 * joint_delay_s)
         self._joints: deque[JointSample] = deque(maxlen=_HISTORY)
         self._camera: CameraModel | None = None
         node.listen('joint_states', self._on_joints, depth=50)
@@ -56,9 +62,9 @@ class CameraFrames:
         """The last measured tilt, level before any came."""
         return self._joints[-1].tilt_rad if self._joints else 0.0
 
-    def joints_at(self, stamp_ns: int) -> JointSample | None:
-        """Angles at a time, interpolated; None if no joint state is near enough to tell."""
-        return JointHistory(tuple(self._joints)).at(stamp_ns)
+    def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
+        """Angles at a time of the pictures, interpolated; or why they are not known."""
+        return JointHistory(tuple(self._joints)).at(stamp_ns + self._delay_ns)
 
     def complete(self, message: Any, seconds: float, also: Callable[[int], bool]) -> CameraFrame:
         """
@@ -77,9 +83,10 @@ class CameraFrames:
         picture = decode.image(message, grey=True)
         self._wait(stamp, seconds, also)
         joints = self.joints_at(stamp)
-        if joints is None or self._camera is None:
-            missing = 'joint_states' if joints is None else 'camera/camera_info'
-            raise LandmarkNavError(f'nothing on {missing} near its stamp')
+        if isinstance(joints, Refusal):
+            raise LandmarkNavError(str(joints))
+        if self._camera is None:
+            raise LandmarkNavError('nothing on camera/camera_info')
         camera = CameraInfos([(stamp, self._camera)]).for_picture(stamp, picture.shape)
         return CameraFrame(
             stamp,
@@ -92,16 +99,19 @@ class CameraFrames:
 
     def _on_joints(self, message: Any) -> None:
         sample = decode.joint_sample(message, self._mount)
-        if sample is not None:
-            self._joints.append(sample)
+        if sample is None:
+            return
+        if self._joints and sample.stamp_ns < self._joints[-1].stamp_ns - _CLOCK_STEP_NS:
+            self._joints.clear()
+        self._joints.append(sample)
 
     def _on_camera_info(self, message: Any) -> None:
         self._camera = decode.camera_model(message)
 
     def _wait(self, stamp_ns: int, seconds: float, also: Callable[[int], bool]) -> None:
         """Block until there are joint states of `stamp_ns`, and `also` holds, or time is up."""
-        deadline = time.monotonic() + seconds
+        deadline, joints_ns = time.monotonic() + seconds, stamp_ns + self._delay_ns
         while time.monotonic() < deadline:
-            if self._joints and self._joints[-1].stamp_ns >= stamp_ns and also(stamp_ns):
+            if self._joints and self._joints[-1].stamp_ns >= joints_ns and also(stamp_ns):
                 return
             time.sleep(_POLL_S)

@@ -16,6 +16,7 @@ from landmark_nav.types import (
     JointSample,
     OdometrySample,
     PoseEstimate,
+    Refusal,
 )
 
 __all__ = ['SensorEvent', 'sensor_events']
@@ -108,10 +109,10 @@ def _frame(
     except LandmarkNavError as error:
         raise _UnusableFrameError(str(error)) from error
     sample = joints.at(stamp + delay_ns)
-    if sample is None:
+    if isinstance(sample, Refusal):
         raise _UnusableFrameError(
-            f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it: '
-            'record joint_states at 10 Hz at least, on the same clock'
+            f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it '
+            f'({sample}): record joint_states at 10 Hz at least, on the same clock'
         )
     with naming(bag, entry.topic):
         camera = cameras.for_picture(stamp, picture.shape)

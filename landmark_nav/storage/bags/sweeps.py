@@ -131,9 +131,9 @@ def _plans_by_joints(joints: JointHistory, stamps: list[int], left: _Pictures) -
     pauses = np.flatnonzero(steps > _PAUSE * usual) + 1
     plans = []
     for group in np.split(np.asarray(stamps, dtype=np.int64), pauses):
-        told = [sample for stamp in group if (sample := joints.at(int(stamp))) is not None]
-        if told:
-            samples = tuple(told)
+        told = (joints.at(int(stamp)) for stamp in group)
+        samples = tuple(sample for sample in told if isinstance(sample, JointSample))
+        if samples:
             plans.append(_Plan(samples, _take(samples, left)))
     return plans
 

@@ -12,13 +12,14 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.reader import Bag
-from landmark_nav.types import JointSample
+from landmark_nav.types import JointSample, Refusal
 
 __all__ = ['CameraInfos', 'JointHistory', 'naming']
 
-# Pan between two joint states is known if they are this close, or one of them almost coincides.
+# Pan between two joint states is known if they are this close.
 _MAX_JOINT_GAP_NS = 500_000_000
-_SAME_TIME_NS = 50_000_000
+# So far beyond them the last rate tells it: a joint may start or stop at any moment.
+_SAME_TIME_NS = 2_000_000
 
 
 @contextmanager
@@ -55,25 +56,30 @@ class JointHistory:
         self._stamps = [sample.stamp_ns for sample in ordered]
         self._samples = ordered
 
-    def at(self, stamp_ns: int) -> JointSample | None:
-        """Angles at `stamp_ns`; None if no joint state is near enough to tell."""
-        after = bisect_left(self._stamps, stamp_ns)
-        near = [k for k in (after - 1, after) if 0 <= k < len(self._samples)]
-        if len(near) == 2 and self._stamps[near[1]] - self._stamps[near[0]] <= _MAX_JOINT_GAP_NS:
-            first, second = (self._samples[k] for k in near)
-            share = (stamp_ns - first.stamp_ns) / (second.stamp_ns - first.stamp_ns)
+    def at(self, stamp_ns: int) -> JointSample | Refusal:
+        """Angles at `stamp_ns`, or why they are not known."""
+        if not self._samples:
+            return Refusal('no joint_states')
+        later = min(max(bisect_left(self._stamps, stamp_ns), 1), len(self._samples) - 1)
+        first, second = self._samples[max(later - 1, 0)], self._samples[later]
+        gap_ns = second.stamp_ns - first.stamp_ns
+        beyond_ns = max(first.stamp_ns - stamp_ns, stamp_ns - second.stamp_ns)
+        if 0 < gap_ns <= _MAX_JOINT_GAP_NS and beyond_ns <= _SAME_TIME_NS:
+            share = (stamp_ns - first.stamp_ns) / gap_ns
             return JointSample(
                 stamp_ns,
                 first.pan_rad + share * (second.pan_rad - first.pan_rad),
                 first.tilt_rad + share * (second.tilt_rad - first.tilt_rad),
-                1e9 * (second.pan_rad - first.pan_rad) / (second.stamp_ns - first.stamp_ns),
+                1e9 * (second.pan_rad - first.pan_rad) / gap_ns,
             )
-        nearest = min(near, key=lambda k: abs(self._stamps[k] - stamp_ns), default=None)
-        if nearest is None or abs(self._stamps[nearest] - stamp_ns) > _SAME_TIME_NS:
-            return None
-        return JointSample(
-            stamp_ns, self._samples[nearest].pan_rad, self._samples[nearest].tilt_rad
-        )
+        nearest = min(first, second, key=lambda sample: abs(sample.stamp_ns - stamp_ns))
+        if abs(nearest.stamp_ns - stamp_ns) <= _SAME_TIME_NS:
+            return JointSample(stamp_ns, nearest.pan_rad, nearest.tilt_rad)
+        if stamp_ns > second.stamp_ns:
+            return Refusal(f'joint_states are {beyond_ns * 1e-6:.0f} ms behind')
+        if stamp_ns < first.stamp_ns:
+            return Refusal(f'joint_states begin {beyond_ns * 1e-6:.0f} ms later')
+        return Refusal(f'no joint_states for {gap_ns * 1e-9:.1f} s')
 
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:

@@ -1,0 +1,50 @@
+"""Pan and tilt at the stamp of a picture: interpolated, or refused with the reason."""
+
+from __future__ import annotations
+
+import pytest
+
+from landmark_nav.storage.bags.timelines import JointHistory
+from landmark_nav.types import JointSample, Refusal
+
+MS = 1_000_000
+RATE = 0.9
+
+
+def turning(*stamps_ms: int) -> JointHistory:
+    return JointHistory(JointSample(t * MS, 1e-3 * RATE * t, -2e-4 * t) for t in stamps_ms)
+
+
+@pytest.mark.parametrize('at_ms', [99, 100, 113, 120, 149, 150, 151.5])
+def test_the_pan_of_a_camera_that_turns_is_that_of_the_stamp(at_ms: float) -> None:
+    found = turning(120, 100, 150).at(int(at_ms * MS))
+    assert isinstance(found, JointSample)
+    assert found.stamp_ns == int(at_ms * MS)
+    assert found.pan_rad == pytest.approx(1e-3 * RATE * at_ms, abs=1e-12)
+    assert found.tilt_rad == pytest.approx(-2e-4 * at_ms, abs=1e-12)
+    assert found.pan_rate_rad_s == pytest.approx(RATE)
+
+
+@pytest.mark.parametrize(
+    ('known_ms', 'at_ms', 'words'),
+    [
+        ((), 100, 'no joint_states'),
+        ((100, 120), 172, 'joint_states are 52 ms behind'),
+        ((100,), 105, 'joint_states are 5 ms behind'),
+        ((100, 120), 80, 'joint_states begin 20 ms later'),
+        ((100, 1300), 150, 'no joint_states for 1.2 s'),
+    ],
+)
+def test_what_no_joint_state_tells_is_refused(
+    known_ms: tuple[int, ...], at_ms: int, words: str
+) -> None:
+    refusal = turning(*known_ms).at(at_ms * MS)
+    assert isinstance(refusal, Refusal)
+    assert str(refusal) == words
+
+
+def test_a_joint_state_of_the_same_moment_needs_no_other() -> None:
+    for known in (turning(100), turning(100, 1300), turning(100, 100)):
+        found = known.at(101 * MS)
+        assert isinstance(found, JointSample)
+        assert found.pan_rad == pytest.approx(0.1 * RATE)
