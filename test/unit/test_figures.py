@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
-from landmark_nav.evaluation.figures.map_figure import places_of_numbers
+from landmark_nav.evaluation.figures.labels import places_of_numbers, rows_of_labels
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.evaluation.tracks import PoseTrack
@@ -73,11 +73,23 @@ def test_numbers_of_neighbours_do_not_lie_on_each_other():
     along = np.cumsum(np.random.default_rng(0).uniform(0.06, 0.3, 12))
     positions = np.column_stack([along, np.zeros(12)])
     normals = np.tile([0.0, 1.0], (12, 1))
-    places = places_of_numbers(positions, normals)
+    # Numbers of two digits, and a metre of the room in an inch of the figure.
+    places = places_of_numbers(positions, normals, np.arange(10, 22), 1.0)
     assert np.all(places[:, 1] < 0.0)
     apart = np.abs(places[:, None] - places[None])
     clear = (apart[..., 0] > 0.16) | (apart[..., 1] > 0.09) | np.eye(12, dtype=bool)
     assert clear.all()
+
+
+def test_a_row_holds_labels_that_do_not_touch_and_no_row_is_wasted():
+    rng = np.random.default_rng(1)
+    centers, widths = rng.uniform(0.0, 8.0, 30), rng.uniform(0.2, 1.0, 30)
+    rows = rows_of_labels(centers, widths)
+    low, high = centers - widths / 2.0, centers + widths / 2.0
+    meet = (low[:, None] < high) & (low < high[:, None])
+    assert not np.any(meet & (rows[:, None] == rows) & ~np.eye(30, dtype=bool))
+    # As many rows as labels lie above some place.
+    assert rows.max() + 1 == max(np.sum((low <= place) & (place < high)) for place in low)
 
 
 @pytest.mark.parametrize('column', [100.0, 1.0, 399.0])

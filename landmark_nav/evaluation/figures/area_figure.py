@@ -20,7 +20,6 @@ from landmark_nav.evaluation.figures.style import (
     FIX,
     FUSED,
     LANDMARK,
-    legend_beside,
     new_figure,
     ODOMETRY,
     save,
@@ -36,7 +35,7 @@ _COUNT = 3
 # As the robot has them.
 _BOUNDS = TripletConfig()
 _CELL_M = 0.04
-_MARGIN_M = 0.3
+_MARGIN_M = 0.45
 _LEVELS = (0.5, 1.5)
 
 
@@ -83,12 +82,15 @@ def draw_observation_areas(
     tried = {test.landmark: test for test in tests}
     corners = np.array([wall.start for wall in room.walls])
     width, height = np.ptp(corners, axis=0) + 2.0 * _MARGIN_M
-    figure = new_figure(15.0, 15.0 * height / width + 1.6)
-    panels = np.ravel(np.asarray(figure.subplots(2, 2)))
+    figure = new_figure(15.0, 2.0 * (5.6 * height / width + 0.8) + 1.2)
+    top, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[0.04, 1.0])))
+    grid = np.asarray(body.subplots(2, 4, width_ratios=[5.0, 1.0, 5.0, 1.0]))
+    panels, patches = grid[:, ::2].ravel(), grid[:, 1::2].ravel()
     agree: list[tuple[int, int]] = []
-    for axes, landmark in zip(panels, chosen, strict=False):
+    for axes, beside, landmark in zip(panels, patches, chosen, strict=False):
         agree.append(_draw_area(axes, landmark, room, tried.get(landmark.id)))
-    for axes in panels[len(chosen) : -1]:
+        _draw_patch(beside, landmark)
+    for axes in (*panels[len(chosen) : -1], *patches[len(chosen) :]):
         axes.set_axis_off()
     _draw_places(panels[-1], landmarks, room)
     handles = [
@@ -100,8 +102,7 @@ def draw_observation_areas(
             Line2D([], [], color=LANDMARK, marker='o', linestyle='', label='found from here'),
             Line2D([], [], color=ODOMETRY, marker='x', linestyle='', label='not found'),
         ]
-    legend_beside(panels[0], 'above', len(handles), handles)
-    panels[0].get_legend().set_bbox_to_anchor((0.5, 1.08))
+    top.legend(handles=handles, loc='center', ncols=len(handles), frameon=False)
     text = (
         f'Figure 6. Observation areas of {len(chosen)} landmarks: there neither width nor height '
         f'of the patch is seen with less than {_BOUNDS.min_sampling:g} or more than '
@@ -130,6 +131,7 @@ def _draw_area(
     area = _predicted(landmark, room, cells).reshape(len(y), len(x)).astype(float)
     axes.contourf(x, y, area, _LEVELS, colors=FIX, alpha=0.45, zorder=1)
     draw_walls(axes, room.walls, _MARGIN_M)
+    axes.set_anchor('NE')
     axes.plot(*landmark.position[:2], 's', color=LANDMARK, markersize=8, zorder=6)
     axes.plot(*landmark.viewpoint[:2], '^', color=FUSED, markersize=10, zorder=6)
     title = f'landmark {landmark.id} on wall {landmark.wall_id}'
@@ -143,7 +145,6 @@ def _draw_area(
         title += f': found from {inside.sum()} of {len(inside)} places inside, '
         title += f'{outside.sum()} of {len(outside)} outside'
     axes.set_title(title, fontsize=11)
-    _draw_patch(axes, landmark, low, high)
     return agree
 
 
@@ -159,14 +160,11 @@ def _predicted(landmark: Landmark, room: Room, xy: FloatArray) -> npt.NDArray[np
     return np.asarray(seen & room.contains(xy) & room.visible(xy, landmark.position[:2]))
 
 
-def _draw_patch(axes: Axes, landmark: Landmark, low: FloatArray, high: FloatArray) -> None:
-    """The patch, in the corner of the plan that is farthest from it."""
-    share = (landmark.position[:2] - low) / (high - low)
-    inset = axes.inset_axes(
-        (0.8 if share[0] < 0.5 else 0.03, 0.72 if share[1] < 0.5 else 0.05, 0.17, 0.23)
-    )
-    show(inset, landmark.patch)
-    for spine in inset.spines.values():
+def _draw_patch(axes: Axes, landmark: Landmark) -> None:
+    """What is looked for."""
+    show(axes, landmark.patch)
+    axes.set_anchor('NW')
+    for spine in axes.spines.values():
         spine.set_visible(True)
         spine.set_color(LANDMARK)
         spine.set_linewidth(2.0)
@@ -174,6 +172,7 @@ def _draw_patch(axes: Axes, landmark: Landmark, low: FloatArray, high: FloatArra
 
 def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:
     draw_walls(axes, room.walls, _MARGIN_M)
+    axes.set_anchor('NE')
     draw_papers(axes, room.papers)
     axes.plot(*landmarks.positions[:, :2].T, '.', color=LANDMARK, markersize=6, zorder=4)
     names = 'LR' if len(landmarks.panorama_poses) <= 2 else '123456789'
@@ -184,10 +183,14 @@ def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:
             name, (x, y), (10, 6), textcoords='offset points', color=FUSED, weight='bold',
             fontsize=15,
         )  # fmt: skip
+    counts = Counter(k.wall_id for k in landmarks.landmarks)
     for wall, normal in zip(room.walls, room.normals, strict=True):
-        count = Counter(k.wall_id for k in landmarks.landmarks)[wall.id]
-        middle = 0.5 * np.add(wall.start, wall.end) + normal[:2] * (0.9, 0.4)
+        x, y = 0.5 * np.add(wall.start, wall.end)
+        # Along the wall, outside of it, and never upside down.
+        turn = np.degrees(np.arctan2(-normal[0], normal[1]))
         axes.annotate(
-            f'{wall.id}: {count}', (middle[0], middle[1]), ha='center', va='center', fontsize=12
-        )
+            f'{wall.id}: {counts[wall.id]}', (x, y), tuple(-12.0 * normal[:2]),
+            textcoords='offset points', ha='center', va='center', fontsize=12,
+            rotation=(turn + 89.9) % 180.0 - 89.9,
+        )  # fmt: skip
     axes.set_title(f'{len(landmarks.landmarks)} landmarks', fontsize=11)

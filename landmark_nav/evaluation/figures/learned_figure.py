@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.evaluation.figures.map_figure import places_of_numbers
+from landmark_nav.evaluation.figures.map_figure import number_landmarks
 from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip, widest
 from landmark_nav.evaluation.figures.style import (
     add_ellipse,
@@ -28,7 +28,7 @@ from landmark_nav.types import FloatArray, Landmark
 __all__ = ['draw_learned']
 
 _SHARE = 0.25
-_MARGIN_M = 0.7
+_MARGIN_M = 0.4
 _MAGNIFIED = 30.0
 
 
@@ -77,6 +77,7 @@ def draw_learned(
             f'{np.quantile(error, 0.95):.1f} mm at 95 %.'
         )
     caption(figure, text)
+    number_landmarks(figure, axes, result.map, shown)
     save(figure, path)
     return text
 
@@ -136,6 +137,3 @@ def _draw_plan(
     if truth is not None:
         axes.plot(*truth[shown].T, 'x', color=ODOMETRY, markersize=5, zorder=7, label='true place')
         axes.legend(loc='upper left', frameon=False, bbox_to_anchor=(0.0, 1.06))
-    places = places_of_numbers(landmarks.positions[shown, :2], landmarks.normals[shown, :2])
-    for identity, (x, y) in zip(landmarks.ids[shown], places, strict=True):
-        axes.annotate(str(identity), (x, y), ha='center', va='center', fontsize=7, zorder=8)

@@ -7,9 +7,16 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 import numpy as np
+import numpy.typing as npt
 
+from landmark_nav.evaluation.figures.labels import (
+    keep_in_view,
+    metres_per_inch,
+    places_of_numbers,
+)
 from landmark_nav.evaluation.figures.style import (
     add_ellipse,
     draw_papers,
@@ -22,18 +29,14 @@ from landmark_nav.evaluation.figures.style import (
     save,
 )
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import LandmarkMap, PoseEstimate
 
-__all__ = ['draw_landmarks', 'draw_map', 'places_of_numbers']
+__all__ = ['draw_landmarks', 'draw_map', 'number_landmarks']
 
 # Ellipses of millimetres would not be seen in a room: they are drawn this many times as large.
 _MAGNIFIED = 10.0
 _NORMAL_M = 0.18
-
-# Room that a number takes, and rows of them outside a wall.
-_NUMBER_M = np.array([0.17, 0.10])
-_NUMBER_ROWS = 5
-_MARGIN_M = 0.7
+_MARGIN_M = 0.4
 
 
 def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -> None:
@@ -54,7 +57,8 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     axes = figure.add_subplot()
     draw_walls(axes, landmarks.walls, _MARGIN_M)
     draw_papers(axes, papers)
-    draw_landmarks(axes, landmarks, detailed=True)
+    draw_landmarks(axes, landmarks)
+    _draw_certainty(axes, landmarks)
     for number, place in enumerate(landmarks.panorama_poses, 1):
         _draw_place(axes, place, number)
     axes.set_title(
@@ -77,56 +81,47 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
         Line2D([], [], color=FUSED, marker='^', linestyle='', label='place of a sweep'),
     ]
     legend_beside(axes, 'below', 3, handles)
+    number_landmarks(figure, axes, landmarks)
     save(figure, path)
 
 
-def draw_landmarks(axes: Axes, landmarks: LandmarkMap, *, detailed: bool) -> None:
-    """Landmarks as dots; with `detailed` also ellipses, normals and numbers."""
-    if not landmarks.landmarks:
+def draw_landmarks(axes: Axes, landmarks: LandmarkMap) -> None:
+    """Landmarks as dots."""
+    axes.plot(*landmarks.positions[:, :2].T, 'o', color=LANDMARK, markersize=4, zorder=6)
+
+
+def number_landmarks(
+    figure: Figure, axes: Axes, landmarks: LandmarkMap, shown: npt.ArrayLike = True
+) -> None:
+    """
+    Write numbers outside the walls, and make room for them there.
+
+    The last to be drawn in a figure, whose layout must stand. `shown` (n,) tells which.
+    """
+    which = np.flatnonzero(np.broadcast_to(shown, len(landmarks.landmarks)))
+    if not len(which):
         return
-    positions, normals = landmarks.positions[:, :2], landmarks.normals[:, :2]
-    axes.plot(*positions.T, 'o', color=LANDMARK, markersize=4, zorder=6)
-    if not detailed:
-        return
-    tips = positions + _NORMAL_M * normals
-    lines = list(np.stack([positions, tips], 1))
-    axes.add_collection(LineCollection(lines, colors=LANDMARK, linewidths=1.0, zorder=5))
-    for landmark, place in zip(
-        landmarks.landmarks, places_of_numbers(positions, normals), strict=True
-    ):
-        add_ellipse(
-            axes, landmark.position, landmark.covariance[:2, :2], 3.0, LANDMARK, _MAGNIFIED
-        )
-        number = axes.text(
-            place[0],
-            place[1],
-            str(landmark.id),
-            fontsize=7,
-            ha='center',
-            va='center',
-            color='#333333',
-            zorder=7,
+    scale = metres_per_inch(figure, axes)
+    ids = landmarks.ids[which]
+    places = places_of_numbers(
+        landmarks.positions[which, :2], landmarks.normals[which, :2], ids, scale
+    )
+    keep_in_view(axes, places, 0.15 * scale)
+    for number, (x, y) in zip(ids, places, strict=True):
+        text = axes.text(
+            x, y, str(number), fontsize=7, ha='center', va='center', color='#333333', zorder=8
         )
         # It lies inside the axes; to find that out for each takes long.
-        number.set_in_layout(False)
+        text.set_in_layout(False)
 
 
-def places_of_numbers(positions: FloatArray, normals: FloatArray) -> FloatArray:
-    """Places (n, 2) outside the walls, each in the first row where there is still room."""
-    along = np.stack([-normals[:, 1], normals[:, 0]], -1)
-    # Numbers are wider than high, whichever way the wall runs.
-    width = np.abs(along) @ _NUMBER_M
-    depth = np.abs(normals) @ _NUMBER_M
-    ends: dict[tuple[float, ...], list[float]] = {}
-    places = np.empty_like(positions)
-    on_wall = np.sum(positions * along, axis=1)
-    for k in np.argsort(on_wall):
-        rows = ends.setdefault(tuple(np.round(normals[k], 1)), [-np.inf] * _NUMBER_ROWS)
-        free = [row for row, end in enumerate(rows) if on_wall[k] - end >= width[k]]
-        row = free[0] if free else int(np.argmin(rows))
-        rows[row] = float(on_wall[k])
-        places[k] = positions[k] - (0.06 + (row + 0.6) * depth[k]) * normals[k]
-    return places
+def _draw_certainty(axes: Axes, landmarks: LandmarkMap) -> None:
+    """Ellipses and normals of landmarks."""
+    feet = landmarks.positions[:, :2]
+    lines = list(np.stack([feet, feet + _NORMAL_M * landmarks.normals[:, :2]], 1))
+    axes.add_collection(LineCollection(lines, colors=LANDMARK, linewidths=1.0, zorder=5))
+    for foot, covariance in zip(feet, landmarks.covariances[:, :2, :2], strict=True):
+        add_ellipse(axes, foot, covariance, 3.0, LANDMARK, _MAGNIFIED)
 
 
 def _draw_place(axes: Axes, place: PoseEstimate, number: int) -> None:
@@ -141,6 +136,8 @@ def _draw_place(axes: Axes, place: PoseEstimate, number: int) -> None:
         arrowprops={'arrowstyle': '->', 'color': FUSED},
         zorder=6,
     )
+    # On the side that the arrow does not point to.
+    away = -17 if np.sin(heading) > 0.0 else 8
     axes.annotate(
-        f'sweep {number}', (x, y), (0, 8), textcoords='offset points', ha='center', color=FUSED
+        f'sweep {number}', (x, y), (0, away), textcoords='offset points', ha='center', color=FUSED
     )

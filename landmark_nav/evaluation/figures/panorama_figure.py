@@ -65,7 +65,7 @@ def draw_panorama(
                 _frame(axes, candidate, column, label)
     azimuths = np.arange(-165, 181, 15)
     axes.set_xticks(panorama.cylinder.column_of(np.radians(azimuths)), [f'{a}' for a in azimuths])
-    tangents = np.arange(-0.8, 0.81, 0.2)
+    tangents = np.arange(-8, 9, 2) / 10
     ticks = panorama.cylinder.row_of(tangents)
     inside = (ticks >= 0) & (ticks < rows)
     axes.set_yticks(ticks[inside], [f'{t:+.1f}' for t in tangents[inside]])

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.evaluation.figures.labels import keep_in_view
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
 from landmark_nav.evaluation.figures.style import (
     draw_walls,
@@ -37,7 +38,7 @@ def draw_trajectory(
     figure = new_figure(9.0, 6.6)
     axes = figure.add_subplot()
     draw_walls(axes, landmark_map.walls, 0.3)
-    draw_landmarks(axes, landmark_map, detailed=False)
+    draw_landmarks(axes, landmark_map)
     fixes = run.fixes
     axes.plot(*fixes[:, :2].T, '.', color=FIX, markersize=4, label='triangulated', zorder=3)
     axes.plot(*run.odometry.poses[:, :2].T, color=ODOMETRY, label='odometry alone', zorder=4)
@@ -50,7 +51,7 @@ def draw_trajectory(
         )
     axes.plot(*run.start.pose[:2], 'o', color=TRUTH, markersize=7, label='start', zorder=6)
     axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
-    _keep_in_view(axes, run.odometry.poses[:, :2], run.fused[:, :2])
+    keep_in_view(axes, np.concatenate([run.odometry.poses[:, :2], run.fused[:, :2]]), 0.2)
     plain(axes)
     legend_beside(axes, 'below', 7)
     save(figure, path)
@@ -118,12 +119,3 @@ def _body_frame(run: Replay) -> FloatArray:
     turned[:, 1, 0] = -np.sin(heading)
     turned[:, 2, 2] = 1.0
     return turned
-
-
-def _keep_in_view(axes: Axes, *tracks: FloatArray) -> None:
-    """Widen the limits so far that no track leaves them."""
-    points = np.concatenate(tracks)
-    low, high = points.min(axis=0) - 0.2, points.max(axis=0) + 0.2
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    axes.set_xlim(min(left, low[0]), max(right, high[0]))
-    axes.set_ylim(min(bottom, low[1]), max(top, high[1]))

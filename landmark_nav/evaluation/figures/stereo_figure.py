@@ -12,7 +12,6 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter
 import numpy as np
 
 from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip
@@ -35,7 +34,7 @@ __all__ = ['draw_reconstruction', 'ray_sigma_m']
 _SHARE = 0.16
 _NAMES = 'LR'
 _MARGIN_M = 0.3
-_CELL_M = 0.05
+_CELL_M = 0.02
 # Standard deviation of a match, a usual one, as a share of a column.
 _MATCH_PX = 0.1
 _LEVELS_MM = (2.0, 3.0, 5.0, 10.0, 20.0, 50.0)
@@ -169,18 +168,24 @@ def _draw_rays(
 ) -> None:
     draw_walls(axes, room.walls, _MARGIN_M)
     point = landmark.position[:2]
-    for name, panorama in zip(_NAMES, panoramas, strict=True):
-        center = panorama.center_map[:2]
+    centers = np.array([p.center_map[:2] for p in panoramas])
+    for name, center, other in zip(_NAMES, centers, centers[::-1], strict=True):
         axes.plot(*np.stack([center, point], -1), color=CANDIDATE, linewidth=1.5)
         axes.plot(*center, 'o', color=FUSED, markersize=16, fillstyle='none')
         axes.annotate(
             name, (center[0], center[1]), ha='center', va='center', color=FUSED, weight='bold'
         )
-        middle = 0.5 * (center + point)
-        label = f'd = {np.hypot(*(center - point)):.2f} m'
-        axes.annotate(label, (middle[0], middle[1]), ha='center', fontsize=9, path_effects=_HALO)
+        # Beside the ray, on the side where the other one is not.
+        way = (center - point) / np.hypot(*(center - point))
+        aside = np.array([-way[1], way[0]])
+        aside *= np.sign(aside @ (center - other)) or 1.0
+        axes.annotate(
+            f'd = {np.hypot(*(center - point)):.2f} m', tuple(0.5 * (center + point)),
+            tuple(5.0 * aside), textcoords='offset points', fontsize=9, path_effects=_HALO,
+            ha=('right', 'center', 'left')[round(aside[0]) + 1],
+            va=('top', 'center', 'bottom')[round(aside[1]) + 1],
+        )  # fmt: skip
     axes.plot(*point, 'o', color=LANDMARK)
-    centers = np.array([p.center_map[:2] for p in panoramas])
     inward = centers.mean(axis=0) - point
     at = point + 0.5 * inward / np.hypot(*inward)
     axes.annotate(
@@ -208,10 +213,13 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
         x, y, grid, cmap='viridis_r', norm=LogNorm(1.0, 100.0), shading='nearest', zorder=1
     )
     lines = axes.contour(x, y, grid, _LEVELS_MM, colors='white', linewidths=1.0, zorder=2)
-    axes.clabel(lines, fmt=FuncFormatter(lambda value, _: f'{value:g} mm'), fontsize=9)
     draw_walls(axes, room.walls, _MARGIN_M)
     bar = axes.figure.colorbar(heat, ax=axes, shrink=0.7, extend='both')
-    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f'{value:g}'))
+    bar.add_lines(lines)
+    bar.set_ticks(
+        (1.0, *_LEVELS_MM, 100.0), labels=[f'{mm:g}' for mm in (1.0, *_LEVELS_MM, 100.0)]
+    )
+    bar.minorticks_off()
     bar.set_label('standard deviation of a landmark from two rays [mm]')
     centers = np.array([p.center_map[:2] for p in pair])
     axes.plot(*centers.T, '--', color='white', zorder=3)

@@ -19,6 +19,9 @@ __all__ = ['draw_sweeps']
 
 _WIDTH_IN = 24.0
 _NAMES = 'LR'
+# Width of a letter of 12 points and height of a line, with what is around them.
+_LETTER_PT = 7.2
+_LINE_PT = 20.0
 
 
 def draw_sweeps(
@@ -63,21 +66,42 @@ def _draw_picture(axes: Axes, panorama: Panorama, room: Room, title: str) -> Non
     axes.set_title(title, fontsize=15)
     axes.set_xticks([])
     axes.set_yticks([])
+    _name_papers(axes, panorama, room)
+    axes.set_xlim(-0.5, panorama.mask.shape[1] - 0.5)
+
+
+def _name_papers(axes: Axes, panorama: Panorama, room: Room) -> None:
+    """Write above each paper what it is, below it if there is no room, and not on one another."""
     height, width = panorama.mask.shape
+    point = width / (72.0 * _WIDTH_IN)
+    named: list[tuple[float, float, float]] = []
     for paper in room.papers:
         away = np.asarray(paper.center) - panorama.center_map
+        distance = float(np.hypot(away[0], away[1]))
         azimuth = np.arctan2(away[1], away[0]) - panorama.heading_rad
         column = float(panorama.cylinder.column_of(azimuth))
-        row = float(panorama.cylinder.row_of(away[2] / np.hypot(away[0], away[1])))
-        half = 0.5 * paper.height * panorama.cylinder.fy / float(np.hypot(away[0], away[1]))
-        if half < row < height - half:
-            axes.annotate(
-                f'{paper.color} paper', (column, row - half - 3.0), xytext=(0, 16),
-                textcoords='offset points', ha='center', fontsize=12,
-                arrowprops={'arrowstyle': '->'},
-                bbox={'boxstyle': 'round,pad=0.15', 'facecolor': 'white', 'linewidth': 0.0},
-            )  # fmt: skip
-    axes.set_xlim(-0.5, width - 0.5)
+        row = float(panorama.cylinder.row_of(away[2] / distance))
+        half = 0.5 * paper.height * panorama.cylinder.fy / distance
+        if not half < row < height - half:
+            continue
+        name = f'{paper.color} paper'
+        reach = 0.5 * _LETTER_PT * (len(name) + 1) * point
+        for way in (-1.0, 1.0):
+            edge = row + way * (half + 3.0)
+            level = edge + way * 1.2 * _LINE_PT * point
+            while any(
+                abs(column - c) < reach + r and abs(level - v) < _LINE_PT * point
+                for c, v, r in named
+            ):
+                level += way * _LINE_PT * point
+            if level > 0.5 * _LINE_PT * point:
+                break
+        named.append((column, level, reach))
+        axes.annotate(
+            name, (column, edge), (column, level), ha='center', va='center', fontsize=12,
+            arrowprops={'arrowstyle': '->'},
+            bbox={'boxstyle': 'round,pad=0.15', 'facecolor': 'white', 'linewidth': 0.0},
+        )  # fmt: skip
 
 
 def _draw_counts(axes: Axes, panorama: Panorama, counts: FloatArray) -> None:
