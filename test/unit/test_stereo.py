@@ -6,7 +6,16 @@ import tracemalloc
 import numpy as np
 import numpy.typing as npt
 import pytest
-from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+from scenes import (
+    Board,
+    draw_panorama,
+    flat_texture,
+    GREY,
+    rectangle_room,
+    Scene,
+    smooth_texture,
+    textured_room,
+)
 from wall_views import candidate_at, greys_of
 
 from landmark_nav.geometry.cylinder import Cylinder
@@ -260,6 +269,22 @@ def test_what_only_one_place_sees_is_refused(scene: Scene) -> None:
         'ambiguous',
         'peak at the border of the search window',
     )
+
+
+def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it() -> None:
+    # Its rear edge lies on the wall, so both outlines agree; within them each place sees another
+    # part of its side, which reaches half a metre into the room.
+    grey = Board(np.array([6.0, 2.5, 1.25]), ROOM.normals[EAST], 5.0, 2.5, flat_texture(GREY))
+    front, rear = np.array([5.5, 4.1, 0.6]), np.array([6.0, 3.3, 1.2])
+    wood = smooth_texture(np.random.default_rng(5), 1.6, 1.2, 0.1) - 80.0
+    side = Board(np.array([5.75, rear[1], 0.6]), -ROOM.normals[0], 0.5, 1.2, wood)
+    face = Board(front, ROOM.normals[EAST], 1.6, 1.2, wood)
+    panoramas = views_of(Scene((grey, side, face)))
+    _, seen = match_at(panoramas, rear)
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'not flat'
+    _, seen = match_at(panoramas, rear, replace(CONFIG, max_displaced_px=100.0))
+    assert isinstance(seen, Sighting)
 
 
 def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from landmark_nav.learning.stereo.config import StereoConfig
 from landmark_nav.learning.stereo.wall_patch import Float32Image, Sighting, WallPatch
-from landmark_nav.learning.stereo.wall_stereo import compare, StereoConfig
+from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
 __all__ = ['FreeMatch', 'explain', 'match_freely']
@@ -65,6 +66,8 @@ def match_freely(
             min_score=max(config.min_score, _MIN_SCORE),
             before_wall_m=step,
             behind_wall_m=1.3 * step,
+            # It is seldom parallel to what it is taken for.
+            max_displaced_px=100.0,
         )
         found = compare(moved, other, panoramas, greys, near)
         if isinstance(found, Sighting) and (best is None or found.score > best.score):

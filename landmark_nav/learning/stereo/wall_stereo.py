@@ -10,12 +10,13 @@ and Bishop, SIGGRAPH 1995, give the curve; on the wall it is a short straight li
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.stereo.config import StereoConfig
+from landmark_nav.learning.stereo.likeness import displaced_quarter
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
     Float32Image,
@@ -26,10 +27,9 @@ from landmark_nav.learning.stereo.wall_patch import (
     WallPatch,
 )
 from landmark_nav.matching import blur_to, match_template
-from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
-__all__ = ['StereoConfig', 'compare', 'hypothesize', 'match_in']
+__all__ = ['compare', 'hypothesize', 'match_in']
 
 # Depths before the wall that scale must rule out, and by how much correlation.
 _OTHER_DEPTHS_M = (0.2, 0.4)
@@ -37,49 +37,6 @@ _SCALE_MARGIN = 0.03
 # How far places may be wrong, in their sigmas, and where a search on the wall ends.
 _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
-
-
-@dataclass(frozen=True)
-class StereoConfig:
-    """What counts as the same patch seen from two places."""
-
-    min_score: float = parameter(
-        0.75, 'least normalized cross-correlation between two views', minimum=0, maximum=1
-    )
-    max_second_ratio: float = parameter(
-        0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1
-    )
-    max_incidence_rad: float = parameter(
-        1.15, 'greatest angle between a view and the normal', minimum=0.1, maximum=1.5
-    )
-    min_parallax_rad: float = parameter(
-        0.10, 'least angle between two views of a landmark', minimum=0, maximum=1.5
-    )
-    min_scale_ratio: float = parameter(
-        1.25, 'least ratio of distances that shows a depth by scale', minimum=1, maximum=10
-    )
-    behind_wall_m: float = parameter(
-        0.15, 'how far behind the wall a match is searched', minimum=0, maximum=2
-    )
-    before_wall_m: float = parameter(
-        0.5, 'how far before the wall a match is searched', minimum=0, maximum=5
-    )
-    max_return_px: float = parameter(
-        1.0,
-        'how near to where it came from a match must lead back, pixels',
-        minimum=0.05,
-        maximum=20,
-    )
-    margin_m: float = parameter(
-        0.04,
-        'search around the epipolar line, at least: more where places are uncertain',
-        minimum=0.005,
-        maximum=0.5,
-    )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 def hypothesize(
@@ -176,9 +133,11 @@ def compare(
         return Refusal('not covered by both panoramas')
     # The sharper view is blurred to what the other can show, or the peak would suffer.
     own, seen = (texels_per_pixel(patch, p) for p in (here, there))
+    coarser = max(own.max(), seen.max())
+    template = blur_to(template, seen, own)
     match = match_template(
         blur_to(search, own, seen),
-        blur_to(template, seen, own),
+        template,
         min_score=config.min_score,
         max_second_ratio=config.max_second_ratio,
     )
@@ -187,13 +146,14 @@ def compare(
     right, down = patch_axes(patch.normal)
     across, below = (match.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
     point = center + across * right + below * down
-    template = wall_texture(there, greys[other], point, patch.normal, patch.shape, patch.texel_m)
+    found = wall_texture(there, greys[other], point, patch.normal, patch.shape, patch.texel_m)
     back_center, search = _window(here, greys[patch.source], patch.position, shape, patch)
-    if search is None or template is None:
+    if search is None or found is None:
         return Refusal('not covered by both panoramas')
+    found = blur_to(found, own, seen)
     back = match_template(
         blur_to(search, seen, own),
-        blur_to(template, own, seen),
+        found,
         min_score=0.9 * config.min_score,
         max_second_ratio=config.max_second_ratio,
     )
@@ -202,9 +162,12 @@ def compare(
     across, below = (back.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
     missed = (back_center + across * right + below * down - patch.position) / patch.texel_m
     # In pixels of the coarser view.
-    off = float(np.hypot(missed @ right, missed @ down) / max(own.max(), seen.max()))
+    off = float(np.hypot(missed @ right, missed @ down)) / coarser
     if off > config.max_return_px:
         return Refusal('no way back', f'leads {off:.1f} px away')
+    displaced = displaced_quarter(template, found) / coarser
+    if displaced > config.max_displaced_px:
+        return Refusal('not flat', f'a quarter is out of place by {displaced:.1f} px')
     ray = point - there.center_map
     reach = float(np.hypot(ray[0], ray[1]))
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
