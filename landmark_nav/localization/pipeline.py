@@ -185,9 +185,10 @@ class Localizer:
         """Find the place; what the pose was made of is not used again."""
         assert self._relocalizer is not None, 'no pose is known'
         outcome = self._relocalizer.add_frame(frame)
-        if isinstance(outcome, PoseEstimate):
-            self.initialize(outcome)
-        return outcome
+        if isinstance(outcome, Refusal):
+            return outcome
+        self.initialize(outcome)
+        return self._filter.estimate(frame.stamp_ns) or outcome
 
     def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
         """Correct the pose by bearings that were found elsewhere; as `add_frame` otherwise."""

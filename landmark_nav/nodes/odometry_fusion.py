@@ -86,7 +86,13 @@ class OdometryFusionNode(LandmarkNode):
         self._fused = self.advertise('odometry/fused')
         self._transform = MapToOdom(self)
         self._spread = SpreadCorrection(self._config.correction_time_s)
-        self._filter = self._new_filter(LandmarkMap(()))
+        self._filter = PoseFilter(
+            LandmarkMap(()),
+            self._mount,
+            self._config.fusion,
+            self._config.odometry,
+            self._config.health,
+        )
         self._landmarks = 0
         self._accepted = self._rejected = 0
         self._last: OdometrySample | None = None
@@ -141,18 +147,11 @@ class OdometryFusionNode(LandmarkNode):
             if sigma[place] > 0.0
         }
 
-    def _new_filter(self, landmarks: LandmarkMap) -> PoseFilter:
-        config = self._config
-        return PoseFilter(landmarks, self._mount, config.fusion, config.odometry, config.health)
-
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         """Go on with another map from where the robot is."""
         landmarks = decode.landmark_map(points, atlas)
-        estimate = self._filter.estimate()
-        self._filter = self._new_filter(landmarks)
+        self._filter.change_map(landmarks)
         self._landmarks = len(landmarks.landmarks)
-        if estimate is not None:
-            self._filter.initialize(estimate)
         self.get_logger().info(f'{self._landmarks} landmarks received')
 
     def _on_initial_pose(self, message: Any) -> None:

@@ -115,9 +115,13 @@ class Health:
         self._accepted_ns = stamp_ns
         self._rejections = self._acceptances = 0
         self._astray = self._last_refusal = ''
+        self._missing = 0
+        self.change_map()
+
+    def change_map(self) -> None:
+        """Judge no more by what was seen of the landmarks so far; a verdict stays."""
         self._window.clear()
         self._views.clear()
-        self._missing = 0
 
     @property
     def astray(self) -> bool:

@@ -16,7 +16,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
-from landmark_nav.localization.fusion.state import FilterState, initial_state
+from landmark_nav.localization.fusion.state import among, FilterState, initial_state, moved_to
 from landmark_nav.localization.fusion.turn import update_turning
 from landmark_nav.localization.fusion.update import (
     bearing_frame,
@@ -129,13 +129,12 @@ class PoseFilter:
         health: HealthConfig | None = None,
     ) -> None:
         """Wait for `initialize`."""
-        self._map = landmark_map
         self._lever = np.asarray(mount.axis_xyz[:2], dtype=np.float64)
         self._config = config or FusionConfig()
         self._odometry = odometry or OdometryNoiseConfig()
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
-        self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
+        self.change_map(landmark_map)
 
     @property
     def state(self) -> FilterState | None:
@@ -160,7 +159,7 @@ class PoseFilter:
 
     def initialize(self, start: PoseEstimate) -> None:
         """
-        Start anew at a pose; what was measured before its time no longer counts.
+        Start anew at a pose; of what was measured before, only robot and camera are remembered.
 
         A stamp outside the odometry of the last seconds (RViz on another clock) is taken as now.
 
@@ -177,16 +176,21 @@ class PoseFilter:
         known = self._history.odometry_ns
         if known is not None and not known[0] <= start.stamp_ns <= known[1] + 10**9:
             start = replace(start, stamp_ns=known[1])
-        self._history.restart(
-            initial_state(
-                start,
-                self._map,
-                self._odometry,
-                self._config.boresight_sigma_rad,
-                self._config.delay_sigma_s,
-            )
-        )
+        if self._history.started:
+            state = moved_to(self._history.at(start.stamp_ns), start)
+        else:
+            sigmas = self._config.boresight_sigma_rad, self._config.delay_sigma_s
+            state = initial_state(start, self._map, self._odometry, *sigmas)
+        self._history.restart(state)
         self._health.restart(start.stamp_ns)
+
+    def change_map(self, landmark_map: LandmarkMap) -> None:
+        """Go on among other landmarks from where the robot is, believed as much as before."""
+        self._map = landmark_map
+        self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
+        if self._history.started:
+            self._history.restart(among(self._history.at(), landmark_map))
+            self._health.change_map()
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """

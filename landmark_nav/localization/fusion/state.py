@@ -34,9 +34,11 @@ __all__ = [
     'STATES',
     'FilterState',
     'MeasurementModel',
+    'among',
     'bearing_model',
     'correct',
     'initial_state',
+    'moved_to',
     'pose_model',
     'propagate',
 ]
@@ -130,6 +132,40 @@ def initial_state(
         landmark_map.joint_covariance_xy,
         NoiseScales.unknown(odometry),
         by_noise,
+    )
+
+
+def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
+    """
+    Return the state of the same robot at another pose.
+
+    What was learned of its odometry and its camera stays. The camera has seen where it is, so a
+    camera that is turned against the base has its heading off by that.
+    """
+    kept = np.eye(STATES)
+    kept[:3, :3] = 0.0
+    kept[HEADING, BORESIGHT] = 1.0
+    mean, covariance = kept @ state.mean, kept @ state.covariance @ kept.T
+    mean[:3] += start.pose
+    mean[HEADING] = wrap_rad(mean[HEADING])
+    covariance[:3, :3] += start.covariance
+    return replace(
+        state,
+        stamp_ns=start.stamp_ns,
+        mean=mean,
+        covariance=covariance,
+        cross=kept @ state.cross,
+        by_noise=kept @ state.by_noise @ kept.T,
+    )
+
+
+def among(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
+    """Return the state among other landmarks, independent of them."""
+    return replace(
+        state,
+        cross=np.zeros((STATES, 2 * len(landmark_map.landmarks))),
+        landmarks=landmark_map.positions[:, :2],
+        landmark_covariance=landmark_map.joint_covariance_xy,
     )
 
 

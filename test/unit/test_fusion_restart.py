@@ -1,0 +1,88 @@
+"""What a filter remembers when its pose or its map changes: the robot, not the place."""
+
+from __future__ import annotations
+
+from fusion_drives import detections, drive, error_of, landmark_map, Moment, MOUNT, start_estimate
+import numpy as np
+import pytest
+
+from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.fusion.state import BORESIGHT, HEADING
+from landmark_nav.types import PoseEstimate
+
+MAP = landmark_map(10)
+SIGMA_RAD = 5e-4
+BUMP_RAD = np.radians(2.0)
+FOUND_SIGMA = np.array([0.004, 0.004, 0.002])
+
+
+def see(fused: PoseFilter, moment: Moment, k: int, off_rad: float = 0.0) -> None:
+    places = (k + np.array([0, 1, 3, 4, 6])) % 10
+    stamp_ns = moment.odometry.stamp_ns
+    fused.add_detections(detections(MAP, moment.pose, stamp_ns, places, SIGMA_RAD, off_rad))
+
+
+def driven(steps: int, bumped_at: int | None = None) -> tuple[PoseFilter, Moment]:
+    """Drive with odometry that is 3 % short; the camera is bumped on the way."""
+    fused = PoseFilter(MAP, MOUNT)
+    fused.initialize(start_estimate())
+    for k, moment in enumerate(drive(steps, biases=(0.03, 0.0, 0.0))):
+        fused.add_odometry(moment.odometry)
+        if k % 4 == 0:
+            off = BUMP_RAD if bumped_at is not None and k >= bumped_at else 0.0
+            see(fused, moment, k, off)
+    return fused, moment
+
+
+@pytest.mark.parametrize('after', [4, 60])
+def test_a_place_found_with_a_bumped_camera_has_an_uncertain_heading(after: int) -> None:
+    """The camera that finds the place is off by 2 deg, and so is the heading it tells."""
+    fused, moment = driven(160 + after, bumped_at=160)
+    seen = moment.pose - np.array([0.0, 0.0, BUMP_RAD])
+    stamp_ns = moment.odometry.stamp_ns
+    fused.initialize(PoseEstimate(stamp_ns, seen, np.diag(FOUND_SIGMA**2)))
+    for k, moment in enumerate(drive(360 + after, biases=(0.03, 0.0, 0.0))):
+        if moment.odometry.stamp_ns > stamp_ns:
+            fused.add_odometry(moment.odometry)
+            if k % 4 == 0:
+                see(fused, moment, k, BUMP_RAD)
+        if moment.odometry.stamp_ns >= stamp_ns:
+            state = fused.state
+            assert state is not None
+            error = error_of(fused.estimate(), moment.pose)
+            assert abs(error[2]) < 2.0 * np.sqrt(state.covariance[HEADING, HEADING])
+    assert np.degrees(np.sqrt(state.covariance[HEADING, HEADING])) < 0.6
+    assert state.mean[BORESIGHT] == pytest.approx(BUMP_RAD, abs=np.radians(0.6))
+    assert fused.status == ('tracking', '')
+
+
+def test_what_was_learned_of_the_robot_outlasts_a_start_and_a_map() -> None:
+    fused, moment = driven(200)
+    before, noise = fused.state, fused.odometry_noise
+    assert before is not None
+    assert before.mean[3] == pytest.approx(0.03, abs=0.005)
+    stamp_ns = moment.odometry.stamp_ns
+    fused.change_map(landmark_map(6, seed=1))
+    fused.initialize(PoseEstimate(stamp_ns, moment.pose, np.diag(FOUND_SIGMA**2)))
+    after = fused.state
+    assert after is not None
+    np.testing.assert_array_equal(after.mean[3:], before.mean[3:])
+    np.testing.assert_array_equal(after.covariance[3:, 3:], before.covariance[3:, 3:])
+    np.testing.assert_allclose(after.covariance[:3, :3], np.diag(FOUND_SIGMA**2))
+    assert fused.odometry_noise == noise
+
+
+def test_a_new_map_does_not_make_a_lost_pose_believed() -> None:
+    fused, moment = driven(200)
+    wrong = moment.pose + np.array([0.8, 0.6, 0.0])
+    stamp_ns = moment.odometry.stamp_ns
+    fused.initialize(PoseEstimate(stamp_ns, wrong, np.diag(FOUND_SIGMA**2)))
+    for k, moment in enumerate(drive(300, biases=(0.03, 0.0, 0.0))):
+        if moment.odometry.stamp_ns > stamp_ns:
+            fused.add_odometry(moment.odometry)
+            if k % 4 == 0 and fused.status[0] != 'lost':
+                see(fused, moment, k)
+    verdict = fused.status
+    assert verdict[0] == 'lost'
+    fused.change_map(landmark_map(6, seed=1))
+    assert fused.status == verdict
