@@ -143,7 +143,7 @@ class Observer:
             Expected pose of the base at its stamp.
         triplet : Triplet, optional
             What the camera is after: looked for before all else, and with several views a fix
-            waits for all three. Its landmarks are in the map.
+            waits for all three.
 
         """
         config = self._config
@@ -162,7 +162,9 @@ class Observer:
             expected,
             config.triplet.bearing_sigma_rad,
             config.detection.max_count,
-            self._map.indices(triplet.ids) if isinstance(triplet, Triplet) else (),
+            np.flatnonzero(np.isin(self._map.ids, triplet.ids))
+            if isinstance(triplet, Triplet)
+            else (),
         )
         result = self._detect(frame, prior, expected)
         missed = np.array(sorted(result.refused), dtype=np.int64)

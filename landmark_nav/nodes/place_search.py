@@ -18,6 +18,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.messages import encode
@@ -66,7 +67,9 @@ class PlaceSearch:
     map_frame : str
         Frame of the place.
     fused : callable
-        Gives the newest fused pose, None before there is one.
+        Gives the newest fused pose, None where that is too old to tell of a time.
+    odometry : OdometryNoiseConfig
+        How far the odometry is to be trusted.
 
     """
 
@@ -76,10 +79,12 @@ class PlaceSearch:
         mount: PanTiltMount,
         config: PlaceSearchConfig,
         map_frame: str,
-        fused: Callable[[], PoseEstimate | None],
+        fused: Callable[[int], PoseEstimate | None],
+        odometry: OdometryNoiseConfig,
     ) -> None:
         self._mount, self._config, self._map_frame = mount, config, map_frame
-        self._fused = fused
+        self._fused, self._noise = fused, odometry
+        self._moves = False
         self.landmarks = LandmarkMap(())
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._relocalizer: Relocalizer | None = None
@@ -88,6 +93,12 @@ class PlaceSearch:
         self._found = Event()
         self._start = node.advertise('initialpose')
         node.offer('relocalize', self._search, group=MutuallyExclusiveCallbackGroup())
+
+    def use(self, landmarks: LandmarkMap) -> None:
+        """Look for these from now on."""
+        self.landmarks = landmarks
+        if self.active:
+            self._relocalizer = self._new_relocalizer()
 
     @property
     def active(self) -> bool:
@@ -98,11 +109,16 @@ class PlaceSearch:
         """Whether odometry of that time or later is known."""
         return bool(self._odometry) and self._odometry[-1].stamp_ns >= stamp_ns
 
-    def consider(self) -> None:
-        """Begin by itself where the fused pose is not known, end that where it is again."""
-        if self._asked or not self._config.when_lost or not self.landmarks.landmarks:
+    def consider(self, stamp_ns: int) -> None:
+        """
+        Begin by itself where the fused pose is not known at a time, end that where it is again.
+
+        Without odometry nothing follows from a place: the fusion waits for it.
+        """
+        wanted = self._config.when_lost and self._moves and self.landmarks.landmarks
+        if self._asked or not wanted:
             return
-        fused = self._fused()
+        fused = self._fused(stamp_ns)
         lost = fused is None or (np.trace(fused.covariance[:2, :2]) > self._config.lost_sigma_m**2)
         if not lost:
             self._relocalizer = None
@@ -112,6 +128,7 @@ class PlaceSearch:
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Keep odometry for the next picture, while one is wanted."""
+        self._moves = True
         if self.active:
             self._odometry.append(sample)
 
@@ -124,7 +141,7 @@ class PlaceSearch:
             relocalizer.add_odometry(self._odometry.popleft())
         outcome = self._outcome = relocalizer.add_frame(frame)
         # That took a while, in which somebody may have told the place.
-        self.consider()
+        self.consider(frame.stamp_ns)
         if isinstance(outcome, PoseEstimate) and self.active:
             # The filter may not reach back to the picture.
             while self._odometry:
@@ -136,7 +153,7 @@ class PlaceSearch:
         return outcome
 
     def _new_relocalizer(self) -> Relocalizer:
-        return Relocalizer(self.landmarks, self._mount, self._config)
+        return Relocalizer(self.landmarks, self._mount, self._config, self._noise)
 
     async def _search(self) -> str:
         if not self.landmarks.landmarks:

@@ -33,6 +33,8 @@ __all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
 _BACKLOG = 500
 # Ages beyond that come of two clocks, such as a bag's and today's.
 _OTHER_CLOCK_S = 10.0
+# A camera that is silent for so long has stopped.
+_SILENCE_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,12 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._prior = PriorTrack(self._config.max_prior_age_s)
         search = self._config.relocalization
         self._search = PlaceSearch(
-            self, self._mount, search, self._config.map_frame, lambda: self._prior.newest
+            self,
+            self._mount,
+            search,
+            self._config.map_frame,
+            self._prior.recent,
+            self._config.odometry,
         )
         self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
@@ -90,6 +97,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._pictures = NewestFirst(self.guarded('camera/image_raw', self._on_image))
         self._latency = Latency()
         self._stale = 0
+        self._arrived_s: float | None = None
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
         self.listen('odom', self._on_odometry, depth=50)
         self.listen('odometry/fused', self._on_fused)
@@ -97,8 +105,12 @@ class TriangulationLocalizerNode(LandmarkNode):
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
-        """What came of the last picture."""
-        return self._health
+        """What came of the last picture, or that none comes any more."""
+        health, arrived_s = self._health, self._arrived_s
+        if arrived_s is None or (silent_s := time.monotonic() - arrived_s) < _SILENCE_S:
+            return health
+        level = Level.DEGRADED if health.level is Level.OK else health.level
+        return Health(level, f'no picture for {silent_s:.1f} s', health.values)
 
     def _on_odometry(self, message: Any) -> None:
         sample = decode.odometry(message)
@@ -116,7 +128,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._observer = Observer(
             landmarks, self._mount, config, config.odometry, config.pan_sigma_rad
         )
-        self._search.landmarks = landmarks
+        self._search.use(landmarks)
         if self._frames.camera is not None:
             # Takes seconds, once: not while the first picture waits.
             _ = self._frames.camera.ray_grid
@@ -124,24 +136,35 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._health = Health(Level.DEGRADED, 'no picture yet')
             transport = self._config.image_transport
             self._source = ImageSource(
-                self, 'camera/image_raw', self._pictures.take, transport, depth=1
+                self, 'camera/image_raw', self._on_arrival, transport, depth=1
             )
 
+    def _on_arrival(self, message: Any) -> None:
+        self._arrived_s = time.monotonic()
+        self._pictures.take(message)
+
     def _on_image(self, message: Any) -> None:
-        self._search.consider()
+        try:
+            self._use(message)
+        except LandmarkNavError as error:
+            self._health = Health(Level.LOST, f'camera/image_raw dropped: {error}')
+            raise
+
+    def _use(self, message: Any) -> None:
+        stamp = decode.stamp_ns(message.header)
+        self._search.consider(stamp)
         if self._search.active:
             self._look(message)
-            if self._prior.newest is None:
+            if self._prior.recent(stamp) is None:
                 return
-        if self._config.max_age_s < 1e-9 * self._age_ns(message) < _OTHER_CLOCK_S:
+        age_s = 1e-9 * self._age_ns(message)
+        if self._config.max_age_s < age_s < _OTHER_CLOCK_S:
             self._stale += 1
+            late = f'pictures arrive {age_s:.1f} s late'
+            self._health = Health(Level.DEGRADED, late, {'stale': self._stale})
             return
         start = time.monotonic()
-        try:
-            seen = self._observe(message)
-        except LandmarkNavError as error:
-            self._health = Health(Level.LOST, f'picture not used: {error}')
-            raise
+        seen = self._observe(message)
         self._detections.publish(
             encode.detections(ros_factory, seen.detections, self._mount.base_frame)
         )

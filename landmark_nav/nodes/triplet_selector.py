@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.localization.triplet import Gaze, TripletConfig
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.localization.triplet.ranking import Ranking
@@ -26,6 +27,9 @@ from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
 __all__ = ['Parameters', 'TripletSelectorNode', 'main']
+
+# A fused pose that nothing followed for so long tells no more where to look.
+_SILENCE_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -65,10 +69,11 @@ class TripletSelectorNode(LandmarkNode):
         self._commander = PanCommander(self, self._mount, self._config.command)
         self._map: LandmarkMap | None = None
         self._fused: PoseEstimate | None = None
+        self._fused_s = 0.0
         self._camera: ActiveCamera | None = None
         self._commanded_rad: float | None = None
         self._yield_until = 0.0
-        self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
+        self._health = Health(Level.DEGRADED, 'waits for its first choice')
         self.listen('odometry/fused', self._on_fused, depth=1)
         self.listen('detections', self._on_detections)
         listen_for_pan(self, self._mount, self._config.command.type, self._on_command)
@@ -80,7 +85,7 @@ class TripletSelectorNode(LandmarkNode):
         return self._health
 
     def _on_fused(self, message: Any) -> None:
-        self._fused = decode.pose_estimate(message)
+        self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         self._map = decode.landmark_map(points, atlas)
@@ -100,14 +105,28 @@ class TripletSelectorNode(LandmarkNode):
             self._commanded_rad = pan_rad
 
     def _choose(self) -> None:
-        if self._camera is None or self._fused is None or self._frames.camera is None:
-            return
+        silent_s = time.monotonic() - self._fused_s
+        if self._camera is None:
+            self._wait('no landmarks: call learn_landmarks or load_map')
+        elif self._fused is None:
+            self._wait('no fused pose: give a start on initialpose or call relocalize')
+        elif silent_s > _SILENCE_S:
+            self._wait(f'no fused pose for {silent_s:.1f} s')
+        elif self._frames.camera is None:
+            self._wait('nothing on camera/camera_info')
+        else:
+            self._choose_with(self._camera, self._fused, self._frames.camera)
+
+    def _wait(self, reason: str) -> None:
+        self._health = Health(Level.DEGRADED, reason)
+
+    def _choose_with(self, active: ActiveCamera, fused: PoseEstimate, model: CameraModel) -> None:
         start = time.perf_counter()
         limits = (self._config.pan_min_rad, self._config.pan_max_rad)
         gaze = Gaze(self._frames.pan_rad, self._frames.tilt_rad, limits)
-        ranking = self._camera.choose(self._fused, self._frames.camera, gaze)
+        ranking = active.choose(fused, model, gaze)
         took_ms = 1e3 * (time.perf_counter() - start)
-        stamp, base = self._fused.stamp_ns, self._mount.base_frame
+        stamp, base = fused.stamp_ns, self._mount.base_frame
         head = encode.header(ros_factory, stamp, base)
         self._ranking.publish(pack_cloud(ros_factory, head, ranking.table()))
         chosen = ranking.chosen

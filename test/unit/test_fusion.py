@@ -287,6 +287,17 @@ class TestTime:
             early.add_odometry(moment.odometry)
         assert error_of(early.estimate(), moment.pose) == pytest.approx(np.zeros(3), abs=1e-6)
 
+    def test_a_start_of_long_ago_holds_now(self) -> None:
+        fused = PoseFilter(MAP, MOUNT)
+        for k in range(2000):
+            fused.add_odometry(OdometrySample(k * 10**8, np.array([0.01 * k, 0.0, 0.0])))
+        fused.initialize(start_estimate(stamp_ns=10**9))
+        estimate = fused.estimate()
+        assert estimate is not None
+        assert estimate.stamp_ns == 1999 * 10**8
+        np.testing.assert_array_equal(estimate.pose, start_estimate(stamp_ns=0).pose)
+        assert fused.status[0] == 'tracking'
+
     def test_start_pose_is_not_undone_by_what_came_before_it(self) -> None:
         fused = started()
         moment, _ = run(fused, 40)
@@ -367,6 +378,12 @@ class TestStatus:
         update = fused.add_detections(detections(MAP, START, 0, [0, 1, 2], SIGMA))
         assert update.refusal is not None
         assert 'not initialized' in str(update.refusal)
+
+    def test_without_odometry_it_only_waits(self) -> None:
+        fused = started()
+        assert fused.status == ('coasting', 'no odometry')
+        run(fused, 2)
+        assert fused.status[0] == 'tracking'
 
     def test_coasting(self) -> None:
         fused = started()

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pickle
+
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -104,6 +106,30 @@ class TestTrack:
         assert refusal is not None
         assert reason in str(refusal)
         assert track.stamps_ns == (0, 10**9)
+
+    def test_a_stand_takes_no_room_and_changes_no_motion(self) -> None:
+        """A way until 0.78 s, nothing until 2 s, then ten minutes on the spot."""
+        track, sizes = OdometryTrack(CONFIG), []
+        for k in range(40):
+            assert track.add(sample(0.02 * k)) is None
+        for k in range(20, 6001):
+            spot = OdometrySample(k * 10**8, twist_motion(SPEED, RATE, 1.0))
+            assert track.add(spot) is None
+            if k in (50, 6000):
+                sizes.append(len(pickle.dumps(track)))
+        assert sizes[1] < sizes[0] + 100
+        for begin, end, way, blind in [
+            (0.1, 0.7, 0.6, 0.0),
+            (0.5, 2.0, 0.5, 1.22),
+            (1.5, 5.0, 0.0, 0.5),
+            (2.0, 500.0, 0.0, 0.0),
+            (500.0, 700.0, 0.0, 100.0 - CONFIG.horizon_s),
+        ]:
+            motion = track.motion(round(1e9 * begin), round(1e9 * end))
+            assert motion.blind_seconds == pytest.approx(blind)
+            if begin != 1.5:
+                arc = twist_motion(SPEED, RATE, way)
+                np.testing.assert_allclose(motion.increment, arc, atol=1e-9)
 
     def test_trims_but_keeps_what_later_motions_need(self) -> None:
         track = circle_track()

@@ -41,6 +41,28 @@ def test_too_far_in_time(track: PriorTrack) -> None:
     assert '+0.60 s' in refusal.detail
 
 
+def test_what_is_recent(track: PriorTrack) -> None:
+    newest = track.recent(1_500_000_000)
+    assert newest is not None
+    assert newest.stamp_ns == 10**9
+    # A picture that is late, of a robot that is known.
+    assert track.recent(-(10**9)) is newest
+    assert track.recent(1_500_000_001) is None
+
+
+def test_a_clock_set_back_begins_anew(track: PriorTrack) -> None:
+    def fused(stamp: int, x: float) -> None:
+        pose = np.array([x, 0.0, 0.0])
+        track.add(PoseEstimate(stamp, pose, np.eye(3)), OdometrySample(stamp, pose))
+
+    fused(900_000_000, 7.0)
+    assert isinstance(track.at(0), PoseEstimate), 'a little late'
+    fused(200_000_000, 8.0)
+    found = track.at(600_000_000)
+    assert isinstance(found, PoseEstimate)
+    assert found.pose[0] == 8.0
+
+
 def test_nothing_known() -> None:
     empty = PriorTrack(0.5)
     assert isinstance(empty.at(0), Refusal)

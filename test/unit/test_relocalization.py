@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+import pickle
 
 import numpy as np
 import pytest
@@ -231,6 +232,16 @@ def test_a_stream_that_shows_the_same_again_gives_the_same_answer() -> None:
     relocalizer.add_odometry(OdometrySample(0, np.zeros(3)))
     relocalizer.add_odometry(OdometrySample(10**8, np.zeros(3)))
     assert relocalizer.add_frame(replace(dark, stamp_ns=10**8)) is first
+
+
+def test_a_stream_without_pictures_does_not_grow() -> None:
+    relocalizer = Relocalizer(MAP, MOUNT)
+    sizes = []
+    for k in range(4000):
+        relocalizer.add_odometry(OdometrySample(k * 10**8, np.array([0.02 * k, 0.0, 0.0])))
+        if k in (100, 3999):
+            sizes.append(len(pickle.dumps(relocalizer)))
+    assert sizes[1] < sizes[0] + 100
 
 
 def test_a_place_moves_on_with_the_odometry_that_came_meanwhile() -> None:

@@ -30,17 +30,20 @@ class PriorTrack:
     """
 
     def __init__(self, max_age_s: float) -> None:
-        self._max_age_s = max_age_s
+        self._max_age_ns = round(1e9 * max_age_s)
         self._known: deque[tuple[PoseEstimate, float, float]] = deque(maxlen=_HISTORY)
 
     def add(self, pose: PoseEstimate, speeds: OdometrySample) -> None:
         """Take a fused pose and the speeds of the same time."""
+        if self._known and self._known[-1][0].stamp_ns - pose.stamp_ns > self._max_age_ns:
+            # The clock was set back: poses of before would be taken for the future.
+            self._known.clear()
         self._known.append((pose, speeds.linear_m_s, speeds.angular_rad_s))
 
-    @property
-    def newest(self) -> PoseEstimate | None:
-        """The last one, if any came."""
-        return self._known[-1][0] if self._known else None
+    def recent(self, stamp_ns: int) -> PoseEstimate | None:
+        """The last one; None where that is too old to tell of a time, or none came."""
+        newest = self._known[-1][0] if self._known else None
+        return newest if newest and stamp_ns - newest.stamp_ns <= self._max_age_ns else None
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether a pose is known from which the speeds lead to that time well enough."""
@@ -56,7 +59,7 @@ class PriorTrack:
             reversed(known), key=lambda entry: abs(entry[0].stamp_ns - stamp_ns)
         )
         seconds = (stamp_ns - pose.stamp_ns) * 1e-9
-        if abs(seconds) > self._max_age_s:
+        if abs(stamp_ns - pose.stamp_ns) > self._max_age_ns:
             return Refusal('no fused pose near its stamp', f'the nearest is {seconds:+.2f} s off')
         motion = twist_motion(linear, angular, seconds)
         moved = np.asarray(se2.compose(pose.pose, motion))

@@ -212,7 +212,7 @@ class Health:
         """
         Judge an estimate; the reason is empty while tracking.
 
-        `odometry_ns` is the time of the last odometry, if any came.
+        `odometry_ns` is the time of the last odometry, None before any came.
         """
         if estimate is None or self._accepted_ns is None:
             return 'lost', 'no start pose: give one on initialpose or call relocalize'
@@ -231,15 +231,14 @@ class Health:
                 f'innovations are too large: NIS {nis:.0f} over the last {len(self._window)} '
                 f'measurements, limit {limit:.0f}'
             )
+        if odometry_ns is None:
+            return 'coasting', 'no odometry'
         waited = (estimate.stamp_ns - self._accepted_ns) * 1e-9
         if waited > self._config.coasting_after_s:
             return 'coasting', f'nothing accepted for {waited:.1f} s{self._last_refusal}'
         recent = self._config.trouble_s
         trouble, reason = self._trouble or (-(10**18), '')
-        if (
-            odometry_ns is not None
-            and (blind := (estimate.stamp_ns - odometry_ns) * 1e-9) > self._config.coasting_after_s
-        ):
+        if (blind := (estimate.stamp_ns - odometry_ns) * 1e-9) > self._config.coasting_after_s:
             last = f', last: {reason}' if reason else ''
             return 'coasting', f'no odometry for {blind:.1f} s{last}'
         if 0.0 <= (estimate.stamp_ns - trouble) * 1e-9 < recent:

@@ -93,6 +93,8 @@ class History:
         if sample.stamp_ns < newest_ns - max(self._span_ns, _CLOCK_STEP_NS):
             return self._turn_back(sample, newest_ns)
         refusal = self._track.add(sample)
+        if not self._events:
+            self._track.trim(sample.stamp_ns - self._span_ns)
         if not self._events or self._track.stamps_ns == known:
             return refusal
         if sample.stamp_ns > self.begin_ns:

@@ -30,7 +30,7 @@ class OdometryTrack:
         self._config = config
         self._stamps: list[int] = []
         self._poses: list[FloatArray] = []  # continuous
-        self._blind: list[bool] = []  # the interval that ends at each sample
+        self._blind_ns: list[int] = []  # of the time until each
         self._last: OdometrySample | None = None
 
     @property
@@ -71,7 +71,9 @@ class OdometryTrack:
             known = min(seconds, self._config.horizon_s)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
         blind = jumped or seconds > self._config.max_gap_s
-        self._append(sample, compose(self._poses[-1], increment), blind)
+        stands = np.array_equal(sample.pose_odom_base, last.pose_odom_base)
+        pose = self._poses[-1] if stands else compose(self._poses[-1], increment)
+        self._append(sample, pose, blind)
         if jumped:
             return Refusal('odometry jumped', f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s')
         return None
@@ -89,13 +91,20 @@ class OdometryTrack:
         """Forget what is not needed for motions that start at `before_ns` or later."""
         keep = bisect_right(self._stamps, before_ns) - 1
         if keep > 0:
-            del self._stamps[:keep], self._poses[:keep], self._blind[:keep]
+            del self._stamps[:keep], self._poses[:keep], self._blind_ns[:keep]
 
     def _append(self, sample: OdometrySample, pose: FloatArray, blind: bool) -> None:
+        self._last = sample
+        total_ns = self._blind_ns[-1] if self._stamps else 0
+        if blind:
+            total_ns += sample.stamp_ns - self._stamps[-1]
+        # Of a stand its begin and end are enough.
+        if self._blind_ns[-2:-1] == [total_ns] and self._poses[-2] is self._poses[-1] is pose:
+            self._stamps[-1] = sample.stamp_ns
+            return
         self._stamps.append(sample.stamp_ns)
         self._poses.append(pose)
-        self._blind.append(blind)
-        self._last = sample
+        self._blind_ns.append(total_ns)
 
     def _ahead_s(self, stamp_ns: int) -> float:
         """How far the last twist has to predict."""
@@ -119,11 +128,12 @@ class OdometryTrack:
 
     def _blind_seconds(self, from_ns: int, to_ns: int) -> float:
         horizon = self._stamps[-1] + int(self._config.horizon_s * 1e9)
-        blind = max(0, to_ns - max(from_ns, horizon))
-        first = max(bisect_right(self._stamps, from_ns), 1)
-        for k in range(first, len(self._stamps)):
-            if self._stamps[k - 1] >= to_ns:
-                break
-            if self._blind[k]:
-                blind += min(to_ns, self._stamps[k]) - max(from_ns, self._stamps[k - 1])
-        return blind * 1e-9
+        ahead = max(0, to_ns - max(from_ns, horizon))
+        return (ahead + self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
+
+    def _blind_until_ns(self, stamp_ns: int) -> int:
+        after = bisect_left(self._stamps, stamp_ns)
+        if after in (0, len(self._stamps)):
+            return self._blind_ns[max(after - 1, 0)]
+        since, total = self._blind_ns[after - 1], self._blind_ns[after]
+        return since + (stamp_ns - self._stamps[after - 1] if total > since else 0)

@@ -85,8 +85,9 @@ class Relocalizer:
             # What was seen by another clock helps no more.
             self._kept, self._track = [], OdometryTrack(self._odometry)
             self._track.add(sample)
-        if self._kept:
-            self._track.trim(self._kept[0].frame.stamp_ns)
+        # A picture may still come that is older than the odometry.
+        oldest_ns = sample.stamp_ns - _CLOCK_STEP_NS
+        self._track.trim(min([oldest_ns, *(kept.frame.stamp_ns for kept in self._kept[:1])]))
         return refusal
 
     def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
