@@ -45,13 +45,18 @@ STEP_RAD = np.radians(5.0)
 
 @dataclass(frozen=True)
 class Comparison:
-    """A stage and its reference; both do `count` pieces of work in a call."""
+    """
+    A stage and its reference; both do `count` pieces of work in a call.
+
+    A stage that does not take the same time in each call is called `calls` times, each timed.
+    """
 
     stage: str
     ours: Callable[[], object]
     reference_name: str
     reference: Callable[[], object]
     count: int = 1
+    calls: int = 1
 
 
 class World:

@@ -20,8 +20,8 @@ __all__ = ['APPEARANCES', 'Texture', 'textures']
 APPEARANCES = ('patch', 'virtual_view')
 
 # A view from so far aside, or from so many times as far, counts exp(-1/2) of one from here.
-_ASIDE_RAD = 0.35
-_FARTHER = math.log(1.5)
+_ASIDE_RAD = 0.5
+_FARTHER = math.log(2.0)
 # Less is not worth its time.
 _LEAST_SHARE = 0.1
 _LEAST_COSINE = 0.2

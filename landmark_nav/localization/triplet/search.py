@@ -69,7 +69,6 @@ def best_triplets(
         least = tables.error / tables.distance
     least[~np.isfinite(least)] = np.inf
     weight = np.outer(factor, factor) * factor.min(initial=np.inf) * cost
-    weight[~np.isfinite(weight)] = np.inf
     bound = least.mean(axis=0) * weight
     search = _Search(tables, factor, cost, count)
     search.add(_around_best_pairs(bound).T)

@@ -107,8 +107,12 @@ class PanWindows:
         where one view is asked for and can't hold both.
         """
         near = np.minimum(self.upper[:, None], self.upper)
-        cost = self._cost(near, np.maximum(self.lower[:, None], self.lower))
-        cost[self.place[:, None] == self.place] = np.inf
+        far = np.maximum(self.lower[:, None], self.lower)
+        possible = self.place[:, None] != self.place
+        if self.config.views == 'one':
+            possible &= far <= near
+        cost = np.full(possible.shape, np.inf)
+        cost[possible] = self._cost(near[possible], far[possible])
         return cost
 
     def tours(self, triplets: IndexArray) -> Tours:
