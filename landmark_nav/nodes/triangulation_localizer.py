@@ -129,9 +129,6 @@ class TriangulationLocalizerNode(LandmarkNode):
             landmarks, self._mount, config, config.odometry, config.pan_sigma_rad
         )
         self._search.use(landmarks)
-        if self._frames.camera is not None:
-            # Takes seconds, once: not while the first picture waits.
-            _ = self._frames.camera.ray_grid
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no picture yet')
             transport = self._config.image_transport
