@@ -7,14 +7,10 @@ from dataclasses import dataclass, field, replace
 import logging
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection import (
-    detect_landmarks,
-    DetectionConfig,
-    DetectionResult,
-)
+from landmark_nav.localization.detection import DetectionConfig
+from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.worth import most_telling
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.triangulation import TriangulationConfig
@@ -36,11 +32,6 @@ _LOG = logging.getLogger(__name__)
 
 __all__ = ['Observation', 'ObservationConfig', 'Observer']
 
-# Share of what should be in view.
-_HARDLY_ANY = 0.25
-# So many bearings tell a turned camera from chance.
-_LEAST = 3
-
 
 @dataclass(frozen=True)
 class ObservationConfig:
@@ -51,8 +42,9 @@ class ObservationConfig:
     triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
     turned_sigma_rad: float = parameter(
         0.035,
-        'How far a camera may be turned against the base by a knock: where hardly anything of '
-        'what should be in view is found, it is searched this much wider; 0 does not, rad.',
+        'How far a camera may be turned against the base, or tilted, by a knock: where hardly '
+        'anything of what should be in view is found, it is searched this much wider; 0 does '
+        'not, rad.',
         minimum=0.0,
         maximum=1.0,
     )
@@ -113,6 +105,9 @@ class Observer:
         pan_sigma_rad: float = 0.0,
     ) -> None:
         self._map, self._mount, self._config = landmark_map, mount, config
+        self._detector = AimedDetector(
+            landmark_map, mount, config.detection, config.turned_sigma_rad
+        )
         _warn_without_views(landmark_map, config.detection)
         window_s = config.gather_s if config.triplet.views == 'several' else 0.0
         self._window_ns = int(1e9 * window_s)
@@ -124,6 +119,11 @@ class Observer:
             config.triangulation,
             pan_sigma_rad,
         )
+
+    @property
+    def tilt_rad(self) -> float:
+        """By how much the camera turned out to look higher than its joints say."""
+        return self._detector.tilt_rad
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
@@ -166,24 +166,10 @@ class Observer:
             if isinstance(triplet, Triplet)
             else (),
         )
-        result = self._detect(frame, prior, expected)
+        result = self._detector.detect(frame, prior, expected)
         missed = np.array(sorted(result.refused), dtype=np.int64)
         found = replace(result.detections, missed=missed, pan_rate_rad_s=frame.pan_rate_rad_s)
         return Observation(found, result.refused, self._fix(found, prior, triplet))
-
-    def _detect(
-        self, frame: CameraFrame, prior: PoseEstimate, expected: npt.NDArray[np.intp]
-    ) -> DetectionResult:
-        """Search where the prior says; if hardly anything is there, beside that as well."""
-        config = self._config
-        result = detect_landmarks(frame, prior, self._map, self._mount, config.detection, expected)
-        enough = len(result.detections) > _HARDLY_ANY * len(expected)
-        if enough or len(expected) < _LEAST or not config.turned_sigma_rad:
-            return result
-        turned = np.diag([0.0, 0.0, config.turned_sigma_rad**2])
-        wide = replace(prior, covariance=prior.covariance + turned)
-        again = detect_landmarks(frame, wide, self._map, self._mount, config.detection, expected)
-        return again if len(again.detections) >= _LEAST else result
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:
         """Triangulate landmarks that were found elsewhere; what the map lacks is refused."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import time
 from typing import Any
 
+import numpy as np
+
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
@@ -200,6 +202,8 @@ class TriangulationLocalizerNode(LandmarkNode):
             'overtaken': self._pictures.dropped,
             'stale': self._stale,
         } | self._latency.values()
+        if self._observer is not None and self._observer.tilt_rad:
+            values['camera_higher_deg'] = f'{np.degrees(self._observer.tilt_rad):+.2f}'
         if self._triplet is not None:
             values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))
         if isinstance(seen.fix, Refusal):

@@ -317,6 +317,29 @@ def test_a_camera_bumped_against_the_base_goes_on(sensed: list[Sensed], angle_de
     check_honest(moments)
 
 
+@pytest.mark.parametrize('angle_deg', [1.0, -2.0])
+def test_a_camera_bumped_in_its_tilt_finds_all_as_before(
+    sensed: list[Sensed], angle_deg: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    def tilted(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None:
+            frame = replace(frame, tilt_rad=frame.tilt_rad + np.radians(angle_deg))
+        return step, frame
+
+    short = sensed[: round(20 * (FAULT_S + 4.0))]
+    moments, usual = list(run(short, tilted)), list(run(short, untouched))
+    assert {m.status for m in moments} == {'tracking'}
+    assert max(np.hypot(*m.error[:2]) for m in moments) < 0.03
+    check_honest(moments)
+    seen, without = (
+        sum(len(m.update.observation.detections) for m in ms) for ms in (moments, usual)
+    )
+    assert seen > 0.9 * without
+    # The joints say too much, so the camera looks lower.
+    (told,) = [float(word) for word in caplog.text.split() if word[0] in '+-' and word[1:]]
+    assert told == pytest.approx(-angle_deg, abs=0.2)
+
+
 @pytest.mark.parametrize('late_s', [0.0, 0.04, -0.04])
 def test_joint_states_that_are_late_are_measured(sensed: list[Sensed], late_s: float) -> None:
     events: list[CameraFrame | OdometrySample] = []

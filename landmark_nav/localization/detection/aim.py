@@ -1,0 +1,137 @@
+"""Landmarks found with a camera that was knocked: it looks beside where its joints say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import logging
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection.correlation import (
+    camera_in_map,
+    detect_landmarks,
+    DetectionConfig,
+    DetectionResult,
+)
+from landmark_nav.types import CameraFrame, Detections, FloatArray, LandmarkMap, PoseEstimate
+
+__all__ = ['AimedDetector']
+
+_LOG = logging.getLogger(__name__)
+
+# Share of what should be in view.
+_HARDLY_ANY = 0.25
+# So many landmarks tell a turned camera from chance.
+_LEAST = 3
+# A tilt that is told: more than a floor does.
+_TILTED_RAD = 0.01
+
+
+class AimedDetector:
+    """
+    Searches where prior and joints say; if hardly anything is there, beside that as well.
+
+    What it finds there tells by how much the camera looks beside, and where to search from then
+    on. Bearings stay as the joints have them: what is wrong with those is for the filter to tell
+    from a wrong heading. A wrong tilt concerns nobody else, and is put right here.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : DetectionConfig
+        Parameters.
+    knock_rad : float
+        How far beside to search; 0 does not.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        mount: PanTiltMount,
+        config: DetectionConfig,
+        knock_rad: float,
+    ) -> None:
+        self._map, self._mount, self._config, self._knock = landmark_map, mount, config, knock_rad
+        self._aim, self._told_rad = np.zeros(2), 0.0
+
+    @property
+    def tilt_rad(self) -> float:
+        """By how much the camera looks higher than its joints say."""
+        return float(self._aim[1])
+
+    def detect(
+        self, frame: CameraFrame, prior: PoseEstimate, expected: npt.NDArray[np.intp]
+    ) -> DetectionResult:
+        """Find landmarks `expected` (n,) of the map; as `detect_landmarks`."""
+        knock, config = self._knock, self._config
+        result = self._search(frame, prior, expected, config, self._aim)
+        few = len(result.detections) <= _HARDLY_ANY * len(expected)
+        if not few or len(expected) < _LEAST or not knock:
+            self._follow(result, frame, prior)
+            return result
+        wide = replace(prior, covariance=prior.covariance + np.diag([0.0, 0.0, knock**2]))
+        height = np.hypot(config.vertical_sigma_px, knock * frame.camera.fy)
+        tall = replace(config, vertical_sigma_px=min(50.0, float(height)))
+        beside = self._search(frame, wide, expected, tall, self._aim * [0.0, 1.0])
+        if len(beside.detections) < _LEAST:
+            return result
+        # What is there by chance is not found again at one height.
+        aim = self._seen_aim(beside.detections, frame, prior)
+        again = self._search(frame, wide, expected, config, aim)
+        if len(again.detections) < _LEAST:
+            return result
+        self._aim = aim
+        self._follow(again, frame, prior)
+        return again
+
+    def _follow(self, result: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> None:
+        """Aim where a picture was found to look, once that is beside."""
+        if len(result.detections) < _LEAST:
+            return
+        aim = self._seen_aim(result.detections, frame, prior)
+        tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD
+        if tilted:
+            self._told_rad = aim[1]
+            _LOG.warning('camera looks %+.1f deg above where its joints say', np.degrees(aim[1]))
+        if tilted or self._aim.any():
+            self._aim = aim
+
+    def _search(
+        self,
+        frame: CameraFrame,
+        prior: PoseEstimate,
+        expected: npt.NDArray[np.intp],
+        config: DetectionConfig,
+        aim: FloatArray,
+    ) -> DetectionResult:
+        """Search with the camera turned by an aim; bearings are those of the joints."""
+        if not aim.any():
+            return detect_landmarks(frame, prior, self._map, self._mount, config, expected)
+        aimed = replace(frame, pan_rad=frame.pan_rad + aim[0], tilt_rad=frame.tilt_rad + aim[1])
+        result = detect_landmarks(aimed, prior, self._map, self._mount, config, expected)
+        bearing = wrap_rad(result.detections.bearing_rad - aim[0])
+        return replace(result, detections=replace(result.detections, bearing_rad=bearing))
+
+    def _seen_aim(self, found: Detections, frame: CameraFrame, prior: PoseEstimate) -> FloatArray:
+        """
+        Pan and tilt (2,) by which a picture is off, in radians: the median over what was found.
+
+        Pan holds the error of the expected heading as well.
+        """
+        rotation, center = camera_in_map(prior.pose, self._mount, frame.pan_rad, frame.tilt_rad)
+        expected = self._map.positions[self._map.indices(found.ids)] - center
+        seen = frame.camera.unproject(found.uv_px) @ rotation.T
+        return np.asarray(np.median(wrap_rad(_angles(expected) - _angles(seen)), axis=1))
+
+
+def _angles(rays: FloatArray) -> FloatArray:
+    """Azimuth and elevation (2, n) of rays (n, 3)."""
+    x, y, z = rays.T
+    return np.array([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
