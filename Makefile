@@ -21,7 +21,7 @@ NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector tri
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-offline test-nodes lint bench rooms landmarks alternatives cameras latency config test-oldest clean
+.PHONY: install demo test test-offline test-nodes lint bench rooms landmarks alternatives cameras triangulation latency config test-oldest clean
 
 install: .venv/installed
 
@@ -69,6 +69,10 @@ alternatives: install
 # The active camera against a fixed one and random triplets, in rooms that nothing was tuned on.
 cameras: install
 	$(BIN)/python test/camera_check.py --seeds $(SEEDS)
+
+# A million triangulated triplets against the same equations in C; needs a C compiler.
+triangulation: install
+	$(BIN)/python test/triangulation_check.py
 
 # From picture to corrected pose on the live graph.
 latency: install
