@@ -11,6 +11,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
 from landmark_nav.learning.reference_area.model import (
+    EDGE_SHARE,
     edge_sigma_px,
     EDGES,
     GAMMA,
@@ -34,7 +35,11 @@ _SEARCH_PX = (13.0, 8.0, 7.0)
 _DOUBTS = ((400.0, 100.0, 40.0), (60.0, 25.0, 12.0), (12.0, 9.0, 9.0))
 _SURELY_WRONG = 25.0
 
-_LEAST_WIDTH_PX = 7.0
+# Narrower ones are left out; in a JPEG the colour of narrow ones is that of the wall beside too.
+_LEAST_WIDTH_PX, _NARROW_PX = 4.5, 7.0
+_NARROW_COLOR_SIGMA_PX = 1.0
+# Edges are measured so far from corners, on this share of them at least.
+_CORNER_PX, _LEAST_KEPT = 2.5, 0.2
 _GAMMA_RANGE = (0.8, 2.4)
 
 # How many frames the given deviation of joint angles is worth beside those of the sweep.
@@ -135,8 +140,10 @@ class PaperFitter:
         tried = np.zeros(model.papers, np.intp)
         columns = []
         for k, f in self._views(state, most):
-            points = model.points[k]
-            paper, frame = np.full(len(points), k), np.full(len(points), f)
+            paper, frame = np.full((2, model.points.shape[1]), [[k], [f]])
+            points = _off_the_corners(
+                model.points[k], model.project(state, frame, paper, model.points[k])
+            )
             pixels = model.project(state, frame, paper, points)
             beyond = model.project(state, frame, paper, points + 0.004 * model.outwards[k])
             if not np.all(np.isfinite(pixels + beyond)):
@@ -149,6 +156,7 @@ class PaperFitter:
             image, hue = self._frames[f].image, self._hues[k]
             found = locate_edges(image, pixels, normal, hue, reach, gamma)
             tried[k] += len(side)
+            found.sigma_px[0] += _NARROW_COLOR_SIGMA_PX * (width < _NARROW_PX)
             for kind in (0, 1):
                 good = np.isfinite(found.offset_px[kind])
                 columns.append(
@@ -252,6 +260,20 @@ class PaperFitter:
         trusted = _TRUSTED_FRAMES * self._priors.angle_rad**2
         spread = (trusted + left_over.sum(axis=0)) / (_TRUSTED_FRAMES + len(used))
         return state, np.sqrt(spread), fit
+
+
+def _off_the_corners(points: FloatArray, pixels: FloatArray) -> FloatArray:
+    """
+    Draw points (n, 3) of four edges in turn towards the middles of these.
+
+    Blur rounds corners: up to `_CORNER_PX` from one an edge seems to lie farther in.
+    """
+    edges, shown = points.reshape(EDGES, -1, 3), pixels.reshape(EDGES, -1, 2)
+    middle = edges.mean(axis=1, keepdims=True)
+    half_px = 0.5 * np.linalg.norm(shown[:, -1] - shown[:, 0], axis=1)
+    kept = 1.0 / EDGE_SHARE - _CORNER_PX / np.maximum(half_px, 0.1)
+    drawn = middle + np.clip(kept, _LEAST_KEPT, 1.0)[:, None, None] * (edges - middle)
+    return np.asarray(drawn.reshape(-1, 3))
 
 
 def _normals(pixels: FloatArray, outwards: FloatArray) -> FloatArray:

@@ -18,12 +18,23 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.types import FloatArray, Sweep
 
-__all__ = ['EDGES', 'GAMMA', 'SHIFT', 'IntArray', 'PaperModel', 'PaperPriors', 'edge_sigma_px']
+__all__ = [
+    'EDGES',
+    'EDGE_SHARE',
+    'GAMMA',
+    'SHIFT',
+    'IntArray',
+    'PaperModel',
+    'PaperPriors',
+    'edge_sigma_px',
+]
 
 IntArray = npt.NDArray[np.intp]
 
 # Right, left, top and bottom as seen along the wall.
 EDGES = 4
+# The points on an edge reach over so much of its length.
+EDGE_SHARE = 0.88
 
 # x, y, heading of the base; height and two tilts of the axis; gamma of colours, which JPEG blurs
 # once more after the camera wrote them, and of brightness; shift of colours, two pixels.
@@ -174,7 +185,7 @@ def _outline(paper: Paper, room: Room, per_edge: int) -> tuple[FloatArray, Float
     wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
     along = np.append(np.subtract(wall.end, wall.start) / wall.length, 0.0)
     up = np.array([0.0, 0.0, 1.0])
-    share = np.linspace(-0.44, 0.44, per_edge)[:, None]
+    share = np.linspace(-0.5, 0.5, per_edge)[:, None]
     center = np.asarray(paper.center)
     points, outwards = [], []
     for side, other, half, length in (
@@ -183,6 +194,6 @@ def _outline(paper: Paper, room: Room, per_edge: int) -> tuple[FloatArray, Float
         (up, along, paper.height / 2, paper.width),
         (-up, along, paper.height / 2, paper.width),
     ):
-        points.append(center + half * side + share * length * other)
+        points.append(center + half * side + EDGE_SHARE * share * length * other)
         outwards.append(np.tile(side, (per_edge, 1)))
     return np.concatenate(points), np.concatenate(outwards), along
