@@ -20,7 +20,7 @@ class CalibrationTerm:
 
     def __str__(self) -> str:
         """For a person: degrees, millimetres, per cent."""
-        if self.name in ('tilt', 'roll'):
+        if self.name in ('tilt', 'roll', 'axis_roll', 'axis_pitch'):
             factor, unit = 57.29577951308232, 'deg'
         elif self.name in ('forward', 'left'):
             factor, unit = 1e3, 'mm'

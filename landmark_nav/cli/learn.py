@@ -160,6 +160,12 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
                 f'{before["error_heading_deg"]:.3f} deg'
             )
         lines += [line, f'  panorama: {panorama.quality}']
+    terms = [t for p in panoramas if p.quality is not None for t in p.quality.calibration]
+    if any(t.used for t in terms if t.name.startswith('axis')):
+        lines.append(
+            'the pan axis leans about x (roll) and y (pitch) of the base, see above: set pan_axis '
+            'rpy in robot.yaml, which navigation goes by'
+        )
     walls = ', '.join(f'{wall} {count}' for wall, count in report['landmarks_per_wall'].items())
     lines.append(
         f'{report["elected"]} landmarks of {report["candidates"]} candidates '

@@ -8,7 +8,7 @@ with the walls' distance then known -> calibration again, the optical centre's o
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -23,6 +23,7 @@ from landmark_nav.learning.calibration import (
     moved_px,
     SweepCalibration,
 )
+from landmark_nav.learning.calibration.lean import levelled
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.reference_area import (
@@ -98,11 +99,14 @@ def panorama_from_sweep(
         view = _view(found, photometry, config)
     with log.measure('reference_area'):
         place = _place(view, found, room, config)
+    mount, lean = levelled(mount, place.lean_score, place.lean_information, config.calibration)
     with log.measure('calibration'):
         refined = calibrate_sweep(
             sweep, mount, config.calibration, _range_of_ray(place, found, room), found.overlaps
         )
-    if any(refined.mount.optical_center_offset[:2]) or moved_px(found, refined) > _SAME_PX:
+    stands_otherwise = refined.mount.axis_rpy != found.mount.axis_rpy
+    off_axis = any(refined.mount.optical_center_offset[:2])
+    if stands_otherwise or off_axis or moved_px(found, refined) > _SAME_PX:
         found = refined
         with log.measure('reference_area'):
             place = _place(view, found, room, config)
@@ -117,7 +121,9 @@ def panorama_from_sweep(
         _axis(place, found.mount),
         float(place.pose_map_base[2]),
         _axis_covariance(place, found.mount),
-        found.quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread),
+        replace(found.quality, calibration=(*found.terms, *lean)).of(
+            tenengrad(view), photometry.vignetting, photometry.gain_spread
+        ),
     )
 
 

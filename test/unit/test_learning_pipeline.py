@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scenes import (
@@ -16,12 +17,15 @@ from scenes import (
     textured_room,
     wall_board,
 )
+from scipy.spatial.transform import Rotation
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount, rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.learning.calibration import CalibrationConfig
+from landmark_nav.learning.calibration.lean import levelled
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
     LearningConfig,
@@ -222,6 +226,41 @@ def test_a_place_that_papers_contradict_is_refused() -> None:
         away, pose_map_base=PoseEstimate(0, POSES[0], np.diag([0.01, 0.01, 0.004]) ** 2)
     )
     panorama_from_sweep(near, ROOM, MOUNT, PanoramaStages())
+
+
+def test_an_axis_that_leans_untold_is_levelled(panoramas: list[Panorama]) -> None:
+    lean = np.radians([0.5, -0.3])
+    mount = replace(MOUNT, axis_rpy=(*lean, 0.0))
+    panorama = panorama_from_sweep(sweep_at(POSES[0], mount), ROOM, MOUNT, PanoramaStages())
+    error = panorama.center_map - axis_of(POSES[0])
+    assert np.abs(error[:2]).max() < 0.015
+    assert panorama.quality is not None
+    terms = [t for t in panorama.quality.calibration if t.name in ('axis_roll', 'axis_pitch')]
+    assert len(terms) == 2
+    for term, true in zip(terms, lean, strict=True):
+        assert term.used
+        assert abs(term.value - true) < 3.5 * term.sigma
+    # It shows what a level camera shows, but for what of the lean is not known.
+    horizons = [round(p.cylinder.cy) for p in (panorama, panoramas[0])]
+    here = panorama.image[horizons[0] - 30 : horizons[0] + 30]
+    level = panoramas[0].image[horizons[1] - 30 : horizons[1] + 30]
+    assert np.median(cv2.absdiff(here, level)) <= 3.0
+
+
+@pytest.mark.parametrize('yaw', [0.0, 2.0])
+def test_a_lean_turns_the_axis_in_the_base(yaw: float) -> None:
+    mount = replace(MOUNT, axis_rpy=(0.01, -0.02, yaw))
+    lean, information = np.array([0.006, -0.004]), np.diag([1e6, 4e6])
+    turned, terms = levelled(mount, information @ lean, information, CalibrationConfig())
+    expected = Rotation.from_rotvec([*lean, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
+    np.testing.assert_allclose(rotation_rpy(turned.axis_rpy), expected, atol=1e-12)
+    assert [t.sigma for t in terms] == pytest.approx([1e-3, 5e-4])
+    noise = np.array([0.002, -0.001])
+    same, terms = levelled(mount, information @ noise, information, CalibrationConfig())
+    assert same == mount
+    assert not any(t.used for t in terms)
+    unknown, none = levelled(mount, np.zeros(2), np.zeros((2, 2)), CalibrationConfig())
+    assert (unknown, none) == (mount, ())
 
 
 def test_an_optical_centre_off_the_axis_is_undone() -> None:

@@ -54,8 +54,8 @@ class PaperFit:
     `pose_map_base` (3,); `rise_m` how much higher than told the camera is; `covariance` (4, 4) of
     x, y, height, heading; `seen` (papers,) the share of each paper's edges that was found,
     `agreed` (papers,) the share of those that fits; `hang_m` (papers, 2) how far along the wall
-    and up each hangs from where it should; `tilt_rad` (2,) of the axis; `misfit` the mean squared
-    deviation.
+    and up each hangs from where it should; `tilt_rad` (2,) of the axis about x and y of the base,
+    and `tilt_covariance` (2, 2) of that, prior included; `misfit` the mean squared deviation.
     """
 
     pose_map_base: FloatArray
@@ -65,6 +65,7 @@ class PaperFit:
     agreed: FloatArray
     hang_m: FloatArray
     tilt_rad: FloatArray
+    tilt_covariance: FloatArray
     misfit: float
 
 
@@ -243,15 +244,17 @@ class PaperFitter:
         by_color = m.bright == 0
         found = np.bincount(m.paper[by_color], minlength=model.papers)
         agreed = by_color & (doubtful < _SURELY_WRONG)
-        order = [0, 1, 3, 2]
+        order, tilt = [0, 1, 3, 2], slice(4, 6)
+        claimed = covariance * max(1.0, misfit)
         fit = PaperFit(
             state[:3].copy(),
             float(state[3]),
-            covariance[np.ix_(order, order)] * max(1.0, misfit),
+            claimed[np.ix_(order, order)],
             found / np.maximum(m.tried, 1),
             np.bincount(m.paper[agreed], minlength=model.papers) / np.maximum(found, 1),
             model.hang(state).copy(),
-            state[4:6].copy(),
+            state[tilt].copy(),
+            claimed[tilt, tilt],
             misfit,
         )
         # The sweep itself tells how exact its joint angles are (expectation maximization).

@@ -9,7 +9,7 @@ right ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -86,12 +86,15 @@ class SweepPlace:
     Where a sweep was taken.
 
     `pose_map_base` (3,) and `height_m` of the optical centre, `covariance` (4, 4) of x, y, z,
-    heading.
+    heading. `lean_score` (2,) and `lean_information` (2, 2) say how the pan axis leans about x
+    and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes them.
     """
 
     pose_map_base: FloatArray
     height_m: float
     covariance: FloatArray
+    lean_score: FloatArray = field(default_factory=lambda: np.zeros(2))
+    lean_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
 
 
 def locate_sweep(
@@ -175,7 +178,14 @@ def locate_sweep(
     wrong = wrong_prior(fit, room, priors)
     if wrong:
         raise LandmarkNavError(wrong)
-    return SweepPlace(fit.pose_map_base, height + fit.rise_m, fit.covariance)
+    inverse = np.linalg.inv(fit.tilt_covariance)
+    return SweepPlace(
+        fit.pose_map_base,
+        height + fit.rise_m,
+        fit.covariance,
+        inverse @ fit.tilt_rad,
+        inverse - np.eye(2) / config.horizon_sigma_rad**2,
+    )
 
 
 def check_agreement(

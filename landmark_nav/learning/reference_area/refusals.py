@@ -41,11 +41,12 @@ def wrong_prior(fit: PaperFit, room: Room, priors: PaperPriors) -> str | None:
             f'the camera is {100 * fit.rise_m:.1f} cm higher than robot.yaml says, as the papers '
             'show it: measure the height of camera and papers again'
         )
-    turn = float(np.hypot(*fit.tilt_rad))
-    if turn > _WRONG_PRIOR * priors.tilt_rad:
+    if np.hypot(*fit.tilt_rad) > _WRONG_PRIOR * priors.tilt_rad:
+        roll, pitch = np.degrees(fit.tilt_rad)
         return (
-            f'the pan axis leans by {np.degrees(turn):.1f} deg from what robot.yaml says, as the '
-            'papers show it: level the robot, or set pan_axis rpy'
+            f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
+            'base from what robot.yaml says, as the papers show it: level the robot, or set '
+            'pan_axis rpy'
         )
     hang = np.abs(fit.hang_m).max(axis=1)
     worst = int(np.argmax(hang))
