@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.camera_offsets import camera_offsets
@@ -173,7 +174,8 @@ def _start(args: argparse.Namespace) -> tuple[Any, Any]:
 def _summary(report: Mapping[str, Any]) -> str:
     """Tell how the run went, for a person."""
     lines = [
-        f'{"":<14}{"RMSE cm":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE deg":>11}{"95 %":>9}'
+        f'{"error":<14}{"position [cm]":>36}{"heading [deg]":>20}',
+        f'{"":<14}{"RMSE":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE":>11}{"95 %":>9}',
     ]
     keys = ('rmse', 'median', 'p95', 'max')
     names = ['fused', 'triangulation', 'odometry', 'smoothed']
@@ -199,20 +201,20 @@ def _summary(report: Mapping[str, Any]) -> str:
     lines += [
         f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
         f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',
-        f'NEES mean{_cell(nees["mean"], 1.0, 2, 6)} (3 is ideal{_range(nees["interval_95"])}), '
-        f'inside 95 %{_cell(nees["inside_95"], 1.0, 3, 6)}; RMSE over Cramer-Rao bound'
-        f'{_cell(report["crlb_ratio"], 1.0, 2, 6)}; tracking beyond 5 sigma: '
-        f'{report["silently_wrong"]}',
-        f'update {report["update_ms"]["median"]:.1f} ms (95 %: {report["update_ms"]["p95"]:.1f}), '
-        f'{report["realtime_factor"]:.1f} times faster than real time; '
-        f'result {report["result_hash"][:16]}',
+        f'NEES {_cell(nees["mean"], 1.0, 2)} in the mean (3 is ideal'
+        f'{_range(nees["interval_95"])}), {_cell(nees["inside_95"], 100.0, 1)} % inside its 95 % '
+        f'bound; RMSE {_cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
+        f'pictures with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
+        f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
+        f'{report["update_ms"]["p95"]:.1f} ms, {report["realtime_factor"]:.1f} times faster than '
+        f'real time; result {report["result_hash"][:16]}',
     ]
-    return '\n'.join(lines)
+    return wrapped(lines)
 
 
 def _range(interval: list[float] | None) -> str:
     return f', {interval[0]:.2f} to {interval[1]:.2f} is honest' if interval else ''
 
 
-def _cell(value: float | None, factor: float, digits: int, width: int) -> str:
+def _cell(value: float | None, factor: float, digits: int, width: int = 0) -> str:
     return f'{"-" if value is None else f"{factor * value:.{digits}f}":>{width}}'

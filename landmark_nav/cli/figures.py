@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.figures_world import FiguresWorld
+from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures.area_figure import (
@@ -108,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     for number in progress(sorted(wanted), 'figures'):
         path = args.out / _NAMES[number]
-        print(f'{path}\n  {_draw(number, data, attention, path, args.feature)}')
+        print(wrapped([str(path), f'  {_draw(number, data, attention, path, args.feature)}']))
     return 0
 
 

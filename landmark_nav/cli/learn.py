@@ -11,6 +11,7 @@ from pathlib import Path
 import time
 from typing import Any
 
+from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
@@ -146,20 +147,20 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
     lines = []
     for number, (sweep, panorama) in enumerate(zip(report['sweeps'], panoramas, strict=True), 1):
         x, y, heading = sweep['pose']
-        line = (
+        lines.append(
             f'sweep {number}: {sweep["frames"]} frames at ({x:.3f}, {y:.3f}) m, '
             f'{57.29578 * heading:.2f} deg; {sweep["candidates"]} candidates, '
             f'{sweep["elected"]} elected'
         )
         if 'error' in sweep:
             before = sweep['measured']
-            line += (
-                f'; error {1e3 * sweep["error_position_m"]:.1f} mm, '
-                f'{sweep["error_heading_deg"]:.3f} deg, '
+            lines.append(
+                f'  error {1e3 * sweep["error_position_m"]:.1f} mm, '
+                f'{sweep["error_heading_deg"]:.3f} deg; '
                 f'before the refinement {1e3 * before["error_position_m"]:.1f} mm, '
                 f'{before["error_heading_deg"]:.3f} deg'
             )
-        lines += [line, f'  panorama: {panorama.quality}']
+        lines.append(f'  panorama: {panorama.quality}')
     terms = [t for p in panoramas if p.quality is not None for t in p.quality.calibration]
     if any(t.used for t in terms if t.name.startswith('axis')):
         lines.append(
@@ -173,8 +174,10 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
     )
     lines.extend(f'  {count:4d} refused: {why}' for why, count in report['refused'].items())
     lines.extend(f'  {n:4d} not proposed: {why}' for why, n in report['ambiguous'].items())
-    stages = ', '.join(f'{name} {s["seconds"]:.1f}' for name, s in report['stages'].items())
+    stages = ', '.join(
+        f'{name.replace("_", " ")} {s["seconds"]:.1f}' for name, s in report['stages'].items()
+    )
     peak = max(stage['peak_memory_mb'] for stage in report['stages'].values())
     lines.append(f'{report["seconds"]:.1f} s ({stages}), peak memory {peak:.0f} MB')
     lines.append(f'map, map.png and panorama_K.png in {folder}')
-    return '\n'.join(lines)
+    return wrapped(lines)

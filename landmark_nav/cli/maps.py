@@ -80,8 +80,8 @@ def _check(args: argparse.Namespace) -> int:
 
 def _diff(args: argparse.Namespace) -> int:
     a, b = load_map(args.a), load_map(args.b)
-    print('\n'.join(_described_walls(a.walls, b.walls)))
-    print(describe_comparison(compare_maps(a, b)))
+    walls = _described_walls(a.walls, b.walls)
+    print(*walls, describe_comparison(compare_maps(a, b)), sep='\n')
     return 0
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from landmark_nav.cli.lines import wrapped
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
@@ -88,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         sweep = aligned.sweep
         print(
             f'focal length {aligned.focal_px:.2f} +- {aligned.focal_sigma_px:.2f} px '
-            f'(x {aligned.focal_scale:.4f}), as of a lens without distortion'
+            f'({aligned.focal_scale:.4f} times what was told), as of a lens without distortion'
         )
         quality = aligned.quality
     elif args.align:
@@ -106,9 +107,10 @@ def run(args: argparse.Namespace) -> int:
     done, data = cv2.imencode('.png', np.dstack([view.image, alpha])[whole])
     assert done, 'OpenCV writes every PNG of this shape'
     write_whole(args.out, data.tobytes())
-    print(quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread))
+    told = quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread)
+    print(wrapped([str(told)]))
     print(
-        f'{args.out}: {view.cylinder.width} x {len(alpha[whole])}, {len(sweep.frames)} frames, '
+        f'{args.out}: {view.cylinder.width} x {len(alpha[whole])} px, {len(sweep.frames)} frames, '
         f'{100.0 * np.mean(covered):.1f} % of the turn'
     )
     return 0

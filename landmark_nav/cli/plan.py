@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
@@ -140,7 +141,8 @@ def _summary(plan: Plan) -> str:
     lines += [
         f'predicted: {best.landmarks:.0f} landmarks within {1e3 * best.landmark_sigma_m:.1f} mm; '
         f'localization error {1e3 * best.quantile_m(0.5):.1f} mm median, '
-        f'{1e3 * best.quantile_m(0.95):.1f} mm at 95 % of the floor, {covered:.0%} of it covered',
+        f'{1e3 * best.quantile_m(0.95):.1f} mm or less on 95 % of the floor, {covered:.0%} of it '
+        'covered',
         f'mean over the floor: {1e3 * best.cost_m:.2f} mm',
         _beside('median of random places', _median(plan.random), best),
         _beside(f'best of {len(plan.random)} random places', plan.random[0], best),
@@ -149,7 +151,7 @@ def _summary(plan: Plan) -> str:
         lines.append('  left and right of the middle: not in this room')
     else:
         lines.append(_beside('left and right of the middle', plan.left_right, best))
-    return '\n'.join(lines)
+    return wrapped(lines)
 
 
 def _beside(name: str, other: Forecast, best: Forecast) -> str:

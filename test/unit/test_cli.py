@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.main import COMMANDS, main
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
@@ -141,3 +142,15 @@ def test_ros_commands_explain_themselves_without_ros(
 def test_progress_passes_everything_through(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(progress(iter('abc'), 'letters', total=3)) == ['a', 'b', 'c']
     assert capsys.readouterr().err == ''
+
+
+def test_long_lines_go_on_below_and_keep_their_words() -> None:
+    words = [f'word-{k}' for k in range(60)]
+    table = f'{"name":<14}{"cm":>9}{"deg":>9}'
+    text = wrapped([table, '  ' + ' '.join(words), '/a/path/' + 120 * 'x'])
+    first, *middle, last = text.split('\n')
+    assert first == table
+    assert ' '.join(middle).split() == words
+    assert max(map(len, middle)) <= 99
+    assert [line[: len(line) - len(line.lstrip())] for line in middle[:2]] == ['  ', '      ']
+    assert last == '/a/path/' + 120 * 'x'

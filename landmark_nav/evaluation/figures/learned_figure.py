@@ -72,9 +72,10 @@ def draw_learned(
     if truth is not None:
         error = 1e3 * np.hypot(*(result.map.positions[:, :2] - truth).T)
         text += (
-            f' True errors: {np.median(error[shown]):.1f} mm in the median, '
-            f'{error[shown].max():.1f} mm at most; of all landmarks {np.median(error):.1f} mm and '
-            f'{np.quantile(error, 0.95):.1f} mm at 95 %.'
+            f' They lie {np.median(error[shown]):.1f} mm in the median, '
+            f'{error[shown].max():.1f} mm at most, from where the true rays meet the walls, all '
+            f'landmarks {np.median(error):.1f} mm and {np.quantile(error, 0.95):.1f} mm at 95 %; '
+            'that includes how far pictures hang before their walls.'
         )
     caption(figure, text)
     number_landmarks(figure, axes, result.map, shown)
@@ -135,5 +136,12 @@ def _draw_plan(
         add_ellipse(axes, point, landmark.covariance[:2, :2], 3.0, LANDMARK, _MAGNIFIED)
     axes.plot(*landmarks.positions[shown, :2].T, 'o', color=LANDMARK, markersize=5, zorder=6)
     if truth is not None:
-        axes.plot(*truth[shown].T, 'x', color=ODOMETRY, markersize=5, zorder=7, label='true place')
+        axes.plot(
+            *truth[shown].T,
+            'x',
+            color=ODOMETRY,
+            markersize=5,
+            zorder=7,
+            label='where the true ray meets the wall',
+        )
         axes.legend(loc='upper left', frameon=False, bbox_to_anchor=(0.0, 1.06))

@@ -7,7 +7,6 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter
 import numpy as np
 import numpy.typing as npt
 
@@ -55,20 +54,22 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     handles = []
     if plan.left_right is not None:
         _draw_places(axes, plan.left_right, 'o', ODOMETRY)
-        handles.append(_key('o', ODOMETRY, f'L and R: {_cost(plan.left_right)}'))
+        handles.append(
+            _key('o', ODOMETRY, f'left and right of the middle: {_cost(plan.left_right)}')
+        )
     _draw_places(axes, plan.best, '^', FUSED)
     _draw_headings(axes, plan.best)
-    handles.insert(0, _key('^', FUSED, f'proposed: {_cost(plan.best)}'))
+    handles.insert(0, _key('^', FUSED, f'proposed: {_cost(plan.best)} in the mean over the floor'))
     middle = plan.random[len(plan.random) // 2]
     handles.append(Line2D([], [], linestyle='', label=f'median of random places: {_cost(middle)}'))
     axes.set_title(
         f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
         f'{plan.best.landmarks:.0f} landmarks',
-        pad=30,  # above the legend
+        pad=15 * len(handles) + 12,  # above the legend
     )
     for side in ('top', 'right', 'left', 'bottom'):
         axes.spines[side].set_visible(False)
-    legend_beside(axes, 'above', len(handles), handles)
+    legend_beside(axes, 'above', 1, handles)
     save(figure, path)
 
 
@@ -91,7 +92,7 @@ def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
         lines = axes.contour(
             x, y, error, np.unique(np.round(levels, 2)), colors='white', linewidths=0.8, zorder=2
         )
-        axes.clabel(lines, fmt=FuncFormatter(lambda value, _: f'{value:.1f}'), fontsize=7)
+        bar.add_lines(lines)
 
 
 def _gridded(
