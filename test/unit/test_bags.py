@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+
 from bag_writers import FACTORY, MOUNT, odometry, SECOND, START, write_drive
 from mcap.writer import Writer as RawWriter
 import numpy as np
@@ -123,19 +125,29 @@ def test_what_is_no_bag_is_refused_with_what_it_is(tmp_path):
     refused(metadata, 'give the folder')
 
 
-def test_foreign_encodings_matter_only_if_they_are_asked_for(tmp_path):
-    path = tmp_path / 'mixed.mcap'
+@contextmanager
+def foreign_bag(path):
+    """MCAP file of other hands; takes topic, schema, encoding and the bytes of messages."""
     with path.open('wb') as stream:
         writer = RawWriter(stream)
         writer.start()
-        schema = writer.register_schema('Thing', 'jsonschema', b'{}')
-        channel = writer.register_channel('/thing', 'json', schema)
-        text = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data\n')
-        other = writer.register_channel('/text', 'cdr', text)
-        writer.add_message(channel, 1, b'{}', 1)
-        writer.add_message(other, 2, b'\0\1\0\0\3\0\0\0hi\0', 2)
-        writer.add_message(other, 3, b'\0\1\0\0\xff\0\0\0hi\0', 3)
+
+        def add(topic, schema, encoding, messages):
+            channel = writer.register_channel(topic, encoding, writer.register_schema(*schema))
+            for stamp, data in enumerate(messages, 1):
+                writer.add_message(channel, stamp, data, stamp)
+
+        yield add
         writer.finish()
+
+
+def test_foreign_encodings_matter_only_if_they_are_asked_for(tmp_path):
+    path = tmp_path / 'mixed.mcap'
+    with foreign_bag(path) as add:
+        add('/thing', ('Thing', 'jsonschema', b'{}'), 'json', [b'{}'])
+        text = ('std_msgs/msg/String', 'ros2msg', b'string data\n')
+        good, bad = b'\0\1\0\0\3\0\0\0hi\0', b'\0\1\0\0\xff\0\0\0hi\0'
+        add('/text', text, 'cdr', [good, bad])
     bag = Bag(path)
     with pytest.raises(LandmarkNavError, match='written as json with jsonschema schema'):
         list(bag.messages())
@@ -147,13 +159,9 @@ def test_foreign_encodings_matter_only_if_they_are_asked_for(tmp_path):
 
 def test_types_come_from_the_bag_itself(tmp_path):
     path = tmp_path / 'own.mcap'
-    with path.open('wb') as stream:
-        writer = RawWriter(stream)
-        writer.start()
-        schema = writer.register_schema('my_msgs/msg/Pair', 'ros2msg', b'int32 a\nint32 b\n')
-        channel = writer.register_channel('/pair', 'cdr', schema)
-        writer.add_message(channel, 1, b'\0\1\0\0\7\0\0\0\x09\0\0\0', 1)
-        writer.finish()
+    with foreign_bag(path) as add:
+        pair = ('my_msgs/msg/Pair', 'ros2msg', b'int32 a\nint32 b\n')
+        add('/pair', pair, 'cdr', [b'\0\1\0\0\7\0\0\0\x09\0\0\0'])
     (entry,) = read_bag(path)
     assert (entry.message.a, entry.message.b) == (7, 9)
 

@@ -1,0 +1,240 @@
+"""A patch of wall is found again from another place, and refused where it is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import tracemalloc
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scenes import Board, flat_texture, GREY, rectangle_room, Scene, smooth_texture, textured_room
+from stereo_room import (
+    CENTERS,
+    CONFIG,
+    direction_to,
+    EAST,
+    HEADINGS,
+    match_at,
+    patch_at,
+    ROOM,
+    views_of,
+)
+from wall_views import greys_of
+
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.learning.stereo import match_in, StereoConfig
+from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
+
+
+@pytest.fixture(scope='module')
+def scene() -> Scene:
+    return textured_room(ROOM, seed=2, feature_m=0.05)
+
+
+@pytest.fixture(scope='module')
+def panoramas(scene: Scene) -> list[Panorama]:
+    return views_of(scene)
+
+
+def test_the_search_is_as_wide_as_places_are_uncertain(panoramas: list[Panorama]) -> None:
+    point = np.array([6.0, 2.5, 1.2])
+    told = panoramas[1].center_map + np.array([0.0, 0.0, 0.12])
+    found = []
+    for sigma in (0.001, 0.05):
+        covariance = np.diag([1e-3, 1e-3, sigma, 1e-3]) ** 2
+        raised = replace(panoramas[1], center_map=told, covariance=covariance)
+        found.append(match_at([panoramas[0], raised], point)[1])
+    assert isinstance(found[0], Refusal)
+    assert isinstance(found[1], Sighting)
+    _, usual = match_at(panoramas, point)
+    assert isinstance(usual, Sighting)
+    assert found[1].azimuth_rad == pytest.approx(usual.azimuth_rad, abs=2e-4)
+    assert found[1].tangent == pytest.approx(usual.tangent, abs=5e-4)
+
+
+def points_on_walls(count: int = 24) -> FloatArray:
+    rng = np.random.default_rng(5)
+    return np.array(
+        [
+            ((6.0, rng.uniform(0.8, 4.2)), (rng.uniform(1.5, 5.0), 5.0))[k % 2]
+            + (rng.uniform(0.8, 1.4),)
+            for k in range(count)
+        ]
+    )
+
+
+def sightings_and_errors(
+    panoramas: list[Panorama], moved: Panorama | None = None
+) -> tuple[list[Sighting], FloatArray]:
+    """Sightings in the second view, believed to be where `moved` is, and their errors (n, 2)."""
+    found, errors = [], []
+    for point in points_on_walls():
+        patch, seen = match_at([panoramas[0], moved or panoramas[1]], point)
+        if isinstance(seen, Sighting):
+            truth = direction_to(panoramas[1], patch.position)
+            error = np.array([seen.azimuth_rad, seen.tangent]) - truth
+            error[0] = np.angle(np.exp(1j * error[0]))
+            found.append(seen)
+            errors.append(error)
+    return found, np.array(errors)
+
+
+def test_patches_are_found_again_from_the_other_place(panoramas: list[Panorama]) -> None:
+    found, errors = sightings_and_errors(panoramas)
+    assert len(found) > 15
+    assert {s.panorama for s in found} == {1}
+    assert min(s.score for s in found) > CONFIG.min_score
+    # A pixel is 4 mrad: a tenth of it, and as far as the covariance says.
+    assert np.abs(errors).max() < 8e-4
+    sigma = np.array([(s.sigma_azimuth_rad, s.sigma_tangent) for s in found])
+    assert np.mean((errors / sigma) ** 2) < 3.0
+
+
+def test_a_pose_that_is_a_little_wrong_changes_nothing(panoramas: list[Panorama]) -> None:
+    moved = replace(
+        panoramas[1],
+        center_map=CENTERS[1] + np.array([0.015, -0.01, 0.005]),
+        heading_rad=HEADINGS[1] + 0.004,
+    )
+    found, errors = sightings_and_errors(panoramas, moved)
+    assert len(found) > 15
+    # What is measured is the direction in the picture, which knows nothing of the pose.
+    assert np.abs(errors).max() < 1e-3
+
+
+def hanging(
+    scene: Scene, before_wall_m: float, at_m: float = 2.6, feature_m: float = 0.05
+) -> tuple[Scene, FloatArray]:
+    """Scene with a textured board before the east wall, and the board's centre."""
+    center = np.array([6.0 - before_wall_m, at_m, 1.15])
+    texture = smooth_texture(np.random.default_rng(9), 1.2, 1.2, feature_m)
+    board = Board(center, ROOM.normals[EAST], 1.2, 1.2, texture)
+    return replace(scene, boards=(*scene.boards, board)), center
+
+
+@pytest.mark.parametrize('before_wall_m', [0.05, 0.4])
+def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(
+    scene: Scene, before_wall_m: float
+) -> None:
+    changed, center = hanging(scene, before_wall_m)
+    panoramas = views_of(changed)
+    patch, seen = match_at(panoramas, center)
+    assert isinstance(seen, Sighting)
+    # Where the two rays meet, in plan, is the board, not the wall.
+    own = own_sighting(patch, panoramas[0])
+    azimuth = np.array([own.azimuth_rad + HEADINGS[0], seen.azimuth_rad + HEADINGS[1]])
+    rays = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    reach = np.linalg.solve(np.stack([rays[0], -rays[1]], -1), CENTERS[1][:2] - CENTERS[0][:2])
+    met = CENTERS[0][:2] + reach[0] * rays[0]
+    assert met[0] == pytest.approx(center[0], abs=0.015)
+
+
+def test_what_only_one_place_sees_is_refused(scene: Scene) -> None:
+    changed, center = hanging(scene, 0.8)
+    panoramas = [views_of(changed)[0], views_of(scene)[1]]
+    _, seen = match_at(panoramas, center)
+    assert isinstance(seen, Refusal)
+    assert seen.reason in (
+        'low correlation',
+        'ambiguous',
+        'peak at the border of the search window',
+    )
+
+
+def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it() -> None:
+    # Its rear edge lies on the wall, so both outlines agree; within them each place sees another
+    # part of its side, which reaches half a metre into the room.
+    grey = Board(np.array([6.0, 2.5, 1.25]), ROOM.normals[EAST], 5.0, 2.5, flat_texture(GREY))
+    front, rear = np.array([5.5, 4.1, 0.6]), np.array([6.0, 3.3, 1.2])
+    wood = smooth_texture(np.random.default_rng(5), 1.6, 1.2, 0.1) - 80.0
+    side = Board(np.array([5.75, rear[1], 0.6]), -ROOM.normals[0], 0.5, 1.2, wood)
+    face = Board(front, ROOM.normals[EAST], 1.6, 1.2, wood)
+    panoramas = views_of(Scene((grey, side, face)))
+    _, seen = match_at(panoramas, rear)
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'not flat'
+    _, seen = match_at(panoramas, rear, replace(CONFIG, max_displaced_px=100.0))
+    assert isinstance(seen, Sighting)
+
+
+def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:
+    beside = replace(panoramas[1], center_map=CENTERS[0] + [0.05, 0.0, 0.0])
+    _, seen = match_at([panoramas[0], beside], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'too little parallax'
+
+
+@pytest.mark.parametrize('before_wall_m', [0.0, 0.4])
+def test_from_one_side_it_is_the_scale_that_tells_what_is_on_the_wall(
+    scene: Scene, before_wall_m: float
+) -> None:
+    # Both places and the picture lie nearly on a line, one place half as far away.
+    changed, center = hanging(scene, before_wall_m + 1e-4, at_m=4.0, feature_m=0.025)
+    panoramas = views_of(changed)
+    patch = patch_at(panoramas[0], center, size=56)
+    assert isinstance(patch, WallPatch)
+    seen = match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, CONFIG)
+    if before_wall_m:
+        assert isinstance(seen, Refusal)
+    else:
+        assert isinstance(seen, Sighting)
+
+
+def test_a_wall_between_hides(panoramas: list[Panorama]) -> None:
+    patch = patch_at(panoramas[0], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(patch, WallPatch)
+    outside = replace(panoramas[1], center_map=np.array([2.0, -1.0, 1.1]))
+    seen = match_in(patch, 1, [panoramas[0], outside], greys_of(panoramas), ROOM, CONFIG)
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'hidden from the other place'
+
+
+def test_a_wall_seen_along_from_the_other_place_is_refused(panoramas: list[Panorama]) -> None:
+    patch = patch_at(panoramas[0], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(patch, WallPatch)
+    along = replace(panoramas[1], center_map=np.array([5.8, 4.5, 1.1]))
+    seen = match_in(patch, 1, [panoramas[0], along], greys_of(panoramas), ROOM, CONFIG)
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'too oblique from the other place'
+
+
+def test_a_patch_that_the_other_panorama_does_not_cover_is_refused(
+    panoramas: list[Panorama],
+) -> None:
+    mask: npt.NDArray[np.bool_] = np.zeros_like(panoramas[1].mask)
+    _, seen = match_at([panoramas[0], replace(panoramas[1], mask=mask)], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(seen, Refusal)
+    assert 'not covered' in seen.reason
+
+
+def test_a_place_close_to_a_wall_is_searched_within_reason() -> None:
+    patch = WallPatch(
+        Candidate(0.0, 0.0, 30, 30, 1.0),
+        source=0,
+        wall=0,
+        position=np.array([3.0, 0.0, 1.5]),
+        normal=np.array([0.0, 1.0, 0.0]),
+        shape=(30, 40),
+        texel_m=0.005,
+    )
+    cylinder = Cylinder.with_resolution(555.0, -0.4, 0.4)
+    here, there = (
+        Panorama(
+            0,
+            np.zeros((cylinder.height, cylinder.width, 3), np.uint8),
+            np.ones((cylinder.height, cylinder.width), np.bool_),
+            cylinder,
+            np.array(center),
+            0.0,
+            np.eye(4),
+        )
+        for center in ([2.0, 2.0, 1.1], [3.5, 0.35, 1.1])
+    )
+    greys = [np.zeros((cylinder.height, cylinder.width), np.float32)] * 2
+    tracemalloc.start()
+    match_in(patch, 1, [here, there], greys, rectangle_room(6.0, 4.0), StereoConfig())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6
