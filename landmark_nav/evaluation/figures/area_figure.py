@@ -82,7 +82,8 @@ def draw_observation_areas(
     tried = {test.landmark: test for test in tests}
     corners = np.array([wall.start for wall in room.walls])
     width, height = np.ptp(corners, axis=0) + 2.0 * _MARGIN_M
-    figure = new_figure(15.0, 2.0 * (5.6 * height / width + 0.8) + 1.2)
+    # Higher than needed: the layout leaves no room for labels below plans that fill their cells.
+    figure = new_figure(15.0, 2.0 * (5.9 * height / width + 1.1) + 1.2)
     top, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[0.04, 1.0])))
     grid = np.asarray(body.subplots(2, 4, width_ratios=[5.0, 1.0, 5.0, 1.0]))
     panels, patches = grid[:, ::2].ravel(), grid[:, 1::2].ravel()
@@ -142,7 +143,7 @@ def _draw_area(
         predicted = _predicted(landmark, room, test.xy)
         agree = int(np.sum(predicted == test.found)), len(predicted)
         inside, outside = test.found[predicted], test.found[~predicted]
-        title += f': found from {inside.sum()} of {len(inside)} places inside, '
+        title += f'\nfound from {inside.sum()} of {len(inside)} places inside, '
         title += f'{outside.sum()} of {len(outside)} outside'
     axes.set_title(title, fontsize=11)
     return agree
