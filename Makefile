@@ -21,7 +21,8 @@ NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector tri
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-offline test-nodes lint bench rooms landmarks alternatives cameras triangulation latency config test-oldest clean
+.PHONY: install demo test test-offline test-nodes lint bench rooms landmarks alternatives cameras triangulation \
+	latency papers bad-sweeps config test-oldest clean
 
 install: .venv/installed
 
@@ -77,6 +78,14 @@ triangulation: install
 # From picture to corrected pose on the live graph.
 latency: install
 	$(BIN)/python test/live_latency.py $(DRIVE) --map $(MAP) --room $(ROOM) --robot $(ROBOT) --start $(START)
+
+# Places that papers tell, errors against covariances.
+papers: install
+	$(BIN)/python test/papers_check.py
+
+# Sweeps that went wrong, through `learn`: a map that is right, or a clear refusal.
+bad-sweeps: install
+	$(BIN)/python test/bad_sweeps_check.py
 
 # The parameter files say what the code says; run it after changing a parameter.
 config: install

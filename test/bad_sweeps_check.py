@@ -3,7 +3,8 @@ Sweeps that went wrong, through ``landmark-nav learn``: a map that is right, or 
 
 ``python test/bad_sweeps_check.py`` simulates a room, takes sweeps in it under bad conditions, and
 learns from each pair of them. It exits with 1 if a map holds a landmark that lies farther from
-the truth than its covariance allows, or if something is refused for another reason than its own.
+the truth than its covariance allows, if the covariances of a map are too small as a whole, or if
+something is refused for another reason than its own. ``test/system/test_bad_sweeps.py`` runs some.
 """
 
 from __future__ import annotations
@@ -23,21 +24,25 @@ from landmark_truth import TrueWalls
 import numpy as np
 
 from landmark_nav.cli.main import main as landmark_nav
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.recording import sweep_messages
+from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Lamp, Scene
 from landmark_nav.simulation.setup_documents import robot_document, room_document
-from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.maps import load_map
 from landmark_nav.types import FloatArray
 
 # A landmark is wrong if it lies farther off than so many of its standard deviations, and this.
 MAX_SIGMAS, MAX_ERROR_M = 5.0, 0.03
+# Landmarks of a map share their error, so the mean of their NEES spreads no less than a single
+# chi-square of three degrees of freedom: 99 % of honest maps stay below.
+MAX_NEES = 11.3
 LEAST_LANDMARKS = 12
 
 
@@ -54,6 +59,7 @@ class Case:
     tilt_rad: float = 0.0
     people: int = 0
     few: bool = False  # a small map will do as well as the refusal
+    camera: CameraModel = DEFAULT_CAMERA
     frames: int = 48
 
 
@@ -154,16 +160,21 @@ def cases(seed: int) -> list[Case]:
 def record(case: Case, folder: Path, seed: int) -> None:
     """Write the bag of sweeps and what the robot is told."""
     factory = rosbag_factory()
+    renderers: dict[int, Renderer] = {}
     start_ns = 1_000_000_000_000
     with BagWriter(folder / 'learn') as bag:
         for scene, pose in case.sweeps:
+            if id(scene) not in renderers:
+                renderers[id(scene)] = Renderer(scene, case.camera)
             world = TiltedWorld(
                 scene,
                 pose,
                 seed,
+                camera=case.camera,
                 mount=case.true_mount,
                 config=WorldConfig(people=case.people),
                 start_ns=start_ns,
+                renderer=renderers[id(scene)],
             )
             world.tilt_rad = case.tilt_rad
             world.place(pose, -np.pi, case.tilt_rad)
@@ -204,15 +215,15 @@ def judge(case: Case, folder: Path, seed: int) -> tuple[bool, str]:
     sigmas = np.array(
         [np.sqrt(error @ np.linalg.solve(k.covariance, error) / 3.0) for error, k in errors]
     )
+    nees = 3.0 * float(np.mean(sigmas**2))
     wrong = int(np.sum((sigmas > MAX_SIGMAS) & (size > MAX_ERROR_M)))
     told = (
         f'{len(landmarks)} landmarks, {len(errors)} found in truth: '
         f'median {1e3 * np.median(size):.1f} mm, 95 % {1e3 * np.percentile(size, 95):.1f} mm, '
-        f'NEES {3.0 * np.mean(sigmas**2):.1f}, {wrong} wrong'
+        f'NEES {nees:.1f}, {wrong} wrong'
     )
-    return not wrong and (
-        case.few or (not case.refusal and len(landmarks) >= LEAST_LANDMARKS)
-    ), told
+    many = not case.refusal and len(landmarks) >= LEAST_LANDMARKS
+    return not wrong and nees < MAX_NEES and (case.few or many), told
 
 
 def main() -> int:

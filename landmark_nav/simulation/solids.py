@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.paper_colors import paper_bgr
-from landmark_nav.geometry.walls import Paper
+from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 from landmark_nav.simulation.surfaces import ImageArray, Surface
 from landmark_nav.simulation.textures import plaster, random_color, wood
@@ -47,17 +48,23 @@ class Solid:
 
 def wall_solids(scene: Scene) -> list[Solid]:
     """Every wall with what hangs on it."""
-    rng = np.random.default_rng([scene.seed, 1])
+    return list(_drawn_walls(scene.seed, scene.room, scene.items))
+
+
+# Drawing takes seconds, and scenes of one room in other light, or with other furniture, share it.
+@lru_cache(maxsize=1)
+def _drawn_walls(seed: int, room: Room, items: tuple[WallItem, ...]) -> tuple[Solid, ...]:
+    rng = np.random.default_rng([seed, 1])
     color = np.array([172.0, 186.0, 192.0]) * rng.uniform(0.88, 1.06) + rng.uniform(-10, 10, 3)
-    height = max(wall.height for wall in scene.room.walls)
+    height = max(wall.height for wall in room.walls)
     solids = []
-    for index, wall in enumerate(scene.room.walls):
+    for index, wall in enumerate(room.walls):
         start, end = np.array(wall.start), np.array(wall.end)
         across = np.append((start - end) / wall.length, 0.0)
         shape = (round(height / _WALL_TEXEL_M), round(wall.length / _WALL_TEXEL_M))
         tone = (float(color[0]), float(color[1]), float(color[2]))
-        texture = plaster(np.random.default_rng([scene.seed, 2, index]), shape, tone, 0.002)
-        for item in scene.items:
+        texture = plaster(np.random.default_rng([seed, 2, index]), shape, tone, 0.002)
+        for item in items:
             if item.wall == index:
                 left = wall.length - item.along_m - item.width_m / 2
                 top = height - item.center_z_m - item.height_m / 2
@@ -68,11 +75,11 @@ def wall_solids(scene: Scene) -> list[Solid]:
         ]
         surfaces += [
             _paper_surface(paper, across)
-            for paper in scene.room.papers
-            if scene.room.nearest_wall(paper.center[:2]) == index
+            for paper in room.papers
+            if room.nearest_wall(paper.center[:2]) == index
         ]
         solids.append(Solid(np.array([start, end]), tuple(surfaces)))
-    return solids
+    return tuple(solids)
 
 
 def _hang(

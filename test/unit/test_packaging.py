@@ -165,3 +165,12 @@ def test_the_prefix_holds_what_ros_looks_for(
     for executable in (prefix / 'lib' / 'landmark_nav').iterdir():
         assert os.access(executable, os.X_OK)
         assert os.access(prefix / 'bin' / executable.name, os.X_OK)
+
+
+def test_make_has_what_the_documents_name() -> None:
+    makefile = (REPOSITORY / 'Makefile').read_text(encoding='utf-8')
+    targets = set(re.findall(r'^([a-z-]+):', makefile, re.MULTILINE))
+    for name in ('README.md', 'CONTRIBUTING.md'):
+        told = set(re.findall(r'`make ([a-z-]+)', (REPOSITORY / name).read_text(encoding='utf-8')))
+        assert told
+        assert told <= targets

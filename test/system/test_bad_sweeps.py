@@ -1,0 +1,38 @@
+"""Sweeps that went wrong, through `learn`: a few of the cases of `make bad-sweeps`, in small."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from bad_sweeps_check import Case, cases, judge
+import pytest
+
+from landmark_nav.cli import learn
+from landmark_nav.geometry.camera import CameraModel
+
+SEED = 5100
+# A small picture with a wide view: few make a turn.
+CAMERA = CameraModel(300, 300, 230.0, 230.0, 149.5, 149.5)
+
+
+@pytest.fixture(scope='module')
+def known() -> dict[str, Case]:
+    return {case.name: replace(case, camera=CAMERA, frames=16) for case in cases(SEED)}
+
+
+@pytest.mark.parametrize(
+    'name',
+    [
+        'a lamp switched between',
+        'an overexposed window',
+        'upside down, as told',
+        'people in most pictures',
+    ],
+)
+def test_a_map_is_right_or_the_refusal_clear(
+    known: dict[str, Case], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learn, '_draw', lambda *_: None)  # a third of the time
+    good, told = judge(known[name], tmp_path, SEED)
+    assert good, told
