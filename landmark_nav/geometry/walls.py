@@ -179,9 +179,13 @@ class Room:
 
     def nearest_wall(self, points_xy: npt.ArrayLike) -> IntArray:
         """Index of the wall nearest to points (..., 2)."""
+        return np.asarray(np.argmin(self.wall_distances(points_xy), -1))
+
+    def wall_distances(self, points_xy: npt.ArrayLike) -> FloatArray:
+        """Distances (..., walls) of points (..., 2) from the walls, metres."""
         points = np.asarray(points_xy, dtype=np.float64)[..., None, :]
         side = self._ends - self._starts
         length_sq = np.sum(side**2, -1)
         t = np.clip(np.sum((points - self._starts) * side, -1) / length_sq, 0.0, 1.0)
         foot = self._starts + t[..., None] * side
-        return np.asarray(np.argmin(np.sum((points - foot) ** 2, -1), -1))
+        return np.asarray(np.linalg.norm(points - foot, axis=-1))

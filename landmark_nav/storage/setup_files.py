@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from landmark_nav.errors import LandmarkNavError
@@ -17,6 +18,10 @@ __all__ = ['load_robot', 'load_room', 'read_yaml_mapping']
 
 # libyaml, where PyYAML has it, reads a map ten times as fast.
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+
+# Walls and papers are measured to a few centimetres, with the papers perhaps on a frame; what is
+# farther off its wall was not measured but mistaken.
+_MAX_OFF_WALL_M = 0.1
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
@@ -41,7 +46,7 @@ def load_room(path: Path | str) -> Room:
     Raises
     ------
     LandmarkNavError
-        Missing or malformed fields; walls that are open or cross.
+        Missing or malformed fields; walls that are open or cross; papers that hang on no wall.
 
     """
     path = Path(path)
@@ -61,7 +66,10 @@ def load_room(path: Path | str) -> Room:
             _paper(paper, f'papers[{i}]')
             for i, paper in enumerate(list_field(area, 'papers', 'reference_area') if area else [])
         )
-        return Room(walls, papers, str(document.get('frame_id', 'map')))
+        room = Room(walls, papers, str(document.get('frame_id', 'map')))
+        for i, paper in enumerate(papers):
+            _check_on_wall(paper, room, f'papers[{i}]')
+        return room
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
 
@@ -77,6 +85,18 @@ def _paper(document: Any, where: str) -> Paper:
     if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
         raise LandmarkNavError(f'{where}: {width:g} x {height:g} m is no size of a paper')
     return Paper(color, _point(document, 'center', 3, where), width, height)
+
+
+def _check_on_wall(paper: Paper, room: Room, where: str) -> None:
+    x, y, z = paper.center
+    aside = room.wall_distances([x, y])
+    wall = room.walls[int(np.argmin(aside))]
+    off = float(np.hypot(aside.min(), max(-z, z - wall.height, 0.0)))
+    if off > _MAX_OFF_WALL_M:
+        raise LandmarkNavError(
+            f'{where} ({paper.color}) is {100.0 * off:.0f} cm from its nearest wall, {wall.id}: '
+            'measure paper and wall again'
+        )
 
 
 def load_robot(path: Path | str) -> PanTiltMount:

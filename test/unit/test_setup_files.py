@@ -59,6 +59,26 @@ def test_papers_that_cannot_be_looked_for_are_refused(
         load_room(written(tmp_path, changed))
 
 
+@pytest.mark.parametrize(
+    ('center', 'complaint'),
+    [
+        ('[3, 0.6, 1.5]', '60 cm from its nearest wall, south'),
+        ('[99, 0, 1.5]', '9500 cm from its nearest wall'),
+        ('[1, 0, 2.8]', '30 cm from its nearest wall, south'),
+        ('[1, -0.11, 1.5]', '11 cm from'),
+    ],
+)
+def test_papers_hang_on_a_wall(tmp_path: Path, center: str, complaint: str) -> None:
+    path = written(tmp_path, ROOM.replace('[1, 0, 1.5]', center))
+    with pytest.raises(LandmarkNavError, match=rf'papers\[0\] \(red\) is {complaint}'):
+        load_room(path)
+
+
+def test_papers_may_be_off_by_what_measuring_errs(tmp_path: Path) -> None:
+    (paper,) = load_room(written(tmp_path, ROOM.replace('[1, 0, 1.5]', '[1, 0.05, 1.5]'))).papers
+    assert paper.center == (1, 0.05, 1.5)
+
+
 def test_robot_as_written_and_defaults(tmp_path: Path) -> None:
     mount = load_robot(written(tmp_path, ROBOT))
     assert mount.axis_xyz == (0.1, 0, 1.1)
