@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 import json
 from pathlib import Path
@@ -28,6 +29,7 @@ from landmark_nav.learning.pipeline import (
 )
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.storage.bags import Bag, read_sweeps
+from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.storage.whole import whole_folder, write_whole
@@ -37,6 +39,11 @@ __all__ = ['add_parser', 'run']
 
 # Stages of `learn_from_panoramas`, for the bar.
 _LEARNING_STAGES = 4
+
+
+@dataclass(frozen=True)
+class _Stages(PanoramaStages, LearningConfig):
+    """Parameters of all stages, from sweeps to map: the sections of ``--config``."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -57,6 +64,12 @@ def add_parser(subparsers: Any) -> None:
         '--out', required=True, metavar='MAP', type=Path, help='map folder to write'
     )
     parser.add_argument(
+        '--config',
+        metavar='F',
+        help='parameters that differ from the defaults: YAML with the sections panorama, '
+        'calibration, reference_area, attention, stereo, adjustment, wall_fit and election',
+    )
+    parser.add_argument(
         '--json', metavar='F', type=Path, help='write counts, errors and times to F'
     )
 
@@ -65,12 +78,13 @@ def run(args: argparse.Namespace) -> int:
     """Learn, draw, write; nothing is written unless all went well."""
     begin = time.perf_counter()
     room, mount = load_room(args.room), load_robot(args.robot)
+    config = load_config(args.config, _Stages()) if args.config else _Stages()
     bag = Bag(args.bag)
     log = StageLog()
     with whole_folder(args.out, MAP_FILES) as folder:
-        panoramas, frames = _panoramas(bag, room, mount, log)
+        panoramas, frames = _panoramas(bag, room, mount, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
-        result = learn_from_panoramas(panoramas, room, LearningConfig(), shown)
+        result = learn_from_panoramas(panoramas, room, config, shown)
         result.map.provenance.update(_provenance(args))
         with shown.measure('drawing'):  # one more than the bar has: it is gone by then
             _draw(result, room, folder)
@@ -100,7 +114,7 @@ class _ShownStages(StageLog):
 
 
 def _panoramas(
-    bag: Bag, room: Room, mount: PanTiltMount, log: StageLog
+    bag: Bag, room: Room, mount: PanTiltMount, config: PanoramaStages, log: StageLog
 ) -> tuple[list[Panorama], list[int]]:
     """Make the panoramas of a bag, and count the frames of each."""
     trajectory = bag.find('sweep/trajectory')
@@ -114,7 +128,7 @@ def _panoramas(
         if sweep is None:
             return panoramas, frames
         try:
-            panoramas.append(panorama_from_sweep(sweep, room, mount, PanoramaStages(), log))
+            panoramas.append(panorama_from_sweep(sweep, room, mount, config, log))
         except LandmarkNavError as error:
             raise LandmarkNavError(
                 f'{bag.path}: sweep {len(frames) + 1} (of {sweep.stamp_ns * 1e-9:.1f} s): {error}'

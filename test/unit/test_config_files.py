@@ -1,12 +1,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from landmark_nav.cli import learn
+from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.learning.attention import AttentionConfig, FEATURES
+from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.config_files import load_config
+
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
 
 
 def load(tmp_path: Path, text: str) -> LocalizationConfig:
@@ -43,3 +50,58 @@ def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
 def test_what_cannot_be_is_named(tmp_path: Path, text: str, complaint: str) -> None:
     with pytest.raises(LandmarkNavError, match=rf'config\.yaml.*{complaint}'):
         load(tmp_path, text)
+
+
+def learn_command(config: Path) -> list[str]:
+    room, robot = str(BAGS / 'room.yaml'), str(BAGS / 'robot.yaml')
+    files = ['--room', room, '--robot', robot, '--config', str(config)]
+    return ['learn', str(BAGS / 'learn'), *files, '--out', str(config.parent / 'map')]
+
+
+def test_learn_takes_parameters_of_all_its_stages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    met: list[Any] = []
+
+    def panorama_from_sweep(*arguments: Any) -> object:
+        met.append(arguments[3])
+        return object()
+
+    def learn_from_panoramas(panoramas: Any, room: Any, config: Any, log: Any) -> None:
+        met.append(config)
+        raise LandmarkNavError('enough')
+
+    monkeypatch.setattr(learn, 'panorama_from_sweep', panorama_from_sweep)
+    monkeypatch.setattr(learn, 'learn_from_panoramas', learn_from_panoramas)
+    path = tmp_path / 'learn.yaml'
+    weights = ', '.join(f'weight_{name}: {int(name == "corners")}' for name in FEATURES)
+    sizes = 'size_min_px: 20, size_max_px: 64'
+    path.write_text(
+        f'panorama: {{blend: mean, crop_px: 350}}\nattention: {{{weights}, {sizes}}}\n'
+    )
+    assert main(learn_command(path)) == 1
+    assert 'enough' in capsys.readouterr().err
+    assert len(met) == 3
+    for config in met:
+        assert (config.panorama.blend, config.panorama.crop_px) == ('mean', 350)
+    assert met[-1].attention.weights == AttentionConfig().alone('corners').weights
+    assert met[-1].attention.sizes_px[0] == 20
+    assert met[-1].attention.sizes_px[-1] == 64
+    assert met[-1].stereo == StereoConfig()
+
+
+def test_learn_refuses_parameters_that_cannot_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'learn.yaml'
+    for text, complaint in (
+        ('panorama: {blend: best}', 'panorama: parameter blend of PanoramaConfig'),
+        ('attention: {size_min_px: 64}', 'size_min_px of AttentionConfig is 64, above'),
+        ('localization: {}', "no parameter 'localization': there are adjustment, attention"),
+    ):
+        path.write_text(text)
+        assert main(learn_command(path)) == 1
+        told = capsys.readouterr().err
+        assert str(path) in told
+        assert complaint in told
+    assert [p.name for p in tmp_path.iterdir()] == ['learn.yaml']
