@@ -67,7 +67,7 @@ class PlaceSearch:
     map_frame : str
         Frame of the place.
     fused : callable
-        Gives the newest fused pose, None where that is too old to tell of a time.
+        Gives the newest fused pose, None where that is too far from a time to tell of it.
     odometry : OdometryNoiseConfig
         How far the odometry is to be trusted.
 
@@ -141,7 +141,7 @@ class PlaceSearch:
             relocalizer.add_odometry(self._odometry.popleft())
         outcome = self._outcome = relocalizer.add_frame(frame)
         # That took a while, in which somebody may have told the place.
-        self.consider(frame.stamp_ns)
+        self.consider(self._odometry[-1].stamp_ns if self._odometry else frame.stamp_ns)
         if isinstance(outcome, PoseEstimate) and self.active:
             # The filter may not reach back to the picture.
             while self._odometry:

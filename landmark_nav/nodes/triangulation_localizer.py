@@ -150,18 +150,17 @@ class TriangulationLocalizerNode(LandmarkNode):
             raise
 
     def _use(self, message: Any) -> None:
-        stamp = decode.stamp_ns(message.header)
-        self._search.consider(stamp)
-        if self._search.active:
-            self._look(message)
-            if self._prior.recent(stamp) is None:
-                return
-        age_s = 1e-9 * self._age_ns(message)
+        age_s, stamp = 1e-9 * self._age_ns(message), decode.stamp_ns(message.header)
         if self._config.max_age_s < age_s < _OTHER_CLOCK_S:
             self._stale += 1
             late = f'pictures arrive {age_s:.1f} s late'
             self._health = Health(Level.DEGRADED, late, {'stale': self._stale})
             return
+        self._search.consider(stamp)
+        if self._search.active:
+            self._look(message)
+            if self._prior.recent(stamp) is None:
+                return
         start = time.monotonic()
         seen = self._observe(message)
         self._detections.publish(

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.localization.triplet import Gaze, TripletConfig
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.localization.triplet.ranking import Ranking
@@ -81,8 +80,9 @@ class TripletSelectorNode(LandmarkNode):
         self.create_timer(self._config.period_s, self._choose)
 
     def health(self) -> Health:
-        """What was chosen last."""
-        return self._health
+        """What was chosen last, or what a choice waits for; also while the clock stands."""
+        missing = self._missing()
+        return Health(Level.DEGRADED, missing) if missing else self._health
 
     def _on_fused(self, message: Any) -> None:
         self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
@@ -104,23 +104,21 @@ class TripletSelectorNode(LandmarkNode):
             self._yield_until = time.monotonic() + self._config.yield_s
             self._commanded_rad = pan_rad
 
-    def _choose(self) -> None:
+    def _missing(self) -> str:
+        """What a choice still needs, in words; nothing where it has all."""
         silent_s = time.monotonic() - self._fused_s
         if self._camera is None:
-            self._wait('no landmarks: call learn_landmarks or load_map')
-        elif self._fused is None:
-            self._wait('no fused pose: give a start on initialpose or call relocalize')
-        elif silent_s > _SILENCE_S:
-            self._wait(f'no fused pose for {silent_s:.1f} s')
-        elif self._frames.camera is None:
-            self._wait('nothing on camera/camera_info')
-        else:
-            self._choose_with(self._camera, self._fused, self._frames.camera)
+            return 'no landmarks: call learn_landmarks or load_map'
+        if self._fused is None:
+            return 'no fused pose: give a start on initialpose or call relocalize'
+        if silent_s > _SILENCE_S:
+            return f'no fused pose for {silent_s:.1f} s'
+        return '' if self._frames.camera is not None else 'nothing on camera/camera_info'
 
-    def _wait(self, reason: str) -> None:
-        self._health = Health(Level.DEGRADED, reason)
-
-    def _choose_with(self, active: ActiveCamera, fused: PoseEstimate, model: CameraModel) -> None:
+    def _choose(self) -> None:
+        active, fused, model = self._camera, self._fused, self._frames.camera
+        if active is None or fused is None or model is None or self._missing():
+            return
         start = time.perf_counter()
         limits = (self._config.pan_min_rad, self._config.pan_max_rad)
         gaze = Gaze(self._frames.pan_rad, self._frames.tilt_rad, limits)

@@ -7,11 +7,13 @@ from itertools import count
 import json
 import os
 from pathlib import Path
+import subprocess
 import sys
 from typing import Any, TYPE_CHECKING
 
 import pytest
 
+from landmark_nav.cli.main import main
 from landmark_nav.demo.graph import config_folder, node_environment
 from landmark_nav.demo.supervisor import Supervisor
 
@@ -44,6 +46,34 @@ def start(supervisor: Supervisor) -> Callable[..., None]:
         supervisor.start(name, [*command, *(w for s in settings for w in ('-p', s))])
 
     return start_node
+
+
+@pytest.fixture(scope='session')
+def learned_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of what is learned of the recorded room."""
+    folder = tmp_path_factory.mktemp('learned') / 'map'
+    recorded = Path(__file__).resolve().parents[2] / 'bags'
+    inputs = ['--room', str(recorded / 'room.yaml'), '--robot', str(recorded / 'robot.yaml')]
+    assert main(['learn', str(recorded / 'learn'), *inputs, '--out', str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def play(domain_id: int) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Play a bag in a process of its own."""
+    players = []
+
+    def play_bag(bag: Path, rate: float = 1.0) -> subprocess.Popen[bytes]:
+        parameters = {'bag': json.dumps(str(bag)), 'rate': rate, 'start_delay_s': 3.0}
+        words = (w for key, value in parameters.items() for w in ('-p', f'{key}:={value}'))
+        command = [sys.executable, '-m', 'landmark_nav.nodes.bag_player', '--ros-args', *words]
+        players.append(subprocess.Popen(command, env=node_environment(domain_id)))
+        return players[-1]
+
+    yield play_bag
+    for player in players:
+        player.kill()
+        player.wait()
 
 
 @pytest.fixture

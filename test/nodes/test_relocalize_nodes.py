@@ -1,19 +1,14 @@
-"""A robot that nobody told where it is finds its place, asked by service or not, over DDS."""
+"""A robot that nobody told where it is finds its place, asked by service, over DDS."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-import json
 from pathlib import Path
-import subprocess
-import sys
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from landmark_nav.cli.main import main
-from landmark_nav.demo.graph import node_environment
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.messages import decode
@@ -27,17 +22,13 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 
 
-@pytest.mark.parametrize('asked', [True, False])
 def test_the_place_found_starts_the_fusion(
-    start: Callable[..., None], client: RobotClient, domain_id: int, tmp_path: Path, asked: bool
+    start: Callable[..., None], client: RobotClient, play: Callable[..., Any], learned_map: Path
 ) -> None:
     room, robot = str(RECORDED / 'room.yaml'), str(RECORDED / 'robot.yaml')
-    learned = str(tmp_path / 'map')
-    inputs = ['--room', room, '--robot', robot]
-    assert main(['learn', str(RECORDED / 'learn'), *inputs, '--out', learned]) == 0
     localizer = 'triangulation_localizer'
-    start('landmark_learner', room_file=room, map_folder=learned)
-    search = {'relocalization.search_s': 30.0, 'relocalization.when_lost': not asked}
+    start('landmark_learner', room_file=room, map_folder=str(learned_map))
+    search = {'relocalization.search_s': 30.0, 'relocalization.when_lost': False}
     start(localizer, robot_file=robot, **search)
     start('odometry_fusion', robot_file=robot)
     client.wait(lambda: client.said('odometry_fusion').reason != '', 60.0, 'the nodes')
@@ -45,19 +36,11 @@ def test_the_place_found_starts_the_fusion(
     client.wait(lambda: 'no picture' in client.said(localizer).reason, 30.0, 'the map')
 
     drive = Bag(RECORDED / 'drive')
-    bag = json.dumps(str(drive.path))
-    command = [sys.executable, '-m', 'landmark_nav.nodes.bag_player', '--ros-args']
-    command += ['-p', f'bag:={bag}', '-p', 'rate:=0.5', '-p', 'start_delay_s:=3.0']
-    player = subprocess.Popen(command, env=node_environment(domain_id))
-    try:
-        if asked:
-            assert client.call('relocalize', 40.0).startswith('found at')
-        client.wait(lambda: client.fused is not None, 5.0 if asked else 40.0, 'a fused pose')
-        assert client.fused is not None
-        fused = client.fused
-    finally:
-        player.kill()
-        player.wait()
+    play(drive.path, 0.5)
+    assert client.call('relocalize', 40.0).startswith('found at')
+    client.wait(lambda: client.fused is not None, 5.0, 'a fused pose')
+    assert client.fused is not None
+    fused = client.fused
     truth = PoseTrack.of(
         (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
         for entry in drive.messages([drive.require('ground_truth/odom')])

@@ -6,13 +6,11 @@ from collections.abc import Callable
 import json
 from pathlib import Path
 import subprocess
-import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from landmark_nav.demo.graph import node_environment
 from landmark_nav.evaluation.metrics import error_summary, pose_errors
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.messages import decode
@@ -39,38 +37,19 @@ def recorded() -> Path:
     return found[0].parent
 
 
-class Player:
-    """Plays a bag in a process of its own."""
-
-    def __init__(self, bag: Path, rate: float, domain_id: int) -> None:
-        parameters = {'bag': json.dumps(str(bag)), 'rate': rate, 'start_delay_s': 3.0}
-        words = (w for key, value in parameters.items() for w in ('-p', f'{key}:={value}'))
-        command = [sys.executable, '-m', 'landmark_nav.nodes.bag_player', '--ros-args', *words]
-        self._process = subprocess.Popen(command, env=node_environment(domain_id))
-
-    def done(self) -> bool:
-        status = self._process.poll()
-        assert status in (None, 0)
-        return status == 0
-
-    def stop(self) -> None:
-        self._process.kill()
-        self._process.wait()
-
-
 @pytest.fixture
-def play(domain_id: int, client: RobotClient) -> Callable[..., None]:
+def play_all(
+    play: Callable[..., subprocess.Popen[bytes]], client: RobotClient
+) -> Callable[..., None]:
     def play_bag(bag: Path, rate: float, meanwhile: Callable[[], None] = lambda: None) -> None:
-        player = Player(bag, rate, domain_id)
+        player = play(bag, rate)
 
         def over() -> bool:
             meanwhile()
-            return player.done()
+            assert player.poll() in (None, 0)
+            return player.poll() == 0
 
-        try:
-            client.wait(over, 120.0, f'the end of {bag}')
-        finally:
-            player.stop()
+        client.wait(over, 120.0, f'the end of {bag}')
 
     return play_bag
 
@@ -79,7 +58,7 @@ def test_learned_and_localized_as_offline(
     recorded: Path,
     start: Callable[..., None],
     client: RobotClient,
-    play: Callable[..., None],
+    play_all: Callable[..., None],
     tmp_path: Path,
 ) -> None:
     robot, room = str(recorded / 'robot.yaml'), str(recorded / 'room.yaml')
@@ -94,7 +73,7 @@ def test_learned_and_localized_as_offline(
     )
     client.wait(lambda: all(client.said(name).reason for name in nodes), 60.0, 'the nodes')
     sweeps = Bag(recorded / 'learn').counts['/sweep/trajectory']
-    play(recorded / 'learn', 20.0)
+    play_all(recorded / 'learn', 20.0)
     client.wait(
         lambda: client.said('landmark_learner').values.get('panoramas') == str(sweeps),
         60.0,
@@ -117,7 +96,7 @@ def test_learned_and_localized_as_offline(
         elif client.odometry is not None:
             client.start_at(told)
 
-    play(recorded / 'drive', 1.0, take)
+    play_all(recorded / 'drive', 1.0, take)
     truth = PoseTrack.of(
         (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
         for entry in drive.messages([drive.require('ground_truth/odom')])

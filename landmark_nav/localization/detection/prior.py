@@ -41,9 +41,9 @@ class PriorTrack:
         self._known.append((pose, speeds.linear_m_s, speeds.angular_rad_s))
 
     def recent(self, stamp_ns: int) -> PoseEstimate | None:
-        """The last one; None where that is too old to tell of a time, or none came."""
+        """The last one; None where that is too far from a time to tell of it, or none came."""
         newest = self._known[-1][0] if self._known else None
-        return newest if newest and stamp_ns - newest.stamp_ns <= self._max_age_ns else None
+        return newest if newest and abs(stamp_ns - newest.stamp_ns) <= self._max_age_ns else None
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether a pose is known from which the speeds lead to that time well enough."""

@@ -1,0 +1,125 @@
+"""Nodes that run go on through what happens to a robot; on the clock of a bag, over DDS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+import json
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from landmark_nav.demo.graph import node_environment
+from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.messages import decode, encode
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.maps import load_map
+from landmark_nav.types import LandmarkMap, PoseEstimate
+
+if TYPE_CHECKING:
+    from landmark_nav.ros.robot_client import RobotClient
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+from landmark_nav.ros.factory import message_class, ros_factory
+
+RECORDED = Path(__file__).resolve().parents[2] / 'bags'
+ROBOT = str(RECORDED / 'robot.yaml')
+FUSION, LOCALIZER, SELECTOR = 'odometry_fusion', 'triangulation_localizer', 'triplet_selector'
+
+
+@contextmanager
+def fusion(domain_id: int) -> Iterator[None]:
+    """Run the fusion in a process that may end before the others."""
+    command = [sys.executable, '-m', f'landmark_nav.nodes.{FUSION}', '--ros-args']
+    command += ['-p', f'robot_file:={json.dumps(ROBOT)}', '-p', 'use_sim_time:=true']
+    process = subprocess.Popen(command, env=node_environment(domain_id))
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Watch:
+    """Compares what is fused with the truth."""
+
+    def __init__(self, client: RobotClient, drive: Bag) -> None:
+        self._client = client
+        self.last = PoseEstimate(0, np.zeros(3), np.eye(3))
+        self._truth = PoseTrack.of(
+            (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
+            for entry in drive.messages([drive.require('ground_truth/odom')])
+        )
+
+    def wait(self, seconds: float, what: str) -> None:
+        """Until a pose comes that claims to be well known, and is."""
+        self._client.fused = None
+        self._client.wait(self._right, seconds, what)
+
+    def _right(self) -> bool:
+        fused, self._client.fused = self._client.fused, None
+        if fused is None or np.trace(fused.covariance[:2, :2]) > 0.05**2:
+            return False
+        self.last = fused
+        error = pose_errors(fused.pose[None], self._truth.at([fused.stamp_ns]))[0]
+        return bool(np.hypot(*error[:2]) < 0.05 and abs(error[2]) < np.radians(1.0))
+
+
+def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
+    start: Callable[..., None],
+    client: RobotClient,
+    play: Callable[..., Any],
+    learned_map: Path,
+    domain_id: int,
+) -> None:
+    drive, whole = Bag(RECORDED / 'drive'), load_map(learned_map)
+    half = replace(whole, landmarks=whole.landmarks[::2])
+    publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
+    ranked: list[int] = []
+
+    def tell(landmark_map: LandmarkMap, stamp_ns: int) -> None:
+        messages = encode.landmark_map(ros_factory, landmark_map, stamp_ns)
+        for publisher, message in zip(publishers, messages, strict=False):
+            publisher.publish(message)
+
+    def known() -> int:
+        return int(client.said(FUSION).values.get('landmarks', '0'))
+
+    def said(node: str, words: str) -> Callable[[], bool]:
+        return lambda: words in client.said(node).reason
+
+    watch = Watch(client, drive)
+    tell(whole, 1)
+    for node in (LOCALIZER, SELECTOR):
+        start(node, robot_file=ROBOT, use_sim_time=True)
+    kind, topic = message_class('sensor_msgs/msg/PointCloud2'), f'{SELECTOR}/ranking'
+    client._node.create_subscription(kind, topic, lambda cloud: ranked.append(cloud.width), 10)
+    with fusion(domain_id):
+        client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map')
+        client.wait(said(LOCALIZER, 'no picture'), 30.0, 'what the localizer waits for')
+        client.wait(said(SELECTOR, 'no fused pose'), 30.0, 'what the selector waits for')
+        play(drive.path)
+        watch.wait(20.0, 'the place, which nobody asked for')
+        client.wait(lambda: max(ranked, default=0) > 1, 3.0, 'the ranking')
+        # Ages of pictures make sense on the clock of the bag alone.
+        client.wait(lambda: 'latency_median_ms' in client.said(LOCALIZER).values, 5.0, 'ages')
+    with fusion(domain_id):
+        watch.wait(20.0, 'the place after a restart')
+        tell(half, 2)
+        client.wait(lambda: known() == len(half.landmarks), 5.0, 'the other map')
+        # The clock is set back, and the robot is elsewhere.
+        play(drive.path)
+        client.wait(said(LOCALIZER, 'no picture'), 20.0, 'the end of the bag')
+        watch.wait(20.0, 'the place by the new clock')
+        client.wait(said(FUSION, 'tracking'), 5.0, 'the word tracking')
+        wrong = replace(watch.last, pose=watch.last.pose + np.array([0.8, 0.6, 0.0]))
+        client.start_at(replace(wrong, covariance=np.diag(np.square([0.01, 0.01, 0.01]))))
+        client.wait(lambda: client.said(FUSION).lost, 4.0, 'the word lost')
+        watch.wait(10.0, 'the place after a wrong start')
