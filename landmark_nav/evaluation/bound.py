@@ -64,7 +64,9 @@ def posterior_bound(
 
     """
     told = replace(config.fusion, mode='bearings', landmarks='refine', bearing_probability=1.0)
-    ideal = PoseFilter(landmark_map, mount, told, config.odometry, config.health)
+    # Bearings without noise are nothing to learn noise from.
+    odometry = replace(config.odometry, learning_sigma=0.0)
+    ideal = PoseFilter(landmark_map, mount, told, odometry, config.health)
     bound = np.full((len(sightings), 3, 3), np.nan)
     begin = max(start.stamp_ns, int(truth.stamps_ns[0])) if len(truth) else 0
     poses = truth.at([begin, *(seen.stamp_ns for seen in sightings)])

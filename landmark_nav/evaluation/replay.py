@@ -52,6 +52,8 @@ class Replay:
         Computing time of the whole run, reading and decoding included.
     odometry_noise : OdometryNoiseConfig
         How far the odometry was to be trusted, as it turned out in the end.
+    sighting_sigma : float
+        Factor on what sightings claimed as their sigmas, as it turned out in the end.
 
     """
 
@@ -63,6 +65,7 @@ class Replay:
     truth: PoseTrack
     seconds: float
     odometry_noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+    sighting_sigma: float = 1.0
 
     @property
     def stamps_ns(self) -> npt.NDArray[np.int64]:
@@ -187,6 +190,7 @@ def replay(
         PoseTrack.of(truth),
         time.perf_counter() - begin,
         localizer.odometry_noise,
+        localizer.sighting_sigma,
     )
 
 

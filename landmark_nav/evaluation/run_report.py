@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
@@ -60,7 +60,12 @@ def run_report(
     was given; ``spells`` are the stretches of pictures in which the state was coasting or lost.
     """
     bound = posterior_bound(
-        run.truth, [_used(u) for u in run.updates], landmark_map, mount, config, run.start
+        run.truth,
+        [_used(u, run.sighting_sigma) for u in run.updates],
+        landmark_map,
+        mount,
+        config,
+        run.start,
     )
     nees = consistency(errors.fused, run.fused_covariances)
     took_ms = 1e3 * run.update_seconds
@@ -96,6 +101,7 @@ def run_report(
             'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
             'slip_sigma': run.odometry_noise.slip_sigma,
         },
+        'sighting_sigma': run.sighting_sigma,
         'found': {
             'after_s': 1e-9 * float(run.start.stamp_ns - begin),
             'pose': list(run.start.pose),
@@ -119,9 +125,10 @@ def _spells(run: Replay, begin_ns: int) -> list[dict[str, Any]]:
     return spells
 
 
-def _used(update: LocalizationUpdate) -> Detections:
+def _used(update: LocalizationUpdate, sighting_sigma: float) -> Detections:
     """Return the detections of a picture that the filter took; a pose is made of all."""
     found = update.observation.detections
+    found = replace(found, variance_rad2=sighting_sigma**2 * found.variance_rad2)
     if update.fusion.refusal is not None:
         keep = np.zeros(len(found), dtype=np.bool_)
     elif len(update.fusion.accepted_ids):

@@ -140,6 +140,11 @@ class Localizer:
         """How far odometry is to be trusted, as far as it was learned."""
         return self._filter.odometry_noise
 
+    @property
+    def sighting_sigma(self) -> float:
+        """Factor on what sightings claim as their sigmas, as far as it was learned."""
+        return self._filter.sighting_sigma
+
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
         """Pose of the base at a time, the newest by default; None before one is known."""
         return self._filter.estimate(stamp_ns)

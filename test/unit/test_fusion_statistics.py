@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
+from landmark_nav.localization.fusion.state import BORESIGHT, HEADING
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import base_from_axis
@@ -95,6 +96,74 @@ def test_how_noisy_the_wheels_are_is_learned(factor: float) -> None:
     assert off[1] < 1.8
     low, high = chi2.ppf([0.025, 0.975], 3 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
+
+
+@pytest.mark.parametrize('factor', [0.5, 2.0])
+def test_how_noisy_sightings_are_is_learned(factor: float) -> None:
+    claimed, found, nees = 2e-3, [], []
+    for seed in range(8):
+        rng = np.random.default_rng([seed, 10])
+        true_map = landmark_map(14, seed=seed)
+        fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, FusionConfig(), NOISE)
+        fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
+        for k, moment in enumerate(drive(300, rng, NOISE)):
+            fused.add_odometry(moment.odometry)
+            if k % 4 == 0:
+                places = (int(rng.integers(14)) + np.arange(8)) % 14
+                noise = factor * rng.normal(0.0, claimed, 8)
+                noise += rng.normal(0.0, FusionConfig().pan_sigma_rad)
+                stamp = moment.odometry.stamp_ns
+                seen = detections(true_map, moment.pose, stamp, places, claimed, noise)
+                fused.add_detections(seen)
+        found.append(fused.sighting_sigma)
+        error, final = error_of(fused.estimate(), moment.pose), fused.estimate()
+        assert final is not None
+        nees.append(error @ np.linalg.solve(final.covariance, error))
+    assert np.exp(np.mean(np.log(found))) == pytest.approx(factor, rel=0.2)
+    low, high = chi2.ppf([0.025, 0.975], 3 * len(nees)) / len(nees)
+    assert low < np.mean(nees) < high
+
+
+def test_a_few_lucky_sightings_claim_little() -> None:
+    """Four pictures without any error, in the worst case, leave the noise near what it was."""
+    true_map = landmark_map(14)
+    fused = PoseFilter(true_map, MOUNT, FusionConfig(), NOISE)
+    fused.initialize(start_estimate())
+    for k, moment in enumerate(drive(16)):
+        fused.add_odometry(moment.odometry)
+        if k % 4 == 0:
+            stamp = moment.odometry.stamp_ns
+            fused.add_detections(detections(true_map, moment.pose, stamp, [0, 3, 6, 9], 3e-4))
+    assert 0.5 < fused.sighting_sigma < 1.0
+
+
+@pytest.mark.parametrize(('sigmas', 'knocked'), [(4.3, False), (8.0, True)])
+def test_a_slip_of_the_wheels_is_not_taken_for_a_knock(sigmas: float, knocked: bool) -> None:
+    """All bearings are off by one angle: a little more than wheels err, or far more."""
+    exact = landmark_map(14, shared=1e-5, own=1e-4)
+    fused = PoseFilter(exact, MOUNT, FusionConfig(pan_sigma_rad=1e-5), NOISE.scaled(1.0, 1.0))
+    fused.initialize(start_estimate())
+    places = np.arange(8)
+    *moments, last = drive(60)
+    for moment in moments:
+        fused.add_odometry(moment.odometry)
+        stamp = moment.odometry.stamp_ns
+        fused.add_detections(detections(exact, moment.pose, stamp, places, 1e-4))
+    before = fused.state
+    fused.add_odometry(last.odometry)
+    expected = fused.estimate()
+    assert before is not None
+    assert expected is not None
+    off = sigmas * np.sqrt(expected.covariance[2, 2])
+    stamp = last.odometry.stamp_ns
+    update = fused.add_detections(detections(exact, last.pose, stamp, places, 1e-4, off))
+    after = fused.state
+    assert after is not None
+    assert update.degrees == len(places)
+    assert (update.turned_rad != 0.0) == knocked
+    grown = np.sqrt(np.diag(after.covariance) / (np.diag(before.covariance) + 1e-12))
+    assert (grown[BORESIGHT] > 100.0) == knocked
+    assert (grown[HEADING] > 10.0) == knocked
 
 
 def test_refining_the_map_is_worth_it() -> None:

@@ -114,6 +114,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         'result_hash',
         'spells',
         'odometry_noise',
+        'sighting_sigma',
         'found',
     ]
     assert first['found'] is None

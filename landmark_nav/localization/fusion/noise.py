@@ -1,12 +1,15 @@
 """
-How noisy the wheels are, learned while they roll.
+How noisy wheels and sightings are, learned while the robot drives.
 
-Wheels and floors differ by more than a parameter file can say. Two variances, of the odometry's
-white noise and of its side slip, are scaled by factors that the innovations speak for: maximum
-likelihood by Fisher scoring, one step a picture (Mehra, On the Identification of Variances and
-Adaptive Kalman Filtering, 1970, has the principle), with what of the state's covariance goes with
-each factor carried through the filter. A third factor, on all the rest, is there so that bearings
-or a map that are better than they claim are not taken for quiet wheels; it changes nothing else.
+Wheels, floors and cameras differ by more than a parameter file can say. Three variances are scaled
+by factors that the innovations speak for: of the odometry's white noise, of its side slip, and of
+each sighting. It is maximum likelihood by Fisher scoring, one step a picture (Mehra, On the
+Identification of Variances and Adaptive Kalman Filtering, 1970, has the principle), with what of
+the state's covariance goes with each factor carried through the filter. One more factor, on all
+the rest, is there so that a map that is better than it claims is not taken for quiet wheels or
+sharp sightings. It changes nothing else: an error that landmarks share shows in no innovation, and
+one that a landmark has alone shows again and again. Nor is learned what the sightings of a picture
+share: from one picture to the next it is hard to tell from how the wheels turned.
 """
 
 from __future__ import annotations
@@ -18,11 +21,14 @@ import numpy as np
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
 
-__all__ = ['NoiseScales', 'learned_scales']
+__all__ = ['LEARNED', 'SIGHTING', 'SLIP', 'WHEELS', 'NoiseScales', 'learned_scales']
 
-# White noise of the odometry, side slip, and all the rest: bearings, map.
-COMPONENTS = 3
-_REST = 2
+# White noise of the odometry, its side slip, each sighting.
+LEARNED = 3
+WHEELS, SLIP, SIGHTING = range(LEARNED)
+# All the rest: the map, where the robot started.
+_REST = LEARNED
+_COMPONENTS = LEARNED + 1
 # One picture may not change a variance by more than this, as a logarithm.
 _MOST_AT_ONCE = 0.5
 
@@ -30,9 +36,9 @@ _MOST_AT_ONCE = 0.5
 @dataclass(frozen=True, eq=False)
 class NoiseScales:
     """
-    Logarithms of the factors on the variances (COMPONENTS,), and what they are worth.
+    Logarithms of the factors on the variances (c,), and what they are worth.
 
-    `covariance` (COMPONENTS, COMPONENTS) is theirs; zero where nothing is learned.
+    `covariance` (c, c) is theirs; zero where nothing is learned.
     """
 
     log_scale: FloatArray
@@ -41,24 +47,29 @@ class NoiseScales:
     @classmethod
     def unknown(cls, config: OdometryNoiseConfig) -> NoiseScales:
         """Return what is known before anything was measured."""
-        return cls(np.zeros(COMPONENTS), config.learning_sigma**2 * np.eye(COMPONENTS))
+        return cls(np.zeros(_COMPONENTS), config.learning_sigma**2 * np.eye(_COMPONENTS))
 
     @property
     def factors(self) -> FloatArray:
-        """Factors on the variances, (COMPONENTS,)."""
-        return np.exp(self.log_scale)
+        """Factors on the variances that are learned, (LEARNED,)."""
+        return np.exp(self.log_scale[:LEARNED])
 
     def of(self, config: OdometryNoiseConfig) -> OdometryNoiseConfig:
         """Parameters as they turned out to be."""
-        noise, slip, _ = np.sqrt(self.factors).tolist()
+        noise, slip = np.sqrt(self.factors[[WHEELS, SLIP]]).tolist()
         return config.scaled(noise, slip)
+
+    @property
+    def sighting_sigma(self) -> float:
+        """Factor on what sightings claim as their sigmas."""
+        return float(np.sqrt(self.factors[SIGHTING]))
 
     def moved(self, way_m: float, config: OdometryNoiseConfig) -> NoiseScales:
         """Forget a little on the way: an Ornstein-Uhlenbeck process about the parameters."""
         if config.learning_sigma == 0.0 or way_m == 0.0:
             return self
         kept = np.exp(-way_m / config.learning_way_m)
-        fresh = config.learning_sigma**2 * np.eye(COMPONENTS)
+        fresh = config.learning_sigma**2 * np.eye(_COMPONENTS)
         return NoiseScales(kept * self.log_scale, fresh + kept**2 * (self.covariance - fresh))
 
 
@@ -66,7 +77,6 @@ def learned_scales(
     scales: NoiseScales,
     innovation: FloatArray,
     covariance: FloatArray,
-    jacobian: FloatArray,
     by_noise: FloatArray,
     config: OdometryNoiseConfig,
 ) -> NoiseScales:
@@ -81,19 +91,16 @@ def learned_scales(
         Measured minus predicted.
     covariance : ndarray, shape (m, m)
         What the filter says is its covariance.
-    jacobian : ndarray, shape (m, n)
-        What is measured, differentiated by the state.
-    by_noise : ndarray, shape (2, n, n)
-        What of the state's covariance comes from white noise and from side slip.
+    by_noise : ndarray, shape (LEARNED, m, m)
+        What of it comes from each noise that is learned.
     config : OdometryNoiseConfig
         How far to learn.
 
     """
     if config.learning_sigma == 0.0:
         return scales
-    known = jacobian @ by_noise @ jacobian.T
-    rest = covariance - known.sum(axis=0)
-    parts = np.concatenate([known, np.exp(scales.log_scale[_REST]) * rest[None]])
+    rest = covariance - by_noise.sum(axis=0)
+    parts = np.concatenate([by_noise, np.exp(scales.log_scale[_REST]) * rest[None]])
     precision = np.linalg.inv(parts.sum(axis=0))
     weighted = precision @ innovation
     passed = parts @ precision

@@ -148,6 +148,12 @@ class PoseFilter:
         return self._odometry if state is None else state.scales.of(self._odometry)
 
     @property
+    def sighting_sigma(self) -> float:
+        """Factor on what sightings claim as their sigmas, as far as it was learned."""
+        state = self.state
+        return 1.0 if state is None else state.scales.sighting_sigma
+
+    @property
     def status(self) -> tuple[Status, str]:
         """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
         return self.status_at(None)

@@ -17,7 +17,13 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
-from landmark_nav.localization.fusion.noise import NoiseScales
+from landmark_nav.localization.fusion.noise import (
+    LEARNED,
+    NoiseScales,
+    SIGHTING,
+    SLIP,
+    WHEELS,
+)
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
     Motion,
@@ -73,9 +79,9 @@ class FilterState:
     landmark_covariance : ndarray, shape (2n, 2n)
         Their joint covariance.
     scales : NoiseScales
-        How noisy the odometry turned out to be.
-    by_noise : ndarray, shape (2, STATES, STATES)
-        What of `covariance` comes from the odometry's noise, and from its side slip.
+        How noisy odometry and sightings turned out to be.
+    by_noise : ndarray, shape (LEARNED, STATES, STATES)
+        What of `covariance` comes from each of those noises.
 
     """
 
@@ -99,7 +105,8 @@ class MeasurementModel(NamedTuple):
 
     `innovation` (m,) is measured minus expected at the prior, `jacobian` (m, STATES) what is
     measured differentiated by the state, `state_covariance` (STATES, m) the covariance of the
-    state with it, `map_covariance` (2n, m) that of the landmarks, `covariance` (m, m) its own.
+    state with it, `map_covariance` (2n, m) that of the landmarks, `covariance` (m, m) its own;
+    `by_noise` (LEARNED, m, m) is what of that each noise adds in this measurement.
     """
 
     innovation: FloatArray
@@ -107,6 +114,7 @@ class MeasurementModel(NamedTuple):
     state_covariance: FloatArray
     map_covariance: FloatArray
     covariance: FloatArray
+    by_noise: FloatArray
 
 
 def initial_state(
@@ -121,8 +129,8 @@ def initial_state(
     covariance = np.zeros((STATES, STATES))
     covariance[:3, :3] = start.covariance
     covariance[range(3, STATES), range(3, STATES)] = sigmas**2
-    by_noise = np.zeros((2, STATES, STATES))
-    by_noise[1, _SLIP, _SLIP] = odometry.slip_sigma**2
+    by_noise = np.zeros((LEARNED, STATES, STATES))
+    by_noise[SLIP, _SLIP, _SLIP] = odometry.slip_sigma**2
     return FilterState(
         start.stamp_ns,
         np.array([*start.pose, *np.zeros(STATES - 3)]),
@@ -196,17 +204,17 @@ def propagate(
     mean[:3] = compose(state.mean[:3], corrected)
     mean[_SLIP] *= kept
     scales = state.scales.moved(way, config)
-    noise, slipping, _ = scales.factors
-    added = (by_motion * (noise * sensed_variances(motion, config))) @ by_motion.T
-    slip_variance = slipping * config.slip_sigma**2 * (1.0 - kept * kept)
+    factors = scales.factors
+    added = (by_motion * (factors[WHEELS] * sensed_variances(motion, config))) @ by_motion.T
+    slip_variance = factors[SLIP] * config.slip_sigma**2 * (1.0 - kept * kept)
     covariance = step @ state.covariance @ step.T
     covariance[:3, :3] += added
     if motion.blind_seconds > 0.0 or motion.ahead_s4 > 0.0:
         covariance[:3, :3] += (by_motion * blind_variances(motion, config)) @ by_motion.T
     covariance[_SLIP, _SLIP] += slip_variance
     by_noise = step @ state.by_noise @ step.T
-    by_noise[0, :3, :3] += added
-    by_noise[1, _SLIP, _SLIP] += slip_variance
+    by_noise[WHEELS, :3, :3] += added
+    by_noise[SLIP, _SLIP, _SLIP] += slip_variance
     wander = (config.bias_change_per_sqrt_m * config.bias_sigmas) ** 2 * way
     covariance[_BIASES, _BIASES] += np.diag(wander)
     return replace(
@@ -225,7 +233,8 @@ def bearing_model(
     at: FilterState,
     columns: IndexArray,
     bearings: FloatArray,
-    noise: FloatArray,
+    variance: FloatArray,
+    common_variance: float,
     lever: FloatArray,
     pan_rate: float = 0.0,
 ) -> MeasurementModel:
@@ -242,8 +251,10 @@ def bearing_model(
         Which landmarks.
     bearings : ndarray, shape (m,)
         What was measured, radians.
-    noise : ndarray, shape (m, m)
-        Measurement covariance, rad^2.
+    variance : ndarray, shape (m,)
+        Of the noise that each has alone, rad^2.
+    common_variance : float
+        Of what they share, rad^2.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
     pan_rate : float
@@ -273,13 +284,18 @@ def bearing_model(
     state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
     map_covariance = prior.cross.T @ jacobian.T
     map_covariance -= prior.landmark_covariance[:, places] @ by_places.T
-    covariance = jacobian @ state_covariance - by_places @ map_covariance[places] + noise
+    by_noise = np.zeros((LEARNED, len(columns), len(columns)))
+    np.fill_diagonal(by_noise[SIGHTING], variance)
+    covariance = jacobian @ state_covariance - by_places @ map_covariance[places]
+    covariance += by_noise[SIGHTING] + common_variance
 
     offset = prior.mean - at.mean
     offset[2] = wrap_rad(offset[2])
     innovation = residual - jacobian @ offset
     innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
-    return MeasurementModel(innovation, jacobian, state_covariance, map_covariance, covariance)
+    return MeasurementModel(
+        innovation, jacobian, state_covariance, map_covariance, covariance, by_noise
+    )
 
 
 def pose_model(prior: FilterState, measured: PoseEstimate) -> MeasurementModel:
@@ -292,6 +308,7 @@ def pose_model(prior: FilterState, measured: PoseEstimate) -> MeasurementModel:
         prior.covariance[:, :3],
         prior.cross[:3].T,
         prior.covariance[:3, :3] + measured.covariance,
+        np.zeros((LEARNED, 3, 3)),
     )
 
 
@@ -311,7 +328,7 @@ def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> Filter
         mean=mean,
         covariance=0.5 * (covariance + covariance.T),
         cross=prior.cross - gain @ model.map_covariance.T,
-        by_noise=left @ prior.by_noise @ left.T,
+        by_noise=left @ prior.by_noise @ left.T + gain @ model.by_noise @ gain.T,
     )
     if not refine:
         return state

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from landmark_nav.localization.fusion.noise import learned_scales
+from landmark_nav.localization.fusion.noise import learned_scales, SIGHTING
 from landmark_nav.localization.fusion.state import (
     bearing_model,
     correct,
@@ -41,6 +41,7 @@ _FEW = 4
 _UNLIKE_TIMES, _UNLIKE_ANYWAY = 6.0, 0.1
 _NO_IDS = np.empty(0, dtype=np.int64)
 _NO_INNOVATIONS = np.empty(0)
+_ALL = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +85,14 @@ class BearingFrame:
     """
     The bearings of one picture, ready for the filter.
 
-    `columns` (m,) are places of the landmarks in the map, `noise` (m, m) the bearings' joint
-    covariance, `unusable` what was sorted out before.
+    `columns` (m,) are places of the landmarks in the map, `variance` (m,) what each bearing claims
+    of itself and `common_variance` what all of them share, `unusable` what was sorted out before.
     """
 
     columns: IndexArray
     bearing_rad: FloatArray
-    noise: FloatArray
+    variance: FloatArray
+    common_variance: float
     unusable: dict[int, Refusal]
     pan_rate: float = 0.0
 
@@ -133,7 +135,8 @@ def bearing_frame(
     return BearingFrame(
         np.array([columns[k] for k in chosen], dtype=np.intp),
         detections.bearing_rad[rows],
-        np.diag(variance[rows]) + common_sigma**2,
+        variance[rows],
+        common_sigma**2,
         unusable,
         detections.pan_rate_rad_s,
     )
@@ -155,11 +158,22 @@ def _unlike_the_others(score: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def expected_bearings(
-    prior: FilterState, frame: BearingFrame, lever: FloatArray
+    prior: FilterState,
+    frame: BearingFrame,
+    lever: FloatArray,
+    chosen: IndexArray | slice = _ALL,
+    at: FilterState | None = None,
 ) -> MeasurementModel:
-    """All bearings of a frame as the prior expects them."""
+    """Bearings of a frame, all by default, as the prior expects them; linearised there or `at`."""
     return bearing_model(
-        prior, prior, frame.columns, frame.bearing_rad, frame.noise, lever, frame.pan_rate
+        prior,
+        at or prior,
+        frame.columns[chosen],
+        frame.bearing_rad[chosen],
+        prior.scales.factors[SIGHTING] * frame.variance[chosen],
+        frame.common_variance,
+        lever,
+        frame.pan_rate,
     )
 
 
@@ -190,7 +204,7 @@ def update_bearings(
     probability : float
         Chi-square level of the gates.
     odometry : OdometryNoiseConfig
-        How far its noise may be learned.
+        How far noise may be learned.
     least : int
         Fewer agreeing bearings, or fewer than two thirds, are not used.
     refine : bool
@@ -199,27 +213,15 @@ def update_bearings(
         What `expected_bearings` says of prior and frame, if it is known.
 
     """
-
-    def model_at(chosen: IndexArray, at: FilterState) -> MeasurementModel:
-        noise = frame.noise[np.ix_(chosen, chosen)]
-        return bearing_model(
-            prior,
-            at,
-            frame.columns[chosen],
-            frame.bearing_rad[chosen],
-            noise,
-            lever,
-            frame.pan_rate,
-        )
-
     seen = ids[frame.columns]
     rejected = dict(frame.unusable)
     before = expected or expected_bearings(prior, frame, lever)
     chosen = _inside_gate(before, prior, frame, seen, probability, rejected)
     least = max(least, (2 * len(seen) + 2) // 3)
     while len(chosen) >= least:
-        first = before if len(chosen) == len(seen) else model_at(chosen, prior)
-        state, model = _iterated(prior, first, partial(model_at, chosen), refine)
+        model_at = partial(expected_bearings, prior, frame, lever, chosen)
+        first = before if len(chosen) == len(seen) else model_at()
+        state, model = _iterated(prior, first, model_at, refine)
         inverse = np.linalg.inv(model.covariance)
         weighted = inverse @ model.innovation
         nis = float(model.innovation @ weighted)
@@ -228,8 +230,7 @@ def update_bearings(
                 prior.scales,
                 model.innovation,
                 model.covariance,
-                model.jacobian,
-                prior.by_noise,
+                model.jacobian @ prior.by_noise @ model.jacobian.T + model.by_noise,
                 odometry,
             )
             return replace(state, scales=scales), FusionUpdate(
