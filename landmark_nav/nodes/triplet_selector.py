@@ -110,7 +110,7 @@ class TripletSelectorNode(LandmarkNode):
         if self._camera is None:
             return 'no landmarks: call learn_landmarks or load_map'
         if self._fused is None:
-            return 'no fused pose: give a start on initialpose or call relocalize'
+            return 'no fused pose: it takes odom, and a start on initialpose or by relocalize'
         if silent_s > _SILENCE_S:
             return f'no fused pose for {silent_s:.1f} s'
         return '' if self._frames.camera is not None else 'nothing on camera/camera_info'

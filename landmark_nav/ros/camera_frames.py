@@ -84,7 +84,7 @@ class CameraFrames:
         self._wait(stamp, seconds, also)
         joints = self.joints_at(stamp)
         if isinstance(joints, Refusal):
-            raise LandmarkNavError(str(joints))
+            raise LandmarkNavError(f'{joints} after a wait of {seconds:g} s')
         if self._camera is None:
             raise LandmarkNavError('nothing on camera/camera_info')
         camera = CameraInfos([(stamp, self._camera)]).for_picture(stamp, picture.shape)

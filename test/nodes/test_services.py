@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 import shutil
+import time
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,12 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.robot_client import RobotClient
 from landmark_nav.storage.maps import load_map, save_map
-from landmark_nav.types import Landmark, LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.types import JointSample, Landmark, LandmarkMap, OdometrySample, PoseEstimate
 
 
 def small_map() -> LandmarkMap:
@@ -66,7 +68,7 @@ def test_learner_says_what_is_missing(
     assert len(load_map(folder).landmarks) == 4
 
 
-def test_localizer_says_why_the_place_is_not_found(
+def test_localizer_says_what_it_lacks(
     start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
 ) -> None:
     word = 'triangulation_localizer'
@@ -81,6 +83,24 @@ def test_localizer_says_why_the_place_is_not_found(
     client.wait(lambda: 'no picture' in client.said(word).reason, 10.0, 'the map to arrive')
     with pytest.raises(LandmarkNavError, match=r'within 0.5 s \(no picture came\).*initialpose'):
         client.call('relocalize', 30.0)
+
+    images, joints = client.advertise('camera/image_raw'), client.advertise('joint_states')
+    picture = np.zeros((60, 80), dtype=np.uint8)
+
+    def answer(words: str, late_ns: int) -> Callable[[], bool]:
+        def check() -> bool:
+            stamp = time.time_ns() - late_ns
+            images.publish(encode.image(ros_factory, picture, stamp, 'camera'))
+            return words in client.said(word).reason
+
+        return check
+
+    client.wait(answer('pictures arrive 3.', 3 * 10**9), 10.0, 'word of late pictures')
+    client.wait(answer('no joint_states after a wait of 0.15 s', 0), 10.0, 'word of no joints')
+    sample = JointSample(time.time_ns(), 0.0)
+    joints.publish(encode.joint_state(ros_factory, sample, PanTiltMount()))
+    client.wait(answer(' ms behind after a wait of 0.15 s', 0), 10.0, 'word of late joints')
+    client.wait(lambda: 'no picture for' in client.said(word).reason, 10.0, 'word of no picture')
 
 
 def test_fusion_goes_on_through_bad_input(

@@ -53,7 +53,7 @@ class PriorTrack:
         """Pose nearest in time, moved by its own speeds."""
         known = tuple(self._known)
         if not known:
-            return Refusal('no fused pose yet', 'give a start on initialpose')
+            return Refusal('no fused pose yet', 'it takes odom, and a start on initialpose')
         # Of poses of the same time the last one counts: a picture has corrected it.
         pose, linear, angular = min(
             reversed(known), key=lambda entry: abs(entry[0].stamp_ns - stamp_ns)
