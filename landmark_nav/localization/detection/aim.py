@@ -27,7 +27,7 @@ _HARDLY_ANY = 0.25
 # So many landmarks tell a turned camera from chance.
 _LEAST = 3
 # A tilt that is told: more than a floor does.
-_TILTED_RAD = 0.01
+_TILTED_RAD = 0.005
 
 
 class AimedDetector:

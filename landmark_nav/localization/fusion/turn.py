@@ -45,10 +45,11 @@ def update_turning(
     Use the bearings of a frame as `update_bearings` does, or as those of a camera that turned.
 
     If they agree with each other but not with the prior's direction, either the camera turned
-    against the base or the base against the odometry. A bearing cannot tell which, so heading and
-    boresight both become uncertain by that angle, `turn_sigma` [rad] at most; as the robot drives
-    on, the direction in which it moves tells them apart. An angle that is only too large for the
-    gates of single bearings is laid to the odometry.
+    against the base, or the base against the odometry, or the wheels slipped: at these few places
+    that looks alike. So heading and boresight become uncertain by that angle, `turn_sigma` [rad]
+    at most, and the position by what shows it from here; other bearings, and the direction in
+    which the robot drives on, tell them apart. An angle that is only too large for the gates of
+    single bearings is laid to the odometry.
     """
     expected = expected_bearings(prior, frame, lever)
     state, update = update_bearings(
@@ -62,7 +63,11 @@ def update_turning(
         return state, update
     turned = [HEADING, BORESIGHT] if surprising else [HEADING]
     covariance = prior.covariance.copy()
-    covariance[turned, turned] += min(angle**2, turn_sigma**2)
+    variance = min(angle**2, turn_sigma**2)
+    covariance[turned, turned] += variance
+    if surprising:
+        away = prior.landmarks[frame.columns] - prior.mean[:2]
+        covariance[[0, 1], [0, 1]] += variance * np.mean(np.sum(away**2, axis=1))
     loose = replace(prior, covariance=covariance)
     loose_state, loose_update = update_bearings(
         loose, frame, ids, lever, probability, odometry, max(least, _LEAST), refine
