@@ -83,7 +83,8 @@ def _problems_of_landmark(k: Landmark) -> Iterator[str]:
         yield (
             f'{k.width_m:.2f} x {k.height_m:.2f} m do not fit a patch of {columns} x {rows} texels'
         )
-    if (k.viewpoint - k.position) @ k.normal <= 0.0:
+    viewpoints = np.array([k.viewpoint, *(view.viewpoint for view in k.views)])
+    if np.any((viewpoints - k.position) @ k.normal <= 0.0):
         yield 'was learned from behind its wall'
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from landmark_nav.localization.triplet.geometry import IndexArray, PairTables, position_variance
 from landmark_nav.types import FloatArray
 
-__all__ = ['best_triplets', 'mean_variance']
+__all__ = ['best_triplets', 'first_of_each', 'mean_variance']
 
 # Pairs completed at a time: the arrays of their triplets stay in the cache.
 _PAIRS = 1500
@@ -167,14 +167,14 @@ class _Search:
         scores = np.concatenate([self.scores, scores])
         finite = np.concatenate([np.ones(len(self.scores), np.bool_), finite])
         scores, triplets = scores[finite], triplets[finite]
-        once = _first_of_each(triplets)
+        once = first_of_each(triplets)
         best = once[np.argsort(scores[once], kind='stable')[: self._count]]
         self.scores, self.triplets = scores[best], triplets[best]
         if len(best) == self._count:
             self.limit = float(self.scores[-1])
 
 
-def _first_of_each(triplets: IndexArray) -> IndexArray:
+def first_of_each(triplets: IndexArray) -> IndexArray:
     """Places where each of the triplets (t, 3) of a list comes first, in ascending order."""
     n = triplets.max(initial=0) + 1
     return np.unique(triplets @ np.array([n * n, n, 1]), return_index=True)[1]
@@ -187,7 +187,7 @@ def _largest(table: FloatArray, i: IndexArray, j: IndexArray, k: IndexArray) -> 
 
 
 def _around_best_pairs(bound: FloatArray) -> IndexArray:
-    """Triplets (t, 3) of the best pairs with every third, each ascending."""
+    """Triplets (t, 3) of the best pairs with every third."""
     n = len(bound)
     once = np.where(np.tri(n, dtype=np.bool_), np.inf, bound)
     count = min(_FIRST_PAIRS, once.size - 1)
@@ -196,9 +196,7 @@ def _around_best_pairs(bound: FloatArray) -> IndexArray:
     pairs = np.stack([first, second], -1)[first < second]
     third = np.tile(np.arange(n), len(pairs))
     triplets = np.column_stack([np.repeat(pairs, n, axis=0), third])
-    triplets = triplets[(third != triplets[:, 0]) & (third != triplets[:, 1])]
-    triplets = np.sort(triplets, axis=1)
-    return triplets[_first_of_each(triplets)]
+    return np.asarray(triplets[(third != triplets[:, 0]) & (third != triplets[:, 1])])
 
 
 def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:

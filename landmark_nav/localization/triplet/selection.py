@@ -27,7 +27,7 @@ from landmark_nav.localization.triplet.geometry import (
 )
 from landmark_nav.localization.triplet.outlook import Gaze, Outlook
 from landmark_nav.localization.triplet.ranking import Ranking, Standing
-from landmark_nav.localization.triplet.search import best_triplets, mean_variance
+from landmark_nav.localization.triplet.search import best_triplets, first_of_each, mean_variance
 from landmark_nav.localization.triplet.views import Tours
 from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
@@ -105,15 +105,13 @@ class _Contest:
 
     def judge(self, previous: Triplet | None, standing: npt.NDArray[np.int8]) -> Ranking:
         """Find the best and compare it with what is being looked at."""
-        triplets = np.concatenate([self._windows_of(previous), self._best()])
-        tours = self._tours(triplets)
-        score = self._scores(triplets, tours)
+        triplets, tours, score = self._best(self._windows_of(previous))
         favoured = score.copy()
         favoured[self._are(previous, triplets)] /= 1.0 + self._config.hysteresis
         order = np.argsort(favoured, kind='stable')
         order = order[np.isfinite(score[order])]
         # Each once, in its best turn of the axis.
-        _, once = np.unique(np.sort(self._index[triplets[order]]), axis=0, return_index=True)
+        once = first_of_each(np.sort(self._index[triplets[order]]))
         order = order[np.sort(once)[:_RANKED]]
         if not len(order):
             views = 'one view' if self._config.views == 'one' else 'the views'
@@ -122,9 +120,9 @@ class _Contest:
         tours = Tours(*(part[order] for part in tours))
         return self._ranking(triplets[order], tours, score[order], standing)
 
-    def _best(self) -> IndexArray:
+    def _best(self, kept: IndexArray) -> tuple[IndexArray, Tours, FloatArray]:
         """
-        Return triplets (t, 3) that hold the best one.
+        Return triplets (t, 3) that hold the best one beside those `kept`, tours and scores.
 
         The search does not look whether patches are whole; it is asked for more until what it
         has not given must be worse than the best there is.
@@ -132,10 +130,12 @@ class _Contest:
         factor, cost = 1.0 / self._chance, self._windows.costs()
         count = _SHORTLIST
         while True:
-            floor, triplets = best_triplets(self._tables, factor, cost, count)
-            score = self._scores(triplets, self._tours(triplets))
+            floor, found = best_triplets(self._tables, factor, cost, count)
+            triplets = np.concatenate([kept, found])
+            tours = self._tours(triplets)
+            score = self._scores(triplets, tours)
             if len(floor) < count or np.min(score) <= floor[-1]:
-                return triplets
+                return triplets, tours, score
             count *= 8
 
     def _tours(self, triplets: IndexArray) -> Tours:
