@@ -192,7 +192,7 @@ def test_a_virtual_view_shows_what_the_nearest_panorama_saw() -> None:
 def test_landmarks_without_other_views_look_as_their_patch_does() -> None:
     frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
     both = [detect(frame, HERE, config=config).detections for config in (PATCH, VIRTUAL)]
-    np.testing.assert_allclose(both[0].bearing_rad, both[1].bearing_rad, atol=1e-5)
+    np.testing.assert_array_equal(both[0].bearing_rad, both[1].bearing_rad)
 
 
 def test_shares_of_a_virtual_view_follow_direction_and_distance() -> None:

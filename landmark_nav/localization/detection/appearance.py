@@ -12,10 +12,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import cv2
+import numpy as np
+
 from landmark_nav.geometry.patches import PatchView
+from landmark_nav.matching import blur_to, Float32Image
 from landmark_nav.types import FloatArray, ImageArray, Landmark
 
-__all__ = ['APPEARANCES', 'Texture', 'textures']
+__all__ = ['APPEARANCES', 'Texture', 'draw', 'textures']
 
 APPEARANCES = ('patch', 'virtual_view')
 
@@ -24,19 +28,70 @@ _ASIDE_RAD = 0.5
 _FARTHER = math.log(2.0)
 # Less is not worth its time.
 _LEAST_SHARE = 0.1
-_LEAST_COSINE = 0.2
 
 
 class Texture(NamedTuple):
-    """
-    A picture of the landmark, and its share in how it should look.
-
-    `own_step` are the texels, across and down, that a pixel of its panorama covered.
-    """
+    """A picture of the landmark in wall coordinates, and its share in how it should look."""
 
     image: ImageArray
-    share: float = 1.0
-    own_step: tuple[float, float] = (1.0, 1.0)
+    share: float
+
+
+def draw(
+    landmark: Landmark,
+    viewer: FloatArray,
+    rays: Float32Image,
+    ray_to_patch: FloatArray,
+    appearance: str,
+) -> tuple[Float32Image, tuple[float, float]]:
+    """
+    Draw a landmark as it should look in a rectangle of the picture.
+
+    Parameters
+    ----------
+    landmark : Landmark
+        What to draw.
+    viewer : ndarray, shape (3,)
+        Where the camera is, in map.
+    rays : ndarray, shape (height, width, 2)
+        Of the pixels, x/z and y/z in the optical frame.
+    ray_to_patch : ndarray, shape (3, 3)
+        Rays (x, y, 1) to metres on the patch.
+    appearance : str
+        One of `APPEARANCES`.
+
+    Returns
+    -------
+    template : ndarray of float32, shape (height, width)
+    finer : tuple of float
+        How many times finer than what was drawn from the picture is, across and down; at least 1.
+
+    """
+    height, width = rays.shape[:2]
+    template = np.zeros((height, width), np.float32)
+    finer = np.zeros(2)
+    for image, share in textures(landmark, viewer, appearance):
+        rows, columns = image.shape
+        scale = columns / landmark.width_m
+        to_texel = [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
+        texel = cv2.perspectiveTransform(rays, to_texel @ ray_to_patch)
+        # Texels a pixel, across and down.
+        step = (
+            max(float(texel[height // 2, -1, 0] - texel[height // 2, 0, 0]) / (width - 1), 1e-2),
+            max(float(texel[-1, width // 2, 1] - texel[0, width // 2, 1]) / (height - 1), 1e-2),
+        )
+        column, row = cv2.split(texel)
+        part = cv2.remap(
+            blur_to(image.astype(np.float32), step),
+            column,
+            row,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        template += share * part
+        finer += [share * max(1.0 / s, 1.0) ** 2 for s in step]
+    across, down = np.sqrt(finer).tolist()
+    return template, (across, down)
 
 
 def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Texture]:
@@ -53,30 +108,23 @@ def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Te
         One of `APPEARANCES`.
 
     """
-    if appearance == 'patch':
-        return [Texture(landmark.patch)]
+    if appearance == 'patch' or not landmark.views:
+        return [Texture(landmark.patch, 1.0)]
     views = (PatchView(landmark.viewpoint, landmark.patch), *landmark.views)
-    angle, reach, _ = _seen_from(landmark, viewer)
-    places = [_seen_from(landmark, view.viewpoint) for view in views]
-    misfit = [
-        ((a - angle) / _ASIDE_RAD) ** 2 + (max(math.log(r / reach), 0.0) / _FARTHER) ** 2
-        for a, r, _ in places
-    ]
-    best = min(misfit)
-    weight = [math.exp(0.5 * (best - m)) for m in misfit]
+    angle, reach = _seen_from(landmark, viewer)
+    misfit = []
+    for view in views:
+        its_angle, its_reach = _seen_from(landmark, view.viewpoint)
+        farther = max(math.log(its_reach / reach), 0.0)
+        misfit.append(((its_angle - angle) / _ASIDE_RAD) ** 2 + (farther / _FARTHER) ** 2)
+    weight = [math.exp(0.5 * (min(misfit) - m)) for m in misfit]
     least = _LEAST_SHARE * sum(weight)
     total = sum(w for w in weight if w >= least)
-    return [
-        Texture(view.patch, w / total, (1.0 / cosine, 1.0))
-        for view, w, (_, _, cosine) in zip(views, weight, places, strict=True)
-        if w >= least
-    ]
+    return [Texture(v.patch, w / total) for v, w in zip(views, weight, strict=True) if w >= least]
 
 
-def _seen_from(landmark: Landmark, viewpoint: FloatArray) -> tuple[float, float, float]:
-    """Angle from the normal, distance and cosine of the angle, in plan."""
+def _seen_from(landmark: Landmark, viewpoint: FloatArray) -> tuple[float, float]:
+    """Angle from the normal and distance, in plan."""
     x, y = (viewpoint[:2] - landmark.position[:2]).tolist()
     nx, ny = landmark.normal[:2].tolist()
-    ahead, aside = x * nx + y * ny, y * nx - x * ny
-    reach = max(math.hypot(ahead, aside), 1e-6)
-    return math.atan2(aside, ahead), reach, max(ahead / reach, _LEAST_COSINE)
+    return math.atan2(y * nx - x * ny, x * nx + y * ny), max(math.hypot(x, y), 1e-6)

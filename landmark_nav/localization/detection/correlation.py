@@ -19,8 +19,8 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import patch_axes, rays_to_patch
-from landmark_nav.localization.detection.appearance import APPEARANCES, textures
-from landmark_nav.matching import blur_sigmas, blur_to, Float32Image, Match, match_template
+from landmark_nav.localization.detection.appearance import APPEARANCES, draw
+from landmark_nav.matching import blur_sigmas, blur_to, Match, match_template
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
@@ -262,7 +262,7 @@ def _detect(
     landmark: Landmark, expected: _Expectation, view: _View, config: DetectionConfig
 ) -> tuple[FloatArray, Match] | Refusal:
     """Pixel (2,) of the landmark's centre, and how its template was found."""
-    _, left, top, right, bottom, (window_u, window_v), _ = expected
+    _, left, top, right, bottom, (window_u, window_v), ray_to_patch = expected
     size = (right - left + 1, bottom - top + 1)
     if right < left and bottom < top:
         return Refusal('out of view')
@@ -270,7 +270,8 @@ def _detect(
         return Refusal('too small or cut off', f'{size[0]} x {size[1]} px')
     x0, x1 = max(0, left - window_u), min(view.camera.width, right + window_u + 1)
     y0, y1 = max(0, top - window_v), min(view.camera.height, bottom + window_v + 1)
-    template, finer = _template(landmark, expected, view, config.appearance)
+    rays = view.camera.ray_grid[top : bottom + 1, left : right + 1]
+    template, finer = draw(landmark, view.center, rays, ray_to_patch, config.appearance)
     # Where the picture shows more than the panoramas did, it is blurred to what they showed.
     search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), finer)
     match = match_template(
@@ -286,39 +287,6 @@ def _detect(
     if abs(shift[1]) > window_v:
         return Refusal('wrong height', f'{shift[1]:.1f} px off')
     return expected.uv + shift, match
-
-
-def _template(
-    landmark: Landmark, expected: _Expectation, view: _View, appearance: str
-) -> tuple[Float32Image, tuple[float, float]]:
-    """How it should look in its rectangle, and by how much more the picture resolves there."""
-    _, left, top, right, bottom, _, ray_to_patch = expected
-    width, height = right - left + 1, bottom - top + 1
-    rays = view.camera.ray_grid[top : bottom + 1, left : right + 1]
-    template = np.zeros((height, width), np.float32)
-    finer = np.zeros(2)
-    for image, share, own_step in textures(landmark, view.center, appearance):
-        rows, columns = image.shape
-        scale = columns / landmark.width_m
-        to_texel = [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
-        texel = cv2.perspectiveTransform(rays, to_texel @ ray_to_patch)
-        # Texels a pixel, across and down.
-        step = (
-            max(float(texel[height // 2, -1, 0] - texel[height // 2, 0, 0]) / (width - 1), 1e-2),
-            max(float(texel[-1, width // 2, 1] - texel[0, width // 2, 1]) / (height - 1), 1e-2),
-        )
-        column, row = cv2.split(texel)
-        part = cv2.remap(
-            blur_to(image.astype(np.float32), step, own_step),
-            column,
-            row,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        template += share * part
-        finer += [share * max(own / s, 1.0) ** 2 for own, s in zip(own_step, step, strict=True)]
-    across, down = np.sqrt(finer).tolist()
-    return template, (across, down)
 
 
 def _bearings(
