@@ -62,7 +62,7 @@ class DetectionConfig:
         1.0, 'vertical error of the picture from tilt and floor', minimum=0.1, maximum=50
     )
     appearance: str = parameter(
-        'patch',
+        'virtual_view',
         'what is looked for: the patch as it was learned, or a view from here out of all '
         'panoramas that saw it',
         choices=APPEARANCES,
