@@ -53,19 +53,7 @@ class Refusal:
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """
-    A planar pose with its covariance.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        Time it holds for.
-    pose : ndarray, shape (3,)
-        x [m], y [m], heading [rad].
-    covariance : ndarray, shape (3, 3)
-        Of x, y, heading.
-
-    """
+    """A planar pose (3,), x [m], y [m], heading [rad], at a time, with its covariance (3, 3)."""
 
     stamp_ns: int
     pose: FloatArray
@@ -84,12 +72,17 @@ class OdometrySample:
 
 @dataclass(frozen=True)
 class JointSample:
-    """Measured angles of the pan-tilt unit, radians, and how fast it pans."""
+    """
+    Measured angles of the pan-tilt unit, radians, and how fast it pans.
+
+    `pan_sigma_rad` is what interpolation adds to the error of the pan.
+    """
 
     stamp_ns: int
     pan_rad: float
     tilt_rad: float = 0.0
     pan_rate_rad_s: float = 0.0
+    pan_sigma_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +101,7 @@ class CameraFrame:
     tilt_rad: float = 0.0
     roll_rad: float = 0.0
     pan_rate_rad_s: float = 0.0
+    pan_sigma_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +316,8 @@ class Detections:
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
     cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
-    that should be in view, were looked for and not found. The camera pans at `pan_rate_rad_s`.
+    that should be in view, were looked for and not found. Rate and sigma of the pan are those of
+    its `JointSample`.
     """
 
     stamp_ns: int
@@ -333,6 +328,7 @@ class Detections:
     uv_px: FloatArray
     missed: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     pan_rate_rad_s: float = 0.0
+    pan_sigma_rad: float = 0.0
 
     def __len__(self) -> int:
         """Return how many were found."""

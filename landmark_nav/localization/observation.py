@@ -166,9 +166,17 @@ class Observer:
             if isinstance(triplet, Triplet)
             else (),
         )
-        result = self._detector.detect(frame, prior, expected)
+        # What is not known of the pan shifts the picture as what is not known of the heading.
+        turned = np.diag([0.0, 0.0, frame.pan_sigma_rad**2])
+        looked = replace(prior, covariance=prior.covariance + turned)
+        result = self._detector.detect(frame, looked, expected)
         missed = np.array(sorted(result.refused), dtype=np.int64)
-        found = replace(result.detections, missed=missed, pan_rate_rad_s=frame.pan_rate_rad_s)
+        found = replace(
+            result.detections,
+            missed=missed,
+            pan_rate_rad_s=frame.pan_rate_rad_s,
+            pan_sigma_rad=frame.pan_sigma_rad,
+        )
         return Observation(found, result.refused, self._fix(found, prior, triplet))
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:

@@ -185,7 +185,11 @@ class OdometryFusionNode(LandmarkNode):
         found = decode.detections(message)
         joints = self._frames.joints_at(found.stamp_ns)
         if not isinstance(joints, Refusal):
-            found = replace(found, pan_rate_rad_s=joints.pan_rate_rad_s)
+            found = replace(
+                found,
+                pan_rate_rad_s=joints.pan_rate_rad_s,
+                pan_sigma_rad=joints.pan_sigma_rad,
+            )
         self._count(self._filter.add_detections(found))
         self._corrected(found.stamp_ns)
 

@@ -95,6 +95,7 @@ class CameraFrames:
             joints.pan_rad,
             joints.tilt_rad,
             pan_rate_rad_s=joints.pan_rate_rad_s,
+            pan_sigma_rad=joints.pan_sigma_rad,
         )
 
     def _on_joints(self, message: Any) -> None:

@@ -309,6 +309,20 @@ class TestTime:
 
 
 class TestDoubt:
+    def test_a_pan_that_is_hardly_known_tells_the_place_but_not_the_heading(self) -> None:
+        fused = started()
+        moment, _ = run(fused, 60)
+        before = fused.estimate()
+        found = sighting(moment, 0, np.full(4, 0.02))
+        update = fused.add_detections(replace(found, pan_sigma_rad=0.02))
+        assert len(update.accepted_ids) == 4
+        assert not update.turned_rad
+        after = fused.estimate()
+        assert before is not None
+        assert after is not None
+        np.testing.assert_allclose(after.pose, before.pose, atol=2e-3)
+        assert fused.status[0] == 'tracking'
+
     def test_outlier_is_left_out(self) -> None:
         fused = started()
         moment, _ = run(fused, 40)

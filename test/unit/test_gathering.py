@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 from bare_landmarks import bearings
 import numpy as np
 import pytest
@@ -146,3 +148,27 @@ def test_odometry_counts() -> None:
     good, _ = gathered(LANDMARKS, OdometryNoiseConfig(), 1e-4, None, np.zeros(3))
     less, _ = gathered(LANDMARKS, poor, 1e-4, None, np.zeros(3))
     assert np.trace(less.covariance) > 1.2 * np.trace(good.covariance)
+
+
+def test_what_is_open_of_the_pan_is_open_of_the_heading_alone() -> None:
+    """All bearings of a picture are off by the angle that its interpolated pan is."""
+    off = 0.02
+    exact = sighted(START, [0, 3, 5, 8], LANDMARKS.positions[:, :2])
+    prior = PoseEstimate(0, START, np.diag([0.2, 0.2, 0.15]) ** 2)
+    fixes = []
+    for pan_sigma in (0.0, off):
+        gatherer = SightingGatherer(
+            LANDMARKS, MOUNT, 0.0, OdometryNoiseConfig(), TriangulationConfig(), 2e-4
+        )
+        found = picture(0, [0, 3, 5, 8], exact + off, 1e-3)
+        gatherer.add(replace(found, pan_sigma_rad=pan_sigma))
+        fixes.append(gatherer.fix(prior))
+    sure, open_pan = fixes
+    assert isinstance(sure, PoseEstimate)
+    assert isinstance(open_pan, PoseEstimate)
+    assert open_pan.pose[2] == pytest.approx(START[2] - off, abs=1e-3)
+    added = np.diag(open_pan.covariance) - np.diag(sure.covariance)
+    assert added[2] == pytest.approx(off**2, rel=1e-3)
+    # The base turns about the pan axis, which does not move.
+    lever = np.hypot(*MOUNT.axis_xyz[:2])
+    assert added[:2].sum() == pytest.approx((lever * off) ** 2, rel=1e-2)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.storage.bags.timelines import JointHistory
 from landmark_nav.types import JointSample, Refusal
 
@@ -23,6 +25,7 @@ def test_the_pan_of_a_camera_that_turns_is_that_of_the_stamp(at_ms: float) -> No
     assert found.pan_rad == pytest.approx(1e-3 * RATE * at_ms, abs=1e-12)
     assert found.tilt_rad == pytest.approx(-2e-4 * at_ms, abs=1e-12)
     assert found.pan_rate_rad_s == pytest.approx(RATE)
+    assert found.pan_sigma_rad == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -41,6 +44,31 @@ def test_what_no_joint_state_tells_is_refused(
     refusal = turning(*known_ms).at(at_ms * MS)
     assert isinstance(refusal, Refusal)
     assert str(refusal) == words
+
+
+@pytest.mark.parametrize('period_ms', [10, 20, 50])
+def test_what_interpolation_leaves_open_is_claimed(period_ms: int) -> None:
+    """A unit that turns here and there, and swings after each stop."""
+    rng, step_ms = np.random.default_rng(1), 5
+    unit = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0))
+    true = []
+    for k in range(4000):
+        if k % 250 == 0:
+            unit.command(rng.uniform(-2.0, 2.0))
+        unit.step(1e-3 * step_ms)
+        true.append(unit.angles_rad[0])
+    every = period_ms // step_ms
+    known = [JointSample(k * step_ms * MS, true[k]) for k in range(0, len(true), every)]
+    history, normalized = JointHistory(known), []
+    for k in range(every, len(true) - 2 * every):
+        found = history.at(k * step_ms * MS)
+        assert isinstance(found, JointSample)
+        if k % every == 0:
+            assert found.pan_sigma_rad == 0.0
+        else:
+            normalized.append((found.pan_rad - true[k]) / np.hypot(found.pan_sigma_rad, 1e-4))
+    assert np.sqrt(np.mean(np.square(normalized))) < 1.0
+    assert np.mean(np.abs(normalized) > 3.0) < 0.01
 
 
 def test_a_joint_state_of_the_same_moment_needs_no_other() -> None:

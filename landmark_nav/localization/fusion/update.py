@@ -110,7 +110,7 @@ def bearing_frame(
     columns : mapping of int to int
         Landmark id to place in the map.
     common_sigma : float
-        Error that all bearings of the picture share, radians.
+        Error that all bearings of any picture share, radians.
 
     """
     variance = detections.variance_rad2
@@ -136,7 +136,7 @@ def bearing_frame(
         np.array([columns[k] for k in chosen], dtype=np.intp),
         detections.bearing_rad[rows],
         variance[rows],
-        common_sigma**2,
+        common_sigma**2 + detections.pan_sigma_rad**2,
         unusable,
         detections.pan_rate_rad_s,
     )

@@ -47,6 +47,7 @@ class _Sighting(NamedTuple):
     stamp_ns: int
     bearing_rad: float
     variance_rad2: float
+    pan_variance_rad2: float
 
 
 class SightingGatherer:
@@ -96,6 +97,7 @@ class SightingGatherer:
     def add(self, found: Detections) -> None:
         """Take the landmarks of a picture, and forget what is older than the window."""
         oldest = found.stamp_ns - self._window_ns
+        pan_variance = self._pan_variance + found.pan_sigma_rad**2
         self._sightings = {
             k: sighting
             for k, sighting in self._sightings.items()
@@ -104,7 +106,9 @@ class SightingGatherer:
         for k, bearing, variance in zip(
             found.ids.tolist(), found.bearing_rad, found.variance_rad2, strict=True
         ):
-            self._sightings[k] = _Sighting(found.stamp_ns, float(bearing), float(variance))
+            self._sightings[k] = _Sighting(
+                found.stamp_ns, float(bearing), float(variance), pan_variance
+            )
 
     def missing(self, triplet: Triplet) -> list[int]:
         """Landmarks of a triplet that are still to be sighted."""
@@ -128,7 +132,8 @@ class SightingGatherer:
             np.array([sighting.variance_rad2 for sighting in sightings]),
             motions,
             errors,
-            self._pan_variance * (stamps[:, None] == stamps),
+            np.array([sighting.pan_variance_rad2 for sighting in sightings])
+            * (stamps[:, None] == stamps),
             axis_from_base(prior, self._mount),
         )
         if isinstance(outcome, Refusal):

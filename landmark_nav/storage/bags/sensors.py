@@ -123,4 +123,5 @@ def _frame(
         sample.pan_rad,
         sample.tilt_rad,
         pan_rate_rad_s=sample.pan_rate_rad_s,
+        pan_sigma_rad=sample.pan_sigma_rad,
     )

@@ -64,13 +64,15 @@ class JointHistory:
         first, second = self._samples[max(later - 1, 0)], self._samples[later]
         gap_ns = second.stamp_ns - first.stamp_ns
         beyond_ns = max(first.stamp_ns - stamp_ns, stamp_ns - second.stamp_ns)
-        if 0 < gap_ns <= _MAX_JOINT_GAP_NS and beyond_ns <= _SAME_TIME_NS:
+        rate = self._rate(later)
+        if rate is not None and beyond_ns <= _SAME_TIME_NS:
             share = (stamp_ns - first.stamp_ns) / gap_ns
             return JointSample(
                 stamp_ns,
                 first.pan_rad + share * (second.pan_rad - first.pan_rad),
                 first.tilt_rad + share * (second.tilt_rad - first.tilt_rad),
-                1e9 * (second.pan_rad - first.pan_rad) / gap_ns,
+                rate,
+                abs(share * (1.0 - share)) * gap_ns * 1e-9 * self._rate_change(later, rate),
             )
         nearest = min(first, second, key=lambda sample: abs(sample.stamp_ns - stamp_ns))
         if abs(nearest.stamp_ns - stamp_ns) <= _SAME_TIME_NS:
@@ -80,6 +82,25 @@ class JointHistory:
         if stamp_ns < first.stamp_ns:
             return Refusal(f'joint_states begin {beyond_ns * 1e-6:.0f} ms later')
         return Refusal(f'no joint_states for {gap_ns * 1e-9:.1f} s')
+
+    def _rate(self, later: int) -> float | None:
+        """Rate of the pan, rad/s, from one sample to a later one; None if they do not tell."""
+        if not 0 < later < len(self._samples):
+            return None
+        first, second = self._samples[later - 1], self._samples[later]
+        gap_ns = second.stamp_ns - first.stamp_ns
+        known = 0 < gap_ns <= _MAX_JOINT_GAP_NS
+        return 1e9 * (second.pan_rad - first.pan_rad) / gap_ns if known else None
+
+    def _rate_change(self, later: int, rate: float) -> float:
+        """
+        By how much the pan may turn faster or slower in a part of an interval of that rate.
+
+        The rates before and after it tell, on average; alone, it may have stood for a part.
+        """
+        beside = (self._rate(later - 1), self._rate(later + 1))
+        changes = [abs(other - rate) for other in beside if other is not None]
+        return sum(changes) / len(changes) if changes else abs(rate)
 
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:
