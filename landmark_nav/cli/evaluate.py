@@ -73,7 +73,7 @@ def add_parser(subparsers: Any) -> None:
         '--config',
         metavar='F',
         help='parameters that differ from the defaults: YAML with the sections observation, '
-        'fusion, odometry, health and relocalization',
+        'fusion, odometry, health and relocalization, and with choice_period_s',
     )
     parser.add_argument(
         '--smooth',
