@@ -35,7 +35,8 @@ _COUNT = 3
 # As the robot has them.
 _BOUNDS = TripletConfig()
 _CELL_M = 0.04
-_MARGIN_M = 0.45
+# Around the plans, which names of walls are written in, as a share of the longer side.
+_MARGIN = 0.07
 _LEVELS = (0.5, 1.5)
 
 
@@ -81,7 +82,7 @@ def draw_observation_areas(
     chosen = typical_landmarks(landmarks)
     tried = {test.landmark: test for test in tests}
     corners = np.array([wall.start for wall in room.walls])
-    width, height = np.ptp(corners, axis=0) + 2.0 * _MARGIN_M
+    width, height = np.ptp(corners, axis=0) + 2.0 * _margin_m(room)
     # Higher than needed: the layout leaves no room for labels below plans that fill their cells.
     figure = new_figure(15.0, 2.0 * (5.9 * height / width + 1.1) + 1.2)
     top, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[0.04, 1.0])))
@@ -121,6 +122,10 @@ def draw_observation_areas(
     return text
 
 
+def _margin_m(room: Room) -> float:
+    return _MARGIN * float(np.ptp([wall.start for wall in room.walls], axis=0).max())
+
+
 def _draw_area(
     axes: Axes, landmark: Landmark, room: Room, test: AreaTest | None
 ) -> tuple[int, int]:
@@ -131,7 +136,7 @@ def _draw_area(
     cells = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     area = _predicted(landmark, room, cells).reshape(len(y), len(x)).astype(float)
     axes.contourf(x, y, area, _LEVELS, colors=FIX, alpha=0.45, zorder=1)
-    draw_walls(axes, room.walls, _MARGIN_M)
+    draw_walls(axes, room.walls, _margin_m(room))
     axes.set_anchor('NE')
     axes.plot(*landmark.position[:2], 's', color=LANDMARK, markersize=8, zorder=6)
     axes.plot(*landmark.viewpoint[:2], '^', color=FUSED, markersize=10, zorder=6)
@@ -172,7 +177,7 @@ def _draw_patch(axes: Axes, landmark: Landmark) -> None:
 
 
 def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:
-    draw_walls(axes, room.walls, _MARGIN_M)
+    draw_walls(axes, room.walls, _margin_m(room))
     axes.set_anchor('NE')
     draw_papers(axes, room.papers)
     axes.plot(*landmarks.positions[:, :2].T, '.', color=LANDMARK, markersize=6, zorder=4)
