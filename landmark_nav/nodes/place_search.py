@@ -49,6 +49,9 @@ class PlaceSearchConfig(RelocalizationConfig):
     lost_sigma_m: float = parameter(
         0.5, 'position sigma (root of the trace) from which the place is searched, m', minimum=0.01
     )
+    lost_sigma_rad: float = parameter(
+        0.5, 'heading sigma from which the place is searched, rad', minimum=0.01
+    )
     search_s: float = parameter(15.0, 'how long relocalize may look around, s', minimum=0.1)
 
 
@@ -119,12 +122,16 @@ class PlaceSearch:
         if self._asked or not wanted:
             return
         fused = self._fused(stamp_ns)
-        lost = fused is None or (np.trace(fused.covariance[:2, :2]) > self._config.lost_sigma_m**2)
-        if not lost:
+        if fused is not None and self._is_known(fused):
             self._relocalizer = None
         elif self._relocalizer is None:
             self._odometry.clear()
             self._relocalizer = self._new_relocalizer()
+
+    def _is_known(self, fused: PoseEstimate) -> bool:
+        variance, config = np.diag(fused.covariance), self._config
+        wide = variance[0] + variance[1] > config.lost_sigma_m**2
+        return not (wide or variance[2] > config.lost_sigma_rad**2)
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Keep odometry for the next picture, while one is wanted."""

@@ -456,6 +456,16 @@ class TestStatus:
         status, reason = fused.status
         assert status == 'lost'
         assert 'innovations' in reason
+        # What is claimed says so too: nodes that see no more than that search the place.
+        assert np.trace(fused.estimate().covariance[:2, :2]) > 0.5**2  # type: ignore[union-attr]
+        # It is over when they fit again.
+        for k, moment in enumerate(drive(200)):
+            if k > 100:
+                fused.add_odometry(moment.odometry)
+                if k % EVERY == 0:
+                    fused.add_detections(sighting(moment, k))
+        assert fused.status == ('tracking', '')
+        assert np.trace(fused.estimate().covariance[:2, :2]) < 0.02**2  # type: ignore[union-attr]
 
 
 class TestPoses:

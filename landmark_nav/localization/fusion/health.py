@@ -107,15 +107,15 @@ class Health:
         self._last_refusal: str = ''
         self._window: deque[tuple[float, int]] = deque(maxlen=config.nis_window)
         self._views: deque[_View] = deque()
-        self._missing = 0
-        self._trouble: tuple[int, str] | None = None
+        self._doubts = 0
+        self._trouble = (-(10**18), '')
 
     def restart(self, stamp_ns: int) -> None:
         """Forget everything: a pose was given at that time."""
         self._accepted_ns = stamp_ns
         self._rejections = self._acceptances = 0
         self._astray = self._last_refusal = ''
-        self._missing = 0
+        self._doubts = 0
         self.change_map()
 
     def change_map(self) -> None:
@@ -129,9 +129,13 @@ class Health:
         return bool(self._astray)
 
     @property
-    def missing(self) -> int:
-        """Pictures since lost in which next to nothing was found of what should be there."""
-        return self._missing
+    def doubts(self) -> int:
+        """
+        Pictures since lost that speak against the pose though nothing of them was rejected.
+
+        Next to nothing is found of what should be there, or innovations stay too large.
+        """
+        return self._doubts
 
     def least(self, expected: int) -> int:
         """
@@ -174,9 +178,7 @@ class Health:
         if not enough or found > config.missing_share * expected:
             return
         if np.linalg.norm(np.ptp(places[:, :2], axis=0)) > config.missing_extent_m:
-            self._missing += 1
-            self._acceptances = 0
-            self._astray = (
+            self._doubt(
                 f'{found} of {expected} landmarks that should be in the last '
                 f'{len(self._views)} pictures were found'
             )
@@ -193,9 +195,15 @@ class Health:
             self._acceptances += 1
             self._accepted_ns = max(self._accepted_ns or 0, update.stamp_ns)
             self._window.append((update.nis, update.degrees))
-            if self._acceptances >= self._config.found_after_acceptances:
+            nis, limit = self._innovations()
+            if nis > limit:
+                self._doubt(
+                    f'innovations are too large: NIS {nis:.0f} over the last {len(self._window)} '
+                    f'measurements, limit {limit:.0f}'
+                )
+            elif self._acceptances >= self._config.found_after_acceptances:
                 self._astray = ''
-                self._missing = 0
+                self._doubts = 0
         elif update.refusal is not None:
             self.note(update.refusal)
             self._rejections += 1
@@ -205,6 +213,19 @@ class Health:
                     f'{self._rejections} measurements rejected in a row, last: {update.refusal}'
                 )
                 self._window.clear()
+
+    def _doubt(self, why: str) -> None:
+        """Believe the pose no longer, and less with each picture."""
+        self._doubts += 1
+        self._acceptances = 0
+        self._astray = why
+
+    def _innovations(self) -> tuple[float, float]:
+        """NIS of the last measurements together, and what it may be."""
+        nis, degrees = np.sum(self._window, axis=0)
+        repeats = min(self._config.nis_correlation, len(self._window))
+        level = 1.0 - self._config.nis_probability
+        return float(nis), repeats * float(chdtri(max(degrees / repeats, 1.0), level))
 
     def status(
         self, estimate: PoseEstimate | None, odometry_ns: int | None = None
@@ -216,31 +237,30 @@ class Health:
         """
         if estimate is None or self._accepted_ns is None:
             return 'lost', 'no start pose: give one on initialpose or call relocalize'
-        if self._astray:
-            return 'lost', self._astray
+        blind = self._blind(estimate.stamp_ns, odometry_ns)
         sigma = float(np.sqrt(np.trace(estimate.covariance[:2, :2])))
         sigma_heading = float(np.sqrt(estimate.covariance[2, 2]))
+        astray = self._astray
         if sigma > self._config.lost_sigma_m or sigma_heading > self._config.lost_sigma_rad:
-            return 'lost', f'sigma is {sigma:.2f} m and {np.degrees(sigma_heading):.1f} deg'
-        nis, degrees = np.sum(self._window, axis=0) if self._window else (0.0, 0)
-        repeats = min(self._config.nis_correlation, max(len(self._window), 1))
-        level = 1.0 - self._config.nis_probability
-        limit = repeats * float(chdtri(max(degrees / repeats, 1.0), level))
-        if nis > limit:
-            return 'lost', (
-                f'innovations are too large: NIS {nis:.0f} over the last {len(self._window)} '
-                f'measurements, limit {limit:.0f}'
-            )
-        if odometry_ns is None:
-            return 'coasting', 'no odometry'
+            astray = astray or f'sigma is {sigma:.2f} m and {np.degrees(sigma_heading):.1f} deg'
+        if astray:
+            return 'lost', f'{astray}; {blind}' if blind else astray
         waited = (estimate.stamp_ns - self._accepted_ns) * 1e-9
-        if waited > self._config.coasting_after_s:
+        if odometry_ns is not None and waited > self._config.coasting_after_s:
             return 'coasting', f'nothing accepted for {waited:.1f} s{self._last_refusal}'
-        recent = self._config.trouble_s
-        trouble, reason = self._trouble or (-(10**18), '')
-        if (blind := (estimate.stamp_ns - odometry_ns) * 1e-9) > self._config.coasting_after_s:
-            last = f', last: {reason}' if reason else ''
-            return 'coasting', f'no odometry for {blind:.1f} s{last}'
-        if 0.0 <= (estimate.stamp_ns - trouble) * 1e-9 < recent:
+        if blind:
+            return 'coasting', blind
+        trouble, reason = self._trouble
+        if 0.0 <= (estimate.stamp_ns - trouble) * 1e-9 < self._config.trouble_s:
             return 'coasting', reason
         return 'tracking', ''
+
+    def _blind(self, stamp_ns: int, odometry_ns: int | None) -> str:
+        """Say whether odometry is missing, and why it may be."""
+        if odometry_ns is None:
+            return 'no odometry'
+        seconds = (stamp_ns - odometry_ns) * 1e-9
+        if seconds <= self._config.coasting_after_s:
+            return ''
+        _, reason = self._trouble
+        return f'no odometry for {seconds:.1f} s' + (f', last: {reason}' if reason else '')

@@ -278,10 +278,10 @@ class PoseFilter:
         if not self._history.started:
             return None
         found = self._history.at(stamp_ns).estimate()
-        if not self._health.missing:
+        if not self._health.doubts:
             return found
         # The place is doubted, not the motion: this goes when landmarks are found here again.
-        doubt = self._health.missing * self._doubt
+        doubt = self._health.doubts * self._doubt
         doubt *= min(1.0, self._config.astray_limit_m**2 / (doubt[0] + 1e-300))
         return replace(found, covariance=found.covariance + np.diag(doubt))
 
