@@ -7,6 +7,7 @@ and `health` the verdict.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -35,6 +36,9 @@ from landmark_nav.types import (
 )
 
 __all__ = ['FusionConfig', 'FusionUpdate', 'PoseFilter']
+
+# So many correlations of the pictures before tell what to expect.
+_SCORES = 12
 
 
 @dataclass(frozen=True)
@@ -193,6 +197,7 @@ class PoseFilter:
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """Go on among other landmarks from where the robot is, believed as much as before."""
         self._map = landmark_map
+        self._scores: deque[float] = deque(maxlen=_SCORES)
         self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
         if self._history.started:
             self._history.restart(among(self._history.at(), landmark_map))
@@ -220,7 +225,8 @@ class PoseFilter:
         stamp = detections.stamp_ns
         if self._config.mode != 'bearings':
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
-        frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad)
+        frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad, self._scores)
+        self._scores.extend(frame.scores.tolist())
         refusal = self._untimely(stamp)
         known = [k for k in detections.missed.tolist() if k in self._columns]
         missed = self._map.positions[[self._columns[k] for k in known]]

@@ -86,7 +86,8 @@ class BearingFrame:
     The bearings of one picture, ready for the filter.
 
     `columns` (m,) are places of the landmarks in the map, `variance` (m,) what each bearing claims
-    of itself and `common_variance` what all of them share, `unusable` what was sorted out before.
+    of itself and `common_variance` what all of them share, `scores` (m,) their correlations,
+    `unusable` what was sorted out before.
     """
 
     columns: IndexArray
@@ -94,11 +95,15 @@ class BearingFrame:
     variance: FloatArray
     common_variance: float
     unusable: dict[int, Refusal]
+    scores: FloatArray
     pan_rate: float = 0.0
 
 
 def bearing_frame(
-    detections: Detections, columns: Mapping[int, int], common_sigma: float
+    detections: Detections,
+    columns: Mapping[int, int],
+    common_sigma: float,
+    scores_before: npt.ArrayLike = (),
 ) -> BearingFrame:
     """
     Sort out what no filter can use.
@@ -111,11 +116,13 @@ def bearing_frame(
         Landmark id to place in the map.
     common_sigma : float
         Error that all bearings of any picture share, radians.
+    scores_before : array_like, shape (k,)
+        Correlations in the pictures before: what is to be expected where few are found.
 
     """
     variance = detections.variance_rad2
     good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
-    unlike = _unlike_the_others(detections.score)
+    unlike = _unlike_the_others(detections.score, np.asarray(scores_before, dtype=np.float64))
     unusable: dict[int, Refusal] = {}
     chosen: dict[int, int] = {}
     for k, landmark in enumerate(detections.ids.tolist()):
@@ -138,23 +145,27 @@ def bearing_frame(
         variance[rows],
         common_sigma**2 + detections.pan_sigma_rad**2,
         unusable,
+        detections.score[rows],
         detections.pan_rate_rad_s,
     )
 
 
-def _unlike_the_others(score: FloatArray) -> npt.NDArray[np.bool_]:
+def _unlike_the_others(score: FloatArray, before: FloatArray) -> npt.NDArray[np.bool_]:
     """
     Which matches leave far more unexplained than the others of their picture, (n,).
 
     Light, blur and noise lower all correlations of a picture together. One far below the others
     shows something else, as a picture that was exchanged, and is off by the same amount again
-    and again: its variance, which stands for noise, does not tell.
+    and again: its variance, which stands for noise, does not tell. Where a picture has few
+    matches, those of the pictures `before` count as well; if it lies below them as a whole, that
+    is the light.
     """
-    if len(score) < _FEW:
+    others = score if len(score) >= _FEW else np.append(score, before)
+    if len(others) < _FEW:
         return np.zeros(len(score), dtype=np.bool_)
-    unexplained = 1.0 - score**2
-    limit = _UNLIKE_TIMES * np.median(unexplained) + _UNLIKE_ANYWAY
-    return np.asarray(unexplained > limit)
+    limit = _UNLIKE_TIMES * np.median(1.0 - others**2) + _UNLIKE_ANYWAY
+    unlike = np.asarray(1.0 - score**2 > limit)
+    return unlike & ~unlike.all()
 
 
 def expected_bearings(
