@@ -1,20 +1,28 @@
-"""What `landmark-nav bench` times of simulation and learning, and beside what."""
+"""What `landmark-nav bench` times of simulation, learning and planning, and beside what."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 
 import cv2
 import numpy as np
 
 from landmark_nav.cli.bench_world import Comparison, MOUNT, STEP_RAD, World
+from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.attention import AttentionConfig, select_candidates
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
+from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
+from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig
+from landmark_nav.learning.sharpness import look_at, relative_sharpness
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.planning.config import PlanConfig
+from landmark_nav.planning.planner import forecast, plan_positions
+from landmark_nav.planning.room_grid import free_floor
 from landmark_nav.types import ImageArray
 
 __all__ = ['learning_comparisons']
@@ -25,11 +33,15 @@ _COLUMNS, _ROWS = np.meshgrid(
 
 
 def learning_comparisons(world: World) -> Iterator[Comparison]:
-    """Renderer, panorama, attention and stereo."""
+    """Renderer, capture, panorama, reference area, attention, stereo to election, planner."""
     yield _renderer(world)
+    yield _capture(world)
     yield from _panorama(world)
+    yield _reference_area(world)
     yield _attention(world)
     yield _stereo(world)
+    yield from _adjustment_and_election(world)
+    yield _planner(world)
 
 
 def _bare_remap(image: ImageArray) -> object:
@@ -46,6 +58,30 @@ def _renderer(world: World) -> Comparison:
         'cv2.remap of as many pixels',
         lambda: [_bare_remap(image) for _ in range(8)],
         count=8,
+    )
+
+
+def _capture(world: World) -> Comparison:
+    """Each picture beside the four before it, as capture judges it."""
+    frames = world.sweeps[0].frames[:24]
+
+    def judge() -> None:
+        looks = [look_at(frame.image, frame.camera) for frame in frames]
+        for k, frame in enumerate(frames):
+            for n in range(max(0, k - 4), k):
+                relative_sharpness(looks[k], looks[n], frame.pan_rad - frames[n].pan_rad)
+
+    def focus() -> None:
+        for frame in frames:
+            grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+            cv2.meanStdDev(cv2.Laplacian(grey, cv2.CV_32F))
+
+    return Comparison(
+        'judgement of a picture in capture',
+        judge,
+        'variance of cv2.Laplacian of the picture alone',
+        focus,
+        count=len(frames),
     )
 
 
@@ -74,6 +110,25 @@ def _panorama(world: World) -> Iterator[Comparison]:
         lambda: calibrate_sweep(sweep, MOUNT, CalibrationConfig()),
         reference,
         bare,
+    )
+
+
+def _reference_area(world: World) -> Comparison:
+    sweep, config = replace(world.sweeps[0], pose_map_base=None), ReferenceAreaConfig()
+    view = synthesize_cylinder(sweep, MOUNT, PanoramaConfig())
+
+    def components() -> None:
+        for frame in sweep.frames:
+            hsv = cv2.cvtColor(frame.image, cv2.COLOR_BGR2HSV)
+            for hue in (0, 60, 120):
+                mask = cv2.inRange(hsv, (max(hue - 10, 0), 90, 40), (hue + 10, 255, 255))
+                cv2.connectedComponentsWithStats(mask)
+
+    return Comparison(
+        'place of a sweep by its papers',
+        lambda: locate_sweep(sweep, view, world.scene.room, MOUNT, config),
+        'coloured blobs of its frames, without edges and place',
+        components,
     )
 
 
@@ -110,4 +165,53 @@ def _stereo(world: World) -> Comparison:
         'cv2.matchTemplate over the other panorama',
         everywhere,
         count=len(patches),
+    )
+
+
+def _adjustment_and_election(world: World) -> Iterator[Comparison]:
+    config, room = StereoConfig(), world.scene.room
+    panoramas, greys = world.panoramas, world.greys
+    patches: list[WallPatch] = []
+    sightings: list[list[Sighting]] = []
+    for k, candidates in enumerate(world.learned.candidates):
+        for candidate in candidates:
+            patch = hypothesize(candidate, k, panoramas[k], room, config)
+            if isinstance(patch, WallPatch):
+                seen = match_in(patch, 1 - k, panoramas, greys, room, config)
+                if isinstance(seen, Sighting):
+                    patches.append(patch)
+                    sightings.append([own_sighting(patch, panoramas[k]), seen])
+    walls = [patch.wall for patch in patches]
+    start = np.array([patch.position for patch in patches])
+    run = partial(adjust, sightings, walls, start, panoramas, room, AdjustmentConfig())
+    adjustment = run()
+    # Two numbers a sighting and one a wall; three unknowns a landmark and four a panorama.
+    rng = np.random.default_rng(0)
+    dense = rng.normal(size=(5 * len(patches), 3 * len(patches) + 8))
+    yield Comparison(
+        'adjustment of landmarks and places',
+        run,
+        f'numpy.linalg.lstsq, dense, {dense.shape[0]} x {dense.shape[1]}, once',
+        lambda: np.linalg.lstsq(dense, dense[:, 0], rcond=None),
+    )
+    across, down = _COLUMNS[:30, :30], _ROWS[:30, :30]
+    yield Comparison(
+        'election of a patch',
+        lambda: elect(patches, sightings, adjustment, panoramas, greys, room, ElectionConfig()),
+        'two cv2.remap of 30 x 30 px',
+        lambda: [
+            cv2.remap(greys[0], across, down, cv2.INTER_LINEAR) for _ in range(2 * len(walls))
+        ],
+        count=len(patches),
+    )
+
+
+def _planner(world: World) -> Comparison:
+    room, config = world.scene.room, PlanConfig(spacing_m=0.5, random_sets=10)
+    floor = free_floor(room, config.clearance_m, config.spacing_m, 200)
+    return Comparison(
+        'plan of two places',
+        lambda: plan_positions(room, MOUNT, 2, config, np.random.default_rng(0)),
+        'forecast for two places that are given',
+        lambda: forecast([world.poses], floor, room, MOUNT, config),
     )

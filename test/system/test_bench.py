@@ -15,7 +15,10 @@ def test_bench_times_every_stage_beside_a_reference(
     assert main(['bench', '--repeats', '1', '--json', str(figures)]) == 0
     document = json.loads(figures.read_text(encoding='utf-8'))
     names = ' '.join(stage['stage'] for stage in document['stages'])
-    for stage in ('picture', 'panorama', 'attention', 'stereo', 'triplet', 'detection', 'fusion'):
+    for stage in (
+        'capture', 'panorama', 'calibration', 'papers', 'attention', 'stereo', 'adjustment',
+        'election', 'plan of', 'triplet', 'detection', 'triangulation', 'fusion',
+    ):  # fmt: skip
         assert stage in names
     for stage in document['stages']:
         assert stage['ratio'] == pytest.approx(stage['seconds'] / stage['reference_seconds'])
