@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
+from landmark_nav.geometry.observation import relative_sampling
 from landmark_nav.geometry.patches import patch_axes, PatchView
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
@@ -29,6 +30,12 @@ class ElectionConfig:
 
     max_incidence_rad: float = parameter(
         1.05, 'greatest angle between the reference view and the normal', minimum=0.1, maximum=1.5
+    )
+    max_stretch: float = parameter(
+        4.0,
+        'how much finer or coarser than the reference view another view may show it, at least one',
+        minimum=1,
+        maximum=100,
     )
     min_size_px: int = parameter(
         20, 'least width and height in the reference view, pixels', minimum=8, maximum=512
@@ -99,9 +106,11 @@ def elect(
     taken: list[Landmark] = []
     for k in np.argsort([-patch.candidate.saliency for patch in patches], kind='stable'):
         patch = patches[k]
+        others = [s.panorama for s in sightings[k] if s.panorama != patch.source]
         refusal = _refuse(
-            patch, k, adjustment, covariance[k], panoramas[patch.source], len(sightings[k]), config
-        )
+            patch, k, adjustment, covariance[k], panoramas[patch.source],
+            [panoramas[other] for other in others], config,
+        )  # fmt: skip
         if refusal is None and any(
             _overlap(patch, adjustment.positions[k], other) > config.max_overlap
             for other in taken
@@ -124,7 +133,6 @@ def elect(
         if landmark is None:
             outcomes[k] = Refusal('runs out of its panorama')
             continue
-        others = [s.panorama for s in sightings[k] if s.panorama != patch.source]
         views = [_view(landmark, panoramas[other], greys[other]) for other in others]
         landmark = replace(landmark, views=tuple(view for view in views if view is not None))
         outcomes[k] = landmark
@@ -138,12 +146,12 @@ def _refuse(
     adjustment: Adjustment,
     covariance: FloatArray,
     panorama: Panorama,
-    views: int,
+    others: Sequence[Panorama],
     config: ElectionConfig,
 ) -> Refusal | None:
     # Two views and a wall leave two numbers more than a place takes; each other view adds two.
     likelihood = chdtrc(2, config.max_chi_square)
-    most = float(chdtri(2 * views - 2, likelihood))
+    most = float(chdtri(2 * len(others), likelihood))
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
     if abs(off_wall) > config.max_off_wall_m or misfit > most:
         return Refusal('not on a wall', f'{off_wall * 100:.0f} cm off, misfit {misfit:.0f}')
@@ -154,6 +162,16 @@ def _refuse(
     incidence = float(np.arccos(np.clip(ray @ patch.normal[:2] / np.hypot(*ray), -1.0, 1.0)))
     if incidence > config.max_incidence_rad:
         return Refusal('seen too obliquely', f'{np.degrees(incidence):.0f} deg')
+    across, down = relative_sampling(
+        adjustment.positions[k, None], patch.normal[None], panorama.center_map[None],
+        np.array([other.center_map for other in others]),
+    )  # fmt: skip
+    stretch, compression = np.maximum(across, down), np.minimum(across, down)
+    best = int(np.argmin(np.maximum(stretch, 1.0 / compression)))
+    if stretch[best, 0] > config.max_stretch:
+        return Refusal('too stretched in the other view', f'x {stretch[best, 0]:.2f}')
+    if compression[best, 0] < 1.0 / config.max_stretch:
+        return Refusal('too compressed in the other view', f'x {compression[best, 0]:.2f}')
     if min(patch.candidate.width_px, patch.candidate.height_px) < config.min_size_px:
         return Refusal('too small')
     return None

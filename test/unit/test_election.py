@@ -25,7 +25,7 @@ ROOM = rectangle_room(6.0, 5.0)
 CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.6, 2.9, 1.1]))
 HEADINGS = (0.4, -2.0)
 SCENE = textured_room(ROOM, seed=3, feature_m=0.05)
-EAST, NORTH = 1, 2
+SOUTH, EAST, NORTH = 0, 1, 2
 
 
 @pytest.fixture(scope='module')
@@ -173,6 +173,28 @@ def test_what_is_seen_along_the_wall_is_refused(panoramas: list[Panorama]) -> No
     assert isinstance(outcome, Refusal)
     assert outcome.reason == 'seen too obliquely'
     assert outcome.detail == '61 deg'
+
+
+@pytest.mark.parametrize(
+    ('position', 'wall', 'reason', 'detail'),
+    [
+        ((4.0, 5.0, 1.2), NORTH, 'too stretched in the other view', 'x 1.87'),
+        ((2.2, 0.0, 1.2), SOUTH, 'too compressed in the other view', 'x 0.56'),
+    ],
+)
+def test_what_the_other_view_shows_otherwise_is_refused(
+    panoramas: list[Panorama],
+    position: tuple[float, float, float],
+    wall: int,
+    reason: str,
+    detail: str,
+) -> None:
+    patches = [patch_at(position, wall=wall)]
+    (outcome,) = elect_from(panoramas, patches, config=ElectionConfig(max_stretch=1.5))
+    assert isinstance(outcome, Refusal)
+    assert (outcome.reason, outcome.detail) == (reason, detail)
+    (outcome,) = elect_from(panoramas, patches, config=ElectionConfig(max_stretch=2.0))
+    assert isinstance(outcome, Landmark)
 
 
 def test_small_patches_are_refused(panoramas: list[Panorama]) -> None:
