@@ -139,7 +139,7 @@ def compare(
 ) -> dict[str, float | str]:
     """Set what was learned beside what was predicted; millimetres, root mean squares."""
     learned = result.map
-    truth = true_places(result, poses, scene.room, DEFAULT_MOUNT)
+    truth = true_places(result, poses, DEFAULT_MOUNT, scene.room)
     error = np.linalg.norm(learned.positions[:, :2] - truth, axis=1)
     claimed = np.sqrt(np.mean(np.trace(learned.covariances[:, :2, :2], axis1=1, axis2=2)))
     fixes = np.array([localize(cell, result, truth, rng) for cell in cells])

@@ -105,8 +105,8 @@ def run(args: argparse.Namespace) -> int:
         raise LandmarkNavError(f'--seed {args.seed}: 0 or more')
     attention = _attention(args.feature)
     wanted = set(args.figure or ([6] if args.map and not args.bag else _NAMES))
-    data = _gather(args, wanted, attention)
     args.out.mkdir(parents=True, exist_ok=True)
+    data = _gather(args, wanted, attention)
     for number in progress(sorted(wanted), 'figures'):
         path = args.out / _NAMES[number]
         print(wrapped([str(path), f'  {_draw(number, data, attention, path, args.feature)}']))
@@ -156,7 +156,7 @@ def _recorded(
     data = _learned(sweeps, room, mount, wanted, attention)
     poses = truth_of_bag(bag).at([sweep.stamp_ns for sweep in sweeps])
     if data.learned is not None and np.all(np.isfinite(poses)):
-        data = replace(data, truth=true_places(data.learned, poses, room, mount))
+        data = replace(data, truth=true_places(data.learned, poses, mount))
     return data if given is None else replace(data, landmarks=given)
 
 
@@ -168,7 +168,7 @@ def _simulated(world: FiguresWorld, wanted: set[int], attention: AttentionConfig
     learned = data.learned
     if learned is None:
         return data
-    data = replace(data, truth=true_places(learned, world.poses, room, world.mount))
+    data = replace(data, truth=true_places(learned, world.poses, world.mount))
     if 6 in wanted:
         chosen = typical_landmarks(learned.map)
         tests = [world.look_for(k, world.scene.seed) for k in progress(chosen, 'areas')]

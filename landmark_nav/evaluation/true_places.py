@@ -25,10 +25,10 @@ def truth_of_bag(bag: Bag) -> PoseTrack:
 
 
 def true_places(
-    result: LearningResult, true_poses: FloatArray, room: Room, mount: PanTiltMount
+    result: LearningResult, true_poses: FloatArray, mount: PanTiltMount, room: Room | None = None
 ) -> FloatArray:
     """
-    Where the patches of the landmarks lie on the walls.
+    Where the true rays to the patches of the landmarks end.
 
     Parameters
     ----------
@@ -36,10 +36,12 @@ def true_places(
         What was learned.
     true_poses : ndarray, shape (k, 3)
         Of the base, one a panorama.
-    room : Room
-        The walls, which pictures hang a finger's breadth off at most.
     mount : PanTiltMount
         Where the camera turns.
+    room : Room, optional
+        Walls that pictures lie flush on, as in the simulator. Without it a patch is as far off
+        its wall as its landmark, so that the two differ along the wall alone: real pictures hang
+        a finger's breadth before it, nobody knows how far.
 
     Returns
     -------
@@ -55,7 +57,11 @@ def true_places(
         for candidate, outcome in zip(candidates, outcomes, strict=True):
             if isinstance(outcome, Landmark):
                 azimuth = float(panorama.cylinder.azimuth_rad(candidate.column)) + pose[2]
-                reach = float(room.raycast(axis, azimuth)[0])
-                place = axis + reach * np.array([np.cos(azimuth), np.sin(azimuth)])
+                ray, normal = np.array([np.cos(azimuth), np.sin(azimuth)]), outcome.normal[:2]
+                if room is None:
+                    reach = (outcome.position[:2] - axis) @ normal / (ray @ normal)
+                else:
+                    reach = room.raycast(axis, azimuth)[0]
+                place = axis + reach * ray
                 truth[result.map.indices(np.array([outcome.id]))[0]] = place
     return truth

@@ -47,7 +47,7 @@ def draw_learned(
     path : Path
         PNG to write.
     truth : ndarray, shape (n, 2), optional
-        True places of the landmarks of the map.
+        Where true rays meet the landmarks of the map, as far off their walls as those lie.
 
     """
     first, second = _strips(result)
@@ -72,10 +72,9 @@ def draw_learned(
     if truth is not None:
         error = 1e3 * np.hypot(*(result.map.positions[:, :2] - truth).T)
         text += (
-            f' They lie {np.median(error[shown]):.1f} mm in the median, '
-            f'{error[shown].max():.1f} mm at most, from where the true rays meet the walls, all '
-            f'landmarks {np.median(error):.1f} mm and {np.quantile(error, 0.95):.1f} mm at 95 %; '
-            'that includes how far pictures hang before their walls.'
+            f' Along their walls they lie {np.median(error[shown]):.1f} mm in the median, '
+            f'{error[shown].max():.1f} mm at most, from the true rays, all landmarks '
+            f'{np.median(error):.1f} mm and {np.quantile(error, 0.95):.1f} mm at 95 %.'
         )
     caption(figure, text)
     number_landmarks(figure, axes, result.map, shown)
@@ -142,6 +141,6 @@ def _draw_plan(
             color=ODOMETRY,
             markersize=5,
             zorder=7,
-            label='where the true ray meets the wall',
+            label='on the true ray',
         )
         axes.legend(loc='upper left', frameon=False, bbox_to_anchor=(0.0, 1.06))
