@@ -30,7 +30,7 @@ import sys
 import tempfile
 
 from landmark_truth import TrueWalls
-from measured_room import measured
+from measured_room import tell_measured
 import numpy as np
 import numpy.typing as npt
 from relocalize_check import changed, free_poses, picture
@@ -45,10 +45,8 @@ from landmark_nav.localization.triplet.visibility import (
     whole_in_view,
 )
 from landmark_nav.simulation.room_generator import generate_scene
-from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 MAX_MEDIAN_M = 0.006
@@ -192,13 +190,7 @@ def learned_map(seed: int, rooms: Path | None, as_measured: bool) -> LandmarkMap
         told = folder
         if as_measured:
             told = Path(scratch)
-            room, mount = measured(
-                load_room(folder / 'room.yaml'),
-                load_robot(folder / 'robot.yaml'),
-                np.random.default_rng([seed, 60]),
-            )
-            (told / 'room.yaml').write_text(room_document(room))
-            (told / 'robot.yaml').write_text(robot_document(mount))
+            tell_measured(folder, told, seed)
         _run(
             'learn', str(folder / 'learn'), '--room', str(told / 'room.yaml'),
             '--robot', str(told / 'robot.yaml'), '--out', f'{scratch}/map',

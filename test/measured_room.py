@@ -1,8 +1,9 @@
-"""What a person who measured a simulated room tells the robot; for `landmark_check.py`."""
+"""What a person who measured a simulated room tells the robot; for the checks of rooms."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -10,6 +11,20 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
+from landmark_nav.simulation.setup_documents import robot_document, room_document
+from landmark_nav.storage.setup_files import load_robot, load_room
+
+
+def tell_measured(folder: Path, told: Path, seed: int) -> None:
+    """Write into `told` what a person would have measured of the room simulated in `folder`."""
+    room, mount = measured(
+        load_room(folder / 'room.yaml'),
+        load_robot(folder / 'robot.yaml'),
+        np.random.default_rng([seed, 60]),
+    )
+    told.mkdir(exist_ok=True)
+    (told / 'room.yaml').write_text(room_document(room))
+    (told / 'robot.yaml').write_text(robot_document(mount))
 
 
 def measured(

@@ -2,6 +2,7 @@
 Rooms never seen: simulate, learn from two sweeps, evaluate a drive; one line a room.
 
 Before the drive a lamp is dimmed, a piece of furniture moved, and one picture in five exchanged.
+With ``--measured`` the robot is told a ``room.yaml`` as a person measures it, not the exact one.
 ``python test/rooms.py --seeds 201 202 203`` prints the table of the README and exits with 1 if a
 room misses a bound. Seeds are not used anywhere else: nothing is fitted to them.
 """
@@ -14,6 +15,7 @@ from pathlib import Path
 import sys
 import tempfile
 
+from measured_room import tell_measured
 import numpy as np
 import yaml
 
@@ -30,11 +32,17 @@ MAX_SWEEP_ERROR_M = 0.02
 MAX_SWEEP_ERROR_DEG = 0.3
 
 
-def run_room(seed: int, folder: Path, *options: str) -> dict[str, float | bool]:
+def run_room(
+    seed: int, folder: Path, *options: str, as_measured: bool = False
+) -> dict[str, float | bool]:
     """Take the commands that a user would, in `folder`; what came of it."""
-    room, robot = str(folder / 'room.yaml'), str(folder / 'robot.yaml')
     changes = ['--light-change', '--exchange', str(EXCHANGED)]
     _run('simulate', '--out', str(folder), '--seed', str(seed), *changes, *options)
+    told = folder
+    if as_measured:
+        told = folder / 'told'
+        tell_measured(folder, told, seed)
+    room, robot = str(told / 'room.yaml'), str(told / 'robot.yaml')
     start = json.loads((folder / 'start.json').read_text())['pose']
     _run(
         'learn', str(folder / 'learn'), '--room', room, '--robot', robot,
@@ -103,12 +111,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, nargs='+', required=True)
     parser.add_argument('--out', type=Path, help='keep the rooms here')
+    parser.add_argument(
+        '--measured', action='store_true', help='tell the robot what a person would have measured'
+    )
     arguments, options = parser.parse_known_args()
     rows = []
     for seed in arguments.seeds:
         with tempfile.TemporaryDirectory() as scratch:
             folder = (arguments.out or Path(scratch)) / f'room_{seed}'
-            rows.append(run_room(seed, folder, *options))
+            rows.append(run_room(seed, folder, *options, as_measured=arguments.measured))
     for k, row in enumerate(rows):
         if k == 0:
             print('\n' + '  '.join(f'{name:>12}' for name in row))
