@@ -21,7 +21,7 @@ NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector tri
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-offline test-nodes lint bench rooms landmarks alternatives cameras triangulation \
+.PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \
 	latency papers bad-sweeps config test-oldest clean
 
 install: .venv/installed
@@ -58,6 +58,12 @@ bench: install
 SEEDS ?= 901 902 903 904 905
 rooms: install
 	$(BIN)/python test/rooms.py --seeds $(SEEDS)
+
+# Other cameras and other rooms than those of the simulator's own making.
+variety: install
+	for camera in test/setups/camera_*.yaml; do $(BIN)/python test/rooms.py --seeds 71 --camera $$camera || failed=1; done; \
+	for room in test/setups/room_*.yaml; do $(BIN)/python test/rooms.py --seeds 72 --room $$room || failed=1; done; \
+	test -z "$$failed"
 
 # Landmarks of the same rooms against the truth: where they are, and from where they are found.
 landmarks: install

@@ -26,9 +26,9 @@ from landmark_nav.simulation.setup_documents import (
     scene_document,
     start_document,
 )
-from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
 from landmark_nav.storage.bags import BagWriter
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 from landmark_nav.storage.whole import whole_folder
 
 __all__ = ['add_parser', 'run']
@@ -60,6 +60,12 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--robot', metavar='F', help='robot.yaml: how the camera is mounted (default: 1.1 m up)'
+    )
+    parser.add_argument(
+        '--camera',
+        metavar='F',
+        help='calibration of its camera, a YAML file as camera_calibration writes it; without it '
+        'one of 512 x 512 pixels',
     )
     parser.add_argument(
         '--seed',
@@ -137,6 +143,7 @@ def run(args: argparse.Namespace) -> int:
     """Simulate; nothing is written unless all of it is."""
     room = load_room(args.room) if args.room else None
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
+    camera = load_camera(args.camera) if args.camera else DEFAULT_CAMERA
     scene = generate_scene(args.seed, room)
     rng = np.random.default_rng([args.seed, 30])
     poses = _sweep_poses(scene, args.sweeps, rng)
@@ -152,6 +159,7 @@ def run(args: argparse.Namespace) -> int:
                 scene,
                 poses[0],
                 args.seed,
+                camera=camera,
                 mount=mount,
                 config=config,
                 start_ns=_LEARN_START_NS,
@@ -165,6 +173,7 @@ def run(args: argparse.Namespace) -> int:
                 later,
                 start,
                 args.seed + 1,
+                camera=camera,
                 mount=mount,
                 config=config,
                 start_ns=_DRIVE_START_NS,

@@ -1,4 +1,4 @@
-"""`room.yaml` and `robot.yaml`: read, checked, with messages that name file and field."""
+"""`room.yaml`, `robot.yaml`, calibrations: read, checked; messages name file and field."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ import numpy as np
 import yaml
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.storage.fields import array_field, field, list_field, number_field
+from landmark_nav.storage.fields import (
+    array_field,
+    field,
+    integer_field,
+    list_field,
+    number_field,
+)
 
-__all__ = ['load_robot', 'load_room', 'read_yaml_mapping']
+__all__ = ['load_camera', 'load_robot', 'load_room', 'read_yaml_mapping']
 
 # libyaml, where PyYAML has it, reads a map ten times as fast.
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
@@ -126,6 +132,34 @@ def load_robot(path: Path | str) -> PanTiltMount:
             pan_joint=str(document.get('pan_joint', 'pan_joint')),
             tilt_joint=str(document.get('tilt_joint', 'tilt_joint')),
         )
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{path}: {error}') from error
+
+
+def load_camera(path: Path | str) -> CameraModel:
+    """
+    Read a camera's calibration as ROS keeps it (camera_calibration, camera_info_manager).
+
+    Raises
+    ------
+    LandmarkNavError
+        Missing or malformed fields, or a distortion model that is not supported.
+
+    """
+    path = Path(path)
+    document = read_yaml_mapping(path)
+    try:
+        width = integer_field(document, 'image_width', 'camera')
+        height = integer_field(document, 'image_height', 'camera')
+        matrix = field(document, 'camera_matrix', 'camera')
+        fx, _, cx, _, fy, cy, *_ = array_field(matrix, 'data', (9,), 'camera_matrix').tolist()
+        lens = field(document, 'distortion_coefficients', 'camera')
+        # Without the zeros behind, as a camera_info is read: the same camera is equal.
+        coefficients = np.trim_zeros(
+            array_field(lens, 'data', (None,), 'distortion_coefficients'), 'b'
+        ).tolist()
+        model = str(field(document, 'distortion_model', 'camera'))
+        return CameraModel(width, height, fx, fy, cx, cy, model, tuple(coefficients))
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
 

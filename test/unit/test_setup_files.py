@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
 ROOM = """\
 frame_id: hall
@@ -141,6 +142,40 @@ def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: s
 def test_a_bad_robot_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(LandmarkNavError, match=message):
         load_robot(written(tmp_path, text))
+
+
+CAMERA = """\
+image_width: 640
+image_height: 480
+camera_name: eye
+camera_matrix: {rows: 3, cols: 3, data: [500, 0, 322, 0, 502, 236, 0, 0, 1]}
+distortion_model: equidistant
+distortion_coefficients: {rows: 1, cols: 4, data: [-0.02, 0.003, 0, 0]}
+"""
+
+
+def test_a_calibration_as_ros_keeps_it(tmp_path: Path) -> None:
+    camera = load_camera(written(tmp_path, CAMERA))
+    assert camera == CameraModel(
+        640, 480, 500.0, 502.0, 322.0, 236.0, 'equidistant', (-0.02, 0.003)
+    )
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        (('image_width: 640', 'image_width: wide'), "image_width is 'wide'"),
+        (('equidistant', 'omni'), "camera model 'omni' is not supported"),
+        (('[500, 0, 322,', '[500, 322,'), 'camera_matrix: data is .* not 9 numbers'),
+        (('data: [-0.02, 0.003, 0, 0]', 'no: 1'), 'distortion_coefficients: data is missing'),
+    ],
+)
+def test_a_bad_calibration_is_refused_in_one_line(
+    tmp_path: Path, change: tuple[str, str], message: str
+) -> None:
+    assert change[0] in CAMERA
+    with pytest.raises(LandmarkNavError, match=f'^[^\n]*{message}[^\n]*$'):
+        load_camera(written(tmp_path, CAMERA.replace(*change)))
 
 
 def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:

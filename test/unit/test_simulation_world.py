@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections import Counter
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.world import RobotWorld, WorldConfig
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
 SCENE = generate_scene(11)
 POSE = choose_sweep_places(SCENE).poses[0]
@@ -138,6 +139,8 @@ class TestCommand:
     def test_writes_bags_and_setup(self, tmp_path, capsys):
         out = tmp_path / 'run'
         words = ['--seed', '11', '--sweeps', '1', '--frames', '8', '--drive-seconds', '1']
+        calibration = Path(__file__).parents[1] / 'setups' / 'camera_quarter_vga.yaml'
+        words += ['--camera', str(calibration)]
         assert main(['simulate', '--out', str(out), *words]) == 0
         assert 'room of 4 walls' in capsys.readouterr().out
         assert sorted(path.name for path in out.iterdir()) == [
@@ -152,6 +155,8 @@ class TestCommand:
         mount = load_robot(out / 'robot.yaml')
         assert mount.pan_joint == 'pan_joint'
         drive = Bag(out / 'drive')
+        info = next(iter(drive.messages(['/camera/camera_info']))).message
+        assert decode.camera_model(info) == load_camera(calibration)
         truth = next(iter(drive.messages(['/ground_truth/odom']))).message
         start = json.loads((out / 'start.json').read_text())['pose']
         assert decode.odometry(truth).pose_odom_base == pytest.approx(start)
