@@ -36,13 +36,15 @@ class PanoramaQuality:
     How good a panorama is, and what its sweep said of camera and mount.
 
     `sharpness` is its Tenengrad, the mean squared gradient in grey levels squared a pixel squared;
-    `closure_rad` by how much the turn fails to close, None for a part of a turn; `residual_px`
-    how far the frames disagree in the median, `before_px` before calibration; `vignetting` the
-    light lost in the corners that was made up for, `gain_spread` the spread of exposures.
+    `closure_rad` by how much the turn fails to close, None for a part of a turn, and for a full
+    one in which too little is to be matched at the pans `gaps_rad`; `residual_px` how far the
+    frames disagree in the median, `before_px` before calibration; `vignetting` the light lost in
+    the corners that was made up for, `gain_spread` the spread of exposures.
     """
 
     sharpness: float = 0.0
     closure_rad: float | None = None
+    gaps_rad: tuple[float, ...] = ()
     residual_px: float = float('nan')
     before_px: float = float('nan')
     vignetting: float = 0.0
@@ -53,11 +55,19 @@ class PanoramaQuality:
         """The same with what the picture shows."""
         return replace(self, sharpness=sharpness, vignetting=vignetting, gain_spread=gain_spread)
 
+    @property
+    def closure(self) -> str:
+        """By how much the turn fails to close, or why nobody knows; nothing for a part of one."""
+        if self.closure_rad is not None:
+            return f'closure error {abs(np.degrees(self.closure_rad)):.4f} deg'
+        pans = ', '.join(f'{np.degrees(pan):.0f}' for pan in self.gaps_rad)
+        return f'closure unknown: nothing to match near pan {pans} deg' if pans else ''
+
     def __str__(self) -> str:
         """For a person, in one line."""
         parts = [f'sharpness {self.sharpness:.0f}']
-        if self.closure_rad is not None:
-            parts.append(f'closure error {abs(np.degrees(self.closure_rad)):.4f} deg')
+        if self.closure:
+            parts.append(self.closure)
         if np.isfinite(self.residual_px):
             parts.append(
                 f'frames agree to {self.residual_px:.2f} px ({self.before_px:.2f} before)'

@@ -103,7 +103,8 @@ def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
         term.name: {'value': term.value, 'sigma': term.sigma, 'used': term.used}
         for term in quality.calibration
     }
-    return {**plain, 'calibration': terms}
+    gaps = np.degrees(quality.gaps_rad).round(1).tolist()
+    return {**plain, 'calibration': terms, **({'unmatched_pan_deg': gaps} if gaps else {})}
 
 
 def _sweep(

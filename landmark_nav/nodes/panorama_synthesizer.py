@@ -152,9 +152,10 @@ def _quality(quality: PanoramaQuality | None) -> dict[str, object]:
     if quality is None:
         return {}
     closure = quality.closure_rad
+    unknown = quality.closure or 'no full turn'
     return {
         'sharpness': quality.sharpness,
-        'closure_deg': 'no full turn' if closure is None else abs(np.degrees(closure)),
+        'closure_deg': unknown if closure is None else abs(np.degrees(closure)),
         'residual_px': quality.residual_px,
         'vignetting': quality.vignetting,
         'gain_spread': quality.gain_spread,

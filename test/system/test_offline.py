@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
 import json
 from pathlib import Path
+import re
 
 import cv2
 import numpy as np
@@ -161,9 +163,16 @@ def test_a_drive_without_a_start_finds_its_own_place(study, tmp_path):
 
 
 @pytest.mark.parametrize('name', ['grail', 'parrington'])
-def test_photographs_become_a_panorama_of_a_full_turn(shared_data, tmp_path, name):
-    out = tmp_path / 'panorama.png'
-    assert main(['panorama', str(shared_data / 'pan_sweeps' / name), '--out', str(out)]) == 0
+def test_photographs_become_a_panorama_of_a_full_turn(shared_data, tmp_path, capsys, name):
+    folder, out = shared_data / 'pan_sweeps' / name, tmp_path / 'panorama.png'
+    assert main(['panorama', str(folder), '--out', str(out)]) == 0
+    told = ' '.join(capsys.readouterr().out.split())
+    (focal_px,) = map(float, re.findall(r'focal length ([\d.]+) \+-', told))
+    (closure_deg,) = map(float, re.findall(r'closure error ([\d.]+) deg', told))
+    with (folder / 'frames.csv').open() as stream:
+        listed_px = np.median([float(row['focal_px']) for row in csv.DictReader(stream)])
+    assert focal_px == pytest.approx(listed_px, rel=0.005)
+    assert closure_deg <= 0.1
     picture = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
     assert picture.shape[1] > 3000
     assert np.mean(picture[..., 3] > 0) > 0.9

@@ -114,6 +114,21 @@ def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
     assert 'pan_scale' not in {term.name for term in found.terms}
 
 
+def test_a_blank_wall_leaves_the_closure_unknown_and_is_told(turn: Sweep) -> None:
+    blank = np.full_like(turn.frames[0].image, 128)
+    frames = [replace(f, image=blank) if 15 <= k < 21 else f for k, f in enumerate(turn.frames)]
+    found = calibrate_sweep(replace(turn, frames=tuple(frames)), MOUNT, CalibrationConfig())
+    assert found.terms
+    assert found.closure_rad is None
+    gaps_deg = np.degrees(found.quality.gaps_rad)
+    assert len(gaps_deg)
+    assert np.all((gaps_deg > -50.0) & (gaps_deg < 50.0))
+    assert f'closure unknown: nothing to match near pan {gaps_deg[0]:.0f}' in str(found.quality)
+    whole = calibrate_sweep(turn, MOUNT, CalibrationConfig()).quality
+    assert whole.gaps_rad == ()
+    assert 'closure error' in str(whole)
+
+
 def test_frames_that_share_nothing_tell_nothing(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     plain = replace(turn, frames=tuple(replace(f, image=blank) for f in turn.frames))

@@ -50,7 +50,7 @@ class SweepAlignment:
     multiplied by for it. `terms` has the focal length's and the distortion's correction.
     `residual_px` is the median distance of matches afterwards, `before_px` before.
     `closure_rad` is by how much the turn, each link by its own matches, fails to close; None for
-    a part of a turn.
+    a part of a turn, and where there is too little to match, at the pans `gaps_rad`.
     """
 
     sweep: Sweep
@@ -61,12 +61,14 @@ class SweepAlignment:
     before_px: float
     residual_px: float
     closure_rad: float | None
+    gaps_rad: tuple[float, ...]
 
     @property
     def quality(self) -> PanoramaQuality:
         """What is worth telling of it."""
         return PanoramaQuality(
             closure_rad=self.closure_rad,
+            gaps_rad=self.gaps_rad,
             residual_px=self.residual_px,
             before_px=self.before_px,
             calibration=self.terms,
@@ -125,6 +127,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount, config: AlignmentConfig) -> S
         problem.misfit_px(np.zeros(len(COMMON))),
         problem.misfit_px(fit.common, fit.frames),
         problem.closure_rad(fit.common, fit.frames, fit.weight),
+        overlaps.gaps_rad,
     )
 
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.panorama.projection import frame_slab, FrameSlab, sweep_cylinder
@@ -31,13 +32,15 @@ class Overlaps:
 
     `frames` (m, 2) are indices in the sweep, the later one in pan first; `pixels` (m, 2, 2) where
     each shows the point; `pair` (m,) counts the links of the chain, `closed` is set if they
-    make a full turn.
+    make a full turn. `gaps_rad` tells the pans where a full turn has no link, as there is too
+    little to match.
     """
 
     frames: npt.NDArray[np.intp]
     pixels: FloatArray
     pair: npt.NDArray[np.intp]
     closed: bool
+    gaps_rad: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         """Return how many matches there are."""
@@ -67,11 +70,12 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
     chain, closed = _chain(sweep, every_frame)
     cylinder = sweep_cylinder(sweep, mount)
     grey = {k: _grey_slab(sweep, k, mount, cylinder) for k in set(chain)}
-    frames, pixels, pairs = [], [], []
+    frames, pixels, pairs, gaps = [], [], [], []
     for link, (a, b) in enumerate(pairwise(chain)):
         columns = _track(grey[a], grey[b], cylinder)
         if columns is None or len(columns) < _LEAST_PER_PAIR:
-            closed = False
+            start, end = sweep.frames[a].pan_rad, sweep.frames[b].pan_rad
+            gaps.append(float(wrap_rad(start + 0.5 * wrap_rad(end - start))))
             continue
         pixels.append(
             np.stack(
@@ -93,7 +97,8 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
         np.concatenate(frames).astype(np.intp)[seen],
         np.concatenate(pixels)[seen],
         np.concatenate(pairs).astype(np.intp)[seen],
-        closed,
+        closed and not gaps,
+        tuple(gaps) if closed else (),
     )
 
 

@@ -97,6 +97,7 @@ class SweepCalibration:
         """What is worth telling of it."""
         return PanoramaQuality(
             closure_rad=self.closure_rad,
+            gaps_rad=self.overlaps.gaps_rad,
             residual_px=self.residual_px,
             before_px=self.before_px,
             calibration=self.terms,
