@@ -111,15 +111,18 @@ class OdometryFusionNode(LandmarkNode):
 
     def health(self) -> Health:
         """As the filter judges itself."""
+        now_ns = self._now_ns()
         # Where odometry stays away nothing moves the filter on, but its time passes.
-        waited_ns = self.get_clock().now().nanoseconds - self._heard_ns
-        if self._last is not None and waited_ns > _SILENCE_NS:
-            status, reason = self._filter.status_at(self._last.stamp_ns + waited_ns)
-        else:
-            status, reason = self._filter.status
+        silent = self._last is not None and now_ns - self._last.stamp_ns > _SILENCE_NS
+        status, reason = self._filter.status_at(now_ns if silent else None)
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
         values = counts | {'rejected': self._rejected} | self._latency.values() | self._offsets()
         return Health(_LEVELS[status], (reason or status) + self._delay_advice(), values)
+
+    def _now_ns(self) -> int:
+        """Time by the clock of the odometry."""
+        now_ns = int(self.get_clock().now().nanoseconds)
+        return now_ns if self._last is None else self._last.stamp_ns + now_ns - self._heard_ns
 
     def _delay_advice(self) -> str:
         """What to do about stamps of the joints that are late: pictures are not put right here."""
@@ -161,7 +164,7 @@ class OdometryFusionNode(LandmarkNode):
         if not start.covariance.any():
             sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)
             start = replace(start, covariance=np.diag(np.square(sigma)))
-        self._filter.initialize(start)
+        self._filter.initialize(start, self._now_ns())
         self._spread.restart()
         x, y, heading = start.pose
         self.get_logger().info(f'start at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')

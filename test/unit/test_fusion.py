@@ -281,6 +281,21 @@ class TestTime:
         estimate = fused.estimate()
         assert estimate is not None
         assert estimate.stamp_ns == moment.odometry.stamp_ns
+        # Where odometry has been silent since, now is later.
+        now_ns = moment.odometry.stamp_ns + 5 * 10**9
+        for stamp_ns in (now_ns, 10**18):
+            fused.initialize(start_estimate(stamp_ns=stamp_ns), now_ns)
+            told = fused.estimate(now_ns)
+            assert told is not None
+            assert told.stamp_ns == now_ns
+            np.testing.assert_allclose(told.covariance, start_estimate().covariance, atol=1e-9)
+        status, reason = fused.status_at(now_ns)
+        assert status == 'coasting'
+        assert 'no odometry for 5.0 s' in reason
+        status, reason = fused.status_at(now_ns + 20 * 10**9)
+        assert status == 'lost'
+        assert 'sigma' in reason
+        assert 'no odometry for 25.0 s' in reason
         early = PoseFilter(MAP, MOUNT)
         early.initialize(start_estimate(stamp_ns=10**18))
         for moment in drive(20):

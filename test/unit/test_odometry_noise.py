@@ -70,12 +70,17 @@ class TestTrack:
         )
         assert later.blind_seconds == pytest.approx(3.0 - CONFIG.horizon_s)
 
-    def test_stands_before_the_first_sample(self) -> None:
-        track = OdometryTrack(CONFIG)
-        track.add(sample(1.0))
-        motion = track.motion(0, 1_000_000_000)
-        np.testing.assert_allclose(motion.increment, 0.0, atol=1e-12)
-        assert motion.blind_seconds == 0.0
+    def test_before_the_first_sample_its_twist_leads_back_and_then_nothing_is_known(self) -> None:
+        track, whole = OdometryTrack(CONFIG), circle_track(until=2.0)
+        for k in range(20, 41):
+            track.add(sample(0.05 * k))
+        near, known = (t.motion(850_000_000, 1_500_000_000) for t in (track, whole))
+        np.testing.assert_allclose(near.increment, known.increment, atol=1e-9)
+        assert near.blind_seconds == 0.0
+        assert near.ahead_s4 == pytest.approx(0.15**4)
+        assert known.ahead_s4 == 0.0
+        assert track.motion(0, 1_500_000_000).blind_seconds == pytest.approx(1 - CONFIG.horizon_s)
+        assert track.motion(0, 500_000_000).blind_seconds == pytest.approx(0.5)
 
     def test_nothing_is_known_without_odometry(self) -> None:
         assert OdometryTrack(CONFIG).motion(0, 10**9).blind_seconds == 1.0

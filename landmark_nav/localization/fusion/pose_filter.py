@@ -167,11 +167,12 @@ class PoseFilter:
         known = self._history.odometry_ns
         return self._health.status(self.estimate(stamp_ns), None if known is None else known[1])
 
-    def initialize(self, start: PoseEstimate) -> None:
+    def initialize(self, start: PoseEstimate, now_ns: int | None = None) -> None:
         """
         Start anew at a pose; of what was measured before, only robot and camera are remembered.
 
-        A stamp outside the odometry of the last seconds (RViz on another clock) is taken as now.
+        A stamp outside the odometry of the last seconds (RViz on another clock) is taken as now:
+        `now_ns`, or the time of the last odometry.
 
         Raises
         ------
@@ -184,8 +185,10 @@ class PoseFilter:
         if np.linalg.eigvalsh(start.covariance)[0] < -1e-9:
             raise LandmarkNavError('start pose: its covariance is not positive semidefinite')
         known = self._history.odometry_ns
-        if known is not None and not known[0] <= start.stamp_ns <= known[1] + 10**9:
-            start = replace(start, stamp_ns=known[1])
+        if known is not None:
+            now_ns = max(known[1], now_ns or 0)
+            if not known[0] <= start.stamp_ns <= max(now_ns, known[1] + 10**9):
+                start = replace(start, stamp_ns=now_ns)
         if self._history.started:
             state = moved_to(self._history.at(start.stamp_ns), start)
         else:
@@ -226,14 +229,16 @@ class PoseFilter:
         if self._config.mode != 'bearings':
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad, self._scores)
+        if (refusal := self._untimely(stamp)) is not None:
+            self._health.note(refusal)
+            return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         self._scores.extend(frame.scores.tolist())
-        refusal = self._untimely(stamp)
         known = [k for k in detections.missed.tolist() if k in self._columns]
         missed = self._map.positions[[self._columns[k] for k in known]]
         expected = len(frame.columns) + len(missed)
-        if refusal is None and not len(frame.columns):
+        if not len(frame.columns):
             refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
-        elif refusal is None and self._health.too_few(len(frame.columns), expected):
+        elif self._health.too_few(len(frame.columns), expected):
             refusal = Refusal('too few found', f'{len(frame.columns)} of {expected} landmarks')
         if refusal is not None:
             self._health.note(refusal)

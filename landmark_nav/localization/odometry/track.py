@@ -22,7 +22,9 @@ class OdometryTrack:
     """
     Odometry without its jumps, that can be asked for the motion between any two times.
 
-    Where a source jumps, the motion goes on with the last twist and counts as blind.
+    Where a source jumps, the motion goes on with the last twist and counts as blind. Beyond the
+    last sample, and before the first, its twist is followed for a short while; then the robot
+    stands, blind.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:
@@ -31,6 +33,7 @@ class OdometryTrack:
         self._stamps: list[int] = []
         self._poses: list[FloatArray] = []  # continuous
         self._blind_ns: list[int] = []  # of the time until each
+        self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
 
     @property
@@ -79,13 +82,17 @@ class OdometryTrack:
         return None
 
     def motion(self, from_ns: int, to_ns: int) -> Motion:
-        """Motion between two times; before the first sample the robot stands."""
+        """Motion between two times."""
         seconds = (to_ns - from_ns) * 1e-9
         if not self._stamps:
             return Motion(np.zeros(3), seconds, seconds)
         increment = relative(self._pose(from_ns), self._pose(to_ns))
-        ahead = self._ahead_s(to_ns) ** 4 - self._ahead_s(from_ns) ** 4
-        return Motion(increment, seconds, self._blind_seconds(from_ns, to_ns), ahead)
+        ahead = sum(
+            sign * np.sign(beyond) * beyond**4
+            for sign, beyond in ((1.0, self._beyond_s(to_ns)), (-1.0, self._beyond_s(from_ns)))
+        )
+        blind = (self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
+        return Motion(increment, seconds, blind, float(ahead))
 
     def trim(self, before_ns: int) -> None:
         """Forget what is not needed for motions that start at `before_ns` or later."""
@@ -94,7 +101,7 @@ class OdometryTrack:
             del self._stamps[:keep], self._poses[:keep], self._blind_ns[:keep]
 
     def _append(self, sample: OdometrySample, pose: FloatArray, blind: bool) -> None:
-        self._last = sample
+        self._first, self._last = self._first or sample, sample
         total_ns = self._blind_ns[-1] if self._stamps else 0
         if blind:
             total_ns += sample.stamp_ns - self._stamps[-1]
@@ -106,34 +113,36 @@ class OdometryTrack:
         self._poses.append(pose)
         self._blind_ns.append(total_ns)
 
-    def _ahead_s(self, stamp_ns: int) -> float:
-        """How far the last twist has to predict."""
-        seconds = (stamp_ns - self._stamps[-1]) * 1e-9
-        return min(max(seconds, 0.0), self._config.horizon_s)
+    def _beyond_s(self, stamp_ns: int) -> float:
+        """How far a twist has to predict: beyond the last sample, or, negative, before one."""
+        inside = min(max(stamp_ns, self._stamps[0]), self._stamps[-1])
+        horizon = self._config.horizon_s
+        return min(max((stamp_ns - inside) * 1e-9, -horizon), horizon)
 
     def _pose(self, stamp_ns: int) -> FloatArray:
-        """Pose (3,) at a time: interpolated at constant twist, or predicted by the last one."""
+        """Pose (3,) at a time: interpolated at constant twist, or predicted by the nearest one."""
+        beyond = self._beyond_s(stamp_ns)
+        if beyond:
+            near, pose = (
+                (self._last, self._poses[-1]) if beyond > 0.0 else (self._first, self._poses[0])
+            )
+            assert near is not None
+            return compose(pose, twist_motion(near.linear_m_s, near.angular_rad_s, beyond))
         after = bisect_left(self._stamps, stamp_ns)
-        if after < len(self._stamps) and (after == 0 or self._stamps[after] == stamp_ns):
+        if self._stamps[after] == stamp_ns:
             return self._poses[after]
-        if after == len(self._stamps):
-            assert self._last is not None
-            ahead = self._ahead_s(stamp_ns)
-            moved = twist_motion(self._last.linear_m_s, self._last.angular_rad_s, ahead)
-            return compose(self._poses[-1], moved)
         begin, end = self._stamps[after - 1], self._stamps[after]
         whole = relative(self._poses[after - 1], self._poses[after])
         part = fraction_of_motion(whole, (stamp_ns - begin) / (end - begin))
         return compose(self._poses[after - 1], part)
 
-    def _blind_seconds(self, from_ns: int, to_ns: int) -> float:
-        horizon = self._stamps[-1] + int(self._config.horizon_s * 1e9)
-        ahead = max(0, to_ns - max(from_ns, horizon))
-        return (ahead + self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
-
     def _blind_until_ns(self, stamp_ns: int) -> int:
+        """Blind time until then, counted from when the first twist reaches back to."""
+        reach = int(self._config.horizon_s * 1e9)
+        first, last = self._stamps[0] - reach, self._stamps[-1] + reach
+        outside = min(stamp_ns - first, 0) + max(stamp_ns - last, 0)
         after = bisect_left(self._stamps, stamp_ns)
         if after in (0, len(self._stamps)):
-            return self._blind_ns[max(after - 1, 0)]
+            return outside + self._blind_ns[max(after - 1, 0)]
         since, total = self._blind_ns[after - 1], self._blind_ns[after]
         return since + (stamp_ns - self._stamps[after - 1] if total > since else 0)
