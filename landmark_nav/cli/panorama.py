@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.coverage import unseen_arcs
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
 from landmark_nav.learning.calibration.alignment import align_sweep, AlignmentConfig
 from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
@@ -24,6 +26,11 @@ from landmark_nav.storage.whole import write_whole
 from landmark_nav.types import Sweep
 
 __all__ = ['add_parser', 'run']
+
+_LOG = logging.getLogger(__name__)
+
+# Share of the turn that a crop may leave out unmentioned: the rims of a partial one.
+_LOST_BY_CROP = 0.02
 
 
 def add_parser(subparsers: Any) -> None:
@@ -38,8 +45,11 @@ def add_parser(subparsers: Any) -> None:
         'sweep',
         metavar='BAG_OR_FOLDER',
         type=Path,
-        help='bag of one sweep, or folder of pictures with frames.csv '
+        help='bag of sweeps, or folder of pictures with frames.csv '
         '(file,pan_rad,focal_px,width,height)',
+    )
+    parser.add_argument(
+        '--sweep', type=int, dest='number', metavar='K', help='which sweep of the bag, from 1 on'
     )
     parser.add_argument('--out', required=True, metavar='F.png', type=Path, help='PNG to write')
     parser.add_argument(
@@ -82,7 +92,9 @@ def run(args: argparse.Namespace) -> int:
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
     config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
     pictures = (args.sweep / 'frames.csv').is_file()
-    sweep = read_sweep_folder(args.sweep) if pictures else _only_sweep(args.sweep, mount)
+    if pictures and args.number is not None:
+        raise LandmarkNavError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
+    sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args.sweep, args.number, mount)
     quality = PanoramaQuality(0.0)
     if args.align and pictures:
         aligned = align_sweep(sweep, mount, AlignmentConfig())
@@ -101,6 +113,7 @@ def run(args: argparse.Namespace) -> int:
         photometry = measure_photometry(sweep, mount)
     view = synthesize_cylinder(even_out(sweep, photometry), mount, config)
     covered = view.mask.any(axis=0)
+    _warn_of_crop(config.crop_px, float(covered.mean()), sweep)
     rows = np.flatnonzero(view.mask[:, covered].all(axis=1))
     whole = slice(rows[0], rows[-1] + 1) if len(rows) else slice(None)
     alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
@@ -116,8 +129,27 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _only_sweep(path: Path, mount: PanTiltMount) -> Sweep:
+def _sweep(path: Path, number: int | None, mount: PanTiltMount) -> Sweep:
+    """Sweep of a bag, counted from 1; without a number, the only one."""
     sweeps = list(read_sweeps(Bag(path), mount))
-    if len(sweeps) != 1:
-        raise LandmarkNavError(f'{path}: holds {len(sweeps)} sweeps: give a bag of one')
-    return sweeps[0]
+    if number is None and len(sweeps) == 1:
+        return sweeps[0]
+    if number is None or not 1 <= number <= len(sweeps):
+        which = '' if number is None else f', no number {number}'
+        raise LandmarkNavError(
+            f'{path}: holds {len(sweeps)} sweeps{which}: take one by --sweep 1 to {len(sweeps)}'
+        )
+    return sweeps[number - 1]
+
+
+def _warn_of_crop(crop_px: int, covered: float, sweep: Sweep) -> None:
+    """Say so where crops don't meet though the frames do."""
+    pans = [frame.pan_rad for frame in sweep.frames]
+    unseen = sum(b - a for a, b in unseen_arcs(pans, sweep.frames[0].camera.half_fov_rad))
+    if crop_px and covered < 1.0 - unseen / (2.0 * np.pi) - _LOST_BY_CROP:
+        _LOG.warning(
+            '--crop %d: so narrow parts of the frames do not meet, %.1f %% of the turn is '
+            'covered: take more pixels',
+            crop_px,
+            100.0 * covered,
+        )

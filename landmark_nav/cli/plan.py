@@ -12,6 +12,7 @@ import yaml
 
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, Plan, plan_positions
@@ -61,6 +62,12 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, draw, write."""
+    picture = args.out.with_suffix('.png')
+    if args.out == picture:
+        raise LandmarkNavError(
+            f'--out {args.out}: the plan is YAML, and its picture gets this name: take '
+            f'{args.out.with_suffix(".yaml").name}'
+        )
     config = PlanConfig(
         focal_px=args.focal,
         width_px=args.size[0],
@@ -68,7 +75,6 @@ def run(args: argparse.Namespace) -> int:
         clearance_m=args.clearance,
     )
     room, mount = load_room(args.room), load_robot(args.robot)
-    picture = args.out.with_suffix('.png')
     rng = np.random.default_rng(0)
     plan = plan_positions(room, mount, args.positions, config, rng, _show)
     args.out.parent.mkdir(parents=True, exist_ok=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+import logging
 
 import cv2
 import numpy as np
@@ -41,6 +42,10 @@ __all__ = [
     'panorama_from_sweep',
 ]
 
+_LOG = logging.getLogger(__name__)
+
+# Three landmarks make one triplet, which is not in view from everywhere.
+_FEW = 3
 # So far from its wall a patch may be when stereo alone places it.
 _NO_WALL_M = 1.0
 # Weight of expected sigmas that leaves nothing to estimate.
@@ -173,6 +178,13 @@ def learn_from_panoramas(
     if not landmarks:
         raise LandmarkNavError(
             f'no landmark elected ({_reasons(outcomes)}): check that room.yaml fits the room'
+        )
+    if len(landmarks) <= _FEW:
+        _LOG.warning(
+            '%d landmarks are too few to localize by, which takes a triplet in view (%s): take '
+            'more panoramas',
+            len(landmarks),
+            _reasons(outcomes),
         )
     plane = np.ix_([0, 1, 3], [0, 1, 3])
     return LearningResult(

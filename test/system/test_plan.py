@@ -113,6 +113,13 @@ def test_wrong_usage(positions: str, folder: Path) -> None:
     assert plan(folder, positions=positions) == 2
 
 
+def test_a_plan_is_not_written_over_its_picture(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert plan(folder, out='plan.png') == 1
+    assert 'take plan.yaml' in capsys.readouterr().err
+
+
 def test_a_folder_that_can_not_be_written(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -125,8 +125,11 @@ def test_a_folder_of_pictures_is_a_sweep(tmp_path):
             read_sweep_folder(tmp_path)
 
     refused('gone.png,0.1,50,64,48', r'line 8: gone\.png is not there')
-    refused('1.png,abc,50,64,48', 'line 8: could not convert')
-    refused('1.png,nan,50,64,48', 'line 8: pan_rad is nan')
+    refused('1.png,abc,50,64,48', "line 8: pan_rad is 'abc', not a number")
+    refused('1.png,nan,50,64,48', "line 8: pan_rad is 'nan', not a number")
+    refused('1.png,0.1,50,wide,48', "line 8: width is 'wide', not a number")
+    refused('1.png,0.1,50,64', 'line 8: height is None, not a number')
+    refused('frames.csv,0.1,50,64,48', r'line 8: frames\.csv is no picture')
     refused('1.png,0.1,50,65,48', 'line 8: 1.png is 64 x 48, not 65 x 48')
     refused('1.png,0.1,-50,64,48', 'line 8: .*not a calibrated camera')
     (tmp_path / 'frames.csv').write_text('file,pan\n1.png,0')

@@ -24,8 +24,10 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount, rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.learning.attention import AttentionConfig
 from landmark_nav.learning.calibration import CalibrationConfig
 from landmark_nav.learning.calibration.lean import levelled
+from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
     LearningConfig,
@@ -287,6 +289,20 @@ def test_a_sweep_without_frames_is_refused() -> None:
 def test_one_panorama_is_not_enough(panoramas: list[Panorama]) -> None:
     with pytest.raises(LandmarkNavError, match=r'needs two panoramas .* there is 1'):
         learn_from_panoramas(panoramas[:1], ROOM, LearningConfig())
+
+
+def test_a_map_of_too_few_landmarks_is_warned_of(
+    panoramas: list[Panorama], caplog: pytest.LogCaptureFixture
+) -> None:
+    config = LearningConfig(
+        attention=AttentionConfig(candidates=20), election=ElectionConfig(max_count=3)
+    )
+    assert len(learn_from_panoramas(panoramas, ROOM, config).map.landmarks) == 3
+    assert '3 landmarks are too few to localize by, which takes a triplet' in caplog.text
+    assert 'enough landmarks' in caplog.text
+    caplog.clear()
+    learn_from_panoramas(panoramas, ROOM, replace(config, election=ElectionConfig(max_count=4)))
+    assert not caplog.text
 
 
 def test_twice_the_same_place_is_not_enough(panoramas: list[Panorama]) -> None:

@@ -48,16 +48,14 @@ def read_sweep_folder(folder: Path | str) -> Sweep:
 
 def _frame(folder: Path, row: dict[str, str], number: int) -> CameraFrame:
     where = f'{folder / "frames.csv"}: line {number + 2}'
-    try:
-        pan, focal = float(row['pan_rad']), float(row['focal_px'])
-        width, height = int(row['width']), int(row['height'])
-    except (TypeError, ValueError) as error:
-        raise LandmarkNavError(f'{where}: {error}') from error
-    if not np.isfinite(pan):
-        raise LandmarkNavError(f'{where}: pan_rad is {pan}, not a number')
-    picture = cv2.imread(str(folder / row['file']), cv2.IMREAD_COLOR)
+    pan, focal = (_number(row, name, where) for name in ('pan_rad', 'focal_px'))
+    width, height = (int(_number(row, name, where)) for name in ('width', 'height'))
+    file = folder / row['file']
+    if not file.is_file():  # OpenCV would say so too, in words of its own
+        raise LandmarkNavError(f'{where}: {row["file"]} is not there')
+    picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
     if picture is None:
-        raise LandmarkNavError(f'{where}: {row["file"]} is not there or is no picture')
+        raise LandmarkNavError(f'{where}: {row["file"]} is no picture')
     # A camera held upright is often listed by its sensor's size: the picture knows better.
     if sorted(picture.shape[:2]) != sorted((height, width)):
         raise LandmarkNavError(
@@ -70,3 +68,13 @@ def _frame(folder: Path, row: dict[str, str], number: int) -> CameraFrame:
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{where}: {error}') from error
     return CameraFrame(number, np.asarray(picture, dtype=np.uint8), camera, pan)
+
+
+def _number(row: dict[str, str], name: str, where: str) -> float:
+    try:
+        value = float(row[name])
+    except (TypeError, ValueError):
+        value = np.nan
+    if not np.isfinite(value):
+        raise LandmarkNavError(f'{where}: {name} is {row[name]!r}, not a number')
+    return value
