@@ -23,8 +23,9 @@ from landmark_nav.types import FloatArray, ImageArray, Sweep
 
 __all__ = ['BLENDS', 'CylinderImage', 'PanoramaConfig', 'synthesize_cylinder']
 
-# Blends, and up to which neighbour to both sides each frame is used by them.
-_NEIGHBOURS = {'mean': 0, 'median': 4, 'feather': 2}
+# Blends, and up to which neighbour to both sides each frame is used by them: a place is then shown
+# by eight frames, the paper has seven, or by four.
+_NEIGHBOURS = {'mean': 4, 'median': 4, 'feather': 2}
 BLENDS = tuple(_NEIGHBOURS)
 
 # Pixels that fewer frames cover have no median worth the name.
@@ -37,7 +38,7 @@ class PanoramaConfig:
 
     blend: str = parameter(
         'median',
-        'mean weighs all frames alike (the paper), feather takes the frames that look straight '
+        'mean weighs frames alike (the paper), feather takes the frames that look straight '
         'at a place (sharp), median the middle of all; fewer than three frames are feathered',
         choices=BLENDS,
     )
@@ -127,7 +128,7 @@ def _reach_rad(sweep: Sweep, neighbours: int) -> FloatArray:
     Frames of unequal tilt need not cover the same places, so that all of each is used.
     """
     tilt = np.array([frame.tilt_rad for frame in sweep.frames])
-    if not neighbours or len(tilt) <= 2 * neighbours or np.ptp(tilt) > 0.02:
+    if len(tilt) <= 2 * neighbours or np.ptp(tilt) > 0.02:
         return np.full(len(tilt), np.inf)
     pan = np.array([frame.pan_rad for frame in sweep.frames])
     away = np.mod(pan[:, None] - pan, 2.0 * np.pi)
