@@ -110,8 +110,8 @@ class OdometryNoiseConfig:
     )
     learning_sigma: float = parameter(
         1.0,
-        'How far noise may differ from these parameters: sigma of the logarithm of a factor on '
-        'its variance. 0 takes them as they are.',
+        'How far noise may differ from these parameters, and that of sightings from what they '
+        'claim: sigma of the logarithm of a factor on its variance. 0 takes both as they are.',
         minimum=0.0,
         maximum=5.0,
     )
