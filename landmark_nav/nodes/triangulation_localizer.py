@@ -35,7 +35,7 @@ __all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
 _BACKLOG = 500
 # Ages beyond that come of two clocks, such as a bag's and today's.
 _OTHER_CLOCK_S = 10.0
-# A camera that is silent for so long has stopped.
+# A camera that is silent for so long has stopped, and a look that takes so long is stuck.
 _SILENCE_S = 1.0
 
 
@@ -100,6 +100,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._latency = Latency()
         self._stale = 0
         self._arrived_s: float | None = None
+        self._looked_s: float | None = None
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
         self.listen('odom', self._on_odometry, depth=50)
         self.listen('odometry/fused', self._on_fused)
@@ -107,12 +108,14 @@ class TriangulationLocalizerNode(LandmarkNode):
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
-        """What came of the last picture, or that none comes any more."""
-        health, arrived_s = self._health, self._arrived_s
-        if arrived_s is None or (silent_s := time.monotonic() - arrived_s) < _SILENCE_S:
-            return health
+        """What came of the last picture, or that none comes any more or it takes too long."""
+        health, now_s = self._health, time.monotonic()
         level = Level.DEGRADED if health.level is Level.OK else health.level
-        return Health(level, f'no picture for {silent_s:.1f} s', health.values)
+        last = {'no picture': self._arrived_s, 'no picture looked at': self._looked_s}
+        for what, since_s in last.items():
+            if since_s is not None and now_s - since_s > _SILENCE_S:
+                return Health(level, f'{what} for {now_s - since_s:.1f} s', health.values)
+        return health
 
     def _on_odometry(self, message: Any) -> None:
         sample = decode.odometry(message)
@@ -148,6 +151,8 @@ class TriangulationLocalizerNode(LandmarkNode):
         except LandmarkNavError as error:
             self._health = Health(Level.LOST, f'camera/image_raw dropped: {error}')
             raise
+        finally:
+            self._looked_s = time.monotonic()
 
     def _use(self, message: Any) -> None:
         age_s, stamp = 1e-9 * self._age_ns(message), decode.stamp_ns(message.header)
