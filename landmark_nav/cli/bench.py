@@ -114,9 +114,11 @@ def _timed(comparison: Comparison, repeats: int) -> Row:
     if repeats > 1:
         for work in works:
             work()
-    rounds = repeats * comparison.calls
-    taken = [[_seconds(work) / comparison.count for work in works] for _ in range(rounds)]
-    ours, reference = zip(*taken, strict=True)
+    ours: list[float] = []
+    reference: list[float] = []
+    for _ in range(repeats):
+        for work, taken in zip(works, (ours, reference), strict=True):
+            taken += [_seconds(work) / comparison.count for _ in range(comparison.calls)]
     p95 = float(np.percentile(ours, 95)) if comparison.calls > 1 else None
     return Row(comparison.stage, median(ours), p95, comparison.reference_name, median(reference))
 
