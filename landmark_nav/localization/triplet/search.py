@@ -24,8 +24,10 @@ __all__ = ['best_triplets', 'first_of_each', 'mean_variance']
 _PAIRS = 1500
 # Pairs that are completed in every way for a first bound.
 _FIRST_PAIRS = 16
-# With no more landmarks the bounds cost more than they save; else there are 2^4 groups.
+# With no more landmarks, or no greater share of pairs left, as where one view must hold a triplet,
+# closer bounds cost more than they save; else there are 2^4 groups of third landmarks.
 _FEW = 64
+_SPARSE = 0.4
 _HALVINGS = 4
 # Instead of a distance of zero.
 _NOWHERE = 1e-150
@@ -73,7 +75,7 @@ def best_triplets(
     search = _Search(tables, factor, cost, count)
     search.add(_around_best_pairs(bound).T)
     good = bound <= search.limit * _ROUNDING
-    if len(factor) > _FEW:
+    if len(factor) > _FEW and np.mean(good) > _SPARSE:
         _add_across(least, tables, good)
         good &= least.mean(axis=0) * weight <= search.limit * _ROUNDING
     search.expect(least)
