@@ -197,7 +197,9 @@ def _adjustment_and_election(world: World) -> Iterator[Comparison]:
     across, down = _COLUMNS[:30, :30], _ROWS[:30, :30]
     yield Comparison(
         'election of a patch',
-        lambda: elect(patches, sightings, adjustment, panoramas, greys, room, ElectionConfig()),
+        lambda: elect(
+            patches, sightings, adjustment, adjustment, panoramas, greys, room, ElectionConfig()
+        ),
         'two cv2.remap of 30 x 30 px',
         lambda: [
             cv2.remap(greys[0], across, down, cv2.INTER_LINEAR) for _ in range(2 * len(walls))

@@ -46,6 +46,12 @@ class ElectionConfig:
     max_sigma_m: float = parameter(
         0.03, 'greatest standard deviation of its place along any axis', minimum=1e-4, maximum=1
     )
+    max_depth_sigma_m: float = parameter(
+        0.02,
+        'greatest standard deviation of how far off its wall it lies, by its sightings alone',
+        minimum=1e-4,
+        maximum=1,
+    )
     max_chi_square: float = parameter(
         13.8,
         'greatest misfit of two sightings and a wall, squared; more views may add to it',
@@ -70,6 +76,7 @@ def elect(
     patches: Sequence[WallPatch],
     sightings: Sequence[Sequence[Sighting]],
     adjustment: Adjustment,
+    free: Adjustment,
     panoramas: Sequence[Panorama],
     greys: Sequence[Float32Image],
     room: Room,
@@ -84,6 +91,8 @@ def elect(
         What was reconstructed and where it was seen.
     adjustment : Adjustment
         Places and covariances in the same order.
+    free : Adjustment
+        The same without the walls: what sightings alone tell.
     panoramas : sequence of Panorama
         With adjusted poses.
     greys : sequence of ndarray, shape (height, width)
@@ -103,12 +112,14 @@ def elect(
     covariance = adjustment.own_covariance + np.einsum(
         'nip,njp->nij', adjustment.shared_loading, adjustment.shared_loading
     )
+    normals = np.array([patch.normal for patch in patches])
+    depth_sigma = np.sqrt(np.einsum('ni,nij,nj->n', normals, free.own_covariance, normals))
     taken: list[Landmark] = []
     for k in np.argsort([-patch.candidate.saliency for patch in patches], kind='stable'):
         patch = patches[k]
         others = [s.panorama for s in sightings[k] if s.panorama != patch.source]
         refusal = _refuse(
-            patch, k, adjustment, covariance[k], panoramas[patch.source],
+            patch, k, adjustment, covariance[k], depth_sigma[k], panoramas[patch.source],
             [panoramas[other] for other in others], config,
         )  # fmt: skip
         if refusal is None and any(
@@ -145,6 +156,7 @@ def _refuse(
     k: int,
     adjustment: Adjustment,
     covariance: FloatArray,
+    depth_sigma: float,
     panorama: Panorama,
     others: Sequence[Panorama],
     config: ElectionConfig,
@@ -155,6 +167,9 @@ def _refuse(
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
     if abs(off_wall) > config.max_off_wall_m or misfit > most:
         return Refusal('not on a wall', f'{off_wall * 100:.0f} cm off, misfit {misfit:.0f}')
+    # The wall would draw to it whatever stands there.
+    if depth_sigma > config.max_depth_sigma_m:
+        return Refusal('too little parallax', f'{depth_sigma * 100:.1f} cm of doubt in its depth')
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
     if sigma > config.max_sigma_m:
         return Refusal('place too uncertain', f'{sigma * 100:.1f} cm')

@@ -171,7 +171,9 @@ def learn_from_panoramas(
         )
     )
     with log.measure('election'):
-        elected = elect(patches, sightings, adjustment, adjusted, greys, room, config.election)
+        elected = elect(
+            patches, sightings, adjustment, free, adjusted, greys, room, config.election
+        )
     for (i, n), outcome in zip(origin, elected, strict=True):
         outcomes[i][n] = outcome
     landmarks = sorted((e for e in elected if isinstance(e, Landmark)), key=lambda e: e.id)

@@ -71,6 +71,7 @@ def elect_from(
     adjustment: Adjustment | None = None,
     config: ElectionConfig | None = None,
     scores: Sequence[float] | None = None,
+    free: Adjustment | None = None,
 ) -> list[Landmark | Refusal]:
     scores = scores or [0.9] * len(patches)
     sightings = [
@@ -81,6 +82,7 @@ def elect_from(
         patches,
         sightings,
         adjustment or perfect(patches),
+        free or perfect(patches),
         panoramas,
         greys_of(panoramas),
         ROOM,
@@ -248,6 +250,22 @@ def test_no_more_than_the_strongest_are_kept(panoramas: list[Panorama]) -> None:
     assert outcomes[0].reason == 'enough landmarks'
 
 
+def test_what_its_sightings_alone_do_not_place_is_refused(panoramas: list[Panorama]) -> None:
+    # The wall makes its place look certain, whatever stands there.
+    patch = patch_at((6.0, 2.4, 1.2))
+    spread = np.diag([0.025, 0.002, 0.002])
+    free = perfect([patch], own_covariance=(spread**2)[None])
+    (outcome,) = elect_from(panoramas, [patch], free=free)
+    assert isinstance(outcome, Refusal)
+    assert (outcome.reason, outcome.detail) == (
+        'too little parallax',
+        '2.5 cm of doubt in its depth',
+    )
+    # It is the depth that counts: along the wall nothing is drawn to anything.
+    free = perfect([patch], own_covariance=(spread[::-1, ::-1] ** 2)[None])
+    assert isinstance(elect_from(panoramas, [patch], free=free)[0], Landmark)
+
+
 def test_parameters_out_of_range_are_refused() -> None:
     with pytest.raises(LandmarkNavError, match='max_overlap'):
         ElectionConfig(max_overlap=1.5)
@@ -276,7 +294,7 @@ def reconstruct(
         replace(p, center_map=pose[:3], heading_rad=float(pose[3]))
         for p, pose in zip(panoramas, found.poses, strict=True)
     ]
-    return elect(patches, sightings, found, adjusted, greys, ROOM, ElectionConfig())
+    return elect(patches, sightings, found, found, adjusted, greys, ROOM, ElectionConfig())
 
 
 def test_a_picture_on_the_wall_is_elected_and_a_box_before_it_is_not() -> None:

@@ -23,10 +23,7 @@ class StereoConfig:
         1.15, 'greatest angle between a view and the normal', minimum=0.1, maximum=1.5
     )
     min_parallax_rad: float = parameter(
-        0.10, 'least angle between two views of a landmark', minimum=0, maximum=1.5
-    )
-    min_scale_ratio: float = parameter(
-        1.25, 'least ratio of distances that shows a depth by scale', minimum=1, maximum=10
+        0.04, 'least angle between two views of a landmark', minimum=0, maximum=1.5
     )
     behind_wall_m: float = parameter(
         0.15, 'how far behind the wall a match is searched', minimum=0, maximum=2

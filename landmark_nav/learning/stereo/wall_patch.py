@@ -6,7 +6,7 @@ A candidate's ray meets a wall; resampled on the wall, slant and distance are un
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,7 +20,6 @@ __all__ = [
     'Sighting',
     'WallPatch',
     'covered_rows',
-    'moved_before',
     'own_sighting',
     'texels_per_pixel',
     'wall_texture',
@@ -162,15 +161,6 @@ def _pixels(
     azimuth = np.arctan2(ray[:, 1], ray[:, 0]) - panorama.heading_rad
     tangent = (offset[2] + below * down[2])[:, None] / np.hypot(ray[:, 0], ray[:, 1])
     return cylinder.column_of(azimuth), cylinder.row_of(tangent)
-
-
-def moved_before(patch: WallPatch, before_m: float, panorama: Panorama) -> WallPatch:
-    """The patch as it would be if it hung so far before its wall; it looks the same."""
-    ray = panorama.center_map - patch.position
-    share = before_m / float(ray @ patch.normal)
-    return replace(
-        patch, position=patch.position + share * ray, texel_m=patch.texel_m * (1.0 - share)
-    )
 
 
 def texels_per_pixel(patch: WallPatch, panorama: Panorama) -> FloatArray:

@@ -20,7 +20,6 @@ from landmark_nav.learning.stereo.likeness import displaced_quarter
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
     Float32Image,
-    moved_before,
     Sighting,
     texels_per_pixel,
     wall_texture,
@@ -31,9 +30,6 @@ from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
 __all__ = ['compare', 'hypothesize', 'match_in']
 
-# Depths before the wall that scale must rule out, and by how much correlation.
-_OTHER_DEPTHS_M = (0.2, 0.4)
-_SCALE_MARGIN = 0.03
 # How far places may be wrong, in their sigmas, and where a search on the wall ends.
 _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
@@ -82,8 +78,7 @@ def match_in(
     """
     Find a patch of one panorama in another, number `other`.
 
-    That it lies on the wall shows in its parallax or, seen from nearly the same side, in its
-    scale; where neither can tell it is refused.
+    Without parallax nothing tells what lies on the wall from what stands before it.
     """
     here, there = panoramas[patch.source], panoramas[other]
     if not room.visible(there.center_map[:2], patch.position[:2]):
@@ -94,21 +89,9 @@ def match_in(
         return Refusal('too oblique from the other place')
     turn = float(to_here[0] * to_there[1] - to_here[1] * to_there[0])
     parallax = abs(float(np.arctan2(turn, to_here @ to_there)))
-    ratio = float(np.hypot(*to_here) / np.hypot(*to_there))
-    if parallax >= config.min_parallax_rad:
-        return compare(patch, other, panoramas, greys, config)
-    if max(ratio, 1.0 / ratio) < config.min_scale_ratio:
+    if parallax < config.min_parallax_rad:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
-    found = compare(patch, other, panoramas, greys, config)
-    if isinstance(found, Sighting):
-        for before in _OTHER_DEPTHS_M:
-            if before > 0.5 * min(to_here @ patch.normal[:2], to_there @ patch.normal[:2]):
-                continue
-            nearer = moved_before(patch, before, here)
-            rival = compare(nearer, other, panoramas, greys, config)
-            if isinstance(rival, Sighting) and rival.score > found.score - _SCALE_MARGIN:
-                return Refusal('too little parallax', 'its scale does not tell its distance')
-    return found
+    return compare(patch, other, panoramas, greys, config)
 
 
 def compare(
