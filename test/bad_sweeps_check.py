@@ -128,6 +128,7 @@ def cases(seed: int) -> list[Case]:
     bare = replace(scene.room, papers=papers[:2])
     hidden = replace(scene, room=bare)
     over = replace(DEFAULT_MOUNT, axis_rpy=(np.pi, 0.0, 0.0))
+    rolled = replace(DEFAULT_MOUNT, camera_roll_rad=np.pi)
     lean = replace(DEFAULT_MOUNT, axis_rpy=(0.05, -0.04, 0.0))
     off = replace(DEFAULT_MOUNT, optical_center_offset=(0.06, 0.0, 0.03))
     both = ((scene, here), (scene, there))
@@ -138,7 +139,10 @@ def cases(seed: int) -> list[Case]:
         Case('warm light, then usual', ((warm, here), (scene, there))),
         Case('an overexposed window', ((glare, here), (glare, there))),
         Case('upside down, as told', both, true_mount=over, told_mount=over),
-        Case('upside down, not told', both, 'papers', true_mount=over),
+        Case('upside down, not told', both, 'pan unit is mounted upside', true_mount=over),
+        Case('the camera alone upside down, as told', both, true_mount=rolled, told_mount=rolled),
+        Case('the camera alone upside down, not told', both, 'camera_roll: 3.14',
+             true_mount=rolled),
         Case('leaning, as told', both, true_mount=lean, told_mount=lean),
         Case('leaning, not told', both, 'leans by|no place', true_mount=lean),
         Case('tilted by its joint, off the axis', both, '', off, off, tilt_rad=0.12),

@@ -248,6 +248,8 @@ class PanTiltMount:
     optical_center_offset : tuple of float
         Optical centre from the axis, metres, in the frame that turns with pan and tilt
         (x along the view, y left, z up).
+    camera_roll_rad : float
+        Turn of the camera about its optical axis, clockwise as it looks: pi upside down.
     base_frame, pan_joint, tilt_joint : str
         Names.
 
@@ -256,6 +258,7 @@ class PanTiltMount:
     axis_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
     optical_center_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    camera_roll_rad: float = 0.0
     base_frame: str = 'base_link'
     pan_joint: str = 'pan_joint'
     tilt_joint: str = 'tilt_joint'
@@ -274,7 +277,7 @@ class PanTiltMount:
         pan_rad, tilt_rad : array_like, shape (...)
             Joint angles; pan positive to the left, tilt positive upwards.
         roll_rad : array_like, shape (...)
-            Turn of the camera about its optical axis, clockwise as it looks.
+            Further turn of the camera about its optical axis, clockwise as it looks.
 
         Returns
         -------
@@ -289,7 +292,7 @@ class PanTiltMount:
         )
         turned = rotation_rpy(self.axis_rpy) @ _rot_z(pan) @ _rot_y(-tilt)
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)
-        return turned @ _BODY_FROM_OPTICAL @ _rot_z(roll), center
+        return turned @ _BODY_FROM_OPTICAL @ _rot_z(roll + self.camera_roll_rad), center
 
 
 def _rot_x(angle: Any) -> FloatArray:

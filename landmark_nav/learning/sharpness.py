@@ -43,9 +43,9 @@ class Look:
     flat: bool
 
 
-def look_at(image: ImageArray, camera: CameraModel) -> Look:
+def look_at(image: ImageArray, camera: CameraModel, camera_roll_rad: float = 0.0) -> Look:
     """
-    Measure a picture, BGR (height, width, 3) or grey (height, width).
+    Measure a picture, BGR (height, width, 3) or grey (height, width), of a camera that is rolled.
 
     The gradient is Sobel's, as in Tenenbaum's measure of focus (Krotkov, IJCV 1, 1987).
 
@@ -68,7 +68,8 @@ def look_at(image: ImageArray, camera: CameraModel) -> Look:
 
     pixels = np.stack([np.arange(camera.width), np.full(camera.width, camera.cy)], -1)
     # About the pan axis, however that is mounted.
-    rays = camera.unproject(pixels) @ PanTiltMount().camera_pose_base(0.0)[0].T
+    turn, _ = PanTiltMount(camera_roll_rad=camera_roll_rad).camera_pose_base(0.0)
+    rays = camera.unproject(pixels) @ turn.T
     azimuth = np.unwrap(np.arctan2(rays[:, 1], rays[:, 0]))
     bins = np.floor(azimuth / _BIN_RAD).astype(int)
     first, count = bins.min(), np.bincount(bins - bins.min())

@@ -24,6 +24,7 @@ from landmark_nav.learning.calibration import (
     SweepCalibration,
 )
 from landmark_nav.learning.calibration.lean import levelled
+from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.reference_area import (
@@ -98,7 +99,11 @@ def panorama_from_sweep(
             photometry = measure_photometry(found.sweep, found.mount)
         view = _view(found, photometry, config)
     with log.measure('reference_area'):
-        place = _place(view, found, room, config)
+        try:
+            place = _place(view, found, room, config)
+        except LandmarkNavError as error:
+            why = why_overturned(sweep, room, mount, config.reference_area)
+            raise LandmarkNavError(why or str(error)) from error
     mount, lean = levelled(mount, place.lean_score, place.lean_information, config.calibration)
     with log.measure('calibration'):
         refined = calibrate_sweep(

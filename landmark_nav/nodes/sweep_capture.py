@@ -53,6 +53,7 @@ class SweepCaptureNode(LandmarkNode):
             self._config.capture,
             PanCommander(self, mount, self._config.command),
             SweepOutput(self, mount),
+            mount.camera_roll_rad,
         )
         self._called = Lock()
         self._result = 'ready'

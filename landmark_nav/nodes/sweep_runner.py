@@ -48,6 +48,8 @@ class SweepRunner:
         Turns it.
     output : SweepOutput
         Gets the frames.
+    camera_roll_rad : float
+        How the camera is turned about its optical axis.
 
     """
 
@@ -56,10 +58,12 @@ class SweepRunner:
         config: CaptureConfig,
         commander: PanCommander,
         output: SweepOutput,
+        camera_roll_rad: float = 0.0,
     ) -> None:
         self._config = config
         self._commander = commander
         self._output = output
+        self._camera_roll_rad = camera_roll_rad
         self._progress = Condition()
         self._sweep: SweepCapture[_Frame] | None = None
         self._running = False
@@ -142,10 +146,9 @@ class SweepRunner:
             if sweep.done:
                 self._progress.notify_all()
 
-    @staticmethod
-    def _inspect(frame: _Frame) -> Look:
+    def _inspect(self, frame: _Frame) -> Look:
         image, info = frame
-        return look_at(decode.image(image), decode.camera_model(info))
+        return look_at(decode.image(image), decode.camera_model(info), self._camera_roll_rad)
 
     def _command(self, sweep: SweepCapture[_Frame]) -> None:
         pan_rad = sweep.command(time.monotonic_ns())

@@ -48,13 +48,15 @@ def room_document(room: Room) -> str:
 
 def robot_document(mount: PanTiltMount) -> str:
     """Text of ``robot.yaml``: where the turning camera sits."""
-    document = {
+    document: dict[str, Any] = {
         'base_frame': mount.base_frame,
         'pan_joint': mount.pan_joint,
         'tilt_joint': mount.tilt_joint,
         'pan_axis': {'xyz': list(mount.axis_xyz), 'rpy': list(mount.axis_rpy)},
         'optical_center_offset': list(mount.optical_center_offset),
     }
+    if mount.camera_roll_rad:
+        document['camera_roll'] = float(mount.camera_roll_rad)
     return _yaml(
         'pose of the pan axis in base_link at pan 0 (the camera then looks along +x), and of the\n'
         '# optical centre from the axis, in metres and radians',

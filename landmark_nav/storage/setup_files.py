@@ -128,6 +128,7 @@ def load_robot(path: Path | str) -> PanTiltMount:
             axis_xyz=_point(axis, 'xyz', 3, 'pan_axis'),
             axis_rpy=_point(axis, 'rpy', 3, 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
             optical_center_offset=offset,
+            camera_roll_rad=number_field({'camera_roll': 0.0, **document}, 'camera_roll', 'robot'),
             base_frame=str(document.get('base_frame', 'base_link')),
             pan_joint=str(document.get('pan_joint', 'pan_joint')),
             tilt_joint=str(document.get('tilt_joint', 'tilt_joint')),

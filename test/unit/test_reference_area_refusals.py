@@ -11,7 +11,11 @@ import pytest
 from scenes import Board, flat_texture, rectangle_room
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.learning.overturned import why_overturned
+from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.types import FloatArray, Sweep
 
 
@@ -98,6 +102,39 @@ def test_a_camera_that_hangs_otherwise_than_told_is_refused() -> None:
         with pytest.raises(LandmarkNavError) as caught:
             locate(sweep_at(scene_of(room), pose, mount=mount), room)
         assert '\n' not in str(caught.value)
+        assert 'swapped' not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ('mount', 'remedy'),
+    [
+        (replace(MOUNT, camera_roll_rad=np.pi), 'the camera is .* set camera_roll: 3.1416'),
+        (replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0)), r'pan unit is .* pan_axis rpy: \[3.1416, 0'),
+        (MOUNT, None),
+    ],
+)
+def test_what_hangs_upside_down_is_told(mount: PanTiltMount, remedy: str | None) -> None:
+    room = rectangle_room(papers=EAST)
+    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]), mount=mount)
+    told = why_overturned(sweep, room, MOUNT, ReferenceAreaConfig())
+    assert told is None if remedy is None else re.search(remedy, str(told))
+
+
+def test_a_camera_upside_down_is_as_good_as_another_if_it_is_told() -> None:
+    room = rectangle_room(papers=EAST)
+    pose, rolled = np.array([3.5, 2.0, 0.3]), replace(MOUNT, camera_roll_rad=np.pi)
+    place = locate(sweep_at(scene_of(room), pose, mount=rolled), room, rolled)
+    assert deviations(place, pose).max() < 3.0
+
+
+def test_papers_beside_what_a_partial_sweep_saw_are_not_blamed() -> None:
+    room = rectangle_room(papers=EAST)
+    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
+    ahead = [wrap_rad(frame.pan_rad) for frame in sweep.frames]
+    part = tuple(f for f, pan in zip(sweep.frames, ahead, strict=True) if pan > np.median(ahead))
+    assert 0 < len(part) < len(sweep.frames)
+    with pytest.raises(LandmarkNavError, match=r'of a part of a turn .nothing is seen from pan'):
+        locate(replace(sweep, frames=part), room)
 
 
 def test_two_places_that_fit_alike_are_named() -> None:

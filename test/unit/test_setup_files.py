@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.simulation.setup_documents import robot_document
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
 ROOM = """\
@@ -92,6 +94,9 @@ def test_robot_as_written_and_defaults(tmp_path: Path) -> None:
     )
     bare = load_robot(written(tmp_path, 'pan_axis: {xyz: [0, 0, 1]}'))
     assert bare.axis_rpy == bare.optical_center_offset == (0.0, 0.0, 0.0)
+    assert bare.camera_roll_rad == 0.0
+    rolled = replace(bare, camera_roll_rad=3.1416)
+    assert load_robot(written(tmp_path, robot_document(rolled))) == rolled
 
 
 def test_the_study_room_is_read(shared_data: Path) -> None:
@@ -137,6 +142,7 @@ def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: s
         ('pan_axis: {xyz: [0, 0, high]}', 'xyz is .*high.*not 3 numbers'),
         ('pan_axis: {xyz: [0, 0, 1], rpy: 0}', 'rpy is 0, not 3 numbers'),
         ('pan_axis: {xyz: [0, 0, 1]}\noptical_center_offset: [1]', 'optical_center_offset is'),
+        ('pan_axis: {xyz: [0, 0, 1]}\ncamera_roll: over', "camera_roll is 'over', not a number"),
     ],
 )
 def test_a_bad_robot_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:

@@ -17,6 +17,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch
@@ -29,7 +30,7 @@ from landmark_nav.learning.reference_area.refusals import (
     why_not,
     wrong_prior,
 )
-from landmark_nav.learning.reference_area.search import find_places, papers_in_view
+from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Sweep
 
@@ -150,6 +151,19 @@ def locate_sweep(
     places = find_places(blobs, room, height)
     fitter = PaperFitter(sweep, room, mount, priors)
     lever = np.array([*mount.axis_xyz[:2], 0.0])
+
+    def fits_at(other: Room, place: PaperPlace) -> bool:
+        pose = se2.compose(place.axis_pose, se2.inverse(lever))
+        fit = PaperFitter(sweep, other, mount, priors).fit(pose, _QUICK_FRAMES)
+        return fit is not None and _fits(fit, other)
+
+    def refusal(fits: list[PaperFit]) -> LandmarkNavError:
+        why = why_not(blobs, places, fits, room, height, fits_at)
+        pans, half_fov = [f.pan_rad for f in sweep.frames], sweep.frames[0].camera.half_fov_rad
+        unseen = describe_coverage(pans, half_fov)
+        hint = f'of a part of a turn ({unseen}) the papers may be out: turn the robot to them; '
+        return LandmarkNavError(f'{hint if unseen else ""}{why}')
+
     fits: list[PaperFit] = []
     enough = np.inf
     for place in places:
@@ -162,7 +176,7 @@ def locate_sweep(
                 enough = min(enough, place.cost + _HOPELESS)
     good = sorted((f for f in fits if _fits(f, room)), key=lambda f: -_support(f))
     if not good:
-        raise LandmarkNavError(why_not(blobs, places, fits, room, height))
+        raise refusal(fits)
     for other in good[1:]:
         away = se2.relative(good[0].pose_map_base, other.pose_map_base)
         distinct = np.hypot(away[0], away[1]) > 0.1 or abs(away[2]) > 0.05
@@ -174,7 +188,7 @@ def locate_sweep(
             )
     fit = fitter.fit(good[0].pose_map_base)
     if fit is None or not _fits(fit, room):
-        raise LandmarkNavError(why_not(blobs, places, [fit] if fit else [], room, height))
+        raise refusal([fit] if fit else [])
     wrong = wrong_prior(fit, room, priors)
     if wrong:
         raise LandmarkNavError(wrong)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -64,8 +66,13 @@ def why_not(
     fits: list[PaperFit],
     room: Room,
     height: float,
+    fits_at: Callable[[Room, PaperPlace], bool],
 ) -> str:
-    """What was expected, what was seen, and what to do."""
+    """
+    What was expected, what was seen, and what to do.
+
+    `fits_at` says whether all edges of the papers of a room fit at a place.
+    """
     missing = [p.color for p, b in zip(room.papers, blobs, strict=True) if not len(b.misfit)]
     expected = ', '.join(p.color for p in room.papers)
     if missing:
@@ -73,7 +80,7 @@ def why_not(
             f'reference papers not found: {", ".join(missing)} of {expected}; '
             'see that they hang in view and in light'
         )
-    swapped = _swapped(blobs, places, room, height)
+    swapped = _swapped(blobs, places, room, height, fits_at)
     if swapped:
         return swapped
     if fits:
@@ -113,25 +120,33 @@ def why_not(
 
 
 def _swapped(
-    blobs: list[PaperBlobs], places: list[PaperPlace], room: Room, height: float
+    blobs: list[PaperBlobs],
+    places: list[PaperPlace],
+    room: Room,
+    height: float,
+    fits_at: Callable[[Room, PaperPlace], bool],
 ) -> str | None:
-    """Whether all would fit if papers had changed places."""
+    """Whether all would fit, edges too, if papers had changed places."""
     papers = room.papers
     if len(papers) > _MOST_SWAPPED:
         return None
     cost = min((place.cost for place in places), default=np.inf)
-    best: tuple[int, ...] | None = None
+    best: tuple[tuple[int, ...], PaperPlace] | None = None
     for order in permutations(range(len(papers))):
         if all(papers[k].color == paper.color for k, paper in zip(order, papers, strict=True)):
             continue
         found = find_places([blobs[k] for k in order], room, height)
         if found and found[0].cost < cost and (found[0].blob >= 0).all():
-            best, cost = order, found[0].cost
+            best, cost = (order, found[0]), found[0].cost
     if best is None:
+        return None
+    order, place = best
+    hung = (replace(p, color=papers[k].color) for k, p in zip(order, papers, strict=True))
+    if not fits_at(replace(room, papers=tuple(hung)), place):
         return None
     told = ', '.join(
         f'{papers[k].color} where {paper.color} should hang'
-        for k, paper in zip(best, papers, strict=True)
+        for k, paper in zip(order, papers, strict=True)
         if papers[k].color != paper.color
     )
     return f'the reference papers seem swapped, {told}: change them, or room.yaml'
