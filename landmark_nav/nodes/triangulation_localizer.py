@@ -179,8 +179,9 @@ class TriangulationLocalizerNode(LandmarkNode):
     def _look(self, message: Any) -> None:
         frame = self._frames.complete(message, self._config.max_wait_s, self._search.reaches)
         outcome = self._search.look(frame)
-        if isinstance(outcome, Refusal):
-            self._health = Health(Level.LOST, f'looking for the place: {outcome}')
+        found = 'place found, and told on initialpose'
+        words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
+        self._health = Health(Level.LOST, words)
 
     def _observe(self, message: Any) -> Observation:
         stamp = decode.stamp_ns(message.header)
