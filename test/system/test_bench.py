@@ -22,4 +22,6 @@ def test_bench_times_every_stage_beside_a_reference(
         assert stage in names
     for stage in document['stages']:
         assert stage['ratio'] == pytest.approx(stage['seconds'] / stage['reference_seconds'])
+    (update,) = (stage for stage in document['stages'] if 'update' in stage['stage'])
+    assert update['p95_seconds'] >= update['seconds']
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(document['stages'])
