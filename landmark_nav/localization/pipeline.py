@@ -207,12 +207,12 @@ class Localizer:
         self, stamp_ns: int, triplet: Triplet | Refusal, seen: Observation
     ) -> LocalizationUpdate:
         """Correct the filter by what was seen."""
-        if self._config.fusion.mode == 'bearings':
-            update = self._filter.add_detections(seen.detections)
-        elif isinstance(seen.fix, PoseEstimate):
-            update = self._filter.add_pose(seen.fix)
-        else:
-            update = FusionUpdate(stamp_ns, refusal=seen.fix)
+        update = self._filter.add_detections(seen.detections)
+        if self._config.fusion.mode == 'poses':
+            if isinstance(seen.fix, PoseEstimate):
+                update = self._filter.add_pose(seen.fix)
+            else:
+                update = self._filter.no_pose(stamp_ns, seen.fix)
         fused = self._filter.estimate(stamp_ns)
         assert fused is not None, 'it was initialized'
         status, reason = self._filter.status

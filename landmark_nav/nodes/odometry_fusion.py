@@ -100,11 +100,11 @@ class OdometryFusionNode(LandmarkNode):
         self._odom_frame = 'odom'
         self._latency = Latency()
         self.listen('odom', self._on_odometry, depth=50)
-        # Bearings and the poses made of them are the same information: only one is used.
-        if self._config.fusion.mode == 'bearings':
-            self._frames = CameraFrames(self, self._mount)
-            self.listen('detections', self._on_detections)
-        else:
+        self._frames = CameraFrames(self, self._mount)
+        self.listen('detections', self._on_detections)
+        # Bearings and the poses made of them are the same information: where poses are used,
+        # bearings tell what was seen.
+        if self._config.fusion.mode == 'poses':
             self.listen('triangulation/pose', self._on_pose)
         self.listen('initialpose', self._on_initial_pose)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.replay import replay as replay_events
 from landmark_nav.geometry import se2
-from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization import RelocalizationConfig
@@ -117,11 +117,15 @@ def test_without_faults_it_tracks(sensed: list[Sensed]) -> None:
     assert all(m.update.search is None for m in moments)
 
 
-@pytest.mark.parametrize('offset', [(0.8, 0.6, 0.0), (-0.6, 0.1, 0.8)])
+@pytest.mark.parametrize(
+    ('offset', 'mode'),
+    [((0.8, 0.6, 0.0), 'bearings'), ((-0.6, 0.1, 0.8), 'bearings'), ((0.8, 0.6, 0.0), 'poses')],
+)
 def test_a_wrong_start_is_noticed_and_put_right(
-    sensed: list[Sensed], offset: tuple[float, float, float]
+    sensed: list[Sensed], offset: tuple[float, float, float], mode: str
 ) -> None:
-    moments = list(run(sensed, untouched, start=START + np.array(offset)))
+    config = LocalizationConfig(fusion=FusionConfig(mode=mode))
+    moments = list(run(sensed, untouched, start=START + np.array(offset), config=config))
     lost = next(m for m in moments if m.status == 'lost')
     assert lost.after_s + FAULT_S <= 2.0
     assert 'were found' in lost.reason

@@ -481,30 +481,3 @@ class TestStatus:
                     fused.add_detections(sighting(moment, k))
         assert fused.status == ('tracking', '')
         assert np.trace(fused.estimate().covariance[:2, :2]) < 0.02**2  # type: ignore[union-attr]
-
-
-class TestPoses:
-    def test_never_both(self) -> None:
-        pose = PoseEstimate(0, START, np.eye(3) * 1e-4)
-        assert started().add_pose(pose).refusal is not None
-        fused = started(FusionConfig(mode='poses'))
-        seen = detections(MAP, START, 0, [0, 1, 2], SIGMA)
-        assert fused.add_detections(seen).refusal is not None
-        assert fused.add_pose(pose).refusal is None
-
-    def test_gate(self) -> None:
-        fused = started(FusionConfig(mode='poses'))
-        far = PoseEstimate(0, START + np.array([0.5, 0.0, 0.0]), np.eye(3) * 1e-4)
-        update = fused.add_pose(far)
-        assert update.refusal is not None
-        assert 'NIS' in str(update.refusal)
-        broken = PoseEstimate(0, START * np.nan, np.eye(3))
-        assert fused.add_pose(broken).refusal is not None
-
-    def test_is_the_weighted_mean(self) -> None:
-        fused = started(FusionConfig(mode='poses'))
-        offset = np.array([0.01, -0.02, 0.01])
-        same = start_estimate().covariance
-        assert fused.add_pose(PoseEstimate(0, START + offset, same)).degrees == 3
-        np.testing.assert_allclose(error_of(fused.estimate(), START), offset / 2.0, atol=1e-12)
-        np.testing.assert_allclose(fused.estimate().covariance, same / 2.0)  # type: ignore[union-attr]

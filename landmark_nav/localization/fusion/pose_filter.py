@@ -15,15 +15,12 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
 from landmark_nav.localization.fusion.state import among, FilterState, initial_state, moved_to
 from landmark_nav.localization.fusion.turn import update_turning
-from landmark_nav.localization.fusion.update import (
-    bearing_frame,
-    FusionUpdate,
-    update_pose,
-)
+from landmark_nav.localization.fusion.update import bearing_frame, FusionUpdate, IndexArray
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
@@ -39,6 +36,8 @@ __all__ = ['FusionConfig', 'FusionUpdate', 'PoseFilter']
 
 # So many correlations of the pictures before tell what to expect.
 _SCORES = 12
+# So many of them tell of which landmarks a pose was made, and so many it is made of.
+_PICTURES, _LEAST = 10, 3
 
 
 @dataclass(frozen=True)
@@ -202,6 +201,7 @@ class PoseFilter:
         self._map = landmark_map
         self._scores: deque[float] = deque(maxlen=_SCORES)
         self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
+        self._seen: deque[tuple[int, IndexArray, int]] = deque(maxlen=_PICTURES)
         if self._history.started:
             self._history.restart(among(self._history.at(), landmark_map))
             self._health.change_map()
@@ -226,8 +226,6 @@ class PoseFilter:
     def add_detections(self, detections: Detections) -> FusionUpdate:
         """Correct by the bearings of one picture, at its time."""
         stamp = detections.stamp_ns
-        if self._config.mode != 'bearings':
-            return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad, self._scores)
         if (refusal := self._untimely(stamp)) is not None:
             self._health.note(refusal)
@@ -236,6 +234,10 @@ class PoseFilter:
         known = [k for k in detections.missed.tolist() if k in self._columns]
         missed = self._map.positions[[self._columns[k] for k in known]]
         expected = len(frame.columns) + len(missed)
+        if self._config.mode != 'bearings':
+            self._seen.append((stamp, frame.columns, expected))
+            self._health.look(stamp, len(frame.columns), missed)
+            return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         if not len(frame.columns):
             refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
         elif self._health.too_few(len(frame.columns), expected):
@@ -259,10 +261,6 @@ class PoseFilter:
             ),
         )
         self._health.look(stamp, update.degrees, missed)
-        if update.turned_rad:
-            angle = f'{np.degrees(update.turned_rad):+.2f} deg'
-            reason = 'the camera, or the robot on the spot, was turned'
-            self._health.note_trouble(stamp, Refusal(reason, angle))
         return update
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:
@@ -273,11 +271,42 @@ class PoseFilter:
         refusal = self._untimely(stamp)
         if refusal is None and not _is_finite(measured):
             refusal = Refusal('pose is not a number')
+        elif refusal is None and self._health.astray:
+            refusal = self._too_few(stamp)
         if refusal is not None:
-            self._health.note(refusal)
-            return FusionUpdate(stamp, refusal=refusal)
-        level = self._config.pose_probability
-        return self._measure(stamp, partial(update_pose, measured=measured, probability=level))
+            return self.no_pose(stamp, refusal)
+        return self._measure(
+            stamp,
+            partial(
+                update_pose,
+                measured=measured,
+                columns=self._made_of(stamp),
+                lever=self._lever,
+                probability=self._config.pose_probability,
+                turn_sigma=self._config.turn_sigma_rad,
+            ),
+        )
+
+    def no_pose(self, stamp_ns: int, refusal: Refusal) -> FusionUpdate:
+        """Take note that no pose came of a picture, and why."""
+        self._health.note(refusal)
+        return FusionUpdate(stamp_ns, refusal=refusal)
+
+    def _too_few(self, stamp_ns: int) -> Refusal | None:
+        """Why a pose is not believed once others were contradicted: chance made it of a few."""
+        for stamp, found, expected in self._seen:
+            if stamp == stamp_ns and len(found) < self._health.least(expected):
+                return Refusal('too few found', f'{len(found)} of {expected} landmarks')
+        return None
+
+    def _made_of(self, stamp_ns: int) -> IndexArray:
+        """Landmarks that a pose was made of: those of its picture, of the last ones, or all."""
+        for own in (True, False):
+            seen = [found for stamp, found, _ in self._seen if stamp == stamp_ns or not own]
+            found = np.unique(np.concatenate(seen)) if seen else ()
+            if len(found) >= _LEAST:
+                return np.asarray(found)
+        return np.arange(len(self._map.landmarks))
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
         """
@@ -312,6 +341,10 @@ class PoseFilter:
         update = self._history.insert(stamp_ns, step)
         assert update is not None
         self._health.observe(update)
+        if update.turned_rad:
+            angle = f'{np.degrees(update.turned_rad):+.2f} deg'
+            reason = 'the camera, or the robot on the spot, was turned'
+            self._health.note_trouble(stamp_ns, Refusal(reason, angle))
         if self._health.astray and update.refusal is not None:
             self._history.insert(stamp_ns, self._doubted)
         return update

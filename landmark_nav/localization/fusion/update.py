@@ -16,10 +16,9 @@ from landmark_nav.localization.fusion.state import (
     correct,
     FilterState,
     MeasurementModel,
-    pose_model,
 )
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.types import Detections, FloatArray, PoseEstimate, Refusal
+from landmark_nav.types import Detections, FloatArray, Refusal
 
 __all__ = [
     'BearingFrame',
@@ -27,7 +26,6 @@ __all__ = [
     'bearing_frame',
     'expected_bearings',
     'update_bearings',
-    'update_pose',
 ]
 
 IndexArray = npt.NDArray[np.intp]
@@ -259,20 +257,6 @@ def update_bearings(
         f'largest innovation {np.degrees(np.abs(before.innovation).max()):.2f} deg',
     )
     return prior, FusionUpdate(prior.stamp_ns, rejected=rejected, refusal=refusal)
-
-
-def update_pose(
-    prior: FilterState, measured: PoseEstimate, probability: float
-) -> tuple[FilterState, FusionUpdate]:
-    """Use a triangulated pose of the base, if it agrees with the prior."""
-    model = pose_model(prior, measured)
-    nis = float(model.innovation @ np.linalg.solve(model.covariance, model.innovation))
-    limit = float(chdtri(3, 1.0 - probability))
-    if nis > limit:
-        refusal = Refusal('pose does not fit the expected one', f'NIS {nis:.1f} over {limit:.1f}')
-        return prior, FusionUpdate(prior.stamp_ns, refusal=refusal)
-    update = FusionUpdate(prior.stamp_ns, innovation_rad=model.innovation, nis=nis, degrees=3)
-    return correct(prior, model, refine=False), update
 
 
 def _inside_gate(

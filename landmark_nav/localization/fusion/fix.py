@@ -1,0 +1,62 @@
+"""Triangulated poses of the base in the filter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from landmark_nav.localization.fusion.state import (
+    BORESIGHT,
+    correct,
+    FilterState,
+    HEADING,
+    MeasurementModel,
+    pose_model,
+)
+from landmark_nav.localization.fusion.update import FusionUpdate, IndexArray
+from landmark_nav.types import FloatArray, PoseEstimate, Refusal
+
+__all__ = ['update_pose']
+
+
+def update_pose(
+    prior: FilterState,
+    measured: PoseEstimate,
+    columns: IndexArray,
+    lever: FloatArray,
+    probability: float,
+    turn_sigma: float,
+) -> tuple[FilterState, FusionUpdate]:
+    """
+    Use a pose that was triangulated from landmarks `columns` (m,), if it agrees with the prior.
+
+    Where its heading alone does not, the camera was turned against the base or the base against
+    the odometry: both become uncertain by that angle, as `update_turning` has it for bearings.
+    """
+    limit = float(chdtri(3, 1.0 - probability))
+    model, turned = pose_model(prior, measured, columns, lever), 0.0
+    nis = _nis(model)
+    refusal = Refusal('pose does not fit the expected one', f'NIS {nis:.1f} over {limit:.1f}')
+    loose = prior
+    if nis > limit and turn_sigma:
+        turned = -float(model.innovation[HEADING])
+        covariance, both = prior.covariance.copy(), [HEADING, BORESIGHT]
+        covariance[both, both] += min(turned**2, turn_sigma**2)
+        loose = replace(prior, covariance=covariance)
+        model = pose_model(loose, measured, columns, lever)
+        nis = _nis(model)
+    if nis > limit:
+        return prior, FusionUpdate(prior.stamp_ns, refusal=refusal)
+    return correct(loose, model, refine=False), FusionUpdate(
+        prior.stamp_ns,
+        innovation_rad=model.innovation,
+        nis=nis,
+        degrees=3,
+        turned_rad=turned,
+    )
+
+
+def _nis(model: MeasurementModel) -> float:
+    return float(model.innovation @ np.linalg.solve(model.covariance, model.innovation))
