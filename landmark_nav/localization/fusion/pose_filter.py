@@ -8,13 +8,14 @@ and `health` the verdict.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.fusion.config import FusionConfig
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
@@ -22,7 +23,6 @@ from landmark_nav.localization.fusion.state import among, FilterState, initial_s
 from landmark_nav.localization.fusion.turn import update_turning
 from landmark_nav.localization.fusion.update import bearing_frame, FusionUpdate, IndexArray
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     Detections,
     FloatArray,
@@ -32,80 +32,12 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['FusionConfig', 'FusionUpdate', 'PoseFilter']
+__all__ = ['PoseFilter']
 
 # So many correlations of the pictures before tell what to expect.
 _SCORES = 12
 # So many of them tell of which landmarks a pose was made, and so many it is made of.
 _PICTURES, _LEAST = 10, 3
-
-
-@dataclass(frozen=True)
-class FusionConfig:
-    """What the filter takes and how strictly."""
-
-    mode: str = parameter(
-        'bearings',
-        'What corrects the odometry: every bearing by itself, or triangulated poses.',
-        choices=('bearings', 'poses'),
-    )
-    landmarks: str = parameter(
-        'consider',
-        'Landmark errors: carried along, so that the map is all that is ever claimed, or refined '
-        'by what is seen.',
-        choices=('consider', 'refine'),
-    )
-    bearing_probability: float = parameter(
-        0.999, 'Chi-square level of the gates for bearings.', minimum=0.5, maximum=1.0
-    )
-    pose_probability: float = parameter(
-        0.99, 'Chi-square level of the gate for poses.', minimum=0.5, maximum=1.0
-    )
-    pan_sigma_rad: float = parameter(
-        2e-4, 'Error of the pan angle, common to one picture, rad.', minimum=0.0, maximum=1.0
-    )
-    boresight_sigma_rad: float = parameter(
-        0.0,
-        'Sigma of a constant offset of all bearings that is estimated; 0 takes it as known.',
-        minimum=0.0,
-        maximum=1.0,
-    )
-    delay_sigma_s: float = parameter(
-        0.0,
-        'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '
-        'is estimated where the rate of the pan is known; 0 takes it as none, s.',
-        minimum=0.0,
-        maximum=1.0,
-    )
-    turn_sigma_rad: float = parameter(
-        0.035,
-        'Uncertainty of heading and boresight when all bearings are off by one angle; 0 has it '
-        'contradict the pose.',
-        minimum=0.0,
-        maximum=1.0,
-    )
-    history_s: float = parameter(
-        2.0, 'How late a measurement may come, s.', minimum=0.0, maximum=60.0
-    )
-    astray_sigma_m: float = parameter(
-        0.15,
-        'Position noise added with each picture that contradicts while lost, m.',
-        minimum=0.0,
-        maximum=10.0,
-    )
-    astray_sigma_rad: float = parameter(
-        0.05,
-        'Heading noise added with each picture that contradicts while lost, rad.',
-        minimum=0.0,
-        maximum=3.0,
-    )
-    astray_limit_m: float = parameter(
-        2.0, 'Position sigma at which that ends, m.', minimum=0.0, maximum=100.0
-    )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class PoseFilter:

@@ -1,0 +1,77 @@
+"""Parameters of the filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from landmark_nav.parameters import check_parameters, parameter
+
+__all__ = ['FusionConfig']
+
+
+@dataclass(frozen=True)
+class FusionConfig:
+    """What the filter takes and how strictly."""
+
+    mode: str = parameter(
+        'bearings',
+        'What corrects the odometry: every bearing by itself, or triangulated poses.',
+        choices=('bearings', 'poses'),
+    )
+    landmarks: str = parameter(
+        'consider',
+        'Landmark errors: carried along, so that the map is all that is ever claimed, or refined '
+        'by what is seen.',
+        choices=('consider', 'refine'),
+    )
+    bearing_probability: float = parameter(
+        0.999, 'Chi-square level of the gates for bearings.', minimum=0.5, maximum=1.0
+    )
+    pose_probability: float = parameter(
+        0.99, 'Chi-square level of the gate for poses.', minimum=0.5, maximum=1.0
+    )
+    pan_sigma_rad: float = parameter(
+        2e-4, 'Error of the pan angle, common to one picture, rad.', minimum=0.0, maximum=1.0
+    )
+    boresight_sigma_rad: float = parameter(
+        0.0,
+        'Sigma of a constant offset of all bearings that is estimated; 0 takes it as known.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    delay_sigma_s: float = parameter(
+        0.0,
+        'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '
+        'is estimated where the rate of the pan is known; 0 takes it as none, s.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    turn_sigma_rad: float = parameter(
+        0.035,
+        'Uncertainty of heading and boresight when all bearings are off by one angle; 0 has it '
+        'contradict the pose.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    history_s: float = parameter(
+        2.0, 'How late a measurement may come, s.', minimum=0.0, maximum=60.0
+    )
+    astray_sigma_m: float = parameter(
+        0.15,
+        'Position noise added with each picture that contradicts while lost, m.',
+        minimum=0.0,
+        maximum=10.0,
+    )
+    astray_sigma_rad: float = parameter(
+        0.05,
+        'Heading noise added with each picture that contradicts while lost, rad.',
+        minimum=0.0,
+        maximum=3.0,
+    )
+    astray_limit_m: float = parameter(
+        2.0, 'Position sigma at which that ends, m.', minimum=0.0, maximum=100.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_parameters(self)
