@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.fusion.noise import LEARNED
 from landmark_nav.localization.fusion.state import (
+    bearing_model,
     BORESIGHT,
     correct,
     FilterState,
     HEADING,
     MeasurementModel,
-    pose_model,
 )
 from landmark_nav.localization.fusion.update import FusionUpdate, IndexArray
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
@@ -36,7 +38,7 @@ def update_pose(
     the odometry: both become uncertain by that angle, as `update_turning` has it for bearings.
     """
     limit = float(chdtri(3, 1.0 - probability))
-    model, turned = pose_model(prior, measured, columns, lever), 0.0
+    model, turned = _pose_model(prior, measured, columns, lever), 0.0
     nis = _nis(model)
     refusal = Refusal('pose does not fit the expected one', f'NIS {nis:.1f} over {limit:.1f}')
     loose = prior
@@ -45,7 +47,7 @@ def update_pose(
         covariance, both = prior.covariance.copy(), [HEADING, BORESIGHT]
         covariance[both, both] += min(turned**2, turn_sigma**2)
         loose = replace(prior, covariance=covariance)
-        model = pose_model(loose, measured, columns, lever)
+        model = _pose_model(loose, measured, columns, lever)
         nis = _nis(model)
     if nis > limit:
         return prior, FusionUpdate(prior.stamp_ns, refusal=refusal)
@@ -55,6 +57,32 @@ def update_pose(
         nis=nis,
         degrees=3,
         turned_rad=turned,
+    )
+
+
+def _pose_model(
+    prior: FilterState, measured: PoseEstimate, columns: IndexArray, lever: FloatArray
+) -> MeasurementModel:
+    """
+    Return a pose of the base, triangulated from landmarks `columns` (m,), at a prior.
+
+    It errs with the landmarks and with the boresight as their bearings do, of which least squares
+    make a pose: so poses, too, never claim more than the map knows.
+    """
+    nothing = np.zeros(len(columns))
+    seen = bearing_model(prior, prior, columns, nothing, nothing, 0.0, lever)
+    fix = np.linalg.pinv(seen.jacobian[:, :3])
+    jacobian = fix @ seen.jacobian
+    jacobian[:, :3] = np.eye(3)
+    innovation = measured.pose - jacobian[:, BORESIGHT] * prior.mean[BORESIGHT] - prior.mean[:3]
+    innovation[2] = wrap_rad(innovation[2])
+    return MeasurementModel(
+        innovation,
+        jacobian,
+        seen.state_covariance @ fix.T,
+        seen.map_covariance @ fix.T,
+        fix @ seen.covariance @ fix.T + measured.covariance,
+        np.zeros((LEARNED, 3, 3)),
     )
 
 

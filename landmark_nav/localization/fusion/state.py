@@ -45,7 +45,6 @@ __all__ = [
     'correct',
     'initial_state',
     'moved_to',
-    'pose_model',
     'propagate',
 ]
 
@@ -295,32 +294,6 @@ def bearing_model(
     innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
     return MeasurementModel(
         innovation, jacobian, state_covariance, map_covariance, covariance, by_noise
-    )
-
-
-def pose_model(
-    prior: FilterState, measured: PoseEstimate, columns: IndexArray, lever: FloatArray
-) -> MeasurementModel:
-    """
-    Return a pose of the base, triangulated from landmarks `columns` (m,), at a prior.
-
-    It errs with the landmarks and with the boresight as their bearings do, of which least squares
-    make a pose: so poses, too, never claim more than the map knows.
-    """
-    nothing = np.zeros(len(columns))
-    seen = bearing_model(prior, prior, columns, nothing, nothing, 0.0, lever)
-    fix = np.linalg.pinv(seen.jacobian[:, :3])
-    jacobian = fix @ seen.jacobian
-    jacobian[:, :3] = np.eye(3)
-    innovation = measured.pose - jacobian[:, BORESIGHT] * prior.mean[BORESIGHT] - prior.mean[:3]
-    innovation[2] = wrap_rad(innovation[2])
-    return MeasurementModel(
-        innovation,
-        jacobian,
-        seen.state_covariance @ fix.T,
-        seen.map_covariance @ fix.T,
-        fix @ seen.covariance @ fix.T + measured.covariance,
-        np.zeros((LEARNED, 3, 3)),
     )
 
 
