@@ -133,7 +133,7 @@ def test_papers_beside_what_a_partial_sweep_saw_are_not_blamed() -> None:
     ahead = [wrap_rad(frame.pan_rad) for frame in sweep.frames]
     part = tuple(f for f, pan in zip(sweep.frames, ahead, strict=True) if pan > np.median(ahead))
     assert 0 < len(part) < len(sweep.frames)
-    with pytest.raises(LandmarkNavError, match=r'of a part of a turn .nothing is seen from pan'):
+    with pytest.raises(LandmarkNavError, match=r'out of what the sweep saw .nothing is seen'):
         locate(replace(sweep, frames=part), room)
 
 

@@ -161,7 +161,7 @@ def locate_sweep(
         why = why_not(blobs, places, fits, room, height, fits_at)
         pans, half_fov = [f.pan_rad for f in sweep.frames], sweep.frames[0].camera.half_fov_rad
         unseen = describe_coverage(pans, half_fov)
-        hint = f'of a part of a turn ({unseen}) the papers may be out: turn the robot to them; '
+        hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
         return LandmarkNavError(f'{hint if unseen else ""}{why}')
 
     fits: list[PaperFit] = []
