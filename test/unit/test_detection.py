@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,6 +101,19 @@ def test_landmarks_are_found_where_they_are() -> None:
     assert result.detections.stamp_ns == frame.stamp_ns
     assert result.detections.score.min() > 0.97
     # A pixel is 2.5 mrad here.
+    assert np.abs(errors_of(result, HERE)).max() < 2e-4
+
+
+@pytest.mark.parametrize('over', [{'camera_roll_rad': np.pi}, {'axis_rpy': (np.pi, 0.0, 0.0)}])
+@pytest.mark.parametrize('config', [PATCH, VIRTUAL], ids=['patch', 'virtual view'])
+def test_a_camera_that_hangs_upside_down_finds_them_too(
+    over: dict[str, Any], config: DetectionConfig
+) -> None:
+    mount = replace(MOUNT, **over)
+    frame = draw_frame(SCENE, LENS, mount, HERE, 0.05)
+    prior = PoseEstimate(0, HERE, PRIOR)
+    result = detect_landmarks(frame, prior, LANDMARKS, mount, config, np.arange(4))
+    assert sorted(result.detections.ids) == [1, 2, 3, 4]
     assert np.abs(errors_of(result, HERE)).max() < 2e-4
 
 

@@ -75,11 +75,10 @@ def draw(
         scale = columns / landmark.width_m
         to_texel = [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
         texel = cv2.perspectiveTransform(rays, to_texel @ ray_to_patch)
-        # Texels a pixel, across and down.
-        step = (
-            max(float(texel[height // 2, -1, 0] - texel[height // 2, 0, 0]) / (width - 1), 1e-2),
-            max(float(texel[-1, width // 2, 1] - texel[0, width // 2, 1]) / (height - 1), 1e-2),
-        )
+        # Texels a pixel, across and down; they run backwards where the camera is upside down.
+        across = float(texel[height // 2, -1, 0] - texel[height // 2, 0, 0]) / (width - 1)
+        down = float(texel[-1, width // 2, 1] - texel[0, width // 2, 1]) / (height - 1)
+        step = max(abs(across), 1e-2), max(abs(down), 1e-2)
         column, row = cv2.split(texel)
         part = cv2.remap(
             blur_to(image.astype(np.float32), step),

@@ -203,11 +203,11 @@ def _expect(
         + _CORNERS[:, 1:] * half[:, None, 1:] * down[:, None]
     )
     pixels = view.camera.project((points - view.center) @ view.rotation)
-    u, v = pixels[:, 1:, 0], pixels[:, 1:, 1]
+    # Left and upper sides first, also where the camera hangs upside down.
+    u, v = np.sort(pixels[:, 1:], axis=1).transpose(2, 0, 1)
     width, height = view.camera.width, view.camera.height
     # The largest upright rectangle inside the patch's quadrilateral, cut by the picture.
-    low = [u[:, [0, 3]].max(1), v[:, :2].max(1)]
-    high = [u[:, 1:3].min(1), v[:, 2:].min(1)]
+    low, high = [u[:, 1], v[:, 1]], [u[:, 2], v[:, 2]]
     corners = np.stack(
         [
             np.ceil(np.maximum(low, 1.0)),
