@@ -66,8 +66,13 @@ def test_gate() -> None:
     assert fused.add_pose(broken).refusal is not None
 
 
-def test_is_the_weighted_mean() -> None:
-    fused = started(known=EXACT)
+@pytest.mark.parametrize(
+    'known',
+    [EXACT, LandmarkMap(EXACT.landmarks[:2]), LandmarkMap(())],
+    ids=['of landmarks', 'of two', 'from elsewhere'],
+)
+def test_is_the_weighted_mean(known: LandmarkMap) -> None:
+    fused = started(known=known)
     offset = np.array([0.01, -0.02, 0.01])
     same = start_estimate().covariance
     assert fused.add_pose(PoseEstimate(0, START + offset, same)).degrees == 3

@@ -67,21 +67,27 @@ def _pose_model(
     Return a pose of the base, triangulated from landmarks `columns` (m,), at a prior.
 
     It errs with the landmarks and with the boresight as their bearings do, of which least squares
-    make a pose: so poses, too, never claim more than the map knows.
+    make a pose: so poses, too, never claim more than the map knows. Of a pose, or a part of one,
+    that does not follow from landmarks of the map (none are known, or fewer than three), its own
+    covariance is all that is known.
     """
     nothing = np.zeros(len(columns))
     seen = bearing_model(prior, prior, columns, nothing, nothing, 0.0, lever)
     fix = np.linalg.pinv(seen.jacobian[:, :3])
     jacobian = fix @ seen.jacobian
     jacobian[:, :3] = np.eye(3)
+    beside = jacobian - fix @ seen.jacobian
+    state_covariance = prior.covariance @ beside.T + seen.state_covariance @ fix.T
     innovation = measured.pose - jacobian[:, BORESIGHT] * prior.mean[BORESIGHT] - prior.mean[:3]
     innovation[2] = wrap_rad(innovation[2])
     return MeasurementModel(
         innovation,
         jacobian,
-        seen.state_covariance @ fix.T,
-        seen.map_covariance @ fix.T,
-        fix @ seen.covariance @ fix.T + measured.covariance,
+        state_covariance,
+        prior.cross.T @ beside.T + seen.map_covariance @ fix.T,
+        beside @ state_covariance
+        + fix @ (seen.covariance @ fix.T + seen.state_covariance.T @ beside.T)
+        + measured.covariance,
         np.zeros((LEARNED, 3, 3)),
     )
 
