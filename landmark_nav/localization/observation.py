@@ -28,9 +28,9 @@ from landmark_nav.types import (
     Triplet,
 )
 
-_LOG = logging.getLogger(__name__)
-
 __all__ = ['Observation', 'ObservationConfig', 'Observer']
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)

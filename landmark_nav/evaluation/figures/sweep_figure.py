@@ -156,7 +156,7 @@ def _text(
         f'{cylinder.height} px synthesized from {len(sweeps[0].frames)} frames of '
         f'{frame.camera.width} x {frame.camera.height} px, one each {np.degrees(step):.2f}°. Two '
         f'neighbouring frames overlap by {1.0 - step / (left - right):.0%}; a column is shown by '
-        f'{np.median(counts[0]):.0f} frames in the median, by {counts[0].max():.0f} at most, of '
-        'which the median is kept. The three papers of the reference area tell where the camera '
-        'stood.'
+        f'{np.median(counts[0]):.0f} frames in the median, by {counts[0].max():.0f} at most; the '
+        'median of those that look straightest at it is kept. The three papers of the reference '
+        'area tell where the camera stood.'
     )

@@ -14,7 +14,7 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['levelled']
 
-# What a lean does to a panorama is told apart from anything else from this on, metres a metre.
+# Less information than that, 1 / rad^2, is none: rounding, where no paper was measured.
 _LEAST_INFORMATION = 1e-3
 
 

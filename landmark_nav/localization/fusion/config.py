@@ -48,8 +48,8 @@ class FusionConfig:
     )
     turn_sigma_rad: float = parameter(
         0.035,
-        'Uncertainty of heading and boresight when all bearings are off by one angle; 0 has it '
-        'contradict the pose.',
+        'How far heading and boresight are doubted at most where all bearings are off by one '
+        'angle; 0 has it contradict the pose.',
         minimum=0.0,
         maximum=1.0,
     )

@@ -32,10 +32,26 @@ def update_pose(
     turn_sigma: float,
 ) -> tuple[FilterState, FusionUpdate]:
     """
-    Use a pose that was triangulated from landmarks `columns` (m,), if it agrees with the prior.
+    Use a triangulated pose, if it agrees with the prior.
 
     Where its heading alone does not, the camera was turned against the base or the base against
     the odometry: both become uncertain by that angle, as `update_turning` has it for bearings.
+
+    Parameters
+    ----------
+    prior : FilterState
+        State at the pose's time.
+    measured : PoseEstimate
+        Pose of the base in map.
+    columns : ndarray of int, shape (m,)
+        Places in the map of the landmarks that it was made of.
+    lever : ndarray, shape (2,)
+        Pan axis in the base frame, metres.
+    probability : float
+        Chi-square level of the gate.
+    turn_sigma : float
+        How far heading and boresight are doubted at most, radians; 0 does not.
+
     """
     limit = float(chdtri(3, 1.0 - probability))
     model, turned = _pose_model(prior, measured, columns, lever), 0.0

@@ -1,0 +1,134 @@
+"""Rooms with patches on their walls, seen from two places, for the adjustment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scenes import rectangle_room
+
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
+from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.types import FloatArray, Panorama
+
+ROOM = rectangle_room(6.0, 5.0)
+
+
+CONFIG = AdjustmentConfig()
+
+
+# Sigmas are what they are said to be: nothing of them is estimated.
+AS_EXPECTED = AdjustmentConfig(camera_weight=1e9, room_weight=1e9)
+
+
+# x, y, z, heading: one at the seam of angles.
+POSES = np.array([[2.1, 1.9, 1.1, 3.12], [3.9, 2.8, 1.1, -1.4]])
+
+
+PRIOR = np.diag([0.008, 0.008, 0.005, 0.003]) ** 2
+
+
+OWN_SIGMA = np.array([2e-4, 3e-4])
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """True landmarks (n, 3) on walls (n,), and true panorama poses (views, 4)."""
+
+    points: FloatArray
+    walls: list[int]
+    poses: FloatArray
+
+
+def world_of(
+    rng: np.random.Generator,
+    count: int,
+    *,
+    flat: bool = False,
+    hanging_m: float = CONFIG.hanging_sigma_m,
+) -> World:
+    walls = [k % 4 for k in range(count)]
+    points = np.empty((count, 3))
+    common = 0.0 if flat else rng.normal(0.0, CONFIG.common_hanging_sigma_m)
+    for k, index in enumerate(walls):
+        wall = ROOM.walls[index]
+        foot = np.array(wall.start) + rng.uniform(0.15, 0.85) * np.subtract(wall.end, wall.start)
+        off = common + (0.0 if flat else rng.normal(0.0, hanging_m))
+        points[k] = [*(foot + off * wall.normal[:2]), rng.uniform(0.6, 1.7)]
+    return World(points, walls, POSES)
+
+
+def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Panorama]:
+    blank = np.zeros((4, 16, 3), np.uint8)
+    cylinder = Cylinder(16, 4, 2.5, 7.5, 2.0)
+    mask = np.ones((4, 16), bool)
+    return [
+        Panorama(k, blank, mask, cylinder, pose[:3], float(pose[3]), covariance)
+        for k, pose in enumerate(poses)
+    ]
+
+
+def sightings_of(
+    world: World,
+    rng: np.random.Generator | None,
+    common: tuple[float, float] = (CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma),
+) -> list[list[Sighting]]:
+    """The first view proposed each landmark; the other found it with its own noise as well."""
+    groups = []
+    for point in world.points:
+        group = []
+        for view, pose in enumerate(world.poses):
+            own = OWN_SIGMA if view else np.zeros(2)
+            d = point - pose[:3]
+            seen = np.array([np.arctan2(d[1], d[0]) - pose[3], d[2] / np.hypot(d[0], d[1])])
+            if rng is not None:
+                seen += rng.normal(0.0, np.hypot(own, common))
+            # Azimuths come unwrapped, as from columns.
+            turns = 2.0 * np.pi * view
+            group.append(
+                Sighting(view, float(seen[0] + turns), float(seen[1]), *own.tolist(), score=0.9)
+            )
+        groups.append(group)
+    return groups
+
+
+def solve(
+    world: World,
+    sightings: list[list[Sighting]],
+    prior_poses: FloatArray,
+    config: AdjustmentConfig = CONFIG,
+) -> Adjustment:
+    # From anywhere on the wall near by.
+    start = world.points + 0.05
+    return adjust(sightings, world.walls, start, panoramas_at(prior_poses), ROOM, config)
+
+
+def told_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> FloatArray:
+    """Poses as the panoramas tell them; most of the error in height is the camera's."""
+    count = len(world.poses)
+    error = rng.multivariate_normal(np.zeros(4), PRIOR, count)
+    error[:, 2] = np.sqrt(0.9) * rng.normal(0.0, np.sqrt(PRIOR[2, 2]))
+    error[:, 2] += np.sqrt(0.1) * rng.normal(0.0, np.sqrt(PRIOR[2, 2]), count)
+    return world.poses + factor * error
+
+
+def draw(rng: np.random.Generator, world: World) -> Adjustment:
+    return solve(world, sightings_of(world, rng), told_poses(world, rng))
+
+
+def total_covariance(found: Adjustment) -> FloatArray:
+    loading = found.shared_loading
+    return np.asarray(found.own_covariance + loading @ loading.swapaxes(-1, -2))
+
+
+def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
+    return np.einsum('ni,ni->n', error, np.linalg.solve(covariance, error[..., None])[..., 0])
+
+
+def world_hung(world: World, rng: np.random.Generator) -> World:
+    """The world with its landmarks hung anew before the walls."""
+    normals = ROOM.normals[world.walls]
+    off = rng.normal(0.0, CONFIG.common_hanging_sigma_m)
+    each = off + rng.normal(0.0, CONFIG.hanging_sigma_m, len(world.points))
+    return replace(world, points=world.points + each[:, None] * normals)

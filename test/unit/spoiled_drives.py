@@ -1,0 +1,99 @@
+"""One drive, drawn once; every test spoils it in its own way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from picture_drives import drive, error_of, FRAME_NS, MAP, MOUNT, picture, START, START_SIGMA, Step
+
+from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
+
+SECONDS = 12.0
+
+
+FAULT_S = 3.2
+
+
+def pan_rad(seconds: float) -> float:
+    """Look about."""
+    return float(1.8 * np.sin(0.6 * seconds))
+
+
+Sensed = tuple[Step, CameraFrame | None]
+
+
+Change = Callable[[Step, CameraFrame | None], Sensed]
+
+
+def sensed_drive() -> list[Sensed]:
+    """A drive: truth and odometry, every eighth time a picture."""
+    rng = np.random.default_rng(5)
+    found: list[Sensed] = []
+    for step in drive(rng, SECONDS):
+        frame = None
+        if step.stamp_ns % FRAME_NS == 0:
+            frame = picture(step.pose, pan_rad(step.stamp_ns * 1e-9), rng)
+            frame = replace(frame, stamp_ns=step.stamp_ns)
+        found.append((step, frame))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """After a picture: seconds since the fault, verdict, error, and sigmas of the pose."""
+
+    after_s: float
+    status: str
+    reason: str
+    error: FloatArray
+    sigma: FloatArray
+    update: LocalizationUpdate
+
+    @property
+    def nees(self) -> float:
+        """Of x, y and heading."""
+        return float(self.error @ np.linalg.solve(self.update.fused.covariance, self.error))
+
+
+def run(
+    sensed: list[Sensed],
+    change: Change,
+    landmarks: LandmarkMap = MAP,
+    start: FloatArray = START,
+    config: LocalizationConfig | None = None,
+) -> Iterator[Moment]:
+    """Drive with what `change` makes of each moment after the fault begins."""
+    localizer = Localizer(landmarks, MOUNT, config or LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, start, np.diag(START_SIGMA**2)))
+    for step, frame in sensed:
+        seconds = step.stamp_ns * 1e-9 - FAULT_S
+        if seconds >= 0.0:
+            step, frame = change(step, frame)
+        localizer.add_odometry(step.odometry)
+        if frame is None:
+            continue
+        update = localizer.add_frame(frame)
+        assert isinstance(update, LocalizationUpdate)
+        assert np.isfinite(update.fused.pose).all()
+        error = error_of(update.fused, step.pose)
+        sigma = np.sqrt(np.diag(update.fused.covariance))
+        yield Moment(seconds, update.status, update.reason, error, sigma, update)
+
+
+def untouched(step: Step, frame: CameraFrame | None) -> Sensed:
+    """No fault."""
+    return step, frame
+
+
+def check_honest(moments: list[Moment]) -> None:
+    """Never sure and wrong: three numbers whose errors are Gaussian reach 40 once in 10^8."""
+    for moment in moments:
+        assert moment.status != 'tracking' or moment.after_s < 2.0 or moment.nees < 40.0
+
+
+def first(moments: list[Moment], status: str) -> Moment:
+    """When a verdict is first given after the fault."""
+    return next(m for m in moments if m.after_s >= 0.0 and m.status == status)

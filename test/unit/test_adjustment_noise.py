@@ -1,0 +1,159 @@
+"""What is not as it was said to be: noise, walls, places, and matches that are false."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hung_rooms import (
+    AS_EXPECTED,
+    CONFIG,
+    draw,
+    nees,
+    panoramas_at,
+    PRIOR,
+    ROOM,
+    sightings_of,
+    solve,
+    told_poses,
+    total_covariance,
+    world_of,
+)
+import numpy as np
+import pytest
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.learning.adjustment import adjust
+
+
+@pytest.mark.parametrize(
+    ('azimuth', 'tangent', 'hanging'), [(4e-4, 2e-4, 0.003), (3e-4, 6e-4, 0.008)]
+)
+def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, hanging: float) -> None:
+    rng = np.random.default_rng(8)
+    noise, of_landmarks = [], []
+    for _ in range(12):
+        # As many as a room gives: expected sigmas count for a few measurements, too.
+        world = world_of(rng, 150, hanging_m=hanging)
+        prior = told_poses(world, rng)
+        sightings = sightings_of(world, rng, (azimuth, tangent))
+        for group in sightings[:5]:  # false matches say nothing of it
+            group[1] = replace(group[1], azimuth_rad=group[1].azimuth_rad + 0.06)
+        found = solve(world, sightings, prior)
+        noise.append(found.noise)
+        error = found.positions - world.points
+        of_landmarks.append(nees(error, total_covariance(found))[5:].mean())
+        assert found.chi_square[:5].min() > 13.8
+    median = np.median(noise, axis=0)
+    np.testing.assert_allclose(median[:3], [azimuth, tangent, hanging], rtol=0.3)
+    assert 2.0 < np.mean(of_landmarks) < 4.5
+
+
+def test_places_of_panoramas_that_err_more_than_they_say_are_trusted_less() -> None:
+    rng = np.random.default_rng(9)
+    world = world_of(rng, 100, hanging_m=0.002)
+    scales = []
+    for factor in (0.3, 1.0, 3.0):
+        found = []
+        for _ in range(12):
+            told = told_poses(world, rng, factor)
+            found.append(solve(world, sightings_of(world, rng), told).noise[3])
+        scales.append(np.median(found))
+    assert 0.2 < scales[0] < 0.6 < scales[1] < 1.6 < scales[2] < 4.5
+
+
+def test_heights_that_err_more_than_they_say_do_not_make_the_plan_uncertain() -> None:
+    rng = np.random.default_rng(13)
+    world = world_of(rng, 100, hanging_m=0.002)
+    noise = []
+    for _ in range(8):
+        told = told_poses(world, rng)
+        told[:, 2] = world.poses[:, 2] + 8.0 * (told[:, 2] - world.poses[:, 2])
+        noise.append(solve(world, sightings_of(world, rng), told).noise)
+    plan, height = np.median(noise, axis=0)[3:5]
+    assert plan < 1.6 < 2.0 < height
+
+
+@pytest.mark.parametrize(('spread', 'least', 'most'), [(5e-4, 0.0, 3e-3), (0.02, 0.01, 0.04)])
+def test_how_far_walls_are_off_is_estimated_from_the_room(
+    spread: float, least: float, most: float
+) -> None:
+    rng = np.random.default_rng(14)
+    found = []
+    for _ in range(8):
+        world = world_of(rng, 100, hanging_m=0.002)
+        off = rng.normal(0.0, spread, len(ROOM.walls))
+        moved = world.points + off[np.asarray(world.walls), None] * ROOM.normals[world.walls]
+        world = replace(world, points=moved)
+        panoramas = panoramas_at(told_poses(world, rng, 0.2), 0.2**2 * PRIOR)
+        sightings = sightings_of(world, rng)
+        adjusted = adjust(sightings, world.walls, world.points, panoramas, ROOM, CONFIG)
+        found.append(adjusted.noise[-1])
+    assert least < np.median(found) < most
+
+
+def test_a_common_distance_from_the_walls_is_no_surprise() -> None:
+    rng = np.random.default_rng(3)
+    world = world_of(rng, 40, flat=True)
+    framed = replace(world, points=world.points + 0.04 * ROOM.normals[world.walls])
+    # Well known places tell it from a smaller room.
+    panoramas = panoramas_at(framed.poses, PRIOR / 400.0)
+    sightings = sightings_of(framed, rng)
+    found = adjust(sightings, world.walls, world.points, panoramas, ROOM, CONFIG)
+    assert found.off_wall_m.mean() == pytest.approx(0.04, abs=0.004)
+    assert np.abs((found.positions - framed.points).mean(axis=0)).max() < 0.003
+    assert np.median(found.chi_square) < 4.0
+
+
+def test_one_false_match_does_not_bend_the_rest() -> None:
+    rng = np.random.default_rng(4)
+    world = world_of(rng, 24)
+    sightings = sightings_of(world, rng)
+    prior = told_poses(world, rng)
+    clean = solve(world, sightings, prior, AS_EXPECTED)
+    false = replace(sightings[5][1], azimuth_rad=sightings[5][1].azimuth_rad + 0.06)
+    sightings[5] = [sightings[5][0], false]
+    bent = solve(world, sightings, prior, AS_EXPECTED)
+
+    others = np.arange(24) != 5
+    sigma = np.sqrt(np.diagonal(total_covariance(clean), axis1=1, axis2=2))
+    assert np.abs((bent.positions - clean.positions)[others] / sigma[others]).max() < 0.5
+    pose_sigma = np.sqrt(np.diagonal(clean.pose_covariance, axis1=1, axis2=2))
+    assert np.abs((bent.poses - clean.poses) / pose_sigma).max() < 0.5
+    assert bent.chi_square[5] > 13.8
+    assert bent.chi_square[others].max() < 13.8
+
+
+def test_furniture_before_the_walls_does_not_bend_the_rest() -> None:
+    # Three of five things seen stand 15 to 40 cm before the walls, which pulls all one way.
+    rng = np.random.default_rng(7)
+    on_wall = np.arange(40) % 5 < 2
+    of_poses, kept, refused = [], [], []
+    for _ in range(10):
+        world = world_of(rng, 40)
+        off = np.where(on_wall, 0.0, rng.uniform(0.15, 0.4, 40))
+        furnished = replace(world, points=world.points + off[:, None] * ROOM.normals[world.walls])
+        found = draw(rng, furnished)
+        error = found.poses - world.poses
+        error[:, 3] = wrap_rad(error[:, 3])
+        of_poses.append(nees(error, found.pose_covariance).mean())
+        kept.append((found.chi_square < 13.8)[on_wall].mean())
+        refused.append((found.chi_square > 13.8)[~on_wall].mean())
+    assert np.mean(of_poses) / 4.0 < 1.5
+    # Election tells them apart by their misfit.
+    assert np.mean(kept) > 0.9
+    assert np.mean(refused) > 0.9
+
+
+def test_walls_that_stand_elsewhere_than_the_room_says_do_not_make_places_overconfident() -> None:
+    rng = np.random.default_rng(12)
+    errors = []
+    for _ in range(30):
+        world = world_of(rng, 100, hanging_m=0.004)
+        off = rng.normal(0.0, 0.005, len(ROOM.walls))
+        moved = world.points + off[np.asarray(world.walls), None] * ROOM.normals[world.walls]
+        world = replace(world, points=moved)
+        found = draw(rng, world)
+        error = found.poses - world.poses
+        error[:, 3] = wrap_rad(error[:, 3])
+        errors.append(nees(error, found.pose_covariance).mean())
+    assert 0.6 < np.mean(errors) / 4.0 < 1.4

@@ -1,0 +1,147 @@
+"""Pictures and joint states that fail, and a camera that was knocked, fed to the localizer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from picture_drives import MAP, MOUNT, START, START_SIGMA, Step
+import pytest
+from spoiled_drives import (
+    check_honest,
+    FAULT_S,
+    first,
+    pan_rad,
+    run,
+    Sensed,
+    untouched,
+)
+
+from landmark_nav.evaluation.camera_offsets import camera_offsets
+from landmark_nav.evaluation.replay import replay as replay_events
+from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate
+
+
+def test_pictures_that_stop_or_come_from_another_clock(sensed: list[Sensed]) -> None:
+    def shifted(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 2.5:
+            frame = replace(frame, stamp_ns=frame.stamp_ns - 100 * 10**9)
+        return step, frame
+
+    moments = list(run(sensed, shifted))
+    coasting = first(moments, 'coasting')
+    assert coasting.after_s <= 2.0
+    assert 'too late' in coasting.reason
+    assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
+
+
+def test_a_picture_angle_that_is_not_a_number_is_left_out(sensed: list[Sensed]) -> None:
+    def broken_pan(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 2.0:
+            frame = replace(frame, pan_rad=float('nan'))
+        return step, frame
+
+    moments = list(run(sensed, broken_pan))
+    assert first(moments, 'coasting').after_s <= 2.0
+    assert {m.status for m in moments if 2.5 < m.after_s < 6.0} == {'tracking'}
+
+
+@pytest.mark.parametrize('angle_deg', [2.0, -2.0])
+def test_a_camera_bumped_against_the_base_goes_on(sensed: list[Sensed], angle_deg: float) -> None:
+    def bumped(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None:
+            frame = replace(frame, pan_rad=frame.pan_rad + np.radians(angle_deg))
+        return step, frame
+
+    moments = list(run(sensed, bumped))
+    told = next(m for m in moments if m.after_s >= 0.0 and 'turned' in m.reason)
+    assert told.after_s <= 2.0
+    assert told.status == 'coasting'
+    assert np.degrees(told.sigma[2]) > 1.0
+    assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
+    assert max(np.hypot(*m.error[:2]) for m in moments if m.after_s > 2.0) < 0.05
+    check_honest(moments)
+
+
+@pytest.mark.parametrize('angle_deg', [1.0, -2.0])
+def test_a_camera_bumped_in_its_tilt_finds_all_as_before(
+    sensed: list[Sensed], angle_deg: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    def tilted(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None:
+            frame = replace(frame, tilt_rad=frame.tilt_rad + np.radians(angle_deg))
+        return step, frame
+
+    short = sensed[: round(20 * (FAULT_S + 4.0))]
+    moments, usual = list(run(short, tilted)), list(run(short, untouched))
+    assert {m.status for m in moments} == {'tracking'}
+    assert max(np.hypot(*m.error[:2]) for m in moments) < 0.03
+    check_honest(moments)
+    seen, without = (
+        sum(len(m.update.observation.detections) for m in ms) for ms in (moments, usual)
+    )
+    assert seen > 0.9 * without
+    # The joints say too much, so the camera looks lower.
+    (told,) = [float(word) for word in caplog.text.split() if word[0] in '+-' and word[1:]]
+    assert told == pytest.approx(-angle_deg, abs=0.2)
+
+
+@pytest.mark.parametrize('late_s', [0.0, 0.04, -0.04])
+def test_joint_states_that_are_late_are_measured(sensed: list[Sensed], late_s: float) -> None:
+    events: list[CameraFrame | OdometrySample] = []
+    for step, frame in sensed:
+        events.append(step.odometry)
+        if frame is None or step.stamp_ns * 1e-9 > 9.0:
+            continue
+        seconds = step.stamp_ns * 1e-9 - late_s
+        rate = (pan_rad(seconds + 0.025) - pan_rad(seconds - 0.025)) / 0.05
+        events.append(replace(frame, pan_rad=pan_rad(seconds), pan_rate_rad_s=rate))
+    config = LocalizationConfig()
+    done = replay_events(events, MAP, MOUNT, config, START, np.diag(START_SIGMA**2))
+    offsets = camera_offsets(done, MAP, MOUNT, config)
+    assert offsets.delay_sigma_s < 0.008
+    assert abs(offsets.delay_s - late_s) < 4.0 * offsets.delay_sigma_s
+    assert offsets.delay_matters == (late_s != 0.0)
+    assert abs(offsets.boresight_rad) < 4.0 * offsets.boresight_sigma_rad
+
+
+def test_joint_states_far_too_late_lose_the_pose_for_as_long_as_they_last(
+    sensed: list[Sensed],
+) -> None:
+    """The camera turns at up to 62 deg/s; where it is said to look it looked 0.2 s before."""
+
+    def late(step: Step, frame: CameraFrame | None) -> Sensed:
+        seconds = step.stamp_ns * 1e-9
+        if frame is not None and seconds < FAULT_S + 1.5:
+            frame = replace(frame, pan_rad=pan_rad(seconds - 0.2))
+        return step, frame
+
+    moments = list(run(sensed, late))
+    told = next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking')
+    assert told.after_s <= 2.0
+    assert told.reason
+    back = next(m for m in moments if m.after_s > 1.5 and m.status == 'tracking')
+    assert back.after_s <= 5.0
+    assert np.hypot(*back.error[:2]) < 0.05
+    check_honest(moments)
+
+
+def test_without_joint_states_no_picture_counts_and_odometry_goes_on(
+    sensed: list[Sensed],
+) -> None:
+    """Pictures without joint angles reach nobody: readers and nodes leave them out."""
+    fused = PoseFilter(MAP, MOUNT)
+    fused.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    sigmas = []
+    for step, _ in sensed:
+        fused.add_odometry(step.odometry)
+        estimate = fused.estimate()
+        assert estimate is not None
+        sigmas.append(float(np.hypot(*np.sqrt(np.diag(estimate.covariance)[:2]))))
+        if step.stamp_ns > 2 * 10**9:
+            status, reason = fused.status
+            assert status == 'coasting'
+            assert 'nothing accepted for' in reason
+    assert np.all(np.diff(sigmas) > 0.0)

@@ -1,0 +1,106 @@
+"""Wheels that slip and odometry that fails, fed to the localizer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from picture_drives import error_of, MAP, MOUNT, START, START_SIGMA, Step
+import pytest
+from spoiled_drives import (
+    FAULT_S,
+    first,
+    run,
+    Sensed,
+)
+
+from landmark_nav.geometry import se2
+from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.types import CameraFrame, PoseEstimate
+
+
+def jumping(k: int, step: Step) -> Step | None:
+    """Odometry that starts anew somewhere else."""
+    moved = se2.compose([5.0, 1.0, 1.0], step.odometry.pose_odom_base)
+    return replace(step, odometry=replace(step.odometry, pose_odom_base=moved))
+
+
+def standing(k: int, step: Step) -> Step | None:
+    """Odometry that repeats its last sample."""
+    return replace(step, odometry=replace(step.odometry, stamp_ns=round(FAULT_S * 1e9)))
+
+
+def silent(k: int, step: Step) -> Step | None:
+    """Odometry that stops."""
+    return None
+
+
+def broken(k: int, step: Step) -> Step | None:
+    """Odometry that is not a number."""
+    bad = replace(step.odometry, pose_odom_base=np.array([np.nan, 0.0, np.inf]))
+    return replace(step, odometry=bad)
+
+
+def behind(k: int, step: Step) -> Step | None:
+    """Stamps that go back, a little more each time."""
+    return replace(step, odometry=replace(step.odometry, stamp_ns=step.stamp_ns - 2 * k * 10**8))
+
+
+@pytest.mark.parametrize(
+    ('fault', 'reason'),
+    [
+        (jumping, 'odometry jumped'),
+        (standing, 'repeated a stamp'),
+        (silent, 'no odometry for'),
+        (broken, 'not a number'),
+        (behind, 'back'),
+    ],
+)
+def test_odometry_that_fails_is_told_while_the_camera_goes_on(
+    sensed: list[Sensed], fault: Callable[[int, Step], Step | None], reason: str
+) -> None:
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    told: list[tuple[float, str, str]] = []
+    for k, (step, frame) in enumerate(sensed):
+        seconds = step.stamp_ns * 1e-9 - FAULT_S
+        wrong = fault(k, step) if 0.0 < seconds < 4.0 else step
+        if seconds > 7.0:
+            break
+        if wrong is not None:
+            localizer.add_odometry(wrong.odometry)
+        if frame is None:
+            continue
+        update = localizer.add_frame(frame)
+        assert isinstance(update, LocalizationUpdate)
+        assert np.isfinite(update.fused.pose).all()
+        told.append((seconds, update.status, update.reason))
+        error = error_of(update.fused, step.pose)
+        spread = np.linalg.solve(update.fused.covariance, error)
+        assert update.status == 'lost' or error @ spread < 40.0
+    assert any(reason in text for seconds, _, text in told if 0.0 <= seconds <= 2.0)
+    assert all(status != 'tracking' for _, status, text in told if reason in text)
+    # It is over soon after the fault is.
+    assert told[-1][1] == 'tracking'
+    assert np.hypot(*error[:2]) < 0.05
+
+
+@pytest.mark.parametrize('ahead_m', [0.2, -0.2])
+def test_wheels_that_spin_are_not_taken_for_a_turned_camera_alone(
+    sensed: list[Sensed], ahead_m: float
+) -> None:
+    """From here a few landmarks are off by one angle, as they are when the camera is turned."""
+    pivot = sensed[round(FAULT_S * 20)][0].odometry.pose_odom_base
+
+    def spun(step: Step, frame: CameraFrame | None) -> Sensed:
+        done = np.clip((step.stamp_ns * 1e-9 - FAULT_S) / 0.5, 0.0, 1.0)
+        since = se2.compose(se2.inverse(pivot), step.odometry.pose_odom_base)
+        pose = se2.compose(pivot, se2.compose([done * ahead_m, 0.0, 0.0], since))
+        return replace(step, odometry=replace(step.odometry, pose_odom_base=pose)), frame
+
+    moments = list(run(sensed[: round(20 * (FAULT_S + 4.0))], spun))
+    assert first(moments, 'coasting').after_s <= 1.0
+    assert all(m.nees < 25.0 for m in moments if m.after_s >= 0.0)
+    assert {m.status for m in moments if m.after_s > 2.5} == {'tracking'}
+    assert all(np.hypot(*m.error[:2]) < 0.03 for m in moments if m.after_s > 1.5)

@@ -1,0 +1,187 @@
+"""What the filter does not believe, and what it says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from filter_runs import EVERY, EXACT, MAP, run, sighting, SIGMA, started
+from fusion_drives import (
+    detections,
+    drive,
+    error_of,
+    Moment,
+    MOUNT,
+    PERIOD_NS,
+    START,
+    start_estimate,
+)
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.localization.fusion import FusionConfig, PoseFilter
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.types import OdometrySample, PoseEstimate
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class TestDoubt:
+    def test_a_pan_that_is_hardly_known_tells_the_place_but_not_the_heading(self) -> None:
+        fused = started()
+        moment, _ = run(fused, 60)
+        before = fused.estimate()
+        found = sighting(moment, 0, np.full(4, 0.02))
+        update = fused.add_detections(replace(found, pan_sigma_rad=0.02))
+        assert len(update.accepted_ids) == 4
+        assert not update.turned_rad
+        after = fused.estimate()
+        assert before is not None
+        assert after is not None
+        np.testing.assert_allclose(after.pose, before.pose, atol=2e-3)
+        assert fused.status[0] == 'tracking'
+
+    def test_outlier_is_left_out(self) -> None:
+        fused = started()
+        moment, _ = run(fused, 40)
+        update = fused.add_detections(sighting(moment, 1, [0.0, 0.05, 0.0, 0.0]))
+        assert list(update.rejected) == [12]
+        assert len(update.accepted_ids) == 3
+        assert update.degrees == 3
+
+    def test_unusable_bearings(self) -> None:
+        fused = started()
+        moment = next(iter(drive(0)))
+        seen = detections(MAP, moment.pose, 0, [0, 1, 2, 3, 3], SIGMA)
+        broken = replace(
+            seen,
+            ids=np.array([10, 11, 12, 999, 10]),
+            bearing_rad=seen.bearing_rad * [1.0, np.nan, 1.0, 1.0, 1.0],
+            variance_rad2=seen.variance_rad2 * [1.0, 1.0, -1.0, 1.0, 1.0],
+        )
+        update = fused.add_detections(broken)
+        np.testing.assert_array_equal(update.accepted_ids, [10])
+        assert set(update.rejected) == {10, 11, 12, 999}
+        assert np.isfinite(fused.estimate().pose).all()  # type: ignore[union-attr]
+
+    def test_nothing_seen_is_no_contradiction(self) -> None:
+        fused = started()
+        for moment in drive(10):
+            fused.add_odometry(moment.odometry)
+            fused.add_detections(detections(MAP, moment.pose, moment.odometry.stamp_ns, [], SIGMA))
+        assert fused.status[0] == 'tracking'
+
+    def test_odometry_that_is_not_a_number(self) -> None:
+        fused = started()
+        moment, _ = run(fused, 20)
+        stamp = moment.odometry.stamp_ns + PERIOD_NS
+        refusal = fused.add_odometry(OdometrySample(stamp, np.array([np.nan, 0.0, 0.0])))
+        assert refusal is not None
+        assert np.isfinite(fused.estimate().pose).all()  # type: ignore[union-attr]
+
+    def test_odometry_that_jumps(self) -> None:
+        fused = started()
+        moment = Moment(OdometrySample(0, np.zeros(3)), START)
+        for k, moment in enumerate(drive(100)):
+            odometry = moment.odometry
+            if k >= 50:
+                odometry = replace(
+                    odometry, pose_odom_base=odometry.pose_odom_base + np.array([7.0, 2.0, 0.0])
+                )
+            refusal = fused.add_odometry(odometry)
+            assert (refusal is not None) == (k == 50)
+            if k % EVERY == 0:
+                assert fused.add_detections(sighting(moment, k)).refusal is None
+        assert np.abs(error_of(fused.estimate(), moment.pose)).max() < 0.02
+
+    def test_start_pose_must_be_numbers(self) -> None:
+        fused = PoseFilter(MAP, MOUNT)
+        with pytest.raises(LandmarkNavError, match='not a number'):
+            fused.initialize(PoseEstimate(0, np.array([np.nan, 0.0, 0.0]), np.eye(3)))
+        with pytest.raises(LandmarkNavError, match='positive'):
+            fused.initialize(PoseEstimate(0, np.zeros(3), -np.eye(3)))
+
+
+class TestStatus:
+    def test_before_the_start(self) -> None:
+        fused = PoseFilter(MAP, MOUNT)
+        assert fused.status[0] == 'lost'
+        assert fused.estimate() is None
+        update = fused.add_detections(detections(MAP, START, 0, [0, 1, 2], SIGMA))
+        assert update.refusal is not None
+        assert 'not initialized' in str(update.refusal)
+
+    def test_without_odometry_it_only_waits(self) -> None:
+        fused = started()
+        assert fused.status == ('coasting', 'no odometry')
+        run(fused, 2)
+        assert fused.status[0] == 'tracking'
+
+    def test_coasting(self) -> None:
+        fused = started()
+        run(fused, 20)
+        assert fused.status[0] == 'tracking'
+        for k, moment in enumerate(drive(60)):
+            if k > 20:
+                fused.add_odometry(moment.odometry)
+        status, reason = fused.status
+        assert status == 'coasting'
+        assert 'nothing accepted for' in reason
+        fused.add_detections(sighting(moment, 0))
+        assert fused.status[0] == 'tracking'
+
+    @pytest.mark.parametrize('shift', [(1.0, 0.0, 0.0), (0.0, -0.5, 0.4), (0.3, 0.3, -0.3)])
+    def test_kidnapped_robot_is_lost_and_found_again(
+        self, shift: tuple[float, float, float]
+    ) -> None:
+        fused = started()
+        run(fused, 40)
+        moved = START + np.asarray(shift)
+        states = []
+        for k, moment in enumerate(drive(160, start=moved)):
+            if k <= 40:
+                continue
+            fused.add_odometry(moment.odometry)
+            if k % EVERY == 0:
+                fused.add_detections(sighting(moment, k))
+                states.append(fused.status[0])
+                error = error_of(fused.estimate(), moment.pose)
+                spread = fused.estimate().covariance  # type: ignore[union-attr]
+                if len(states) > 5 and states[-1] == 'tracking':
+                    assert error @ np.linalg.solve(spread, error) < 25.0
+        # Said so within five pictures; sure again at the end.
+        assert 'lost' in states[:6]
+        assert states[-1] == 'tracking'
+        assert np.hypot(*error[:2]) < 0.03
+
+    def test_wide_start_is_lost_until_seen(self) -> None:
+        fused = PoseFilter(MAP, MOUNT)
+        fused.initialize(start_estimate(sigmas=np.array([1.0, 1.0, 0.3])))
+        status, reason = fused.status
+        assert status == 'lost'
+        assert 'sigma' in reason
+
+    def test_innovations_that_stay_too_large(self) -> None:
+        """A camera four times as noisy as it says, which is not to be learned."""
+        rng = np.random.default_rng(0)
+        as_told = OdometryNoiseConfig(learning_sigma=0.0)
+        fused = PoseFilter(EXACT, MOUNT, FusionConfig(bearing_probability=1.0), as_told)
+        fused.initialize(start_estimate())
+        for k, moment in enumerate(drive(100)):
+            fused.add_odometry(moment.odometry)
+            if k % EVERY == 0:
+                fused.add_detections(sighting(moment, k, rng.normal(0.0, 4.0 * SIGMA, 4)))
+        status, reason = fused.status
+        assert status == 'lost'
+        assert 'innovations' in reason
+        # What is claimed says so too: nodes that see no more than that search the place.
+        assert np.trace(fused.estimate().covariance[:2, :2]) > 0.5**2  # type: ignore[union-attr]
+        # It is over when they fit again.
+        for k, moment in enumerate(drive(200)):
+            if k > 100:
+                fused.add_odometry(moment.odometry)
+                if k % EVERY == 0:
+                    fused.add_detections(sighting(moment, k))
+        assert fused.status == ('tracking', '')
+        assert np.trace(fused.estimate().covariance[:2, :2]) < 0.02**2  # type: ignore[union-attr]
