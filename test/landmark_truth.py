@@ -5,8 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
+from patch_texels import patch_points
 
-from landmark_nav.geometry.patches import patch_axes, patch_points
+from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.matching import blur_to, Match, match_template
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.solids import wall_solids

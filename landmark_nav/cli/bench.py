@@ -11,7 +11,6 @@ from pathlib import Path
 import platform
 from statistics import median
 import time
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +20,7 @@ from landmark_nav.cli.bench_localization import localization_comparisons
 from landmark_nav.cli.bench_world import Comparison, World
 from landmark_nav.cli.progress import progress
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 
 @dataclass(frozen=True)
@@ -57,13 +56,11 @@ _HEADER = (
 )
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of `landmark-nav`."""
-    parser = commands.add_parser(
-        'bench',
-        help='time every stage beside a reference',
-        description='Time every stage on simulated data, and beside it, in the same run and on '
-        'the same data, a reference. The ratio of the two can be compared between machines.',
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Time every stage on simulated data, and beside it, in the same run and on '
+        'the same data, a reference. The ratio of the two can be compared between machines.'
     )
     parser.add_argument('--json', type=Path, metavar='F', help='write the times to F')
     parser.add_argument(

@@ -25,14 +25,11 @@ from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
 from landmark_nav.storage.whole import write_whole
 from landmark_nav.types import FloatArray, OdometrySample
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'convert', help='make a bag and a map of the log of another project'
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
     kinds = parser.add_subparsers(dest='kind', metavar='KIND', required=True)
     mrclam = kinds.add_parser(
         'mrclam',

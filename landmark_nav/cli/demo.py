@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 import shutil
 import signal
-from typing import Any
 
 from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.narrator import Narrator
@@ -27,7 +26,7 @@ from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 _TOUR_M = 14.0
 
@@ -38,14 +37,12 @@ _OWN = (
 )
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'demo',
-        help='learn, drive and localize with a simulated robot (ROS)',
-        description='Start the nodes on a ROS graph with a simulated robot, let it take two '
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Start the nodes on a ROS graph with a simulated robot, let it take two '
         'sweeps, learn its landmarks by a service call and drive; record, measure and draw '
-        'that. Exit status 0 only if the map and the error are as they should be.',
+        'that. Exit status 0 only if the map and the error are as they should be.'
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
     parser.add_argument('--seed', type=int, default=1, metavar='N', help='of the room (default 1)')

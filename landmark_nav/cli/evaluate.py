@@ -29,7 +29,7 @@ from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.storage.whole import write_whole
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 # Contract's names of what `sensor_events` passes on, for the length of the bar.
 _EVENTS = ('camera/image_raw', 'detections', 'odom', 'joint_states', 'ground_truth/odom')
@@ -39,14 +39,12 @@ _MOST_SPELLS = 6
 _FIGURES = {'Trajectory': 'trajectory.png', 'Errors': 'errors.png'}
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'evaluate',
-        help='run a drive bag through the localizer and measure its errors',
-        description='Localize along a recorded drive with the same stages as the nodes, compare '
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Localize along a recorded drive with the same stages as the nodes, compare '
         'with ground_truth/odom at the stamps of the pictures, and draw trajectory.png and '
-        'errors.png.',
+        'errors.png.'
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file of a drive')
     parser.add_argument('--map', required=True, metavar='MAP', help='map folder, of learn')

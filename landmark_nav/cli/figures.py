@@ -40,7 +40,7 @@ from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 _NAMES = {
     3: 'figure_3_panoramas.png',
@@ -55,14 +55,12 @@ _LEARNED = {5, 6, 8}
 _OF_ONE = {4, 7}
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'figures',
-        help='draw the figures of Livatino and Madsen from own data',
-        description='Draw the counterparts of Figures 3 to 8 of Livatino and Madsen: panoramas, '
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Draw the counterparts of Figures 3 to 8 of Livatino and Madsen: panoramas, '
         'attention step by step, stereo, observation areas, each feature alone, all together. '
-        'Without --bag, two sweeps are simulated in a furnished room.',
+        'Without --bag, two sweeps are simulated in a furnished room.'
     )
     parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder to write')
     parser.add_argument(

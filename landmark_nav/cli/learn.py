@@ -35,7 +35,7 @@ from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.storage.whole import whole_folder, write_whole
 from landmark_nav.types import Panorama
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 # Stages of `learn_from_panoramas`, for the bar.
 _LEARNING_STAGES = 4
@@ -46,14 +46,12 @@ class _Stages(PanoramaStages, LearningConfig):
     """Parameters of all stages, from sweeps to map: the sections of ``--config``."""
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'learn',
-        help='make a map out of a bag of sweeps',
-        description='Make panoramas of the sweeps in a bag, find where they were taken, and learn '
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Make panoramas of the sweeps in a bag, find where they were taken, and learn '
         'the landmarks that two of them or more agree on. The map folder also gets '
-        'panorama_K.png with candidates and elected landmarks, and map.png.',
+        'panorama_K.png with candidates and elected landmarks, and map.png.'
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file with sweeps')
     parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')

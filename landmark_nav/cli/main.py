@@ -85,11 +85,10 @@ def _run(name: str, arguments: list[str]) -> int:
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     command = None
     for known, (module, summary) in COMMANDS.items():
+        subparser = commands.add_parser(known, help=summary)
         if known == name:
             command = import_module(f'landmark_nav.cli.{module}')
-            command.add_parser(commands)
-        else:
-            commands.add_parser(known, help=summary)
+            command.add_arguments(subparser)
     try:
         args = parser.parse_args(arguments)
     except SystemExit as stop:  # argparse has printed its help or what is wrong

@@ -16,19 +16,15 @@ from landmark_nav.upkeep.check import problems_of_map
 from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture
 from landmark_nav.upkeep.merge import merge_maps
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 # Disagreements are listed one by one from here on.
 _LISTED_SIGMAS = 3.0
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'map',
-        help='list, check, compare, join maps',
-        description='Work on the folders of learned maps.',
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = 'Work on the folders of learned maps.'
     actions = parser.add_subparsers(dest='action', metavar='ACTION', required=True)
 
     def action(name: str, call: Any, text: str) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import logging
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +24,7 @@ from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.storage.whole import write_whole
 from landmark_nav.types import Sweep
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 _LOG = logging.getLogger(__name__)
 
@@ -33,13 +32,11 @@ _LOG = logging.getLogger(__name__)
 _LOST_BY_CROP = 0.02
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'panorama',
-        help='make a panorama out of a sweep',
-        description='Project the frames of one sweep on a cylinder, cut to the rows that every '
-        'covered column has. What no frame covers is transparent.',
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Project the frames of one sweep on a cylinder, cut to the rows that every '
+        'covered column has. What no frame covers is transparent.'
     )
     parser.add_argument(
         'sweep',

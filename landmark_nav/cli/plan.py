@@ -19,21 +19,19 @@ from landmark_nav.planning.planner import Forecast, Plan, plan_positions
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.storage.whole import write_whole
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 _SCHEMA = 1
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
     default = PlanConfig()
-    parser = subparsers.add_parser(
-        'plan',
-        help='propose where to take panoramas',
-        description='Predict from the wall map, the papers and the camera how exactly a robot '
+    parser.description = (
+        'Predict from the wall map, the papers and the camera how exactly a robot '
         'would know its place all over the floor, and propose the places for panoramas that make '
         'this error smallest. A PNG of the same name shows the expected accuracy. Furniture is '
-        'not in the wall map: take the nearest free place.',
+        'not in the wall map: take the nearest free place.'
     )
     parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')
     parser.add_argument(

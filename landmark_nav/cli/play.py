@@ -6,21 +6,18 @@ import argparse
 import json
 import os
 import sys
-from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros import require_ros
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'play',
-        help='play a bag onto topics with /clock (ROS)',
-        description='Publish the messages of a bag under the names they were recorded with, and '
-        '/clock. Ends with the bag.',
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Publish the messages of a bag under the names they were recorded with, and '
+        '/clock. Ends with the bag.'
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
     parser.add_argument(

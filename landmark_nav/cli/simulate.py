@@ -31,7 +31,7 @@ from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 from landmark_nav.storage.whole import whole_folder
 
-__all__ = ['add_parser', 'run']
+__all__ = ['add_arguments', 'run']
 
 _FILES = ('start.json', 'room.yaml', 'robot.yaml', 'scene.json', 'learn', 'drive')
 
@@ -45,14 +45,12 @@ _PLACES_TRIED = 200
 _MOVE_S = 5.0
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the arguments."""
-    parser = subparsers.add_parser(
-        'simulate',
-        help='write bags of simulated sweeps and drives',
-        description='Furnish a room, let a robot with a turning camera make sweeps and drive in '
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Furnish a room, let a robot with a turning camera make sweeps and drive in '
         'it, and write what it would have recorded: DIR/learn, DIR/drive, DIR/room.yaml, '
-        'DIR/robot.yaml, DIR/start.json, and DIR/scene.json with what really hangs where.',
+        'DIR/robot.yaml, DIR/start.json, and DIR/scene.json with what really hangs where.'
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
     parser.add_argument(

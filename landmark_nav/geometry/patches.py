@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ['PatchView', 'patch_axes', 'patch_points', 'rays_to_patch']
+__all__ = ['PatchView', 'patch_axes', 'rays_to_patch']
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -44,18 +44,6 @@ def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     right[..., 0], right[..., 1] = -n[..., 1], n[..., 0]
     down[..., 2] = -1.0
     return right, down
-
-
-def patch_points(
-    position: npt.ArrayLike, normal: npt.ArrayLike, shape: tuple[int, int], texel_m: float
-) -> FloatArray:
-    """Points (rows, columns, 3) in map of the texels of a patch centred on `position`."""
-    right, down = patch_axes(normal)
-    column = (np.arange(shape[1]) - (shape[1] - 1) / 2.0) * texel_m
-    row = (np.arange(shape[0]) - (shape[0] - 1) / 2.0) * texel_m
-    return np.asarray(
-        np.asarray(position) + column[None, :, None] * right + row[:, None, None] * down
-    )
 
 
 def rays_to_patch(

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from patch_texels import patch_points
 import pytest
 from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
 from wall_views import greys_of
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.patches import patch_points
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig

@@ -3,10 +3,11 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
+from patch_texels import patch_points
 import pytest
 
 from landmark_nav.geometry.camera import rotation_rpy
-from landmark_nav.geometry.patches import patch_axes, patch_points, rays_to_patch
+from landmark_nav.geometry.patches import patch_axes, rays_to_patch
 
 BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 

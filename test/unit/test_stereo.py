@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from patch_texels import patch_points
 import pytest
 from scenes import draw_panorama, rectangle_room, Scene, textured_room
 from stereo_room import CENTERS, CONFIG, direction_to, EAST, patch_at, ROOM, views_of
 from wall_views import candidate_at, greys_of
 
-from landmark_nav.geometry.patches import patch_points
 from landmark_nav.learning.stereo import hypothesize
 from landmark_nav.learning.stereo.wall_patch import own_sighting, wall_texture, WallPatch
 from landmark_nav.types import Panorama, Refusal

@@ -5,11 +5,11 @@ import re
 
 import cv2
 import numpy as np
+from patch_texels import patch_points
 import pytest
 
 from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.patches import patch_points
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import save_map
 from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
