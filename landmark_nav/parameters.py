@@ -14,7 +14,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['check_parameters', 'parameter']
+__all__ = ['check_order', 'check_parameters', 'parameter']
 
 T = TypeVar('T')
 
@@ -65,3 +65,21 @@ def check_parameters(config: Any) -> None:
                 f'{where} is {value:g}: take {"any" if low is None else f"{low:g}"} '
                 f'to {"any" if high is None else f"{high:g}"}'
             )
+
+
+def check_order(config: Any, least: str, largest: str) -> None:
+    """
+    Check that one field is not greater than another.
+
+    Raises
+    ------
+    LandmarkNavError
+        It is.
+
+    """
+    low, high = getattr(config, least), getattr(config, largest)
+    if low > high:
+        raise LandmarkNavError(
+            f'parameter {least} of {type(config).__name__} is {low:g}, more than {largest}, '
+            f'{high:g}: swap them'
+        )

@@ -98,7 +98,7 @@ class SweepRunner:
             finally:
                 self._running = False
                 if may_go_on():
-                    self._commander.command(0.0, self.pan_rad)
+                    self._commander.command(sweep.reach.nearest(0.0), self.pan_rad)
         if not sweep.done:
             raise LandmarkNavError('sweep given up: the node is ending')
         self._output.end([kept.joints for kept in sweep.kept])

@@ -13,7 +13,7 @@ from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import check_order, check_parameters, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -40,8 +40,8 @@ class Parameters:
     deadband_rad: float = parameter(
         0.05, 'least change of the pan that is worth a command, rad', minimum=0.0
     )
-    pan_min_rad: float = parameter(-np.pi, 'least pan of the joint, rad', maximum=0.0)
-    pan_max_rad: float = parameter(np.pi, 'largest pan of the joint, rad', minimum=0.0)
+    pan_min_rad: float = parameter(-np.pi, 'least pan of the joint, rad')
+    pan_max_rad: float = parameter(np.pi, 'largest pan of the joint, rad')
     yield_s: float = parameter(
         10.0, 'how long to hold back after somebody else commanded the pan, s', minimum=0.0
     )
@@ -51,6 +51,7 @@ class Parameters:
     def __post_init__(self) -> None:
         """Check the values."""
         check_parameters(self)
+        check_order(self, 'pan_min_rad', 'pan_max_rad')
 
 
 class TripletSelectorNode(LandmarkNode):

@@ -39,6 +39,17 @@ def test_limits_by_parameter_leave_steps_out():
     assert not sweep.reach.stops_rad
 
 
+def test_a_joint_that_does_not_reach_straight_ahead():
+    config = replace(TURN, pan_min_rad=0.5, pan_max_rad=2.5)
+    robot = Robot(config, limits=(0.5, 2.5))
+    robot.pan = 1.0
+    sweep = robot.run()
+    wanted = np.pi / 12 * np.arange(24)
+    check_sweep(sweep, wanted[(wanted > 0.5) & (wanted < 2.5)])
+    # Where it is sent to rest.
+    assert sweep.reach.nearest(0.0) == 0.5
+
+
 def test_limits_are_found_where_the_joint_stops(caplog):
     sweep = Robot(TURN, limits=(-2.5, 1.9)).run()
     assert sweep.done
@@ -71,6 +82,8 @@ def test_a_joint_that_never_moves():
 def test_no_angle_within_the_limits_is_refused():
     with pytest.raises(LandmarkNavError, match='no frame within'):
         CaptureConfig(start_rad=1.0, frames=3, pan_min_rad=-0.5, pan_max_rad=0.5)
+    with pytest.raises(LandmarkNavError, match=r'pan_min_rad of CaptureConfig is 2\.5.*swap them'):
+        CaptureConfig(pan_min_rad=2.5, pan_max_rad=0.5)
     with pytest.raises(LandmarkNavError, match='frames'):
         CaptureConfig(frames=0)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import check_order, check_parameters, parameter
 from landmark_nav.types import FloatArray
 
 __all__ = ['CaptureConfig']
@@ -28,10 +28,10 @@ class CaptureConfig:
     )
     frames: int = parameter(72, 'frames of a sweep', minimum=1, maximum=1440)
     pan_min_rad: float = parameter(
-        -np.pi, 'least pan of the joint, rad; steps beyond it are left out', maximum=0.0
+        -np.pi, 'least pan of the joint, rad; steps beyond it are left out'
     )
     pan_max_rad: float = parameter(
-        np.pi, 'largest pan of the joint, rad; steps beyond it are left out', minimum=0.0
+        np.pi, 'largest pan of the joint, rad; steps beyond it are left out'
     )
     arrival_tolerance_rad: float = parameter(
         0.01, 'distance from the commanded pan that counts as arrived, rad', minimum=1e-5
@@ -76,6 +76,7 @@ class CaptureConfig:
     def __post_init__(self) -> None:
         """Check that the joint can reach any of the angles."""
         check_parameters(self)
+        check_order(self, 'pan_min_rad', 'pan_max_rad')
         if np.isnan(self.targets(self.pan_min_rad, self.pan_max_rad)).all():
             last = self.start_rad + (self.frames - 1) * self.step_rad
             raise LandmarkNavError(

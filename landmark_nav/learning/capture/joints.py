@@ -115,6 +115,10 @@ class PanReach:
         """The pan at which it stopped, if it has not moved since."""
         return self._doubt_rad
 
+    def nearest(self, pan_rad: float) -> float:
+        """The pan within its limits that is nearest to one."""
+        return float(np.clip(pan_rad, self._low, self._high))
+
     def add(self, pan_rad: float) -> None:
         """Take a measured pan: one that moves is not stuck."""
         tolerance = self._config.arrival_tolerance_rad

@@ -270,7 +270,9 @@ class SweepCapture(Generic[FrameT]):
         elif step.settled_stamp_ns or not self._stands(step, last.stamp_ns):
             self.stop(f'{seen} and does not come to rest')
         elif not self.reach.stop(last.pan_rad, step.target_rad):
-            self.stop(f'{seen} and does not move')
+            self.stop(
+                f'{seen} and does not move: if that is its limit, set pan_min_rad and pan_max_rad'
+            )
         else:
             _LOG.warning(
                 'the pan joint stops at %.1f deg on its way to %.1f deg: taken for its limit',
