@@ -13,6 +13,8 @@ from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.worth import most_telling
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.relocalization import RelocalizationConfig
+from landmark_nav.localization.relocalization.narrowing import narrowed
 from landmark_nav.localization.triangulation import TriangulationConfig
 from landmark_nav.localization.triangulation.gathering import SightingGatherer
 from landmark_nav.localization.triangulation.model import axis_from_base
@@ -47,6 +49,15 @@ class ObservationConfig:
         'not, rad.',
         minimum=0.0,
         maximum=1.0,
+    )
+    wide_sigma_m: float = parameter(
+        0.1,
+        'Position sigma (root of the trace) of the expected pose from which landmarks are looked '
+        'for as they may look from anywhere within it, m.',
+        minimum=0.01,
+    )
+    wide_sigma_rad: float = parameter(
+        0.05, 'Heading sigma from which that is done, rad.', minimum=0.005
     )
     gather_s: float = parameter(
         5.0,
@@ -108,6 +119,12 @@ class Observer:
         self._detector = AimedDetector(
             landmark_map, mount, config.detection, config.turned_sigma_rad
         )
+        self._search = RelocalizationConfig(
+            visibility=config.triplet,
+            detection=config.detection,
+            triangulation=config.triangulation,
+            pan_sigma_rad=pan_sigma_rad,
+        )
         _warn_without_views(landmark_map, config.detection)
         window_s = config.gather_s if config.triplet.views == 'several' else 0.0
         self._window_ns = int(1e9 * window_s)
@@ -147,8 +164,12 @@ class Observer:
 
         """
         config = self._config
+        looked_from, wide = prior, self._is_wide(prior)
+        if wide:
+            place = self._narrowed(frame, prior)
+            looked_from = prior if isinstance(place, Refusal) else place
         expected = visible_landmarks(
-            prior,
+            looked_from,
             self._map,
             frame.camera,
             self._mount,
@@ -157,7 +178,7 @@ class Observer:
             config.triplet,
         )
         expected = most_telling(
-            axis_from_base(prior, self._mount),
+            axis_from_base(looked_from, self._mount),
             self._map,
             expected,
             config.triplet.bearing_sigma_rad,
@@ -168,8 +189,10 @@ class Observer:
         )
         # What is not known of the pan shifts the picture as what is not known of the heading.
         turned = np.diag([0.0, 0.0, frame.pan_sigma_rad**2])
-        looked = replace(prior, covariance=prior.covariance + turned)
-        result = self._detector.detect(frame, looked, expected)
+        looked = replace(looked_from, covariance=looked_from.covariance + turned)
+        # Where the pose is hardly known, it is no wonder if nothing is where it says.
+        knocked = not wide or looked_from is not prior
+        result = self._detector.detect(frame, looked, expected, knocked)
         missed = np.array(sorted(result.refused), dtype=np.int64)
         found = replace(
             result.detections,
@@ -178,6 +201,17 @@ class Observer:
             pan_sigma_rad=frame.pan_sigma_rad,
         )
         return Observation(found, result.refused, self._fix(found, prior, triplet))
+
+    def _is_wide(self, prior: PoseEstimate) -> bool:
+        """Whether landmarks may look otherwise than from the expected pose."""
+        x, y, heading = prior.covariance.diagonal().tolist()
+        config = self._config
+        return bool(x + y > config.wide_sigma_m**2 or heading > config.wide_sigma_rad**2)
+
+    def _narrowed(self, frame: CameraFrame, prior: PoseEstimate) -> PoseEstimate | Refusal:
+        """The place near the expected one that a picture shows."""
+        aimed = self._detector.aimed(frame)
+        return narrowed(aimed, prior, self._map, self._mount, self._search)
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:
         """Triangulate landmarks that were found elsewhere; what the map lacks is refused."""

@@ -66,11 +66,23 @@ class AimedDetector:
         """By how much the camera looks higher than its joints say."""
         return float(self._aim[1])
 
+    def aimed(self, frame: CameraFrame) -> CameraFrame:
+        """A picture with its joints as they turned out to be."""
+        return _turned(frame, self._aim)
+
     def detect(
-        self, frame: CameraFrame, prior: PoseEstimate, expected: npt.NDArray[np.intp]
+        self,
+        frame: CameraFrame,
+        prior: PoseEstimate,
+        expected: npt.NDArray[np.intp],
+        knocked: bool = True,
     ) -> DetectionResult:
-        """Find landmarks `expected` (n,) of the map; as `detect_landmarks`."""
-        knock, config = self._knock, self._config
+        """
+        Find landmarks `expected` (n,) of the map; as `detect_landmarks`.
+
+        `knocked` tells whether a knock may be why they are missing.
+        """
+        knock, config = self._knock if knocked else 0.0, self._config
         result = self._search(frame, prior, expected, config, self._aim)
         few = len(result.detections) <= _HARDLY_ANY * len(expected)
         if not few or len(expected) < _LEAST or not knock:
@@ -114,8 +126,9 @@ class AimedDetector:
         """Search with the camera turned by an aim; bearings are those of the joints."""
         if not aim.any():
             return detect_landmarks(frame, prior, self._map, self._mount, config, expected)
-        aimed = replace(frame, pan_rad=frame.pan_rad + aim[0], tilt_rad=frame.tilt_rad + aim[1])
-        result = detect_landmarks(aimed, prior, self._map, self._mount, config, expected)
+        result = detect_landmarks(
+            _turned(frame, aim), prior, self._map, self._mount, config, expected
+        )
         bearing = wrap_rad(result.detections.bearing_rad - aim[0])
         return replace(result, detections=replace(result.detections, bearing_rad=bearing))
 
@@ -129,6 +142,11 @@ class AimedDetector:
         expected = self._map.positions[self._map.indices(found.ids)] - center
         seen = frame.camera.unproject(found.uv_px) @ rotation.T
         return np.asarray(np.median(wrap_rad(_angles(expected) - _angles(seen)), axis=1))
+
+
+def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
+    pan, tilt = frame.pan_rad + float(aim[0]), frame.tilt_rad + float(aim[1])
+    return replace(frame, pan_rad=pan, tilt_rad=tilt)
 
 
 def _angles(rays: FloatArray) -> FloatArray:

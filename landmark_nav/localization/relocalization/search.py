@@ -38,6 +38,7 @@ __all__ = [
     'locate',
     'relocalize',
     'shows_new',
+    'verified_places',
     'view_direction_rad',
 ]
 
@@ -202,8 +203,22 @@ def locate(
     proposed = propose(Sightings.joined(moved), landmark_map, config.hypothesis)
     if not len(proposed.poses):
         return Refusal('nothing recognised', 'no two sightings agree on a place')
+    places = verified_places(
+        proposed.poses[: config.candidates], carried, landmark_map, mount, config
+    )
+    return _judged(places, len(proposed.poses), config)
+
+
+def verified_places(
+    poses: FloatArray,
+    carried: CarriedFrames,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: RelocalizationConfig,
+) -> list[Verification]:
+    """Different places that hold of those proposed, (n, 3), the one with most landmarks first."""
     places: list[Verification] = []
-    for pose in proposed.poses[: config.candidates]:
+    for pose in poses:
         outcome = verify(
             pose,
             carried,
@@ -216,7 +231,7 @@ def locate(
         )
         if isinstance(outcome, Verification) and not _known(outcome, places, config.hypothesis):
             places.append(outcome)
-    return _judged(places, len(proposed.poses), config)
+    return sorted(places, key=lambda place: -len(place.ids))
 
 
 def _known(place: Verification, others: Sequence[Verification], config: HypothesisConfig) -> bool:
@@ -237,7 +252,7 @@ def _judged(
         return Refusal(
             'nothing recognised', f'none of {proposed} places shows what is to be seen there'
         )
-    best, *others = sorted(places, key=lambda place: -len(place.ids))
+    best, *others = places
     found = len(best.ids)
     rival = max((len(other.ids) for other in others), default=0)
     x, y, heading = best.estimate.pose

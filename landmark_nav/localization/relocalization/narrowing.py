@@ -1,0 +1,73 @@
+"""
+A wide prior made narrow by the picture itself.
+
+Where a prior leaves scale and slant open, no single appearance of a landmark fits. All that may
+be in view are looked for as they may look from where the prior allows; a place that several agree
+on tells which of their appearances are right, and from there they are looked for as always.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import chdtri
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.relocalization.hypotheses import propose
+from landmark_nav.localization.relocalization.search import RelocalizationConfig, verified_places
+from landmark_nav.localization.relocalization.sightings import find_sightings
+from landmark_nav.localization.relocalization.verification import CarriedFrames
+from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Refusal
+
+__all__ = ['narrowed']
+
+# What the prior excludes: one in a thousand lies there.
+_EXCLUDED = 0.001
+
+
+def narrowed(
+    frame: CameraFrame,
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: RelocalizationConfig,
+) -> PoseEstimate | Refusal:
+    """
+    Find the one place, of those that a prior allows, which a picture speaks for.
+
+    Parameters
+    ----------
+    frame : CameraFrame
+        The picture.
+    prior : PoseEstimate
+        Of the base at its stamp.
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config : RelocalizationConfig
+        Parameters.
+
+    Returns
+    -------
+    PoseEstimate or Refusal
+        Of the base, out of the picture alone; why there is none, such as too few landmarks.
+
+    """
+    sightings = find_sightings(frame, landmark_map, mount, config.sighting, prior)
+    poses = propose(sightings, landmark_map, config.hypothesis).poses
+    offset = poses - prior.pose
+    offset[:, 2] = wrap_rad(offset[:, 2])
+    distance = np.sum(offset * np.linalg.solve(prior.covariance, offset.T).T, axis=1)
+    allowed = poses[distance < chdtri(3, _EXCLUDED)][: config.candidates]
+    still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
+    places = verified_places(allowed, still, landmark_map, mount, config)
+    if not places:
+        return Refusal('nothing recognised', 'no landmarks agree on a place near the expected one')
+    best, *others = places
+    rival = max((len(other.ids) for other in others), default=0)
+    if rival > config.max_rival_share * len(best.ids):
+        return Refusal('not unique', f'{len(best.ids)} landmarks for one place, {rival} for other')
+    if len(best.ids) < config.min_found_share * best.expected:
+        return Refusal('nothing recognised', f'{len(best.ids)} of {best.expected} landmarks')
+    return best.estimate

@@ -1,0 +1,103 @@
+"""A pose that is hardly known: landmarks look otherwise than from there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from picture_drives import LENS, MAP, MOUNT, picture, ROOM, START
+import pytest
+from scenes import draw_frame, textured_room
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
+from landmark_nav.localization.relocalization import RelocalizationConfig
+from landmark_nav.localization.relocalization.narrowing import narrowed
+from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
+
+TRUTH = np.array([2.3, 2.1, 0.4])
+FRAME = picture(TRUTH, -0.2, np.random.default_rng(4))
+SURE = np.array([0.02, 0.02, 0.01])
+
+
+def told(error: FloatArray, sigma: FloatArray, truth: FloatArray = TRUTH) -> PoseEstimate:
+    return PoseEstimate(0, truth + error, np.diag(np.square(sigma)))
+
+
+def look(prior: PoseEstimate, frame: CameraFrame = FRAME) -> Observation:
+    return Observer(MAP, MOUNT, ObservationConfig()).look(frame, prior)
+
+
+def errors_of(seen: Observation) -> FloatArray:
+    """Of the bearings, against the truth."""
+    axis = axis_from_base(told(np.zeros(3), SURE), MOUNT).pose
+    index = MAP.indices(seen.detections.ids)
+    return wrap_rad(bearing_residuals(axis, MAP.positions[index, :2], seen.detections.bearing_rad))
+
+
+@pytest.mark.parametrize('away_m', [0.3, 0.6, 1.0])
+@pytest.mark.parametrize('turned_deg', [5.0, -15.0])
+def test_a_pose_that_is_known_to_be_far_off_finds_the_same_landmarks(
+    away_m: float, turned_deg: float
+) -> None:
+    usual = look(told(np.zeros(3), SURE))
+    assert len(usual.detections) >= 4
+    sigma = np.array([away_m, away_m, np.radians(abs(turned_deg))])
+    for direction in np.arange(6) * np.pi / 3.0:
+        x, y = away_m * np.cos(direction), away_m * np.sin(direction)
+        seen = look(told(np.array([x, y, np.radians(turned_deg)]), sigma))
+        assert set(seen.detections.ids) == set(usual.detections.ids)
+        np.testing.assert_allclose(
+            seen.detections.bearing_rad, usual.detections.bearing_rad, atol=3e-4
+        )
+        assert np.abs(errors_of(seen)).max() < 0.01
+
+
+def test_a_pose_that_is_claimed_to_be_known_is_taken_at_its_word() -> None:
+    seen = look(told(np.array([0.6, 0.3, 0.2]), SURE))
+    assert len(seen.detections) <= 1
+
+
+def test_another_room_or_a_dark_picture_shows_nothing() -> None:
+    wide = told(np.array([0.3, -0.3, 0.1]), np.array([0.5, 0.5, 0.2]))
+    other = textured_room(ROOM, seed=31, feature_m=0.045)
+    for frame in (
+        draw_frame(other, LENS, MOUNT, TRUTH, -0.2),
+        replace(FRAME, image=np.zeros_like(FRAME.image)),
+    ):
+        place = narrowed(frame, wide, MAP, MOUNT, RelocalizationConfig())
+        assert isinstance(place, Refusal)
+        assert place.reason == 'nothing recognised'
+        assert len(look(wide, frame).detections) <= 1
+
+
+def test_a_place_is_told_as_well_as_its_covariance_says() -> None:
+    rng = np.random.default_rng(9)
+    squares = []
+    for _ in range(12):
+        truth = START + rng.uniform((0.2, 0.2, -0.2), (1.0, 1.0, 0.2))
+        sigma = np.array([0.4, 0.4, 0.15])
+        wide = told(sigma * rng.normal(size=3), sigma, truth)
+        place = narrowed(picture(truth, 0.0, rng), wide, MAP, MOUNT, RelocalizationConfig())
+        assert isinstance(place, PoseEstimate), str(place)
+        error = place.pose - truth
+        squares.append(error @ np.linalg.solve(place.covariance, error))
+    assert np.max(squares) < 16.3
+    assert 1.0 < np.mean(squares) < 6.0
+
+
+def test_two_places_that_the_prior_allows_are_none() -> None:
+    """Every picture hangs a second time, a step aside of the first: a row of posters."""
+    shift = np.array([0.0, 0.7, 0.0])
+    east = [k for k in MAP.landmarks if k.normal[0] < -0.9]
+    again = [
+        replace(k, id=k.id + 100, position=k.position + shift, viewpoint=k.viewpoint + shift)
+        for k in east
+    ]
+    wide = told(np.array([0.0, 0.3, 0.0]), np.array([0.3, 0.5, 0.1]))
+    config = RelocalizationConfig()
+    assert isinstance(narrowed(FRAME, wide, LandmarkMap(tuple(east)), MOUNT, config), PoseEstimate)
+    place = narrowed(FRAME, wide, LandmarkMap(tuple(east + again)), MOUNT, config)
+    assert isinstance(place, Refusal)
+    assert place.reason == 'not unique'
