@@ -9,6 +9,7 @@ import sys
 from threading import Thread
 
 import rclpy
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import (
     Executor,
     ExternalShutdownException,
@@ -48,7 +49,7 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
         forward_logs(node.get_logger())
         executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
         executor.add_node(node)
-        executor.spin()
+        _spin(executor)
         _leave(executor)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -62,6 +63,20 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _spin(executor: Executor) -> None:
+    """
+    Spin to the end.
+
+    Where a callback closes a subscription as another thread is about to wait for its events,
+    rclpy throws; the next wait goes without it.
+    """
+    while True:
+        try:
+            return executor.spin()
+        except InvalidHandle:
+            continue
 
 
 def _leave(executor: Executor) -> None:

@@ -1,0 +1,64 @@
+"""`main` of every node, in the face of what rclpy throws."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import InvalidHandle
+from rclpy.node import Node
+from rclpy.waitable import NumberOfEntities, Waitable
+
+from landmark_nav.ros.run import run_node
+
+
+class ClosedMeanwhile(Waitable[None]):
+    """Was closed by another thread as the executor gathered what it waits for."""
+
+    thrown = 0
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def add_to_wait_set(self, wait_set: object) -> None:
+        self.thrown += 1
+        if self.thrown == 1:
+            raise InvalidHandle('destruction was requested')
+
+    def get_num_entities(self) -> NumberOfEntities:
+        return NumberOfEntities()
+
+    def is_ready(self, wait_set: object) -> bool:
+        return False
+
+
+@pytest.mark.parametrize('threads', [1, 3])
+def test_a_subscription_closed_by_another_thread_does_not_end_the_node(
+    threads: int, monkeypatch: pytest.MonkeyPatch, domain_id: int
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setattr('sys.argv', ['node'])
+    waitable = ClosedMeanwhile(ReentrantCallbackGroup())
+    ticks: list[int] = []
+
+    def make() -> Node:
+        node = Node('closes_things')
+        node.add_waitable(waitable)
+
+        def tick() -> None:
+            ticks.append(waitable.thrown)
+            if len(ticks) == 5:
+                rclpy.shutdown()
+
+        node.create_timer(0.02, tick)
+        return node
+
+    assert run_node(make, threads) == 0
+    assert waitable.thrown > 1
+    assert len(ticks) >= 5
