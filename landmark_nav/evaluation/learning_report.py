@@ -79,6 +79,14 @@ def learning_report(
         'elected': len(result.map.landmarks),
         'refused': dict(refused.most_common()),
         'landmarks_per_wall': dict(sorted(walls.items())),
+        'walls': {
+            wall.wall_id: {
+                'patches': wall.patches,
+                'before_m': wall.off_m,
+                'sigma_m': wall.sigma_m,
+            }
+            for wall in result.walls
+        },
         'stages': {
             stage: {'seconds': took, 'peak_memory_mb': log.peak_memory_mb[stage]}
             for stage, took in log.seconds.items()

@@ -17,7 +17,13 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
-from landmark_nav.learning.adjustment.wall_fit import check_walls, WallFitConfig
+from landmark_nav.learning.adjustment.wall_fit import (
+    check_walls,
+    doubtful_walls,
+    wall_residuals,
+    WallFitConfig,
+    WallResidual,
+)
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.stages import StageLog
@@ -70,7 +76,8 @@ class LearningResult:
 
     `panoramas` carry their adjusted poses. `candidates` and `outcomes` have one tuple a
     panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` tells,
-    a tuple a panorama too, why attention refused others before.
+    a tuple a panorama too, why attention refused others before. `walls` tells how far before each
+    wall what hangs there lies, where enough does.
     """
 
     map: LandmarkMap
@@ -79,6 +86,7 @@ class LearningResult:
     outcomes: tuple[tuple[Landmark | Refusal, ...], ...]
     reconstructed: int
     ambiguous: tuple[tuple[Refusal, ...], ...] = ()
+    walls: tuple[WallResidual, ...] = ()
 
 
 def learn_from_panoramas(
@@ -164,6 +172,12 @@ def learn_from_panoramas(
         free = adjust(sightings, walls, start, panoramas, room, without_walls)
         check_walls(free, walls, room, config.wall_fit)
         adjustment = adjust(sightings, walls, start, panoramas, room, config.adjustment)
+        residuals = wall_residuals(adjustment, walls, room, config.wall_fit)
+    doubt = doubtful_walls(
+        residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
+    )
+    if doubt:
+        _LOG.warning('%s', doubt)
     adjusted = tuple(
         replace(p, center_map=pose[:3], heading_rad=float(pose[3]), covariance=covariance)
         for p, pose, covariance in zip(
@@ -206,6 +220,7 @@ def learn_from_panoramas(
         tuple(tuple(o) for o in outcomes),
         len(patches),
         tuple(tuple(why for _, why in a.refused) for a in attended),
+        residuals,
     )
 
 

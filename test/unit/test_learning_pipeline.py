@@ -306,6 +306,25 @@ def test_a_map_of_too_few_landmarks_is_warned_of(
     assert not caplog.text
 
 
+def test_a_room_told_too_long_is_learned_right_and_told(
+    panoramas: list[Panorama], learned: LearningResult, caplog: pytest.LogCaptureFixture
+) -> None:
+    def farther(point: tuple[float, float]) -> tuple[float, float]:
+        return point[0] - 0.04 * (point[0] == 0.0), point[1]
+
+    walls = tuple(replace(w, start=farther(w.start), end=farther(w.end)) for w in ROOM.walls)
+    result = learn_from_panoramas(panoramas, replace(ROOM, walls=walls), LearningConfig())
+    assert 'room.yaml may be wrong' in caplog.text
+    told = {wall.wall_id: wall for wall in result.walls}
+    usual = {wall.wall_id: wall for wall in learned.walls}
+    for name, wall in told.items():
+        off_m = 0.04 if name == 'w' else 0.0
+        assert abs(wall.off_m - usual[name].off_m - off_m) < 0.005
+        assert abs(usual[name].off_m) < 4.0 * usual[name].sigma_m + 0.002
+    west = [k.position[0] for k in result.map.landmarks if k.wall_id == 'w']
+    assert abs(np.median(west)) < 0.01
+
+
 def test_twice_the_same_place_is_not_enough(panoramas: list[Panorama]) -> None:
     with pytest.raises(LandmarkNavError, match='all 2 panoramas are from one place'):
         learn_from_panoramas([panoramas[0]] * 2, ROOM, LearningConfig())

@@ -7,8 +7,13 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.adjustment import Adjustment
-from landmark_nav.learning.adjustment.wall_fit import check_walls, WallFitConfig
+from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
+from landmark_nav.learning.adjustment.wall_fit import (
+    check_walls,
+    doubtful_walls,
+    WallFitConfig,
+    WallResidual,
+)
 
 CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 4.0), (0.0, 4.0)]
 ROOM = Room(
@@ -71,3 +76,39 @@ def test_furniture_before_a_wall_says_nothing_about_it() -> None:
     depths = np.array([0.0, 0.3, 0.12, 0.02, 0.4, 0.18, 0.06, 0.15, 0.01, 0.1, 0.25, 0.5])
     check(depths, ALONG)
     check(np.full(12, 0.07), np.linspace(2.0, 2.8, 12))
+
+
+def doubt(off_cm: list[float], shared_m: float = 0.002, hanging_m: float = 0.001) -> str:
+    """What is said of four walls whose patches hang so far before them."""
+    walls = [
+        WallResidual(name, 20, off / 100.0, shared_m * np.eye(4)[k])
+        for k, (name, off) in enumerate(zip('abcd', off_cm, strict=True))
+    ]
+    return doubtful_walls(walls, hanging_m, AdjustmentConfig(), WallFitConfig())
+
+
+def test_walls_measured_with_a_tape_are_not_doubted() -> None:
+    rng = np.random.default_rng(3)
+    common = abs(rng.normal(0.0, 1.5, 1000))
+    off = common[:, None] + rng.normal(0.0, np.hypot(0.5, 0.2), (1000, 4))
+    doubted = [bool(doubt(list(room))) for room in off]
+    # One in a thousand for what they are beside each other, and for three sigmas of all of them.
+    assert np.sum(doubted) <= 10
+
+
+@pytest.mark.parametrize(
+    'off_cm',
+    [[5.0, 0.3, 0.1, 0.4], [4.0, 0.2, 4.1, 0.0], [5.2, 5.1, 5.3, 5.2], [-3.0, -2.6, -2.8, -2.7]],
+)
+def test_a_room_that_is_wrong_as_a_whole_is_told_with_its_residuals(off_cm: list[float]) -> None:
+    told = doubt(off_cm)
+    side = 'before' if off_cm[0] > 0.0 else 'behind'
+    assert f'{abs(off_cm[0]):.1f} cm {side} a' in told
+    assert all(f' {name}' in told for name in 'abcd')
+
+
+def test_things_that_hang_differently_far_doubt_no_wall() -> None:
+    assert doubt([3.0, 0.2, 1.0, 0.4])
+    assert not doubt([3.0, 0.2, 1.0, 0.4], hanging_m=0.015)
+    assert not doubt([3.0, 0.2, 1.0, 0.4], shared_m=0.02)
+    assert not doubtful_walls([], 0.001, AdjustmentConfig(), WallFitConfig())

@@ -109,6 +109,11 @@ class Adjustment:
     chi_square: FloatArray
     noise: FloatArray
 
+    @property
+    def hanging_sigma_m(self) -> float:
+        """How differently far from their walls things hang."""
+        return float(self.noise[_HANGING])
+
 
 def adjust(
     sightings: Sequence[Sequence[Sighting]],

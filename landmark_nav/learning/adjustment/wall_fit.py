@@ -3,22 +3,31 @@ Whether the wall map fits what the panoramas see.
 
 Stereo alone, without the walls, says where patches lie. What hangs on a wall lies a little before
 it, all along it; a wall that is wrong in `room.yaml` has its patches elsewhere, or at an angle.
+What walls say of landmarks gives way to what the panoramas see, so that these are right all the
+same: where walls may be wrong that is told, and where they surely are nothing is learned.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtrc
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment.solution import Adjustment
+from landmark_nav.learning.adjustment.solution import Adjustment, AdjustmentConfig
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray
 
-__all__ = ['WallFitConfig', 'check_walls']
+__all__ = ['WallFitConfig', 'WallResidual', 'check_walls', 'doubtful_walls', 'wall_residuals']
+
+BoolArray = npt.NDArray[np.bool_]
+
+# Chance that walls which a person measured are doubted.
+_FALSE_ALARM = 1e-3
 
 
 @dataclass(frozen=True)
@@ -76,28 +85,116 @@ def check_walls(free: Adjustment, walls: Sequence[int], room: Room, config: Wall
         Walls that don't fit, each with its residuals.
 
     """
-    index = np.asarray(walls, dtype=np.intp)
-    normal = room.normals[index]
-    sigma = np.sqrt(np.einsum('ni,nij,nj->n', normal, free.own_covariance, normal))
-    shared = np.einsum('ni,nip->np', normal, free.shared_loading)
     complaints = []
-    for k, wall in enumerate(room.walls):
-        # What stands well before the wall is furniture and says nothing about it.
-        near = np.abs(free.off_wall_m) < config.max_distance_m
-        on = (index == k) & (sigma < config.max_sigma_m) & near
-        along = (free.positions[on, :2] - wall.start) @ np.subtract(wall.end, wall.start)
-        along /= wall.length
-        if np.sum(on) < config.min_patches or np.ptp(along) < config.min_extent_m:
-            continue
-        slack = 3.0 * float(np.linalg.norm(shared[on].mean(0)))
+    for k, on, along in _judged(free, walls, room, config):
+        slack = 3.0 * float(np.linalg.norm(_shared(free, room, k, on)))
         complaint = _complaint(along, free.off_wall_m[on], slack, config)
         if complaint:
-            complaints.append(f'{wall.id} {complaint}')
+            complaints.append(f'{room.walls[k].id} {complaint}')
     if complaints:
         raise LandmarkNavError(
             f'the walls do not fit what the panoramas see: {"; ".join(complaints)}: '
             'measure walls and papers again and mend room.yaml'
         )
+
+
+@dataclass(frozen=True, eq=False)
+class WallResidual:
+    """How far before a wall, median, its patches lie; `shared` (m,) makes up its covariance."""
+
+    wall_id: str
+    patches: int
+    off_m: float
+    shared: FloatArray
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of `off_m`."""
+        return float(np.linalg.norm(self.shared))
+
+
+def wall_residuals(
+    adjustment: Adjustment, walls: Sequence[int], room: Room, config: WallFitConfig
+) -> tuple[WallResidual, ...]:
+    """Tell how far before their walls patches lie, by all that is known; arguments as above."""
+    return tuple(
+        WallResidual(
+            room.walls[k].id,
+            int(on.sum()),
+            float(np.median(adjustment.off_wall_m[on])),
+            _shared(adjustment, room, k, on),
+        )
+        for k, on, _ in _judged(adjustment, walls, room, config)
+    )
+
+
+def doubtful_walls(
+    residuals: Sequence[WallResidual],
+    hanging_sigma_m: float,
+    expected: AdjustmentConfig,
+    config: WallFitConfig,
+) -> str:
+    """
+    Say it if the walls, as a whole or beside each other, are hardly as the room says.
+
+    Parameters
+    ----------
+    residuals : sequence of WallResidual
+        How far before them things hang.
+    hanging_sigma_m : float
+        How differently far things hang in this room.
+    expected : AdjustmentConfig
+        How exactly walls are measured.
+    config : WallFitConfig
+        Bounds.
+
+    Returns
+    -------
+    str
+        Nothing where all is well.
+
+    """
+    if not residuals:
+        return ''
+    off = np.array([residual.off_m for residual in residuals])
+    shared = np.stack([residual.shared for residual in residuals])
+    apart = expected.wall_sigma_m**2 + hanging_sigma_m**2
+    inverse = np.linalg.inv(shared @ shared.T + apart * np.eye(len(off)))
+    common = float(np.sum(inverse @ off) / inverse.sum())
+    left = off - common
+    likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
+    if likely and -config.max_behind_m <= common <= config.max_before_m:
+        return ''
+    told = ', '.join(
+        f'{100 * abs(r.off_m):.1f} cm {"before" if r.off_m > 0 else "behind"} {r.wall_id}'
+        for r in residuals
+    )
+    return (
+        f'room.yaml may be wrong: what hangs on the walls lies {told}; landmarks are '
+        'where the panoramas see them, but measure the walls again'
+    )
+
+
+def _judged(
+    adjustment: Adjustment, walls: Sequence[int], room: Room, config: WallFitConfig
+) -> Iterator[tuple[int, BoolArray, FloatArray]]:
+    """Walls with enough patches to judge them, which (n,) these are, and where along the wall."""
+    index = np.asarray(walls, dtype=np.intp)
+    normal = room.normals[index]
+    sigma = np.sqrt(np.einsum('ni,nij,nj->n', normal, adjustment.own_covariance, normal))
+    # What stands well before the wall is furniture and says nothing about it.
+    tells = (sigma < config.max_sigma_m) & (np.abs(adjustment.off_wall_m) < config.max_distance_m)
+    for k, wall in enumerate(room.walls):
+        on = (index == k) & tells
+        along = (adjustment.positions[on, :2] - wall.start) @ np.subtract(wall.end, wall.start)
+        along /= wall.length
+        if on.sum() >= config.min_patches and np.ptp(along) >= config.min_extent_m:
+            yield k, on, along
+
+
+def _shared(adjustment: Adjustment, room: Room, k: int, on: BoolArray) -> FloatArray:
+    """How the shared factors (m,) move patches of a wall off it, on average."""
+    return np.asarray(room.normals[k] @ adjustment.shared_loading[on].mean(0))
 
 
 def _complaint(
