@@ -265,6 +265,30 @@ def test_a_covered_landmark_is_refused() -> None:
     assert np.abs(errors_of(result, HERE)).max() < 2e-4
 
 
+def test_a_picture_that_was_rehung_higher_is_refused() -> None:
+    # By 2 cm, which is 3 pixels from here: inside the window, but not where the others have it.
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE)
+    moved = LANDMARKS.landmarks[1]
+    moved = replace(moved, position=moved.position - [0.0, 0.0, 0.02])
+    result = detect(frame, HERE, replace(LANDMARKS, landmarks=(
+        LANDMARKS.landmarks[0], moved, *LANDMARKS.landmarks[2:]
+    )))  # fmt: skip
+    assert sorted(result.detections.ids) == [1, 3, 4]
+    assert result.refused[2].reason == 'wrong height'
+    # Expected lower than it is: in the picture it is above, by a negative number of rows.
+    assert -4.0 < float(result.refused[2].detail.split()[0]) < -2.0
+
+
+@pytest.mark.parametrize('over', [{'tilt_rad': 0.006}, {'roll_rad': 0.006}], ids=str)
+def test_a_floor_that_leans_moves_all_heights_and_refuses_none(over: dict[str, float]) -> None:
+    # By 2.4 pixels in the middle, or at one focal length aside.
+    frame = replace(draw_frame(SCENE, LENS, MOUNT, HERE), tilt_rad=over.get('tilt_rad', 0.0))
+    if 'roll_rad' in over:
+        leaning = replace(MOUNT, camera_roll_rad=over['roll_rad'])
+        frame = draw_frame(SCENE, LENS, leaning, HERE)
+    assert len(detect(frame, HERE).detections) == 4
+
+
 def test_what_is_out_of_view_is_refused() -> None:
     frame = draw_frame(SCENE, LENS, MOUNT, HERE, pan_rad=2.5)
     result = detect(frame, HERE)

@@ -10,12 +10,9 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection.correlation import (
-    camera_in_map,
-    detect_landmarks,
-    DetectionConfig,
-    DetectionResult,
-)
+from landmark_nav.localization.detection.config import DetectionConfig
+from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
+from landmark_nav.localization.detection.expectation import camera_in_map
 from landmark_nav.types import CameraFrame, Detections, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['AimedDetector']

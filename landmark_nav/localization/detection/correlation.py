@@ -9,19 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.patches import patch_axes, rays_to_patch
-from landmark_nav.localization.detection.appearance import APPEARANCES, draw
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection.appearance import draw
+from landmark_nav.localization.detection.config import DetectionConfig
+from landmark_nav.localization.detection.expectation import (
+    expect,
+    Expectation,
+    quadratic,
+    View,
+)
+from landmark_nav.localization.detection.height import LEAST_HEIGHTS, RowModel, wrong_heights
 from landmark_nav.matching import blur_sigmas, blur_to, Match, match_template
-from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -32,48 +37,9 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['DetectionConfig', 'DetectionResult', 'camera_in_map', 'detect_landmarks']
+__all__ = ['DetectionResult', 'detect_landmarks']
 
-# The centre of a patch and its corners, clockwise from the upper left.
-_CORNERS = np.array([[0.0, 0.0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
 _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
-
-
-@dataclass(frozen=True)
-class DetectionConfig:
-    """How landmarks are searched and what counts as found."""
-
-    min_size_px: int = parameter(
-        14, 'least width and height of a template, pixels', minimum=6, maximum=256
-    )
-    max_count: int = parameter(
-        16, 'most landmarks looked for in a picture: those that tell most', minimum=3, maximum=1000
-    )
-    max_second_ratio: float = parameter(
-        0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1
-    )
-    window_sigmas: float = parameter(
-        3.0, 'half width of the search in predicted standard deviations', minimum=1, maximum=6
-    )
-    max_window_px: int = parameter(
-        80, 'largest half width of the search, pixels', minimum=4, maximum=2000
-    )
-    vertical_sigma_px: float = parameter(
-        1.0, 'vertical error of the picture from tilt and floor', minimum=0.1, maximum=50
-    )
-    appearance: str = parameter(
-        'virtual_view',
-        'what is looked for: the patch as it was learned, or a view from here out of all '
-        'panoramas that saw it',
-        choices=APPEARANCES,
-    )
-    lens_sigma_px: float = parameter(
-        0.03, 'what the lens model leaves, pixels', minimum=0, maximum=5
-    )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +48,6 @@ class DetectionResult:
 
     detections: Detections
     refused: Mapping[int, Refusal]
-
-
-def camera_in_map(
-    pose_map_base: FloatArray, mount: PanTiltMount, pan_rad: float, tilt_rad: float
-) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) optical -> map and optical centre (3,) in map."""
-    rotation, center = mount.camera_pose_base(pan_rad, tilt_rad)
-    turn = np.eye(3)
-    turn[:2, :2] = se2.rotation(pose_map_base[2])
-    return turn @ rotation, turn @ center + [pose_map_base[0], pose_map_base[1], 0.0]
 
 
 def detect_landmarks(
@@ -125,143 +81,54 @@ def detect_landmarks(
     DetectionResult
 
     """
-    view = _View(frame, prior, mount)
+    view = View(frame, prior, mount)
     chosen = [landmark_map.landmarks[k] for k in indices]
     refused: dict[int, Refusal] = {}
-    found: list[tuple[Landmark, FloatArray, Match]] = []
+    found: list[_Found] = []
     for landmark, expected in zip(
-        chosen, _expect(landmark_map, indices, view, config), strict=True
+        chosen, expect(landmark_map, indices, view, config), strict=True
     ):
         match = _detect(landmark, expected, view, config)
         if isinstance(match, Refusal):
             refused[landmark.id] = match
         else:
-            found.append((landmark, *match))
-    uv = np.array([f[1] for f in found]).reshape(-1, 2)
-    covariance = np.array([f[2].covariance for f in found]).reshape(-1, 2, 2)
-    bearing, variance = _bearings([f[0] for f in found], uv, covariance, view, config)
+            found.append(match)
+    if len(found) >= LEAST_HEIGHTS:
+        wrong = _wrong_heights(found, view, config)
+        refused |= {
+            f.landmark.id: Refusal('wrong height', f'{f.down_px:+.1f} px off')
+            for f in compress(found, wrong)
+        }
+        found = list(compress(found, ~wrong))
+    uv = np.array([f.uv for f in found]).reshape(-1, 2)
+    covariance = np.array([f.match.covariance for f in found]).reshape(-1, 2, 2)
+    bearing, variance = _bearings([f.landmark for f in found], uv, covariance, view, config)
     return DetectionResult(
         Detections(
             frame.stamp_ns,
-            np.array([f[0].id for f in found], dtype=np.int64),
+            np.array([f.landmark.id for f in found], dtype=np.int64),
             bearing,
             variance,
-            np.array([f[2].score for f in found], dtype=np.float64),
+            np.array([f.match.score for f in found], dtype=np.float64),
             uv,
         ),
         refused,
     )
 
 
-class _View:
-    """The picture with the camera where the prior puts it."""
+class _Found(NamedTuple):
+    """A landmark with the pixel (2,) of its centre, its match, how far down of the expectation."""
 
-    def __init__(self, frame: CameraFrame, prior: PoseEstimate, mount: PanTiltMount) -> None:
-        self.camera: CameraModel = frame.camera
-        image = frame.image
-        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-        self.grey = np.asarray(grey, dtype=np.uint8)
-        self.prior = prior
-        self.rotation, self.center = camera_in_map(
-            prior.pose, mount, frame.pan_rad, frame.tilt_rad
-        )
-        self.axis = se2.compose(prior.pose, [*mount.axis_xyz[:2], 0.0])[:2]
-
-
-class _Expectation(NamedTuple):
-    """
-    Where a landmark should appear: `uv` (2,), pixels.
-
-    `left`, `top`, `right`, `bottom` are the template's rectangle in the picture, empty if nothing
-    of the patch is in view; `window` (2,) the half width and height of the search around it;
-    `ray_to_patch` (3, 3) maps rays (x, y, 1) of the camera to metres on the patch.
-    """
-
+    landmark: Landmark
     uv: FloatArray
-    left: int
-    top: int
-    right: int
-    bottom: int
-    window: tuple[int, int]
-    ray_to_patch: FloatArray
-
-
-def _expect(
-    landmark_map: LandmarkMap,
-    indices: npt.NDArray[np.intp],
-    view: _View,
-    config: DetectionConfig,
-) -> list[_Expectation]:
-    """Predict all landmarks at once."""
-    if not len(indices):
-        return []
-    position, normal = landmark_map.positions[indices], landmark_map.normals[indices]
-    half = 0.5 * landmark_map.sizes_m[indices]
-    right, down = patch_axes(normal)
-    points = position[:, None] + (
-        _CORNERS[:, :1] * half[:, None, :1] * right[:, None]
-        + _CORNERS[:, 1:] * half[:, None, 1:] * down[:, None]
-    )
-    pixels = view.camera.project((points - view.center) @ view.rotation)
-    # Left and upper sides first, also where the camera hangs upside down.
-    u, v = np.sort(pixels[:, 1:], axis=1).transpose(2, 0, 1)
-    width, height = view.camera.width, view.camera.height
-    # The largest upright rectangle inside the patch's quadrilateral, cut by the picture.
-    low, high = [u[:, 1], v[:, 1]], [u[:, 2], v[:, 2]]
-    corners = np.stack(
-        [
-            np.ceil(np.maximum(low, 1.0)),
-            np.floor(np.minimum(high, np.array([[width - 2.0], [height - 2.0]]))),
-        ]
-    )
-    # What is behind the camera has no pixels.
-    corners[:, :, ~np.isfinite(pixels).all((1, 2))] = np.array([0.0, -1.0])[:, None, None]
-    (left, top), (end_x, end_y) = corners.astype(int).tolist()
-    window = _windows(position, landmark_map.covariances[indices], view, config)
-    maps = rays_to_patch(position, normal, view.rotation, view.center)
-    places = zip(pixels[:, 0], left, top, end_x, end_y, window, maps, strict=True)
-    return [_Expectation(*place) for place in places]
-
-
-def _windows(
-    position: FloatArray, covariance: FloatArray, view: _View, config: DetectionConfig
-) -> list[tuple[int, int]]:
-    """Half width and height of the search: what prior and map leave open, as pixels."""
-    d = position - view.center
-    reach = np.hypot(d[:, 0], d[:, 1])
-    from_base = position[:, :2] - view.prior.pose[:2]
-    by_pose = np.stack([d[:, 1] / reach**2, -d[:, 0] / reach**2, -np.ones(len(d))], 1)
-    across = by_pose[:, :2]
-    bearing_var = _quadratic(by_pose, view.prior.covariance)
-    bearing_var += _quadratic(across, covariance[:, :2, :2])
-    along = from_base / np.hypot(from_base[:, 0], from_base[:, 1])[:, None]
-    range_var = _quadratic(along, view.prior.covariance[:2, :2])
-    range_var += _quadratic(along, covariance[:, :2, :2])
-    optical = d @ view.rotation
-    aside = optical[:, 0] / optical[:, 2]
-    sigma_u = view.camera.fx * (1.0 + aside**2) * np.sqrt(bearing_var)
-    rise = np.abs(d[:, 2] / reach)
-    sigma_v = view.camera.fy * np.sqrt(
-        rise**2 * range_var / reach**2 + covariance[:, 2, 2] / reach**2
-    )
-    # Turning by the bearing's error moves what is off the axis up and down as well.
-    sigma_v += np.abs(aside) * rise * sigma_u
-    window = config.window_sigmas * np.stack(
-        [sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)], 1
-    )
-    window = np.clip(np.ceil(window + 2.0), 4, config.max_window_px)
-    return [(int(u), int(v)) for u, v in window.tolist()]
-
-
-def _quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Variance (n,) along rows (n, k) of one matrix or of one each, (k, k) or (n, k, k)."""
-    return np.asarray(np.sum((rows[:, None] @ matrix)[:, 0] * rows, -1))
+    match: Match
+    down_px: float
 
 
 def _detect(
-    landmark: Landmark, expected: _Expectation, view: _View, config: DetectionConfig
-) -> tuple[FloatArray, Match] | Refusal:
-    """Pixel (2,) of the landmark's centre, and how its template was found."""
+    landmark: Landmark, expected: Expectation, view: View, config: DetectionConfig
+) -> _Found | Refusal:
+    """Where and how a landmark's template was found."""
     _, left, top, right, bottom, (window_u, window_v), ray_to_patch = expected
     size = (right - left + 1, bottom - top + 1)
     if right < left and bottom < top:
@@ -284,16 +151,31 @@ def _detect(
     if isinstance(match, Refusal):
         return match
     shift = match.xy - ((left + right) / 2.0 - x0, (top + bottom) / 2.0 - y0)
-    if abs(shift[1]) > window_v:
-        return Refusal('wrong height', f'{shift[1]:.1f} px off')
-    return expected.uv + shift, match
+    return _Found(landmark, expected.uv + shift, match, float(shift[1]))
+
+
+def _wrong_heights(
+    found: Sequence[_Found], view: View, config: DetectionConfig
+) -> npt.NDArray[np.bool_]:
+    """Which matches (n,) are higher or lower than the prior and the others have them."""
+    rows = RowModel.of(
+        np.array([f.landmark.position for f in found]),
+        view.prior.pose,
+        view.rotation,
+        view.center,
+        view.camera.fy,
+    )
+    covariance = rows.covariance(view.prior.covariance, config.vertical_sigma_px)
+    own = rows.by_height**2 * [f.landmark.covariance[2, 2] for f in found]
+    own += [f.match.covariance[1, 1] + config.lens_sigma_px**2 for f in found]
+    return wrong_heights(np.array([f.down_px for f in found]), covariance + np.diag(own))
 
 
 def _bearings(
     landmarks: Sequence[Landmark],
     uv: FloatArray,
     covariance: FloatArray,
-    view: _View,
+    view: View,
     config: DetectionConfig,
 ) -> tuple[FloatArray, FloatArray]:
     """Bearings (n,) at the pan axis in the base frame, and their variances (n,)."""
@@ -309,4 +191,4 @@ def _bearings(
     toward = np.stack([np.cos(azimuth[:, 0]), np.sin(azimuth[:, 0])], -1)
     at_axis = view.center[:2] + reach[:, None] * toward - view.axis
     bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - view.prior.pose[2])
-    return bearing, _quadratic(by_uv, covariance + np.eye(2) * config.lens_sigma_px**2)
+    return bearing, quadratic(by_uv, covariance + np.eye(2) * config.lens_sigma_px**2)

@@ -1,0 +1,135 @@
+"""Where landmarks should be in a picture, how far from there they are searched."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.patches import patch_axes, rays_to_patch
+from landmark_nav.localization.detection.config import DetectionConfig
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
+
+__all__ = ['Expectation', 'View', 'camera_in_map', 'expect', 'quadratic']
+
+# The centre of a patch and its corners, clockwise from the upper left.
+_CORNERS = np.array([[0.0, 0.0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+
+def camera_in_map(
+    pose_map_base: FloatArray, mount: PanTiltMount, pan_rad: float, tilt_rad: float
+) -> tuple[FloatArray, FloatArray]:
+    """Rotation (3, 3) optical -> map and optical centre (3,) in map."""
+    rotation, center = mount.camera_pose_base(pan_rad, tilt_rad)
+    turn = np.eye(3)
+    turn[:2, :2] = se2.rotation(pose_map_base[2])
+    return turn @ rotation, turn @ center + [pose_map_base[0], pose_map_base[1], 0.0]
+
+
+class View:
+    """The picture with the camera where the prior puts it."""
+
+    def __init__(self, frame: CameraFrame, prior: PoseEstimate, mount: PanTiltMount) -> None:
+        self.camera: CameraModel = frame.camera
+        image = frame.image
+        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+        self.grey = np.asarray(grey, dtype=np.uint8)
+        self.prior = prior
+        self.rotation, self.center = camera_in_map(
+            prior.pose, mount, frame.pan_rad, frame.tilt_rad
+        )
+        self.axis = se2.compose(prior.pose, [*mount.axis_xyz[:2], 0.0])[:2]
+
+
+class Expectation(NamedTuple):
+    """
+    Where a landmark should appear: `uv` (2,), pixels.
+
+    `left`, `top`, `right`, `bottom` are the template's rectangle in the picture, empty if nothing
+    of the patch is in view; `window` (2,) the half width and height of the search around it;
+    `ray_to_patch` (3, 3) maps rays (x, y, 1) of the camera to metres on the patch.
+    """
+
+    uv: FloatArray
+    left: int
+    top: int
+    right: int
+    bottom: int
+    window: tuple[int, int]
+    ray_to_patch: FloatArray
+
+
+def expect(
+    landmark_map: LandmarkMap,
+    indices: npt.NDArray[np.intp],
+    view: View,
+    config: DetectionConfig,
+) -> list[Expectation]:
+    """Predict all landmarks at once."""
+    if not len(indices):
+        return []
+    position, normal = landmark_map.positions[indices], landmark_map.normals[indices]
+    half = 0.5 * landmark_map.sizes_m[indices]
+    right, down = patch_axes(normal)
+    points = position[:, None] + (
+        _CORNERS[:, :1] * half[:, None, :1] * right[:, None]
+        + _CORNERS[:, 1:] * half[:, None, 1:] * down[:, None]
+    )
+    pixels = view.camera.project((points - view.center) @ view.rotation)
+    # Left and upper sides first, also where the camera hangs upside down.
+    u, v = np.sort(pixels[:, 1:], axis=1).transpose(2, 0, 1)
+    width, height = view.camera.width, view.camera.height
+    # The largest upright rectangle inside the patch's quadrilateral, cut by the picture.
+    low, high = [u[:, 1], v[:, 1]], [u[:, 2], v[:, 2]]
+    corners = np.stack(
+        [
+            np.ceil(np.maximum(low, 1.0)),
+            np.floor(np.minimum(high, np.array([[width - 2.0], [height - 2.0]]))),
+        ]
+    )
+    # What is behind the camera has no pixels.
+    corners[:, :, ~np.isfinite(pixels).all((1, 2))] = np.array([0.0, -1.0])[:, None, None]
+    (left, top), (end_x, end_y) = corners.astype(int).tolist()
+    window = _windows(position, landmark_map.covariances[indices], view, config)
+    maps = rays_to_patch(position, normal, view.rotation, view.center)
+    places = zip(pixels[:, 0], left, top, end_x, end_y, window, maps, strict=True)
+    return [Expectation(*place) for place in places]
+
+
+def _windows(
+    position: FloatArray, covariance: FloatArray, view: View, config: DetectionConfig
+) -> list[tuple[int, int]]:
+    """Half width and height of the search: what prior and map leave open, as pixels."""
+    d = position - view.center
+    reach = np.hypot(d[:, 0], d[:, 1])
+    from_base = position[:, :2] - view.prior.pose[:2]
+    by_pose = np.stack([d[:, 1] / reach**2, -d[:, 0] / reach**2, -np.ones(len(d))], 1)
+    across = by_pose[:, :2]
+    bearing_var = quadratic(by_pose, view.prior.covariance)
+    bearing_var += quadratic(across, covariance[:, :2, :2])
+    along = from_base / np.hypot(from_base[:, 0], from_base[:, 1])[:, None]
+    range_var = quadratic(along, view.prior.covariance[:2, :2])
+    range_var += quadratic(along, covariance[:, :2, :2])
+    optical = d @ view.rotation
+    aside = optical[:, 0] / optical[:, 2]
+    sigma_u = view.camera.fx * (1.0 + aside**2) * np.sqrt(bearing_var)
+    rise = np.abs(d[:, 2] / reach)
+    sigma_v = view.camera.fy * np.sqrt(
+        rise**2 * range_var / reach**2 + covariance[:, 2, 2] / reach**2
+    )
+    # Turning by the bearing's error moves what is off the axis up and down as well.
+    sigma_v += np.abs(aside) * rise * sigma_u
+    window = config.window_sigmas * np.stack(
+        [sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)], 1
+    )
+    window = np.clip(np.ceil(window + 2.0), 4, config.max_window_px)
+    return [(int(u), int(v)) for u, v in window.tolist()]
+
+
+def quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Variance (n,) along rows (n, k) of one matrix or of one each, (k, k) or (n, k, k)."""
+    return np.asarray(np.sum((rows[:, None] @ matrix)[:, 0] * rows, -1))
