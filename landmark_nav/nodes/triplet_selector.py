@@ -62,9 +62,9 @@ class TripletSelectorNode(LandmarkNode):
         self._config = self.configure(Parameters)
         self._mount = load_robot(self.required('robot_file', self._config.robot_file))
         self._publisher = self.advertise('triplet')
-        self._ranking = self.create_publisher(
-            message_class('sensor_msgs/msg/PointCloud2'), '~/ranking', RELIABLE
-        )
+        cloud = message_class('sensor_msgs/msg/PointCloud2')
+        self._ranking = self.create_publisher(cloud, '~/ranking', RELIABLE)
+        self._standing = self.create_publisher(cloud, '~/standing', RELIABLE)
         self._frames = CameraFrames(self, self._mount)
         self._commander = PanCommander(self, self._mount, self._config.command)
         self._map: LandmarkMap | None = None
@@ -117,8 +117,8 @@ class TripletSelectorNode(LandmarkNode):
         return '' if self._frames.camera is not None else 'nothing on camera/camera_info'
 
     def _choose(self) -> None:
-        active, fused, model = self._camera, self._fused, self._frames.camera
-        if active is None or fused is None or model is None or self._missing():
+        active, fused, model, known = self._camera, self._fused, self._frames.camera, self._map
+        if active is None or known is None or fused is None or model is None or self._missing():
             return
         start = time.perf_counter()
         limits = (self._config.pan_min_rad, self._config.pan_max_rad)
@@ -128,6 +128,8 @@ class TripletSelectorNode(LandmarkNode):
         stamp, base = fused.stamp_ns, self._mount.base_frame
         head = encode.header(ros_factory, stamp, base)
         self._ranking.publish(pack_cloud(ros_factory, head, ranking.table()))
+        standing = ranking.landmark_table(known.ids)
+        self._standing.publish(pack_cloud(ros_factory, head, standing))
         chosen = ranking.chosen
         values = {'choice_ms': f'{took_ms:.1f}'} | _why_others_lost(ranking)
         if isinstance(chosen, Refusal):
@@ -152,9 +154,9 @@ class TripletSelectorNode(LandmarkNode):
 
 def _why_others_lost(ranking: Ranking) -> dict[str, str]:
     """For people: the next triplets and the landmarks that take no part, with the reasons."""
-    rivals = zip(ranking.ids[1:], ranking.sigma_m[1:], ranking.reasons()[1:], strict=True)
+    rivals = zip(ranking.ids[1:], ranking.sigma_m[1:], ranking.verdicts()[1:], strict=True)
     lines = {
-        f'rival_{k}': f'{"-".join(map(str, ids))}: {why} ({1e3 * sigma:.1f} mm)'
+        f'rival_{k}': f'{"-".join(map(str, ids))}: {why.words} ({1e3 * sigma:.1f} mm)'
         for k, (ids, sigma, why) in enumerate(rivals, 1)
     }
     excluded = ', '.join(f'{count} {words}' for words, count in ranking.excluded().items())

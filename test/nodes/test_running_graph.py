@@ -18,6 +18,7 @@ from landmark_nav.demo.graph import node_environment
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.messages import decode, encode
+from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.types import LandmarkMap, PoseEstimate
@@ -82,7 +83,8 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
     drive, whole = Bag(RECORDED / 'drive'), load_map(learned_map)
     half = replace(whole, landmarks=whole.landmarks[::2])
     publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
-    ranked: list[int] = []
+    ranked: list[Any] = []
+    standing: list[Any] = []
 
     def tell(landmark_map: LandmarkMap, stamp_ns: int) -> None:
         messages = encode.landmark_map(ros_factory, landmark_map, stamp_ns)
@@ -100,7 +102,8 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
     for node in (LOCALIZER, SELECTOR):
         start(node, robot_file=ROBOT, use_sim_time=True)
     kind, topic = message_class('sensor_msgs/msg/PointCloud2'), f'{SELECTOR}/ranking'
-    client._node.create_subscription(kind, topic, lambda cloud: ranked.append(cloud.width), 10)
+    client._node.create_subscription(kind, topic, ranked.append, 10)
+    client._node.create_subscription(kind, f'{SELECTOR}/standing', standing.append, 10)
     with fusion(domain_id):
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map')
         client.wait(said(LOCALIZER, 'no picture'), 30.0, 'what the localizer waits for')
@@ -108,7 +111,12 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         # Slowly: there is time enough on slow machines, too.
         first = play(drive.path, 0.5)
         watch.wait(20.0, 'the place, which nobody asked for')
-        client.wait(lambda: max(ranked, default=0) > 1, 3.0, 'the ranking')
+        client.wait(lambda: any(cloud.width > 1 for cloud in ranked), 3.0, 'the ranking')
+        client.wait(lambda: bool(standing), 3.0, 'the standing of the landmarks')
+        best, *others = unpack_cloud(max(ranked, key=lambda cloud: cloud.width), ['reason'])
+        assert best['reason'] == 0
+        assert all(other['reason'] > 0 for other in others)
+        assert standing[-1].width == len(whole.landmarks)
         # Ages of pictures make sense on the clock of the bag alone.
         client.wait(lambda: 'latency_median_ms' in client.said(LOCALIZER).values, 5.0, 'ages')
     with fusion(domain_id):

@@ -12,7 +12,7 @@ from triplet_room import CAMERA, chosen, CONFIG, landmark, MOUNT, PRIOR, random_
 
 from landmark_nav.localization.triplet import Gaze, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.geometry import pair_tables
-from landmark_nav.localization.triplet.ranking import Standing
+from landmark_nav.localization.triplet.ranking import Standing, Verdict
 from landmark_nav.localization.triplet.search import best_triplets, mean_variance
 from landmark_nav.localization.triplet.views import travel_s
 from landmark_nav.types import LandmarkMap, PoseEstimate
@@ -103,9 +103,16 @@ class TestRanking:
     def test_reasons(self) -> None:
         landmark_map = random_map(40)
         ranking = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0))
-        reasons = ranking.reasons()
-        assert reasons[0] == 'chosen'
-        assert len(reasons) == len(ranking.score) > 3
+        verdicts = ranking.verdicts()
+        assert verdicts[0] is Verdict.CHOSEN
+        assert Verdict.CHOSEN not in verdicts[1:]
+        assert all(verdict.words for verdict in verdicts)
+        assert len(verdicts) == len(ranking.score) > 3
+        assert ranking.table()['reason'].tolist() == verdicts
+        told = ranking.landmark_table(landmark_map.ids)
+        assert dict(zip(told['id'], told['reason'], strict=True)) == dict(
+            zip(landmark_map.ids, ranking.standing, strict=True)
+        )
         assert sum(ranking.excluded().values()) == np.count_nonzero(ranking.standing)
         limited = rank_triplets(
             PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0, limits_rad=(-0.5, 0.5))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray, Refusal, Triplet
 
-__all__ = ['Ranking', 'Standing']
+__all__ = ['Ranking', 'Standing', 'Verdict']
 
 # A rival is called worse in something from so many times the winner's on.
 _MUCH_WORSE = 1.05
@@ -25,8 +25,10 @@ _ROW = np.dtype(
         ('travel', '<f8'),
         ('score', '<f8'),
         ('covariance', '<f8', (9,)),
+        ('reason', '<u1'),
     ]
 )
+_LANDMARK = np.dtype([('id', '<u4'), ('reason', '<u1')])
 
 
 class Standing(IntEnum):
@@ -54,6 +56,32 @@ _WORDS = {
     Standing.HIDDEN: 'behind a wall',
     Standing.CUT: 'cut by the border of the picture',
     Standing.BEYOND_LIMITS: 'beyond the joint limits',
+}
+
+
+class Verdict(IntEnum):
+    """Why a triplet is where it is in a ranking."""
+
+    CHOSEN = 0
+    LESS_ACCURATE = 1
+    LESS_LIKELY = 2
+    LONGER_TURN = 3
+    SLIGHTLY_WORSE = 4
+    NOT_BETTER_ENOUGH = 5
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return _VERDICTS[self]
+
+
+_VERDICTS = {
+    Verdict.CHOSEN: 'chosen',
+    Verdict.LESS_ACCURATE: 'less accurate',
+    Verdict.LESS_LIKELY: 'less likely to be found',
+    Verdict.LONGER_TURN: 'longer turn',
+    Verdict.SLIGHTLY_WORSE: 'slightly worse in all',
+    Verdict.NOT_BETTER_ENOUGH: 'not better enough to give up the one looked at',
 }
 
 
@@ -106,11 +134,18 @@ class Ranking:
         return np.asarray(np.sqrt(np.trace(self.covariances[:, :2, :2], axis1=1, axis2=2)))
 
     def table(self) -> npt.NDArray[np.void]:
-        """One row (m,) a triplet, for other tools."""
+        """One row (m,) a triplet, for other tools; `reason` is a `Verdict`."""
         rows = np.zeros(len(self.score), dtype=_ROW)
         rows['id'], rows['pan'], rows['sigma'] = self.ids, self.pan_rad, self.sigma_m
         rows['chance'], rows['travel'], rows['score'] = self.chance, self.travel_s, self.score
         rows['covariance'] = self.covariances.reshape(-1, 9)
+        rows['reason'] = self.verdicts()
+        return rows
+
+    def landmark_table(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
+        """One row (n,) a landmark of the map, those with `ids` (n,); `reason` is a `Standing`."""
+        rows = np.zeros(len(ids), dtype=_LANDMARK)
+        rows['id'], rows['reason'] = ids, self.standing
         return rows
 
     def excluded(self) -> dict[str, int]:
@@ -122,20 +157,18 @@ class Ranking:
             if kind != Standing.USABLE
         }
 
-    def reasons(self) -> list[str]:
+    def verdicts(self) -> list[Verdict]:
         """Why each of the m triplets is where it is."""
-        if not len(self.score):
-            return []
-        return ['chosen', *(self._why(k) for k in range(1, len(self.score)))]
+        return [self._verdict(k) if k else Verdict.CHOSEN for k in range(len(self.score))]
 
-    def _why(self, place: int) -> str:
+    def _verdict(self, place: int) -> Verdict:
         if self.score[place] < self.score[0]:
-            return 'not better enough to give up the one looked at'
+            return Verdict.NOT_BETTER_ENOUGH
         sigma = self.sigma_m
         worse = {
-            'less accurate': (sigma[place] / sigma[0]) ** 2,
-            'less likely to be found': self.chance[0] / self.chance[place],
-            'longer turn': (1.0 + self.travel_s[place]) / (1.0 + self.travel_s[0]),
+            Verdict.LESS_ACCURATE: (sigma[place] / sigma[0]) ** 2,
+            Verdict.LESS_LIKELY: self.chance[0] / self.chance[place],
+            Verdict.LONGER_TURN: (1.0 + self.travel_s[place]) / (1.0 + self.travel_s[0]),
         }
-        what = max(worse, key=lambda name: float(worse[name]))
-        return what if worse[what] >= _MUCH_WORSE else 'slightly worse in all'
+        what = max(worse, key=lambda verdict: float(worse[verdict]))
+        return what if worse[what] >= _MUCH_WORSE else Verdict.SLIGHTLY_WORSE
