@@ -316,8 +316,8 @@ class Detections:
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
     cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
-    that should be in view, were looked for and not found. Rate and sigma of the pan are those of
-    its `JointSample`.
+    that should be in view, were looked for and not found. The pan, its rate and its sigma are
+    those of its `JointSample`.
     """
 
     stamp_ns: int
@@ -329,6 +329,7 @@ class Detections:
     missed: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     pan_rate_rad_s: float = 0.0
     pan_sigma_rad: float = 0.0
+    pan_rad: float = 0.0
 
     def __len__(self) -> int:
         """Return how many were found."""

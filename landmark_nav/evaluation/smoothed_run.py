@@ -44,5 +44,6 @@ def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
             'inside_95': nees.inside_95 if nees else None,
         },
         'boresight_deg': float(np.degrees(smoothed.boresight_rad)),
+        'principal_point_deg': float(np.degrees(smoothed.lens)),
         'iterations': smoothed.iterations,
     }

@@ -199,6 +199,7 @@ class Observer:
             missed=missed,
             pan_rate_rad_s=frame.pan_rate_rad_s,
             pan_sigma_rad=frame.pan_sigma_rad,
+            pan_rad=frame.pan_rad,
         )
         return Observation(found, result.refused, self._fix(found, prior, triplet))
 

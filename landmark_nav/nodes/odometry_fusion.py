@@ -12,7 +12,7 @@ from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFil
 from landmark_nav.localization.fusion.delay import delay_matters
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.spread import SpreadCorrection
-from landmark_nav.localization.fusion.state import BORESIGHT, DELAY
+from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
 from landmark_nav.parameters import check_parameters, parameter
@@ -143,7 +143,11 @@ class OdometryFusionNode(LandmarkNode):
         if state is None:
             return {}
         sigma = np.sqrt(np.diag(state.covariance))
-        named = {'joint_delay_ms': (DELAY, 1e3), 'boresight_deg': (BORESIGHT, np.degrees(1.0))}
+        named = {
+            'joint_delay_ms': (DELAY, 1e3),
+            'boresight_deg': (BORESIGHT, np.degrees(1.0)),
+            'principal_point_deg': (LENS, np.degrees(1.0)),
+        }
         return {
             name: f'{scale * state.mean[place]:.2f} +- {scale * sigma[place]:.2f}'
             for name, (place, scale) in named.items()
@@ -192,6 +196,7 @@ class OdometryFusionNode(LandmarkNode):
                 found,
                 pan_rate_rad_s=joints.pan_rate_rad_s,
                 pan_sigma_rad=joints.pan_sigma_rad,
+                pan_rad=joints.pan_rad,
             )
         self._count(self._filter.add_detections(found))
         self._corrected(found.stamp_ns)

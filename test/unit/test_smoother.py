@@ -141,6 +141,19 @@ def test_a_camera_that_looks_aside_is_noticed() -> None:
     assert np.degrees(np.abs(pose_errors(found.poses, drive.truth)[:, 2]).max()) < 0.1
 
 
+def test_a_principal_point_that_is_off_is_noticed() -> None:
+    drive, lens = Drive(0, noise=0.0), 0.03
+    bent = []
+    for k, seen in enumerate(drive.sightings):
+        pan = float(np.sin(k))
+        x, y = np.cos(seen.bearing_rad - pan), np.sin(seen.bearing_rad - pan)
+        bearing = wrap_rad(np.arctan2(y + lens * x, x) - np.arctan(lens) + pan)
+        bent.append(replace(seen, bearing_rad=bearing, pan_rad=pan))
+    found = drive.smoothed(sightings=bent, fusion=replace(FUSION, principal_point_sigma=0.05))
+    assert found.lens == pytest.approx(lens, abs=1e-3)
+    assert np.hypot(*pose_errors(found.poses, drive.truth)[:, :2].T).max() < 0.005
+
+
 def test_mistaken_landmarks_are_outvoted() -> None:
     drive = Drive(30)
     rng = np.random.default_rng(5)
@@ -178,7 +191,7 @@ def test_derivatives_agree_with_differences() -> None:
         Bearings.of(drive.sightings[:4], drive.map),
         drive.map,
         np.array(MOUNT.axis_xyz[:2]),
-        np.array([*NOISE.bias_sigmas, 0.02]),
+        np.array([*NOISE.bias_sigmas, 0.02, 0.05]),
         2e-3,
         1e9,  # weights that do not change
     )

@@ -39,6 +39,13 @@ class FusionConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    principal_point_sigma: float = parameter(
+        0.0,
+        'Sigma of an error of the principal point, over the focal length, that is estimated; 0 '
+        'takes it as calibrated.',
+        minimum=0.0,
+        maximum=1.0,
+    )
     delay_sigma_s: float = parameter(
         0.0,
         'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '

@@ -123,7 +123,8 @@ class PoseFilter:
         if self._history.started:
             state = moved_to(self._history.at(start.stamp_ns), start)
         else:
-            sigmas = self._config.boresight_sigma_rad, self._config.delay_sigma_s
+            config = self._config
+            sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
         self._history.restart(state)
         self._health.restart(start.stamp_ns)

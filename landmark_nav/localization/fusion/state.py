@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
+from landmark_nav.localization.fusion.lens import straightened
 from landmark_nav.localization.fusion.noise import (
     LEARNED,
     NoiseScales,
@@ -37,6 +38,7 @@ __all__ = [
     'BORESIGHT',
     'DELAY',
     'HEADING',
+    'LENS',
     'STATES',
     'FilterState',
     'MeasurementModel',
@@ -51,9 +53,9 @@ __all__ = [
 IndexArray = npt.NDArray[np.intp]
 
 # x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight; by how
-# much the stamps of the joints are late.
-STATES = 9
-HEADING, BORESIGHT, DELAY = 2, 7, 8
+# much the stamps of the joints are late; principal point over focal length.
+STATES = 10
+HEADING, BORESIGHT, DELAY, LENS = 2, 7, 8, 9
 _SCALE, _DRIFT, _TURN_SCALE, _SLIP = 3, 4, 5, 6
 _BIASES = slice(_SCALE, _SLIP)
 
@@ -122,9 +124,11 @@ def initial_state(
     odometry: OdometryNoiseConfig,
     boresight_sigma: float,
     delay_sigma_s: float = 0.0,
+    lens_sigma: float = 0.0,
 ) -> FilterState:
     """Return the state at a given pose, independent of the map."""
-    sigmas = np.array([*odometry.bias_sigmas, odometry.slip_sigma, boresight_sigma, delay_sigma_s])
+    camera = boresight_sigma, delay_sigma_s, lens_sigma
+    sigmas = np.array([*odometry.bias_sigmas, odometry.slip_sigma, *camera])
     covariance = np.zeros((STATES, STATES))
     covariance[:3, :3] = start.covariance
     covariance[range(3, STATES), range(3, STATES)] = sigmas**2
@@ -236,6 +240,7 @@ def bearing_model(
     common_variance: float,
     lever: FloatArray,
     pan_rate: float = 0.0,
+    pan: float = 0.0,
 ) -> MeasurementModel:
     """
     Bearings with the uncertainty of a prior, linearised at a state.
@@ -258,6 +263,8 @@ def bearing_model(
         Pan axis in the base frame, metres.
     pan_rate : float
         How fast the camera turned, rad/s: joint stamps that are late make bearings lag.
+    pan : float
+        Where it looked, radians: a principal point that is off bends bearings about there.
 
     """
     x, y, heading = at.mean[:3]
@@ -265,8 +272,9 @@ def bearing_model(
     arm = np.array([cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1]])
     axis = np.array([x + arm[0], y + arm[1], heading])
     seen = at.landmarks[columns]
+    straight, by_lens = straightened(bearings, pan, float(at.mean[LENS]))
     shift = at.mean[BORESIGHT] - pan_rate * at.mean[DELAY]
-    residual = bearing_residuals(axis, seen, bearings - shift)
+    residual = bearing_residuals(axis, seen, straight - shift)
     gradient = bearing_gradients(axis, seen)
 
     jacobian = np.zeros((len(columns), STATES))
@@ -274,6 +282,7 @@ def bearing_model(
     jacobian[:, 2] = gradient[:, 1] * arm[0] - gradient[:, 0] * arm[1] - 1.0
     jacobian[:, BORESIGHT] = 1.0
     jacobian[:, DELAY] = -pan_rate
+    jacobian[:, LENS] = -by_lens
 
     # The derivative by a landmark's x and y is minus the one by the axis'.
     places = np.stack([2 * columns, 2 * columns + 1], -1).reshape(-1)

@@ -95,6 +95,7 @@ class BearingFrame:
     unusable: dict[int, Refusal]
     scores: FloatArray
     pan_rate: float = 0.0
+    pan: float = 0.0
 
 
 def bearing_frame(
@@ -145,6 +146,7 @@ def bearing_frame(
         unusable,
         detections.score[rows],
         detections.pan_rate_rad_s,
+        detections.pan_rad,
     )
 
 
@@ -183,6 +185,7 @@ def expected_bearings(
         frame.common_variance,
         lever,
         frame.pan_rate,
+        frame.pan,
     )
 
 

@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import relative, rotation
+from landmark_nav.localization.fusion.lens import straightened
 from landmark_nav.localization.smoother.motion import Motions
 from landmark_nav.types import Detections, FloatArray, LandmarkMap, PoseEstimate
 
@@ -21,32 +22,35 @@ IndexArray = npt.NDArray[np.intp]
 # Unknowns of each time: x, y, heading, and the error of the pan in its own sigmas.
 _PER_POSE = 4
 _PAN = 3
-# Unknowns of all times: the three systematic errors of the odometry, and the boresight.
-_COMMON = 4
-_BORESIGHT = 3
+# Unknowns of all times: the three systematic errors of the odometry, boresight, principal point.
+_COMMON = 5
+_BORESIGHT, _LENS = 3, 4
 # What is taken as known exactly would be singular: a micrometre, a microradian.
 _LEAST_SIGMA = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Bearings:
-    """All bearings (m,): of which pose, to which landmark, what and how sure."""
+    """All bearings (m,): of which pose, to which landmark, what and how sure, with which pan."""
 
     pose: IndexArray
     landmark: IndexArray
     bearing_rad: FloatArray
     sigma_rad: FloatArray
+    pan_rad: FloatArray
 
     @classmethod
     def of(cls, sightings: Sequence[Detections], landmark_map: LandmarkMap) -> Bearings:
         """Take what the map holds; pose 0 is the start, pose k + 1 that of sighting k."""
         known = [np.isin(seen.ids, landmark_map.ids) for seen in sightings]
         kept = [seen.chosen(which) for seen, which in zip(sightings, known, strict=True)]
+        counts = [len(seen) for seen in kept]
         return cls(
-            np.repeat(np.arange(1, len(kept) + 1), [len(seen) for seen in kept]),
+            np.repeat(np.arange(1, len(kept) + 1), counts),
             landmark_map.indices(np.concatenate([seen.ids for seen in kept])),
             np.concatenate([seen.bearing_rad for seen in kept]),
             np.sqrt(np.concatenate([seen.variance_rad2 for seen in kept])),
+            np.repeat([seen.pan_rad for seen in kept], counts),
         )
 
 
@@ -83,8 +87,8 @@ class Problem:
     """
     What is known: start, odometry, bearings, map, and how well.
 
-    `common_sigmas` (4,) are those of the odometry's scale, drift and turn scale, and of the
-    boresight; `lever` (2,) is the pan axis in the base.
+    `common_sigmas` (5,) are those of the odometry's scale, drift and turn scale, of the boresight
+    and of the principal point; `lever` (2,) is the pan axis in the base.
     """
 
     start: PoseEstimate
@@ -120,9 +124,10 @@ class Problem:
         """Places of the landmarks (l, 2)."""
         return unknowns[self._common + _COMMON :].reshape(-1, 2)
 
-    def boresight(self, unknowns: FloatArray) -> float:
-        """Constant offset of all bearings, radians."""
-        return float(unknowns[self._common + _BORESIGHT])
+    def camera(self, unknowns: FloatArray) -> tuple[float, float]:
+        """Boresight: constant offset of all bearings, radians; principal point, see `lens`."""
+        boresight, lens = unknowns[self._common + np.array([_BORESIGHT, _LENS])].tolist()
+        return boresight, lens
 
     def advanced(self, unknowns: FloatArray, step: FloatArray) -> tuple[FloatArray, float]:
         """Take a step of at most half a metre or radian; how far the poses moved."""
@@ -189,20 +194,23 @@ class Problem:
         dx, dy = (unknowns[places] - np.stack([x + arm_x, y + arm_y], -1)).T
         pan = self.pose_columns[seen.pose, 0] + _PAN
         expected = np.arctan2(dy, dx) - heading
-        offset = self.boresight(unknowns) + self.pan_sigma * unknowns[pan]
-        residual = wrap_rad(seen.bearing_rad - offset - expected) / seen.sigma_rad
+        boresight, lens = self.camera(unknowns)
+        bearing, by_lens = straightened(seen.bearing_rad, seen.pan_rad, lens)
+        offset = boresight + self.pan_sigma * unknowns[pan]
+        residual = wrap_rad(bearing - offset - expected) / seen.sigma_rad
         # Cauchy's weight, as of where we are.
         weight = 1.0 / (seen.sigma_rad * np.hypot(1.0, residual / self.robust_sigmas))
         by_place = np.stack([dy, -dx], -1) / (dx * dx + dy * dy)[:, None]
         by_heading = 1.0 + by_place[:, 0] * arm_y - by_place[:, 1] * arm_x
         by_pose = np.column_stack([-by_place, by_heading, np.full(len(dx), -self.pan_sigma)])
         columns = np.column_stack([self.pose_columns[seen.pose], pan])
-        boresight = np.full((len(dx), 1), self._common + _BORESIGHT)
+        camera = np.tile(self._common + np.array([_BORESIGHT, _LENS]), (len(dx), 1))
+        by_camera = np.column_stack([-np.ones(len(dx)), by_lens])
         rows.add(
             (weight * seen.sigma_rad * residual)[:, None],
             (columns, (weight[:, None] * by_pose)[:, None]),
             (places, (weight[:, None] * by_place)[:, None]),
-            (boresight, -weight[:, None, None]),
+            (camera, (weight[:, None] * by_camera)[:, None]),
         )
 
 

@@ -73,6 +73,8 @@ class Smoothed:
         Where they turned out to be.
     boresight_rad : float
         Constant offset of all bearings.
+    lens : float
+        By how much the principal point is off, over the focal length.
     iterations : int
         Steps it took.
 
@@ -83,6 +85,7 @@ class Smoothed:
     covariances: FloatArray
     landmarks: FloatArray
     boresight_rad: float
+    lens: float
     iterations: int
 
 
@@ -134,7 +137,7 @@ def smooth(
         Bearings.of(sightings, landmark_map),
         landmark_map,
         np.asarray(mount.axis_xyz[:2], dtype=np.float64),
-        np.array([*noise.bias_sigmas, fusion.boresight_sigma_rad]),
+        np.array([*noise.bias_sigmas, fusion.boresight_sigma_rad, fusion.principal_point_sigma]),
         fusion.pan_sigma_rad,
         config.robust_sigmas,
     )
@@ -156,7 +159,7 @@ def smooth(
         problem.poses(unknowns)[1:],
         _pose_covariances(factor, problem.pose_columns)[1:],
         problem.landmarks(unknowns),
-        problem.boresight(unknowns),
+        *problem.camera(unknowns),
         iteration,
     )
 
