@@ -77,9 +77,14 @@ def sweep_at(
     return Sweep(0, tuple(frames))
 
 
-def locate(sweep: Sweep, room: Room, mount: PanTiltMount = MOUNT) -> SweepPlace:
+def locate(
+    sweep: Sweep,
+    room: Room,
+    mount: PanTiltMount = MOUNT,
+    config: ReferenceAreaConfig = CONFIG,
+) -> SweepPlace:
     view = synthesize_cylinder(sweep, mount, PanoramaConfig())
-    return locate_sweep(sweep, view, room, mount, CONFIG)
+    return locate_sweep(sweep, view, room, mount, config)
 
 
 def error_of(place: SweepPlace, pose: FloatArray) -> FloatArray:

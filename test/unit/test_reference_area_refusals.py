@@ -105,6 +105,23 @@ def test_a_camera_that_hangs_otherwise_than_told_is_refused() -> None:
         assert 'swapped' not in str(caught.value)
 
 
+@pytest.mark.parametrize('rise_m', [0.1, 0.3, -0.15])
+def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m: float) -> None:
+    room, pose = rectangle_room(papers=EAST), np.array([3.5, 2.0, 0.3])
+    sweep = sweep_at(scene_of(room), pose, rise_m=rise_m)
+    with pytest.raises(LandmarkNavError) as refused:
+        locate(sweep, room)
+    told = re.search(r'camera is (\S+) cm (higher|lower) than robot.yaml', str(refused.value))
+    assert told is not None
+    assert float(told[1]) == pytest.approx(100.0 * abs(rise_m), abs=1.0)
+    assert told[2] == ('higher' if rise_m > 0.0 else 'lower')
+    place = locate(sweep, room, config=ReferenceAreaConfig(height_sigma_m=0.1))
+    assert deviations(place, pose).max() < 3.5
+    sigma = np.sqrt(place.covariance[2, 2])
+    assert abs(place.height_m - MOUNT.axis_xyz[2] - rise_m) < 3.5 * sigma
+    assert sigma < 0.01
+
+
 @pytest.mark.parametrize(
     ('mount', 'remedy'),
     [

@@ -18,6 +18,7 @@ from landmark_nav.learning.reference_area.model import (
     IntArray,
     PaperModel,
     PaperPriors,
+    RISE,
     SHIFT,
 )
 from landmark_nav.learning.reference_area.search import papers_in_view
@@ -114,14 +115,19 @@ class PaperFitter:
         self._hues = [hue_direction(paper.color) for paper in room.papers]
 
     def fit(
-        self, pose_map_base: FloatArray, frames_per_paper: int = MOST_FRAMES
+        self,
+        pose_map_base: FloatArray,
+        frames_per_paper: int = MOST_FRAMES,
+        rise_m: float = 0.0,
     ) -> PaperFit | None:
         """
-        Refine a base pose (3,); None where no paper shows an edge.
+        Refine a base pose (3,) and how much higher than told the camera is.
 
-        Fewer frames are quicker, enough to choose between places.
+        None where no paper shows an edge. Fewer frames are quicker, enough to choose between
+        places.
         """
         state = self._model.start(pose_map_base)
+        state[RISE] = rise_m
         angle_sigma = np.full(2, self._priors.angle_rad)
         fit = None
         for reach, doubts in zip(_SEARCH_PX, _DOUBTS, strict=True):
@@ -248,7 +254,7 @@ class PaperFitter:
         claimed = covariance * max(1.0, misfit)
         fit = PaperFit(
             state[:3].copy(),
-            float(state[3]),
+            float(state[RISE]),
             claimed[np.ix_(order, order)],
             found / np.maximum(m.tried, 1),
             np.bincount(m.paper[agreed], minlength=model.papers) / np.maximum(found, 1),

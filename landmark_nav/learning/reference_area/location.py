@@ -9,7 +9,8 @@ right ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,6 +29,8 @@ from landmark_nav.learning.reference_area.refusals import (
     measured_papers,
     place_text,
     why_not,
+    wrong_height,
+    WRONG_PRIOR,
     wrong_prior,
 )
 from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
@@ -52,6 +55,10 @@ _MOST_MISFIT = 6.0
 _HOPELESS = 20.0
 # Squared deviation of two places that are one: chi-square of 3 beyond all doubt.
 _DISAGREEMENT = 35.0
+# Blobs lead to the papers from a camera that is told so much too high or too low.
+_RISE_STEP_M = 0.06
+# A camera that is told so much too high or too low is refused for that.
+_ANY_HEIGHT_M = 0.1
 # Places are told apart with so many frames a paper.
 _QUICK_FRAMES = 2
 
@@ -148,7 +155,6 @@ def locate_sweep(
         config.edge_sigma_px,
         config.pan_sigma_rad,
     )
-    places = find_places(blobs, room, height)
     fitter = PaperFitter(sweep, room, mount, priors)
     lever = np.array([*mount.axis_xyz[:2], 0.0])
 
@@ -157,26 +163,41 @@ def locate_sweep(
         fit = PaperFitter(sweep, other, mount, priors).fit(pose, _QUICK_FRAMES)
         return fit is not None and _fits(fit, other)
 
+    def try_places(places: list[PaperPlace], rise_m: float = 0.0) -> list[PaperFit]:
+        fits: list[PaperFit] = []
+        enough = np.inf
+        for place in places:
+            if place.cost > enough:
+                break
+            pose = se2.compose(place.axis_pose, se2.inverse(lever))
+            fit = fitter.fit(pose, _QUICK_FRAMES, rise_m)
+            if fit is not None and room.contains(fit.pose_map_base[:2]):
+                fits.append(fit)
+                if _fits(fit, room):
+                    enough = min(enough, place.cost + _HOPELESS)
+        return fits
+
     def refusal(fits: list[PaperFit]) -> LandmarkNavError:
+        if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b.misfit) for b in blobs):
+            anywhere = replace(config, height_sigma_m=_ANY_HEIGHT_M)
+            with suppress(LandmarkNavError):
+                high = locate_sweep(sweep, view, room, mount, anywhere)
+                return LandmarkNavError(wrong_height(high.height_m - height))
         why = why_not(blobs, places, fits, room, height, fits_at)
         pans, half_fov = [f.pan_rad for f in sweep.frames], sweep.frames[0].camera.half_fov_rad
         unseen = describe_coverage(pans, half_fov)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
         return LandmarkNavError(f'{hint if unseen else ""}{why}')
 
-    fits: list[PaperFit] = []
-    enough = np.inf
-    for place in places:
-        if place.cost > enough:
+    places = find_places(blobs, room, height)
+    fits = told = try_places(places)
+    for rise_m in _rises(config):
+        if any(_fits(fit, room) for fit in fits):
             break
-        fit = fitter.fit(se2.compose(place.axis_pose, se2.inverse(lever)), _QUICK_FRAMES)
-        if fit is not None and room.contains(fit.pose_map_base[:2]):
-            fits.append(fit)
-            if _fits(fit, room):
-                enough = min(enough, place.cost + _HOPELESS)
+        fits = try_places(find_places(blobs, room, height + rise_m), rise_m)
     good = sorted((f for f in fits if _fits(f, room)), key=lambda f: -_support(f))
     if not good:
-        raise refusal(fits)
+        raise refusal(told)
     for other in good[1:]:
         away = se2.relative(good[0].pose_map_base, other.pose_map_base)
         distinct = np.hypot(away[0], away[1]) > 0.1 or abs(away[2]) > 0.05
@@ -186,7 +207,7 @@ def locate_sweep(
                 f'({place_text(good[0])}) and ({place_text(other)}) fit alike; '
                 'hang them at unequal distances'
             )
-    fit = fitter.fit(good[0].pose_map_base)
+    fit = fitter.fit(good[0].pose_map_base, rise_m=good[0].rise_m)
     if fit is None or not _fits(fit, room):
         raise refusal([fit] if fit else [])
     wrong = wrong_prior(fit, room, priors)
@@ -200,6 +221,12 @@ def locate_sweep(
         inverse @ fit.tilt_rad,
         inverse - np.eye(2) / config.horizon_sigma_rad**2,
     )
+
+
+def _rises(config: ReferenceAreaConfig) -> list[float]:
+    """How much higher or lower than told the camera may be, beside as told, the least first."""
+    steps = np.arange(1, 1 + int(WRONG_PRIOR * config.height_sigma_m / _RISE_STEP_M))
+    return [float(sign * step * _RISE_STEP_M) for step in steps for sign in (1, -1)]
 
 
 def check_agreement(

@@ -22,6 +22,7 @@ __all__ = [
     'EDGES',
     'EDGE_SHARE',
     'GAMMA',
+    'RISE',
     'SHIFT',
     'IntArray',
     'PaperModel',
@@ -38,7 +39,7 @@ EDGE_SHARE = 0.88
 
 # x, y, heading of the base; height and two tilts of the axis; gamma of colours, which JPEG blurs
 # once more after the camera wrote them, and of brightness; shift of colours, two pixels.
-_PLACE, _COMMON, GAMMA, SHIFT = 6, 10, 6, 8
+RISE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 6, 8, 10
 
 # What the response to light usually is, between none and that of sRGB.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
@@ -129,7 +130,7 @@ class PaperModel:
         )
         hang = self.hang(state)[paper]
         offset = points + hang[:, :1] * self._along[paper]
-        offset[:, 2] += hang[:, 1] - state[3]
+        offset[:, 2] += hang[:, 1] - state[RISE]
         offset[:, :2] -= state[:2]
         cos, sin = np.cos(state[2]), np.sin(state[2])
         axis = np.asarray(self._mount.axis_xyz)
@@ -166,7 +167,7 @@ class PaperModel:
     def prior(self, priors: PaperPriors, angle_sigma_rad: FloatArray) -> FloatArray:
         """Information (size,) of the unknowns; `angle_sigma_rad` (2,) of pan and tilt."""
         sigma = np.ones(self.size)
-        sigma[3:_PLACE] = priors.height_m, priors.tilt_rad, priors.tilt_rad
+        sigma[RISE:_PLACE] = priors.height_m, priors.tilt_rad, priors.tilt_rad
         sigma[GAMMA:SHIFT], sigma[SHIFT:_COMMON] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
         sigma[_COMMON : self._edge] = max(priors.paper_m, 1e-6)
         sigma[self._frame :].reshape(-1, 2)[:] = angle_sigma_rad

@@ -15,12 +15,20 @@ from landmark_nav.learning.reference_area.fit import PaperFit
 from landmark_nav.learning.reference_area.model import PaperPriors
 from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
 
-__all__ = ['LEAST_AGREED', 'measured_papers', 'place_text', 'why_not', 'wrong_prior']
+__all__ = [
+    'LEAST_AGREED',
+    'WRONG_PRIOR',
+    'measured_papers',
+    'place_text',
+    'why_not',
+    'wrong_height',
+    'wrong_prior',
+]
 
 # Shares of a paper's edges: what must be found of it, and what of that must fit.
 _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
 # In standard deviations: beyond that a prior is wrong.
-_WRONG_PRIOR = 4.0
+WRONG_PRIOR = 4.0
 # More papers than that are not tried in other orders when nothing fits.
 _MOST_SWAPPED = 4
 
@@ -38,12 +46,9 @@ def place_text(fit: PaperFit) -> str:
 
 def wrong_prior(fit: PaperFit, room: Room, priors: PaperPriors) -> str | None:
     """What was taken as nearly known and turns out to be wrong; None if nothing does."""
-    if abs(fit.rise_m) > _WRONG_PRIOR * priors.height_m:
-        return (
-            f'the camera is {100 * fit.rise_m:.1f} cm higher than robot.yaml says, as the papers '
-            'show it: measure the height of camera and papers again'
-        )
-    if np.hypot(*fit.tilt_rad) > _WRONG_PRIOR * priors.tilt_rad:
+    if abs(fit.rise_m) > WRONG_PRIOR * priors.height_m:
+        return wrong_height(fit.rise_m)
+    if np.hypot(*fit.tilt_rad) > WRONG_PRIOR * priors.tilt_rad:
         roll, pitch = np.degrees(fit.tilt_rad)
         return (
             f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
@@ -52,12 +57,21 @@ def wrong_prior(fit: PaperFit, room: Room, priors: PaperPriors) -> str | None:
         )
     hang = np.abs(fit.hang_m).max(axis=1)
     worst = int(np.argmax(hang))
-    if hang[worst] > _WRONG_PRIOR * max(priors.paper_m, 1e-4):
+    if hang[worst] > WRONG_PRIOR * max(priors.paper_m, 1e-4):
         return (
             f'the {room.papers[worst].color} paper hangs {100 * hang[worst]:.1f} cm from where '
             'room.yaml says, as the others show it: measure the papers again'
         )
     return None
+
+
+def wrong_height(rise_m: float) -> str:
+    """What to do about a camera that stands higher than told."""
+    return (
+        f'the camera is {100 * abs(rise_m):.1f} cm {"higher" if rise_m > 0.0 else "lower"} than '
+        'robot.yaml says, as the papers show it: measure the height of camera and papers again; '
+        'if it is meant to stand higher or lower at times, set reference_area.height_sigma_m'
+    )
 
 
 def why_not(
