@@ -53,6 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f'of its pictures in pixels (default {default.width_px} {default.height_px})',
     )  # fmt: skip
     parser.add_argument(
+        '--pan', type=float, nargs=2, default=(default.pan_min_rad, default.pan_max_rad),
+        metavar=('MIN', 'MAX'),
+        help='range of the pan joint in rad, pan_min_rad and pan_max_rad of the nodes (default: '
+        'a full turn)',
+    )  # fmt: skip
+    parser.add_argument(
         '--clearance', type=float, default=default.clearance_m, metavar='M',
         help=f'least distance of the robot from walls in metres (default {default.clearance_m:g})',
     )  # fmt: skip
@@ -70,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
         focal_px=args.focal,
         width_px=args.size[0],
         height_px=args.size[1],
+        pan_min_rad=args.pan[0],
+        pan_max_rad=args.pan[1],
         clearance_m=args.clearance,
     )
     room, mount = load_room(args.room), load_robot(args.robot)
@@ -110,6 +118,7 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
             'focal_px': config.focal_px,
             'width': config.width_px,
             'height': config.height_px,
+            'pan_rad': [_short(config.pan_min_rad), _short(config.pan_max_rad)],
         },
         'positions': [
             {'pose': _pose(pose), 'sigma': [float(f'{v:.2g}') for v in deviation]}

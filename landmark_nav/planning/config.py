@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.localization.triplet.visibility import TripletConfig
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import check_order, check_parameters, parameter
 
 __all__ = ['PlanConfig']
 
@@ -33,6 +35,8 @@ class PlanConfig:
     )
     width_px: int = parameter(512, 'width of its pictures, pixels', minimum=16, maximum=16384)
     height_px: int = parameter(512, 'height of its pictures, pixels', minimum=16, maximum=16384)
+    pan_min_rad: float = parameter(-np.pi, 'least pan of the joint, rad')
+    pan_max_rad: float = parameter(np.pi, 'largest pan of the joint, rad')
     clearance_m: float = parameter(
         0.4, 'least distance of the robot from walls', minimum=0.05, maximum=5
     )
@@ -77,8 +81,24 @@ class PlanConfig:
     def __post_init__(self) -> None:
         """Check the ranges."""
         check_parameters(self)
+        check_order(self, 'pan_min_rad', 'pan_max_rad')
 
     @property
     def steepest(self) -> float:
         """Greatest tangent of elevation that the panoramas show."""
         return (0.5 * self.height_px - self.triplet.border_px) / self.focal_px
+
+    @property
+    def half_arc_rad(self) -> float:
+        """How far to both sides of the middle of its range the turning camera sees."""
+        half_fov = float(np.arctan(0.5 * self.width_px / self.focal_px))
+        return min(float(np.pi), 0.5 * (self.pan_max_rad - self.pan_min_rad) + half_fov)
+
+    @property
+    def paper_pans_rad(self) -> tuple[float, ...]:
+        """Pans at which a sweep may have the papers ahead, tried in turn."""
+        if self.half_arc_rad == np.pi:
+            return (0.0,)
+        middle = 0.5 * (self.pan_min_rad + self.pan_max_rad)
+        quarter = 0.25 * (self.pan_max_rad - self.pan_min_rad)
+        return (middle, middle - quarter, middle + quarter)

@@ -21,7 +21,7 @@ from landmark_nav.planning.layouts import left_right_layout, random_sets
 from landmark_nav.planning.prediction import Predictor
 from landmark_nav.planning.room_grid import free_floor, is_free, sample_walls
 from landmark_nav.planning.search import best_places, exchange, Show, spread
-from landmark_nav.planning.views import look, sweep_poses
+from landmark_nav.planning.views import ahead_rad, look, sweep_poses, turns_rad
 from landmark_nav.types import FloatArray
 
 __all__ = ['Forecast', 'Plan', 'forecast', 'plan_positions']
@@ -140,7 +140,9 @@ def plan_positions(
             'for this clearance'
         )
     samples = sample_walls(room, config.spacing_m, _SEARCH_SAMPLES)
-    views = look(sweep_poses(floor, room), samples, room, mount, config)
+    turns = turns_rad(mount, config)
+    poses = np.concatenate([sweep_poses(floor, room, turn) for turn in turns])
+    views = look(poses, samples, room, mount, config)
     if len(views) < count:
         raise LandmarkNavError(
             f'{len(views)} places on the free floor see {_enough(room)} papers whole, '
@@ -149,17 +151,18 @@ def plan_positions(
     xy = views.pose_map_base[:, :2]
     cells = free_floor(room, config.clearance_m, config.spacing_m, _SEARCH_CELLS)
     cost = Predictor(views, samples, cells, room, config).cost_m
-    chosen = xy[best_places(cost, xy, count, spread(xy, _MOST_SEEDS), show)]
+    seeds = spread(_spread_out(views.pose_map_base) if len(turns) > 1 else xy, _MOST_SEEDS)
+    chosen = views.pose_map_base[best_places(cost, xy, count, seeds, show)]
     refined = _refined(chosen, floor, room, mount, config, show)
 
-    poses = [refined]
+    sets = [refined]
     left_right = _left_right(room, mount, count, config)
     if left_right is not None:
-        poses.append(left_right)
+        sets.append(left_right)
     drawn = random_sets(xy, count, config.random_sets, rng)
-    poses += [views.pose_map_base[k] for k in drawn]
+    sets += [views.pose_map_base[k] for k in drawn]
     cells = free_floor(room, config.clearance_m, config.spacing_m, _REPORT_CELLS)
-    forecasts = forecast(poses, cells, room, mount, config)
+    forecasts = forecast(sets, cells, room, mount, config)
     if not np.isfinite(forecasts[0].cost_m) or not forecasts[0].landmarks:
         raise LandmarkNavError(
             f'no {count} places see the same walls well enough to learn landmarks: '
@@ -168,7 +171,7 @@ def plan_positions(
     cells = free_floor(room, config.clearance_m, _MAP_SPACING_M, _MAP_CELLS)
     return Plan(
         forecasts[0],
-        forecast(poses[:1], cells, room, mount, config)[0],
+        forecast(sets[:1], cells, room, mount, config)[0],
         None if left_right is None else forecasts[1],
         tuple(sorted(forecasts[-len(drawn) :], key=lambda f: f.cost_m)),
     )
@@ -239,20 +242,27 @@ def _refined(
     config: PlanConfig,
     show: Show,
 ) -> FloatArray:
-    """Poses (n, 3) of places (n, 2) moved between the points of the grid that they are from."""
+    """Poses (n, 3), moved between the points of the grid that they are from."""
+    turn = chosen[:, 2] - ahead_rad(chosen[:, :2], room)
     gaps = np.linalg.norm(floor[:, None] - floor, axis=-1)
     spacing = np.min(gaps, where=gaps > 0.0, initial=1.0)
     step = np.linspace(-1.0, 1.0, 2 * _REFINEMENT + 1) * spacing * (1.0 - 0.5 / _REFINEMENT)
     moves = np.stack(np.meshgrid(step, step), -1).reshape(-1, 2)
     moves = moves[np.argsort(np.linalg.norm(moves, axis=1), kind='stable')]
-    near = (moves[:, None] + chosen).reshape(-1, 2)  # the first are the chosen themselves
-    near = near[is_free(room, config.clearance_m, near)]
+    near = (moves[:, None] + chosen[:, :2]).reshape(-1, 2)  # the first are the chosen themselves
+    near = sweep_poses(near, room, np.tile(turn, len(moves)))
+    near = near[is_free(room, config.clearance_m, near[:, :2])]
     samples = sample_walls(room, config.spacing_m, _MOST_SAMPLES)
-    views = look(sweep_poses(near, room), samples, room, mount, config)
+    views = look(near, samples, room, mount, config)
     cells = free_floor(room, config.clearance_m, config.spacing_m, _REFINE_CELLS)
     cost = Predictor(views, samples, cells, room, config).cost_m
     xy = views.pose_map_base[:, :2]
     return views.pose_map_base[exchange(cost, xy, np.arange(len(chosen)), show, local=True)]
+
+
+def _spread_out(poses: FloatArray) -> FloatArray:
+    """Points (n, 4) for poses (n, 3): a turn by a radian is as far as a metre."""
+    return np.column_stack([poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])])
 
 
 def _left_right(
@@ -263,7 +273,7 @@ def _left_right(
     for share in _SHARES:
         xy = left_right_layout(room, count, share, config)
         if len(xy):
-            poses = sweep_poses(xy, room)
+            poses = sweep_poses(xy, room, turns_rad(mount, config)[0])
             if len(look(poses, samples, room, mount, config)) == len(poses):
                 return poses
     return None

@@ -93,6 +93,8 @@ class Predictor:
         seen = room.visible(cells[:, None], samples.xy)
         seen &= (reach >= triplet.min_range_m) & (reach <= triplet.max_range_m)
         share = band_share(reach, float(views.eye[0, 2]), samples, config)
+        # The robot may be turned any way: of all directions the camera can look in so many.
+        share *= config.half_arc_rad / np.pi
         self._observed = np.zeros((len(views), *reach.shape), np.float32)
         for p in range(len(views)):
             well = observed_well(

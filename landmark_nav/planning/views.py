@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.geometry.walls import Room
@@ -15,7 +17,7 @@ from landmark_nav.planning.paper_pose import papers_seen, pose_covariance
 from landmark_nav.planning.room_grid import WallSamples
 from landmark_nav.types import FloatArray
 
-__all__ = ['Views', 'band_share', 'eye_height', 'look', 'sweep_poses']
+__all__ = ['Views', 'ahead_rad', 'band_share', 'eye_height', 'look', 'sweep_poses', 'turns_rad']
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +61,28 @@ def eye_height(mount: PanTiltMount) -> float:
     return float(mount.camera_pose_base(0.0)[1][2])
 
 
-def sweep_poses(floor_xy: FloatArray, room: Room) -> FloatArray:
-    """Poses (n, 3) of the base at points (n, 2), so that pan 0 looks to the papers' middle."""
+def ahead_rad(floor_xy: FloatArray, room: Room) -> FloatArray:
+    """Directions (n,) in map from points (n, 2) to the papers' middle."""
     ahead = np.mean([paper.center[:2] for paper in room.papers], axis=0) - floor_xy
-    return np.column_stack([floor_xy, np.arctan2(ahead[:, 1], ahead[:, 0])])
+    return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
+
+
+def turns_rad(mount: PanTiltMount, config: PlanConfig) -> FloatArray:
+    """How the base may be turned away from the papers' middle in a sweep, (k,)."""
+    return -_azimuth_base(mount, np.array(config.paper_pans_rad))
+
+
+def sweep_poses(
+    floor_xy: FloatArray, room: Room, turn_rad: FloatArray | float = 0.0
+) -> FloatArray:
+    """Poses (n, 3) of the base at points (n, 2), turned by so much from the papers' middle."""
+    return np.column_stack([floor_xy, wrap_rad(ahead_rad(floor_xy, room) + turn_rad)])
+
+
+def _azimuth_base(mount: PanTiltMount, pan_rad: FloatArray) -> FloatArray:
+    """Where the camera looks at pans (k,), azimuths in the base frame."""
+    ahead = mount.camera_pose_base(pan_rad)[0][..., 2]
+    return np.asarray(np.arctan2(ahead[..., 1], ahead[..., 0]))
 
 
 def look(
@@ -96,7 +116,12 @@ def look(
     """
     axis = compose(poses_map_base, [*mount.axis_xyz[:2], 0.0])[:, :2]
     eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])
+    middle = poses_map_base[:, 2] + _azimuth_base(
+        mount, np.array([0.5 * (config.pan_min_rad + config.pan_max_rad)])
+    )
+    hung = np.array([paper.center[:2] for paper in room.papers]) - axis[:, None]
     papers = papers_seen(eye, room, config)
+    papers &= _on_arc(np.arctan2(hung[..., 1], hung[..., 0]), middle, config)
     measured = papers.sum(axis=1) >= LEAST_PAPERS
     eye = eye[measured]
     way = samples.xy - eye[:, None, :2]
@@ -106,7 +131,9 @@ def look(
     share = band_share(reach, eye[:, 2:], samples, config)
     share[cosine < np.cos(config.stereo.max_incidence_rad)] = 0.0
     share[~room.visible(eye[:, None, :2], samples.xy)] = 0.0
+    share[~_on_arc(azimuth, middle[measured], config)] = 0.0
     # Attention works on the picture: patches are spread over azimuth, not over metres of wall.
+    # A part of the turn has not the patches of all of it: they would cover each other.
     proposed = config.candidates / (2.0 * np.pi) * samples.length_m * cosine / reach * share
     proposed[cosine < np.cos(config.election.max_incidence_rad)] = 0.0
     return Views(
@@ -118,6 +145,14 @@ def look(
         share,
         np.maximum(proposed, 0.0),
     )
+
+
+def _on_arc(
+    azimuth_rad: FloatArray, middle_rad: FloatArray, config: PlanConfig
+) -> npt.NDArray[np.bool_]:
+    """Which azimuths (n, k) in map sweeps that look to `middle_rad` (n,) show, (n, k)."""
+    off = np.abs(wrap_rad(azimuth_rad - middle_rad[:, None]))
+    return np.asarray(off <= config.half_arc_rad)
 
 
 def band_share(

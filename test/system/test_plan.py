@@ -73,7 +73,8 @@ def test_another_camera_gives_another_plan(folder: Path) -> None:
     assert plan(folder, out='a.yaml') == 0
     assert plan(folder, '--focal', '300', '--size', '640', '480', out='b.yaml') == 0
     first, second = (yaml.safe_load((folder / f'{k}.yaml').read_text()) for k in 'ab')
-    assert second['camera'] == {'focal_px': 300.0, 'width': 640, 'height': 480}
+    camera = {'focal_px': 300.0, 'width': 640, 'height': 480}
+    assert second['camera'] == {**camera, 'pan_rad': [-3.141593, 3.141593]}
     assert first['predicted'] != second['predicted']
 
 
@@ -84,6 +85,7 @@ def test_another_camera_gives_another_plan(folder: Path) -> None:
         (('--clearance', '2.4'), '2', 'too small for this clearance'),
         (('--focal', '-3'), '2', 'focal_px'),
         (('--focal', '5000'), '2', 'see all 3 papers'),
+        (('--pan', '1', '-1'), '2', 'pan_min_rad of PlanConfig is 1, more than pan_max_rad, -1'),
         (('--room', 'nowhere.yaml'), '2', 'nowhere.yaml: cannot be read'),
     ],
 )

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 from scenes import rectangle_room
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.stereo import StereoConfig
@@ -17,7 +19,7 @@ from landmark_nav.planning.layouts import left_right_layout, random_sets
 from landmark_nav.planning.planner import forecast, Plan, plan_positions
 from landmark_nav.planning.room_grid import free_floor, is_free, sample_walls
 from landmark_nav.planning.search import best_places, exchange, spread
-from landmark_nav.planning.views import eye_height, look, sweep_poses
+from landmark_nav.planning.views import ahead_rad, eye_height, look, sweep_poses, turns_rad
 
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 # Coarser than by default: quicker.
@@ -111,6 +113,22 @@ class TestViews:
         assert not views.share[0, (x > 3.01) & (samples.normal[:, 1] < -0.5)].any()
         assert np.all(views.proposed[views.share == 0.0] == 0.0)
 
+    @pytest.mark.parametrize('reversed_pan', [False, True])
+    def test_a_unit_that_does_not_turn_all_round_sees_an_arc(self, reversed_pan: bool) -> None:
+        config = PlanConfig(pan_min_rad=0.5, pan_max_rad=1.7, candidates=90)
+        mount = replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0)) if reversed_pan else MOUNT
+        poses = sweep_poses(np.array([[2.5, 2.0]]), ROOM, turns_rad(mount, config)[0])
+        samples = sample_walls(ROOM, 0.05, 1000)
+        views = look(poses, samples, ROOM, mount, config)
+        off = np.abs(wrap_rad(views.azimuth_rad[0] - ahead_rad(poses[:, :2], ROOM)))
+        half_fov = np.arctan(0.5 * config.width_px / config.focal_px)
+        reach = 0.6 + half_fov
+        assert not views.share[0, off > reach + 0.05].any()
+        assert views.share[0, off < reach - 0.05].all()
+        # Turned a quarter of the circle on, it does not see the papers.
+        poses[:, 2] += 0.5 * np.pi
+        assert not len(look(poses, samples, ROOM, mount, config))
+
     def test_patches_spread_over_azimuth(self) -> None:
         # Tall pictures see the whole band everywhere, and nothing is refused as too oblique.
         config = PlanConfig(height_px=4000, candidates=90)
@@ -195,6 +213,24 @@ class TestPlan:
         xy = plan.best.poses_map_base[:, :2]
         assert is_free(ROOM, CONFIG.clearance_m, xy).all()
         assert 1.0 < np.linalg.norm(xy[1] - xy[0]) < 5.0
+
+    def test_headings_are_planned_where_the_camera_does_not_turn_all_round(
+        self, plan: Plan
+    ) -> None:
+        limited = replace(CONFIG, pan_min_rad=0.5, pan_max_rad=2.5)
+        best = plan_positions(ROOM, MOUNT, 2, limited, np.random.default_rng(1)).best
+        assert plan.best.cost_m < best.cost_m < 0.02
+        assert best.landmarks >= 20
+        away = ahead_rad(best.poses_map_base[:, :2], ROOM) - best.poses_map_base[:, 2]
+        half_fov = np.arctan(0.5 * limited.width_px / limited.focal_px)
+        assert np.all(wrap_rad(away - 1.5) < 1.0 + half_fov)
+        # Where the joint has its zero is of no importance.
+        ahead = replace(CONFIG, pan_min_rad=-1.0, pan_max_rad=1.0)
+        still = PanTiltMount((0.0, 0.0, MOUNT.axis_xyz[2]))
+        cells = plan.best.floor_xy[::5]
+        (one,) = forecast([best.poses_map_base], cells, ROOM, still, limited)
+        (other,) = forecast([best.poses_map_base + [0.0, 0.0, 1.5]], cells, ROOM, still, ahead)
+        assert one.cost_m == pytest.approx(other.cost_m)
 
     def test_does_not_depend_on_chance(self, plan: Plan) -> None:
         again = plan_positions(ROOM, MOUNT, 2, CONFIG, np.random.default_rng(2))
