@@ -229,7 +229,8 @@ class TestPlan:
         still = PanTiltMount((0.0, 0.0, MOUNT.axis_xyz[2]))
         cells = plan.best.floor_xy[::5]
         (one,) = forecast([best.poses_map_base], cells, ROOM, still, limited)
-        (other,) = forecast([best.poses_map_base + [0.0, 0.0, 1.5]], cells, ROOM, still, ahead)
+        turned = np.add(best.poses_map_base, [0.0, 0.0, 1.5])
+        (other,) = forecast([turned], cells, ROOM, still, ahead)
         assert one.cost_m == pytest.approx(other.cost_m)
 
     def test_does_not_depend_on_chance(self, plan: Plan) -> None:
