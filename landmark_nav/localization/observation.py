@@ -142,6 +142,10 @@ class Observer:
         """By how much the camera turned out to look higher than its joints say."""
         return self._detector.tilt_rad
 
+    def levelled(self, frame: CameraFrame) -> CameraFrame:
+        """A picture with its tilt as that turned out to be."""
+        return replace(frame, tilt_rad=frame.tilt_rad + self.tilt_rad)
+
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
         self._gatherer.add_odometry(sample)

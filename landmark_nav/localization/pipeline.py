@@ -189,7 +189,7 @@ class Localizer:
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Find the place; what the pose was made of is not used again."""
         assert self._relocalizer is not None, 'no pose is known'
-        outcome = self._relocalizer.add_frame(frame)
+        outcome = self._relocalizer.add_frame(self._observer.levelled(frame))
         if isinstance(outcome, Refusal):
             return outcome
         self.initialize(outcome)

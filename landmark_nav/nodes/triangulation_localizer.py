@@ -178,7 +178,8 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _look(self, message: Any) -> None:
         frame = self._frames.complete(message, self._config.max_wait_s, self._search.reaches)
-        outcome = self._search.look(frame)
+        assert self._observer is not None, 'pictures come after the map'
+        outcome = self._search.look(self._observer.levelled(frame))
         found = 'place found, and told on initialpose'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)

@@ -20,8 +20,12 @@ from spoiled_drives import (
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.replay import replay as replay_events
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.pipeline import LocalizationConfig
-from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate
+from landmark_nav.localization.pipeline import (
+    LocalizationConfig,
+    LocalizationUpdate,
+    Localizer,
+)
+from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate, Refusal
 
 
 def test_pictures_that_stop_or_come_from_another_clock(sensed: list[Sensed]) -> None:
@@ -86,6 +90,32 @@ def test_a_camera_bumped_in_its_tilt_finds_all_as_before(
     # The joints say too much, so the camera looks lower.
     (told,) = [float(word) for word in caplog.text.split() if word[0] in '+-' and word[1:]]
     assert told == pytest.approx(-angle_deg, abs=0.2)
+
+
+def test_a_place_is_found_with_a_camera_whose_tilt_was_knocked_before(
+    sensed: list[Sensed],
+) -> None:
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    search: list[PoseEstimate | Refusal | None] = []
+    told_wrong = False
+    for step, frame in sensed:
+        seconds = step.stamp_ns * 1e-9
+        localizer.add_odometry(step.odometry)
+        if seconds > FAULT_S + 1.0 and not told_wrong:
+            off = np.array([-1.0, 0.9, 2.5])
+            wrong = PoseEstimate(step.stamp_ns, step.pose + off, np.eye(3) * 1e-4)
+            localizer.initialize(wrong)
+            told_wrong = True
+        if frame is None or seconds > FAULT_S + 6.0:
+            continue
+        knock = np.radians(2.0) if seconds > 1.0 else 0.0
+        update = localizer.add_frame(replace(frame, tilt_rad=frame.tilt_rad - knock))
+        assert isinstance(update, LocalizationUpdate)
+        search.append(update.search)
+        if isinstance(update.search, PoseEstimate):
+            assert np.hypot(*(update.search.pose - step.pose)[:2]) < 0.05
+    assert any(isinstance(outcome, PoseEstimate) for outcome in search)
 
 
 @pytest.mark.parametrize('late_s', [0.0, 0.04, -0.04])

@@ -50,11 +50,17 @@ MAP = learned(SCENE)
 
 
 def sweep(
-    scene: Scene, pose: Sequence[float], pans: FloatArray = PANS, seed: int = 3
+    scene: Scene,
+    pose: Sequence[float],
+    pans: FloatArray = PANS,
+    seed: int = 3,
+    tilt_rad: float = 0.0,
 ) -> list[CameraFrame]:
     rng = np.random.default_rng(seed)
     return [
-        draw_frame(scene, LENS, MOUNT, np.array(pose), float(p), stamp_ns=k * 10**8, rng=rng)
+        draw_frame(
+            scene, LENS, MOUNT, np.array(pose), float(p), tilt_rad, stamp_ns=k * 10**8, rng=rng
+        )
         for k, p in enumerate(pans)
     ]
 
@@ -146,6 +152,18 @@ def test_the_same_picture_on_every_wall_is_no_place() -> None:
     )
     assert isinstance(found, Refusal)
     assert found.reason == 'not unique'
+
+
+@pytest.mark.parametrize('tilt_rad', [-0.2, 0.25])
+def test_a_sweep_at_a_known_tilt_tells_the_place(tilt_rad: float) -> None:
+    assert_right(standing(sweep(SCENE, (2.4, 1.9, 0.4), tilt_rad=tilt_rad)), (2.4, 1.9, 0.4))
+
+
+def test_a_view_at_another_tilt_is_a_new_one() -> None:
+    pose = (2.4, 1.9, 0.4)
+    ceiling = sweep(SCENE, pose, tilt_rad=0.8)
+    assert isinstance(standing(ceiling), Refusal)
+    assert_right(standing([*ceiling, *sweep(SCENE, pose)]), pose)
 
 
 def test_another_room_is_not_recognised() -> None:

@@ -150,16 +150,20 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
     """
     Return the state of the same robot at another pose.
 
-    What was learned of its odometry and its camera stays. The camera has seen where it is, so a
-    camera that is turned against the base has its heading off by that.
+    What was learned of its odometry and its camera stays. Who tells the pose is not known: the
+    camera, which has its heading off by as much as it is turned against the base, or a person.
+    So that much of the heading is open: it lies half way, by these two as a mixture. The next
+    bearings tell it.
     """
     kept = np.eye(STATES)
     kept[:3, :3] = 0.0
-    kept[HEADING, BORESIGHT] = 1.0
+    kept[HEADING, BORESIGHT] = 0.5
     mean, covariance = kept @ state.mean, kept @ state.covariance @ kept.T
     mean[:3] += start.pose
     mean[HEADING] = wrap_rad(mean[HEADING])
     covariance[:3, :3] += start.covariance
+    turned = state.mean[BORESIGHT] ** 2 + state.covariance[BORESIGHT, BORESIGHT]
+    covariance[HEADING, HEADING] += 0.25 * turned
     return replace(
         state,
         stamp_ns=start.stamp_ns,

@@ -7,7 +7,7 @@ from landmark_nav.localization.relocalization.search import (
     RelocalizationConfig,
     relocalize,
     shows_new,
-    view_direction_rad,
+    view_direction,
 )
 
-__all__ = ['RelocalizationConfig', 'locate', 'relocalize', 'shows_new', 'view_direction_rad']
+__all__ = ['RelocalizationConfig', 'locate', 'relocalize', 'shows_new', 'view_direction']

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+import math
 
 import numpy as np
 
@@ -39,11 +40,11 @@ __all__ = [
     'relocalize',
     'shows_new',
     'verified_places',
-    'view_direction_rad',
+    'view_direction',
 ]
 
-# A picture tells something new if it looks this share of half the field of view elsewhere, or
-# from this far away.
+# A picture tells something new if it looks this share of half the field of view elsewhere, aside
+# or up, or from this far away.
 _NEW_VIEW = 0.9
 _NEW_PLACE_M = 0.6
 
@@ -149,7 +150,7 @@ def relocalize(
         )
     if not (np.isfinite(poses).all() and np.isfinite(drift).all()):
         raise LandmarkNavError('relocalization: a pose or variance is not a number')
-    directions = np.array([view_direction_rad(frame, mount) for frame in frames])
+    directions = np.array([view_direction(frame, mount) for frame in frames])
     telling: list[int] = []
     for k, frame in enumerate(frames):
         if shows_new(frame, directions[k], poses[k], directions[telling], poses[telling]):
@@ -160,26 +161,29 @@ def relocalize(
     return locate(carried, sightings, landmark_map, mount, config)
 
 
-def view_direction_rad(frame: CameraFrame, mount: PanTiltMount) -> float:
-    """Azimuth in the base frame that a picture looks along."""
+def view_direction(frame: CameraFrame, mount: PanTiltMount) -> FloatArray:
+    """Azimuth and elevation (2,) in the base frame that a picture looks along, radians."""
     turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
-    return float(np.arctan2(turn[1, 2], turn[0, 2]))
+    x, y, z = turn[:, 2].tolist()
+    return np.array([math.atan2(y, x), math.atan2(z, math.hypot(x, y))])
 
 
 def shows_new(
     frame: CameraFrame,
-    direction_rad: float,
+    direction: FloatArray,
     pose: FloatArray,
-    directions_rad: FloatArray,
+    directions: FloatArray,
     poses: FloatArray,
 ) -> bool:
     """
     Whether a picture tells more than those before it.
 
-    Their directions (n,) in the base frame and poses (n, 3) are in one frame with its own.
+    Their directions (n, 2) in the base frame and poses (n, 3) are in one frame with its own.
     """
-    turned = directions_rad + poses[:, 2] - direction_rad - pose[2]
-    same = np.abs(wrap_rad(turned)) < _NEW_VIEW * frame.camera.half_fov_rad
+    off = np.reshape(directions, (-1, 2)) - direction
+    off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2] - pose[2])
+    half = frame.camera.half_fov_rad * np.array([1.0, frame.camera.height / frame.camera.width])
+    same = np.all(np.abs(off) < _NEW_VIEW * half, axis=1)
     near = np.hypot(*(poses[:, :2] - pose[:2]).T) < _NEW_PLACE_M
     return not np.any(same & near)
 

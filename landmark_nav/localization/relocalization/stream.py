@@ -18,7 +18,7 @@ from landmark_nav.localization.relocalization.search import (
     locate,
     RelocalizationConfig,
     shows_new,
-    view_direction_rad,
+    view_direction,
 )
 from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames
@@ -42,7 +42,7 @@ class _Glimpse(NamedTuple):
     """A picture that was kept."""
 
     frame: CameraFrame
-    direction_base_rad: float
+    direction: FloatArray
     sightings: Sightings
 
 
@@ -101,7 +101,7 @@ class Relocalizer:
             same as long as pictures show nothing new.
 
         """
-        direction = view_direction_rad(frame, self._mount)
+        direction = view_direction(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
         # What odometry has carried too far helps no more, nor does what is from another clock.
         config = self._config
@@ -113,7 +113,7 @@ class Relocalizer:
         ]
         self._kept = [glimpse for glimpse, keep in zip(self._kept, sure, strict=True) if keep]
         poses, variances = poses[sure], variances[sure]
-        looked = np.array([glimpse.direction_base_rad for glimpse in self._kept])
+        looked = np.array([glimpse.direction for glimpse in self._kept])
         if not shows_new(frame, direction, np.zeros(3), looked, poses):
             return self._outcome
         sightings = find_sightings(frame, self._map, self._mount, config.sighting)
