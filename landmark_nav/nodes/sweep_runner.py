@@ -100,7 +100,10 @@ class SweepRunner:
                 if may_go_on():
                     self._commander.command(sweep.reach.nearest(0.0), self.pan_rad)
         if not sweep.done:
-            raise LandmarkNavError('sweep given up: the node is ending')
+            raise LandmarkNavError(
+                f'sweep given up after {len(sweep.kept)} of {sweep.total} frames, which end with '
+                'this node: call capture_sweep again once it runs'
+            )
         self._output.end([kept.joints for kept in sweep.kept])
         return sweep, note
 

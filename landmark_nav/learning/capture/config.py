@@ -70,7 +70,9 @@ class CaptureConfig:
         0.01, 'turn of the robot, by odom, that ends a sweep, rad', minimum=0.0
     )
     resume_s: float = parameter(
-        600.0, 'age up to which an interrupted sweep is gone on with, s', minimum=0.0
+        600.0,
+        'age up to which an interrupted sweep is gone on with by the same process, s',
+        minimum=0.0,
     )
 
     def __post_init__(self) -> None:
