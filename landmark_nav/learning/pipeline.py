@@ -77,7 +77,7 @@ class LearningResult:
     `panoramas` carry their adjusted poses. `candidates` and `outcomes` have one tuple a
     panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` tells,
     a tuple a panorama too, why attention refused others before. `walls` tells how far before each
-    wall what hangs there lies, where enough does.
+    wall what hangs there lies, where enough does, and `doubt` whether these walls may be wrong.
     """
 
     map: LandmarkMap
@@ -87,6 +87,7 @@ class LearningResult:
     reconstructed: int
     ambiguous: tuple[tuple[Refusal, ...], ...] = ()
     walls: tuple[WallResidual, ...] = ()
+    doubt: str = ''
 
 
 def learn_from_panoramas(
@@ -221,6 +222,7 @@ def learn_from_panoramas(
         len(patches),
         tuple(tuple(why for _, why in a.refused) for a in attended),
         residuals,
+        doubt,
     )
 
 

@@ -78,10 +78,11 @@ class LandmarkLearnerNode(LandmarkNode):
         result = learn_from_panoramas(panoramas, self._room, self._config)
         self._publish(result.map)
         walls = len({landmark.wall_id for landmark in result.map.landmarks})
-        return (
+        done = (
             f'{len(result.map.landmarks)} landmarks on {walls} walls out of '
             f'{len(panoramas)} panoramas in {time.monotonic() - start:.1f} s'
         )
+        return f'{done}; {result.doubt}' if result.doubt else done
 
     def _clear(self) -> str:
         count = len(self._panoramas)
