@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+import logging
 
 import cv2
 import numpy as np
@@ -38,6 +39,8 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.types import FloatArray, Panorama, Sweep
 
 __all__ = ['PanoramaStages', 'panorama_from_sweep', 'tenengrad']
+
+_LOG = logging.getLogger(__name__)
 
 # Walls farther away than this are as good as infinitely far.
 _FAR_M = 50.0
@@ -118,6 +121,8 @@ def panorama_from_sweep(
         with log.measure('panorama'):
             view = _view(found, photometry, config, _range_of_azimuth(place, found, room))
     found = refined
+    if place.doubt:
+        _LOG.warning('%s', place.doubt)
     return Panorama(
         sweep.stamp_ns,
         view.image,

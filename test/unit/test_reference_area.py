@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import re
 import time
 
 import numpy as np
@@ -74,6 +75,25 @@ def _moved(paper: Paper, room: Room, shift: FloatArray) -> tuple[float, float, f
     along = np.subtract(wall.end, wall.start) / wall.length
     x, y = np.array(paper.center[:2]) + shift[0] * along
     return (float(x), float(y), paper.center[2] + float(shift[1]))
+
+
+@pytest.mark.parametrize(('scale', 'words'), [(1.0, ''), (1.03, 'larger'), (0.975, 'smaller')])
+def test_a_room_that_is_scaled_with_its_papers_is_told(scale: float, words: str) -> None:
+    room, pose = rectangle_room(papers=EAST), np.array([3.5, 2.0, 0.3])
+    sweep = sweep_at(scene_of(room), pose, np.random.default_rng(7))
+    papers = tuple(
+        replace(p, center=(scale * p.center[0], scale * p.center[1], p.center[2])) for p in EAST
+    )
+    told = rectangle_room(6.0 * scale, 5.0 * scale, papers)
+    place = locate(sweep, told)
+    if not words:
+        assert not place.doubt
+        return
+    share = re.search(rf'look (\S+) % {words} than told', place.doubt)
+    assert share is not None
+    assert float(share[1]) == pytest.approx(100.0 * abs(scale - 1.0), abs=0.8)
+    # The place is right in the room as it is told.
+    assert np.hypot(*error_of(place, pose * [scale, scale, 1.0])[:2]) < 0.02
 
 
 def test_a_shadow_beside_a_paper_does_not_move_the_place() -> None:

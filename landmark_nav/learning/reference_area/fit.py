@@ -20,6 +20,7 @@ from landmark_nav.learning.reference_area.model import (
     PaperPriors,
     RISE,
     SHIFT,
+    SIZE,
 )
 from landmark_nav.learning.reference_area.search import papers_in_view
 from landmark_nav.types import FloatArray, Sweep
@@ -56,7 +57,8 @@ class PaperFit:
     x, y, height, heading; `seen` (papers,) the share of each paper's edges that was found,
     `agreed` (papers,) the share of those that fits; `hang_m` (papers, 2) how far along the wall
     and up each hangs from where it should; `tilt_rad` (2,) of the axis about x and y of the base,
-    and `tilt_covariance` (2, 2) of that, prior included; `misfit` the mean squared deviation.
+    and `tilt_covariance` (2, 2) of that, prior included; `size` the share by which all papers are
+    larger than told, `size_sigma` of that, prior included; `misfit` the mean squared deviation.
     """
 
     pose_map_base: FloatArray
@@ -67,6 +69,8 @@ class PaperFit:
     hang_m: FloatArray
     tilt_rad: FloatArray
     tilt_covariance: FloatArray
+    size: float
+    size_sigma: float
     misfit: float
 
 
@@ -261,6 +265,8 @@ class PaperFitter:
             model.hang(state).copy(),
             state[tilt].copy(),
             claimed[tilt, tilt],
+            float(state[SIZE]),
+            float(np.sqrt(claimed[SIZE, SIZE])),
             misfit,
         )
         # The sweep itself tells how exact its joint angles are (expectation maximization).

@@ -25,6 +25,7 @@ from landmark_nav.learning.reference_area.blobs import ColorSearch
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
 from landmark_nav.learning.reference_area.model import PaperPriors
 from landmark_nav.learning.reference_area.refusals import (
+    doubtful_size,
     LEAST_AGREED,
     measured_papers,
     place_text,
@@ -79,6 +80,9 @@ class ReferenceAreaConfig:
     edge_sigma_px: float = parameter(
         0.05, 'standard deviation that all points of one edge share, pixels', minimum=0, maximum=2
     )
+    paper_size_sigma: float = parameter(
+        0.002, 'standard deviation of the size of papers, a share', minimum=1e-5, maximum=0.1
+    )
     pan_sigma_rad: float = parameter(
         2e-4, 'standard deviation of the joint angles of a frame', minimum=0, maximum=0.1
     )
@@ -95,7 +99,8 @@ class SweepPlace:
 
     `pose_map_base` (3,) and `height_m` of the optical centre, `covariance` (4, 4) of x, y, z,
     heading. `lean_score` (2,) and `lean_information` (2, 2) say how the pan axis leans about x
-    and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes them.
+    and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes them. `doubt`
+    says if sizes and distances of papers do not go together.
     """
 
     pose_map_base: FloatArray
@@ -103,6 +108,7 @@ class SweepPlace:
     covariance: FloatArray
     lean_score: FloatArray = field(default_factory=lambda: np.zeros(2))
     lean_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    doubt: str = ''
 
 
 def locate_sweep(
@@ -154,6 +160,7 @@ def locate_sweep(
         config.horizon_sigma_rad,
         config.edge_sigma_px,
         config.pan_sigma_rad,
+        config.paper_size_sigma,
     )
     fitter = PaperFitter(sweep, room, mount, priors)
     lever = np.array([*mount.axis_xyz[:2], 0.0])
@@ -220,6 +227,7 @@ def locate_sweep(
         fit.covariance,
         inverse @ fit.tilt_rad,
         inverse - np.eye(2) / config.horizon_sigma_rad**2,
+        doubtful_size(fit, priors),
     )
 
 

@@ -24,6 +24,7 @@ __all__ = [
     'GAMMA',
     'RISE',
     'SHIFT',
+    'SIZE',
     'IntArray',
     'PaperModel',
     'PaperPriors',
@@ -37,9 +38,10 @@ EDGES = 4
 # The points on an edge reach over so much of its length.
 EDGE_SHARE = 0.88
 
-# x, y, heading of the base; height and two tilts of the axis; gamma of colours, which JPEG blurs
+# x, y, heading of the base; height and two tilts of the axis; the share by which all papers are
+# larger than told; gamma of colours, which JPEG blurs
 # once more after the camera wrote them, and of brightness; shift of colours, two pixels.
-RISE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 6, 8, 10
+RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
 
 # What the response to light usually is, between none and that of sRGB.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
@@ -50,13 +52,14 @@ _BRIGHT_SIGMA_PX = 0.2
 
 @dataclass(frozen=True)
 class PaperPriors:
-    """Standard deviations of what is not exactly known: metres, radians, pixels."""
+    """Standard deviations of what is not exactly known: metres, radians, pixels, a share."""
 
     paper_m: float
     height_m: float
     tilt_rad: float
     edge_px: float
     angle_rad: float
+    size: float
 
 
 class PaperModel:
@@ -87,6 +90,7 @@ class PaperModel:
         self.points = np.array([points for points, _, _ in outlines])
         self.outwards = np.array([outwards for _, outwards, _ in outlines])
         self._along = np.array([along for _, _, along in outlines])
+        self._center = np.array([paper.center for paper in room.papers])
         self.papers = len(room.papers)
         self._edge = _COMMON + 2 * self.papers
         self._frame = self._edge + 2 * EDGES * self.papers
@@ -129,7 +133,8 @@ class PaperModel:
             self._angles[used, 2],
         )
         hang = self.hang(state)[paper]
-        offset = points + hang[:, :1] * self._along[paper]
+        offset = points + state[SIZE] * (points - self._center[paper])
+        offset += hang[:, :1] * self._along[paper]
         offset[:, 2] += hang[:, 1] - state[RISE]
         offset[:, :2] -= state[:2]
         cos, sin = np.cos(state[2]), np.sin(state[2])
@@ -167,7 +172,7 @@ class PaperModel:
     def prior(self, priors: PaperPriors, angle_sigma_rad: FloatArray) -> FloatArray:
         """Information (size,) of the unknowns; `angle_sigma_rad` (2,) of pan and tilt."""
         sigma = np.ones(self.size)
-        sigma[RISE:_PLACE] = priors.height_m, priors.tilt_rad, priors.tilt_rad
+        sigma[RISE:_PLACE] = priors.height_m, priors.tilt_rad, priors.tilt_rad, priors.size
         sigma[GAMMA:SHIFT], sigma[SHIFT:_COMMON] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
         sigma[_COMMON : self._edge] = max(priors.paper_m, 1e-6)
         sigma[self._frame :].reshape(-1, 2)[:] = angle_sigma_rad

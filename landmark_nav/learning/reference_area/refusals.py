@@ -18,6 +18,7 @@ from landmark_nav.learning.reference_area.search import find_places, PaperPlace,
 __all__ = [
     'LEAST_AGREED',
     'WRONG_PRIOR',
+    'doubtful_size',
     'measured_papers',
     'place_text',
     'why_not',
@@ -27,8 +28,8 @@ __all__ = [
 
 # Shares of a paper's edges: what must be found of it, and what of that must fit.
 _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
-# In standard deviations: beyond that a prior is wrong.
-WRONG_PRIOR = 4.0
+# In standard deviations: beyond that a prior is wrong, and sizes of papers are doubted.
+WRONG_PRIOR, _DOUBTFUL_SIZE = 4.0, 3.3
 # More papers than that are not tried in other orders when nothing fits.
 _MOST_SWAPPED = 4
 
@@ -63,6 +64,24 @@ def wrong_prior(fit: PaperFit, room: Room, priors: PaperPriors) -> str | None:
             'room.yaml says, as the others show it: measure the papers again'
         )
     return None
+
+
+def doubtful_size(fit: PaperFit, priors: PaperPriors) -> str:
+    """
+    Say it if papers do not look as large as told beside the distances between them.
+
+    A room that is told too large as a whole, papers and all, shows in nothing else.
+    """
+    # How uncertain it is by how much sizes differ, before the prior drew them together.
+    told_apart = np.sqrt(max(priors.size**2 - fit.size_sigma**2, 1e-12))
+    if abs(fit.size) < _DOUBTFUL_SIZE * told_apart:
+        return ''
+    share = fit.size * priors.size**2 / told_apart**2
+    return (
+        f'the papers look {100 * abs(share):.1f} % {"larger" if share > 0.0 else "smaller"} than '
+        'told beside the distances between them: measure both again, all of room.yaml may be '
+        f'too {"large" if share > 0.0 else "small"} by so much'
+    )
 
 
 def wrong_height(rise_m: float) -> str:
