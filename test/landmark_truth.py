@@ -11,6 +11,7 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.matching import blur_to, Match, match_template
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.solids import wall_solids
+from landmark_nav.simulation.surfaces import Surface
 from landmark_nav.types import FloatArray, Landmark
 
 # How far along its wall a landmark's texture is looked for.
@@ -25,8 +26,8 @@ class TrueWalls:
 
     A landmark is right where its texture is: its patch is found again in the wall's own picture,
     as fine as 2 mm, whatever panorama it was cut from. So errors of the panorama count as well
-    as errors of its place, along the wall and up; before the wall, things in the simulator hang
-    at a distance of zero.
+    as errors of its place, along the wall and up. Of a patch that shows things at several
+    distances from the wall, that of its edges counts, as it does in stereo.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -34,17 +35,15 @@ class TrueWalls:
         self.scene = scene
         self._walls = {}
         for wall, solid in zip(scene.room.walls, wall_solids(scene), strict=True):
-            base, *papers = solid.surfaces
+            base, *hung = solid.surfaces
             grey = _grey(base.albedo)
-            rows, columns = grey.shape
-            for paper in papers:
-                corner = paper.corner - base.corner
-                left, top = float(corner @ base.across), float(corner @ base.down)
-                across = _covered(left, left + paper.width_m, base.width_m, columns)
-                down = _covered(top, top + paper.height_m, base.height_m, rows)
-                share = np.outer(down, across)
-                grey = (1.0 - share) * grey + share * _grey(paper.albedo)[0, 0]
-            self._walls[wall.id] = (wall, base, grey.astype(np.float32))
+            before = np.zeros_like(grey)
+            for surface in hung:
+                share, picture = _laid_on(base, grey.shape, surface)
+                grey = (1.0 - share) * grey + share * picture
+                depth = float((surface.corner - base.corner) @ base.normal)
+                before = np.where(share > 0.5, depth, before)
+            self._walls[wall.id] = (wall, base, grey.astype(np.float32), before)
 
     def place(self, landmark: Landmark) -> FloatArray | None:
         """
@@ -53,7 +52,7 @@ class TrueWalls:
         None if its wall does not show it within 6 cm: it stands before the wall, or is no texture
         of one place.
         """
-        wall, base, grey = self._walls[landmark.wall_id]
+        wall, base, grey, before = self._walls[landmark.wall_id]
         texel = landmark.width_m / landmark.patch.shape[1]
         margin = round(_SEARCH_M / texel) + 2
         shape = (landmark.patch.shape[0] + 2 * margin, landmark.patch.shape[1] + 2 * margin)
@@ -77,8 +76,16 @@ class TrueWalls:
         right, down = patch_axes(landmark.normal)
         across, below = (found.xy - (np.array(shape[::-1]) - 1) / 2.0) * texel
         point = landmark.position + across * right + below * down
-        before = (point[:2] - wall.start) @ wall.normal[:2]
-        return np.asarray(point - before * wall.normal)
+        size = landmark.patch.shape[::-1]
+        there = cv2.remap(
+            before, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
+        )
+        depths, edges = (
+            cv2.getRectSubPix(image, size, found.xy.tolist()).astype(np.float64)
+            for image in (there, _edges(search))
+        )
+        off = (point[:2] - wall.start) @ wall.normal[:2]
+        return np.asarray(point + (np.average(depths, weights=edges) - off) * wall.normal)
 
     def hidden(self, eye: FloatArray, points: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether furniture or walls stand between an eye (3,) and points (..., 3)."""
@@ -101,6 +108,35 @@ class TrueWalls:
 
 def _grey(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     return cv2.cvtColor(picture[..., :3], cv2.COLOR_BGR2GRAY).astype(np.float32)
+
+
+def _edges(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Squared gradient."""
+    return cv2.Sobel(image, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(image, cv2.CV_32F, 0, 1) ** 2
+
+
+def _laid_on(
+    base: Surface, shape: tuple[int, ...], surface: Surface
+) -> tuple[FloatArray, npt.NDArray[np.float32]]:
+    """Share of each of a wall's texels that `surface` covers, and what it shows there."""
+    rows, columns = shape
+    corner = surface.corner - base.corner
+    left, top = float(corner @ base.across), float(corner @ base.down)
+    across = _covered(left, left + surface.width_m, base.width_m, columns)
+    down = _covered(top, top + surface.height_m, base.height_m, rows)
+    picture = _grey(surface.albedo)
+    finer_x = base.width_m / columns * picture.shape[1] / surface.width_m
+    finer_y = base.height_m / rows * picture.shape[0] / surface.height_m
+    first_x = -left / surface.width_m * picture.shape[1] + 0.5 * finer_x - 0.5
+    first_y = -top / surface.height_m * picture.shape[0] + 0.5 * finer_y - 0.5
+    shown = cv2.warpAffine(
+        picture,
+        np.array([[finer_x, 0.0, first_x], [0.0, finer_y, first_y]]),
+        (columns, rows),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.outer(down, across), shown
 
 
 def _covered(low: float, high: float, length: float, count: int) -> FloatArray:

@@ -31,6 +31,10 @@ _KINDS: dict[str, tuple[float, tuple[float, float], tuple[float, float]]] = {
     'blinds': (0.1, (1.1, 1.7), (0.9, 1.2)),
 }
 
+# How far before the wall faces are, metres: pictures are framed, blinds hang before a window. All
+# else is pinned or painted on it.
+_BEFORE_M = {'photo': (0.01, 0.03), 'blinds': (0.02, 0.05)}
+
 
 @dataclass
 class _Strip:
@@ -156,7 +160,9 @@ def _hang(
         return
     top = strip.wall.height - 0.15 - height / 2
     center = 1.0 if kind == 'door' else min(float(rng.uniform(1.4, 1.65)), top)
-    items.append(WallItem(kind, index, along, center, width, height, int(rng.integers(2**31))))
+    seed = int(rng.integers(2**31))
+    before = float(np.random.default_rng([seed, 6]).uniform(*_BEFORE_M.get(kind, (0.0, 0.0))))
+    items.append(WallItem(kind, index, along, center, width, height, seed, before))
 
 
 def _place_at_wall(

@@ -23,7 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 @dataclass(frozen=True)
 class WallItem:
     """
-    Something flat that hangs flush on a wall.
+    Something flat that hangs on a wall.
 
     Parameters
     ----------
@@ -38,6 +38,8 @@ class WallItem:
         Height of its centre above the floor and its size.
     seed : int
         What it looks like.
+    before_m : float
+        How far before the wall its face is: the depth of a frame.
 
     """
 
@@ -48,13 +50,14 @@ class WallItem:
     width_m: float
     height_m: float
     seed: int
+    before_m: float = 0.0
 
     def center(self, room: Room) -> FloatArray:
         """Centre in map, (3,)."""
         wall = room.walls[self.wall]
         start, end = np.asarray(wall.start), np.asarray(wall.end)
         xy = start + (end - start) * (self.along_m / wall.length)
-        return np.array([xy[0], xy[1], self.center_z_m])
+        return np.array([*xy, self.center_z_m]) + self.before_m * wall.normal
 
 
 @dataclass(frozen=True)

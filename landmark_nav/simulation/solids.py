@@ -64,8 +64,9 @@ def _drawn_walls(seed: int, room: Room, items: tuple[WallItem, ...]) -> tuple[So
         shape = (round(height / _WALL_TEXEL_M), round(wall.length / _WALL_TEXEL_M))
         tone = (float(color[0]), float(color[1]), float(color[2]))
         texture = plaster(np.random.default_rng([seed, 2, index]), shape, tone, 0.002)
-        for item in items:
-            if item.wall == index:
+        hung = [item for item in items if item.wall == index]
+        for item in hung:
+            if item.before_m == 0.0:
                 left = wall.length - item.along_m - item.width_m / 2
                 top = height - item.center_z_m - item.height_m / 2
                 _hang(texture, item, (left / wall.length, top / height), wall.length, height)
@@ -73,6 +74,7 @@ def _drawn_walls(seed: int, room: Room, items: tuple[WallItem, ...]) -> tuple[So
         surfaces = [
             Surface(corner, across, -_UP, wall.length, height, texture, slants=_WALL_SLANTS)
         ]
+        surfaces += [_item_surface(item, room, across) for item in hung if item.before_m > 0.0]
         surfaces += [
             _paper_surface(paper, across)
             for paper in room.papers
@@ -99,6 +101,13 @@ def _hang(
     texture[a[1] : b[1], a[0] : b[0]] = cv2.warpAffine(
         picture, warp, (int(b[0] - a[0]), int(b[1] - a[1])), borderMode=cv2.BORDER_REPLICATE
     )
+
+
+def _item_surface(item: WallItem, room: Room, across: FloatArray) -> Surface:
+    corner = item.center(room) - across * item.width_m / 2 + _UP * item.height_m / 2
+    shape = (round(item.height_m / _WALL_TEXEL_M), round(item.width_m / _WALL_TEXEL_M))
+    picture = draw_item(item.kind, item.seed, shape)
+    return Surface(corner, across, -_UP, item.width_m, item.height_m, picture, slants=_WALL_SLANTS)
 
 
 def _paper_surface(paper: Paper, across: FloatArray) -> Surface:

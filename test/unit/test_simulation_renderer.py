@@ -24,8 +24,13 @@ ROOM = Room(
     (Paper('blue', (3.8013, 0.02, 1.7507), 0.3, 0.3),),
 )
 TARGETS = tuple(
-    WallItem('target', 0, along, z, 0.5, 0.5, 0)
-    for along, z in ((0.61, 1.5507), (1.5093, 1.7), (2.7031, 1.45), (4.9, 1.6))
+    WallItem('target', 0, along, z, 0.5, 0.5, 0, before)
+    for along, z, before in (
+        (0.61, 1.5507, 0.0),
+        (1.5093, 1.7, 0.03),
+        (2.7031, 1.45, 0.0),
+        (4.9, 1.6, 0.02),
+    )
 )
 SCENE = Scene(3, ROOM, TARGETS, (Box((1.2, 1.0), 0.3, (0.5, 0.4, 0.7), 'books', 5),))
 
@@ -52,7 +57,7 @@ def target_reference(item: WallItem, rotation, center, window):
     u = (np.arange(u0, u1)[:, None] + sub).ravel()
     v = (np.arange(v0, v1)[:, None] + sub).ravel()
     rays = CAMERA.unproject(np.stack(np.meshgrid(u, v), -1)) @ rotation.T
-    hit = center + rays * (-center[1] / rays[..., 1])[..., None]
+    hit = center + rays * ((item.before_m - center[1]) / rays[..., 1])[..., None]
     radius = np.hypot(hit[..., 0] - item.along_m, hit[..., 2] - item.center_z_m) / item.width_m
     bright = np.where((radius < 0.49) & ((radius / 0.14) % 1.0 < 0.5), 0.0, 1.0)
     shape = (v1 - v0, 4, u1 - u0, 4)
