@@ -166,7 +166,7 @@ def learn_from_panoramas(
         walls = [patch.wall for patch in patches]
         without_walls = replace(
             config.adjustment,
-            hanging_sigma_m=_NO_WALL_M,
+            relief_sigma_m=_NO_WALL_M,
             camera_weight=_AS_EXPECTED,
             room_weight=_AS_EXPECTED,
         )

@@ -9,6 +9,7 @@ from scenes import rectangle_room
 
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
+from landmark_nav.learning.adjustment.problem import wall_stretches
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
@@ -47,16 +48,17 @@ def world_of(
     *,
     flat: bool = False,
     hanging_m: float = CONFIG.hanging_sigma_m,
+    relief_m: float = CONFIG.relief_sigma_m,
 ) -> World:
+    """Landmarks on four walls; things hang differently far, and landmarks on them a little."""
     walls = [k % 4 for k in range(count)]
     points = np.empty((count, 3))
-    common = 0.0 if flat else rng.normal(0.0, CONFIG.common_hanging_sigma_m)
     for k, index in enumerate(walls):
         wall = ROOM.walls[index]
         foot = np.array(wall.start) + rng.uniform(0.15, 0.85) * np.subtract(wall.end, wall.start)
-        off = common + (0.0 if flat else rng.normal(0.0, hanging_m))
-        points[k] = [*(foot + off * wall.normal[:2]), rng.uniform(0.6, 1.7)]
-    return World(points, walls, POSES)
+        points[k] = [*foot, rng.uniform(0.6, 1.7)]
+    world = World(points, walls, POSES)
+    return world if flat else world_hung(world, rng, hanging_m, relief_m)
 
 
 def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Panorama]:
@@ -99,8 +101,8 @@ def solve(
     prior_poses: FloatArray,
     config: AdjustmentConfig = CONFIG,
 ) -> Adjustment:
-    # From anywhere on the wall near by.
-    start = world.points + 0.05
+    # From anywhere near by on the same stretch of wall.
+    start = world.points + 0.05 * (ROOM.normals[world.walls] + [0.0, 0.0, 1.0])
     return adjust(sightings, world.walls, start, panoramas_at(prior_poses), ROOM, config)
 
 
@@ -126,9 +128,16 @@ def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.einsum('ni,ni->n', error, np.linalg.solve(covariance, error[..., None])[..., 0])
 
 
-def world_hung(world: World, rng: np.random.Generator) -> World:
+def world_hung(
+    world: World,
+    rng: np.random.Generator,
+    hanging_m: float = CONFIG.hanging_sigma_m,
+    relief_m: float = CONFIG.relief_sigma_m,
+) -> World:
     """The world with its landmarks hung anew before the walls."""
-    normals = ROOM.normals[world.walls]
-    off = rng.normal(0.0, CONFIG.common_hanging_sigma_m)
-    each = off + rng.normal(0.0, CONFIG.hanging_sigma_m, len(world.points))
-    return replace(world, points=world.points + each[:, None] * normals)
+    thing = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    off = rng.normal(0.0, CONFIG.common_hanging_sigma_m) + rng.normal(
+        0.0, hanging_m, int(thing.max()) + 1
+    )
+    each = off[thing] + rng.normal(0.0, relief_m, len(thing))
+    return replace(world, points=world.points + each[:, None] * ROOM.normals[world.walls])

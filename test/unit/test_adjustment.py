@@ -26,7 +26,7 @@ from scipy.sparse import lil_matrix
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.adjustment import adjust
-from landmark_nav.learning.adjustment.problem import Problem
+from landmark_nav.learning.adjustment.problem import Problem, wall_stretches
 from landmark_nav.types import FloatArray
 
 
@@ -66,15 +66,17 @@ def test_the_solution_is_that_of_sparse_least_squares() -> None:
     prior = told_poses(world, rng)
     sightings = sightings_of(world, None)
     found = solve(world, sightings, prior, AS_EXPECTED)
-    problem = Problem(sightings, world.walls, panoramas_at(prior), ROOM)
+    stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    problem = Problem(sightings, world.walls, stretch, panoramas_at(prior), ROOM)
     sigma = np.hypot(problem.own_sigma, [CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
-    spread = np.array([1.0, 1.0, CONFIG.common_hanging_sigma_m, CONFIG.wall_sigma_m])
+    hanging = (CONFIG.common_hanging_sigma_m, CONFIG.wall_sigma_m, CONFIG.hanging_sigma_m)
+    spread = np.array([1.0, 1.0, *hanging])
     root = np.linalg.cholesky(np.linalg.inv(problem.prior_covariance(spread)))
     count, shared = len(world.points), problem.prior
 
     def residuals(x: FloatArray) -> FloatArray:
         at = problem.linearize(x[: 3 * count].reshape(-1, 3), x[3 * count :])
-        seen, wall = at.seen / sigma, at.wall / CONFIG.hanging_sigma_m
+        seen, wall = at.seen / sigma, at.wall / CONFIG.relief_sigma_m
         return np.concatenate([seen.ravel(), wall, (x[3 * count :] - shared) @ root])
 
     size = 3 * count + len(shared)

@@ -16,6 +16,7 @@ from hung_rooms import (
     solve,
     told_poses,
     total_covariance,
+    world_hung,
     world_of,
 )
 import numpy as np
@@ -26,14 +27,14 @@ from landmark_nav.learning.adjustment import adjust
 
 
 @pytest.mark.parametrize(
-    ('azimuth', 'tangent', 'hanging'), [(4e-4, 2e-4, 0.003), (3e-4, 6e-4, 0.008)]
+    ('azimuth', 'tangent', 'relief'), [(1.5e-4, 2e-4, 0.004), (3e-4, 6e-4, 0.012)]
 )
-def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, hanging: float) -> None:
+def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, relief: float) -> None:
     rng = np.random.default_rng(8)
     noise, of_landmarks = [], []
     for _ in range(12):
         # As many as a room gives: expected sigmas count for a few measurements, too.
-        world = world_of(rng, 150, hanging_m=hanging)
+        world = world_of(rng, 150, relief_m=relief)
         prior = told_poses(world, rng)
         sightings = sightings_of(world, rng, (azimuth, tangent))
         for group in sightings[:5]:  # false matches say nothing of it
@@ -44,13 +45,13 @@ def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, hangin
         of_landmarks.append(nees(error, total_covariance(found))[5:].mean())
         assert found.chi_square[:5].min() > 13.8
     median = np.median(noise, axis=0)
-    np.testing.assert_allclose(median[:3], [azimuth, tangent, hanging], rtol=0.3)
+    np.testing.assert_allclose(median[:3], [azimuth, tangent, relief], rtol=0.3)
     assert 2.0 < np.mean(of_landmarks) < 4.5
 
 
 def test_places_of_panoramas_that_err_more_than_they_say_are_trusted_less() -> None:
     rng = np.random.default_rng(9)
-    world = world_of(rng, 100, hanging_m=0.002)
+    world = world_of(rng, 100, hanging_m=0.002, relief_m=0.002)
     scales = []
     for factor in (0.3, 1.0, 3.0):
         found = []
@@ -63,7 +64,7 @@ def test_places_of_panoramas_that_err_more_than_they_say_are_trusted_less() -> N
 
 def test_heights_that_err_more_than_they_say_do_not_make_the_plan_uncertain() -> None:
     rng = np.random.default_rng(13)
-    world = world_of(rng, 100, hanging_m=0.002)
+    world = world_of(rng, 100, hanging_m=0.002, relief_m=0.002)
     noise = []
     for _ in range(8):
         told = told_poses(world, rng)
@@ -80,15 +81,50 @@ def test_how_far_walls_are_off_is_estimated_from_the_room(
     rng = np.random.default_rng(14)
     found = []
     for _ in range(8):
-        world = world_of(rng, 100, hanging_m=0.002)
+        world = world_of(rng, 100, hanging_m=0.002, relief_m=0.002)
         off = rng.normal(0.0, spread, len(ROOM.walls))
         moved = world.points + off[np.asarray(world.walls), None] * ROOM.normals[world.walls]
         world = replace(world, points=moved)
         panoramas = panoramas_at(told_poses(world, rng, 0.2), 0.2**2 * PRIOR)
         sightings = sightings_of(world, rng)
         adjusted = adjust(sightings, world.walls, world.points, panoramas, ROOM, CONFIG)
-        found.append(adjusted.noise[-1])
+        found.append(adjusted.noise[6])
     assert least < np.median(found) < most
+
+
+@pytest.mark.parametrize('spread', [0.001, 0.01])
+def test_how_differently_things_hang_is_estimated_from_the_room(spread: float) -> None:
+    rng = np.random.default_rng(15)
+    found = []
+    for _ in range(6):
+        world = world_of(rng, 150, hanging_m=spread, relief_m=5e-4)
+        prior = told_poses(world, rng, 0.2)
+        found.append(solve(world, sightings_of(world, rng, (3e-5, 1e-4)), prior).noise[7])
+    assert 0.6 < np.median(found) / spread < 1.7
+
+
+def test_a_hundred_patches_of_a_few_pictures_say_no_more_of_the_walls_than_a_few_do() -> None:
+    rng = np.random.default_rng(16)
+    of_landmarks, of_poses = [], []
+    for _ in range(12):
+        # Two pictures a wall, of twenty patches each.
+        world = world_of(rng, 160, flat=True)
+        points = world.points.copy()
+        for k, (index, at) in enumerate(
+            zip(world.walls, rng.uniform(-0.25, 0.25, 160), strict=True)
+        ):
+            wall = ROOM.walls[index]
+            along = 0.3 + CONFIG.hanging_length_m * (2, 5)[k // 4 % 2] + at
+            side = np.subtract(wall.end, wall.start) / wall.length
+            points[k, :2] = wall.start + along * side
+        world = world_hung(replace(world, points=points), rng, 0.01, 2e-4)
+        found = solve(world, sightings_of(world, rng, (2e-4, 2e-4)), told_poses(world, rng))
+        error = found.poses - world.poses
+        error[:, 3] = wrap_rad(error[:, 3])
+        of_poses.append(nees(error, found.pose_covariance).mean())
+        of_landmarks.append(nees(found.positions - world.points, total_covariance(found)).mean())
+    assert np.mean(of_poses) < 6.0
+    assert np.mean(of_landmarks) < 4.5
 
 
 def test_a_common_distance_from_the_walls_is_no_surprise() -> None:

@@ -1,10 +1,10 @@
 """
 The measurements of an adjustment, linearized, and their normal equations.
 
-Unknowns are the landmarks, and what they share: poses of panoramas, and for each wall how far
-things hang before it on average. Landmarks are eliminated first (Schur complement; Triggs et al.,
-Bundle Adjustment, 2000): each meets the shared ones alone, so that the sparse structure is a
-stack of blocks of 3 x 3.
+Unknowns are the landmarks, and what they share: poses of panoramas, for each wall how far things
+hang before it on average, and for each stretch of a wall how far what hangs there does. Landmarks
+are eliminated first (Schur complement; Triggs et al., Bundle Adjustment, 2000): each meets the
+shared ones alone, so that the sparse structure is a stack of blocks of 3 x 3.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['Linearized', 'NormalEquations', 'Problem']
+__all__ = ['Linearized', 'NormalEquations', 'Problem', 'wall_stretches']
 
-# x, y, z, heading of each panorama; after all of them, how far things hang off each wall.
+# x, y, z, heading of each panorama; after all of them, how far things hang off each wall, then
+# how much farther they do on each stretch of one.
 _POSE = 4
 # Share of the variance in height that panoramas have in common.
 _COMMON_HEIGHT = 0.9
@@ -84,13 +85,14 @@ class Problem:
     Sightings of n landmarks, the walls they hang on, and what is known of the panoramas.
 
     `own_sigma` (k, 2) is what matching says of each sighting; `landmark` and `view` (k,) tell
-    what it is of.
+    what it is of; `stretch` (n,) numbers the stretch of wall that each landmark hangs on.
     """
 
     def __init__(
         self,
         sightings: Sequence[Sequence[Sighting]],
         walls: Sequence[int],
+        stretch: npt.NDArray[np.intp],
         panoramas: Sequence[Panorama],
         room: Room,
     ) -> None:
@@ -108,14 +110,16 @@ class Problem:
 
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
         self.wall = np.asarray(walls, dtype=np.intp)
-        planes = len(room.walls)
-        self.prior = np.append(poses.ravel(), np.zeros(planes))
+        # Which wall, and which stretch of one, each landmark hangs on: (n, walls + stretches).
+        self._hangs = np.hstack(
+            [np.eye(len(room.walls))[self.wall], np.eye(int(stretch.max()) + 1)[stretch]]
+        )
+        self._planes = np.arange(self._hangs.shape[1]) < len(room.walls)
+        self.prior = np.append(poses.ravel(), np.zeros(len(self._planes)))
         self._poses = slice(0, poses.size)
         self._walls = slice(poses.size, len(self.prior))
         self._places = _joint([p.covariance for p in panoramas])
         self._height = np.arange(poses.size) % _POSE == 2
-        # Which wall each landmark hangs on, (n, walls).
-        self._hangs = np.eye(planes)[self.wall]
 
     def off_wall(self, points: FloatArray) -> FloatArray:
         """How far before their walls points (n, 3) lie, metres."""
@@ -152,7 +156,7 @@ class Problem:
         by_pose[rows, 0, self.view, 3] = -1.0
         by_shared[..., self._poses] = by_pose.reshape(len(d), 2, -1)
         return Linearized(
-            seen, shared[self._walls][self.wall] - self.off_wall(points), by_point, by_shared
+            seen, self._hangs @ shared[self._walls] - self.off_wall(points), by_point, by_shared
         )
 
     def normal_equations(
@@ -181,7 +185,7 @@ class Problem:
         flat = at.by_shared.reshape(-1, len(shared))
         weighted = flat * seen.reshape(-1, 1)
         h_ss = prior + weighted.T @ flat
-        h_ss[self._walls, self._walls] += np.diag(hangs.sum(0))
+        h_ss[self._walls, self._walls] += hangs.T @ self._hangs
         b_s = prior @ (self.prior - shared) + weighted.T @ at.seen.ravel()
         b_s[self._walls] -= hangs.T @ at.wall
         return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
@@ -190,20 +194,25 @@ class Problem:
         """
         Covariance (m, m) of the shared unknowns before there are sightings.
 
-        `spread` (4,) are factors on the sigmas that panoramas say they have in plan and in
-        height, and sigmas of how far things hang before all walls, and before each.
+        `spread` (5,) are factors on the sigmas that panoramas say they have in plan and in
+        height, and sigmas of how far things hang before all walls, before each, and on each
+        stretch of one.
         """
-        plan, height, all_walls, each_wall = spread
+        plan, height, *hanging = spread
         factor = np.where(self._height, height, plan)
-        planes = len(self.prior) - len(factor)
-        off_walls = all_walls**2 + each_wall**2 * np.eye(planes)
+        off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging(), strict=True))
         return np.asarray(block_diag(self._places * np.outer(factor, factor), off_walls))
+
+    def _hanging(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What all walls have in common, each wall alone, and each stretch of one."""
+        planes = self._planes.astype(np.float64)
+        return np.outer(planes, planes), np.diag(planes), np.diag(1.0 - planes)
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """
-        Squared misfit (4,) and redundancy (4,) of each of `spread` (4,).
+        Squared misfit (5,) and redundancy (5,) of each of `spread` (5,).
 
         They are what the derivative of the restricted likelihood is made of.
         """
@@ -215,15 +224,12 @@ class Problem:
         lifted = np.zeros(len(prior))
         lifted[self._poses] = self._height
         upward = 0.5 * (lifted[:, None] + lifted)
-        places, walls = np.zeros((2, *prior.shape))
+        places = np.zeros(prior.shape)
         places[self._poses, self._poses] = prior[self._poses, self._poses]
-        walls[self._walls, self._walls] = 1.0
-        parts = (
-            (1.0 - upward) * places,
-            upward * places,
-            spread[2] ** 2 * walls,
-            spread[3] ** 2 * walls * np.eye(len(prior)),
-        )
+        parts = [(1.0 - upward) * places, upward * places]
+        for sigma, hanging in zip(spread[2:], self._hanging(), strict=True):
+            parts.append(np.zeros(prior.shape))
+            parts[-1][self._walls, self._walls] = sigma**2 * hanging
         squares = np.array([misfit @ part @ misfit for part in parts])
         counts = np.array([np.sum(part * left) for part in parts])
         return np.maximum(squares, 0.0), np.maximum(counts, 0.0)
@@ -242,6 +248,22 @@ class Problem:
         wall = np.einsum('ni,nij,nj->n', self.normal, own, self.normal)
         wall += np.einsum('np,pq,nq->n', by_shared_wall, shared, by_shared_wall)
         return seen, wall
+
+
+def wall_stretches(
+    points: FloatArray, walls: Sequence[int], room: Room, length_m: float
+) -> npt.NDArray[np.intp]:
+    """
+    Numbers (n,) of the stretches of wall that points (n, 3) hang on.
+
+    What is near each other is mostly part of one thing, and hangs equally far from the wall:
+    twenty patches of a picture say no more of how things hang than one does.
+    """
+    start = np.array([room.walls[w].start for w in walls])
+    side = np.array([np.subtract(w.end, w.start) / w.length for w in room.walls])[list(walls)]
+    along = np.sum((points[:, :2] - start) * side, 1)
+    cells = np.stack([np.asarray(walls), np.floor(along / length_m)], 1)
+    return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1], np.intp).ravel()
 
 
 def _joint(covariances: Sequence[FloatArray]) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment.problem import Linearized, Problem
+from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Panorama
@@ -33,8 +33,10 @@ _NO_SAY = 1e-6
 _TAIL_SIGMAS = 2.5
 _NOISE_ITERATIONS = 60
 _NOISE_CONVERGED = 1e-3
+# Factors that landmarks have in common; what the others tell is below a tenth of a millimetre.
+_MOST_FACTORS = 16
 # Among the sigmas that are estimated.
-_HANGING, _SPREAD, _ALL_WALLS, _EACH_WALL = 2, slice(3, 7), 5, 6
+_RELIEF, _SPREAD, _HANGING = 2, slice(3, 8), slice(5, 8)
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,14 @@ class AdjustmentConfig:
     tangent_sigma: float = parameter(
         1e-3, 'what a panorama adds to each tangent of elevation', minimum=0, maximum=0.1
     )
+    relief_sigma_m: float = parameter(
+        0.005, 'how differently far from the wall one thing is', minimum=1e-4, maximum=1
+    )
     hanging_sigma_m: float = parameter(
         0.015, 'how differently far from the wall things hang', minimum=1e-4, maximum=1
+    )
+    hanging_length_m: float = parameter(
+        0.6, 'how long a stretch of wall one thing takes up', minimum=0.05, maximum=10
     )
     common_hanging_sigma_m: float = parameter(
         0.015, 'how far from the wall things hang on average', minimum=1e-4, maximum=1
@@ -93,10 +101,10 @@ class Adjustment:
         How far before its wall each landmark lies.
     chi_square : ndarray, shape (n,)
         Misfit of its sightings and its wall.
-    noise : ndarray, shape (7,)
-        Sigmas found: of azimuths, of tangents, of hanging; factors on the sigmas that panoramas
-        say their places have, in plan and in height; how far things hang off all walls, and how
-        far each wall lies from where the room says.
+    noise : ndarray, shape (8,)
+        Sigmas found: of azimuths, of tangents, of relief; factors on the sigmas that panoramas
+        say their places have, in plan and in height; how far things hang off all walls, how far
+        each wall lies from where the room says, and how differently far things hang.
 
     """
 
@@ -146,22 +154,27 @@ def adjust(
     Adjustment
 
     """
-    problem = Problem(sightings, walls, panoramas, room)
+    stretch = wall_stretches(start, walls, room, config.hanging_length_m)
+    problem = Problem(sightings, walls, stretch, panoramas, room)
     expected = np.array(
         [
             config.azimuth_sigma_rad,
             config.tangent_sigma,
-            config.hanging_sigma_m,
+            config.relief_sigma_m,
             *(1.0, 1.0),
             config.common_hanging_sigma_m,
             config.wall_sigma_m,
+            config.hanging_sigma_m,
         ]
     )
-    points, shared = _settle(problem, start, expected)
-    trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
+    # A stretch may hold two things, and where it begins is nobody's business.
+    at_first = expected.copy()
+    at_first[_RELIEF] = max(config.relief_sigma_m, config.hanging_sigma_m)
+    points, shared = _settle(problem, start, at_first)
+    trusted = _misfit(problem, problem.linearize(points, shared), at_first) < _bound(problem)
     say = np.where(trusted, 1.0, _NO_SAY)
     weight = np.full(len(expected), config.camera_weight)
-    weight[[_HANGING, _ALL_WALLS, _EACH_WALL]] = config.room_weight
+    weight[_RELIEF] = weight[_HANGING] = config.room_weight
     noise = expected
     for _ in range(_NOISE_ITERATIONS):
         at = problem.linearize(points, shared)
@@ -182,10 +195,11 @@ def adjust(
         at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
     )
     covariance = equations.shared_covariance()
+    shared_loading, rest = _main_factors(-equations.gain @ np.linalg.cholesky(covariance))
     return Adjustment(
         points,
-        say[:, None, None] * equations.own_covariance(),
-        -equations.gain @ np.linalg.cholesky(covariance),
+        say[:, None, None] * equations.own_covariance() + rest,
+        shared_loading,
         problem.poses(shared),
         problem.pose_covariance(covariance),
         problem.off_wall(points),
@@ -217,9 +231,22 @@ def _settle(
     return points, shared
 
 
+def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """
+    Loadings (n, 3, m) by fewer factors (n, 3, f), and what is left of the covariances (n, 3, 3).
+
+    Poses and walls move many landmarks; how one picture hangs moves its own by a tenth of that.
+    """
+    count = len(loading)
+    turned, size, _ = np.linalg.svd(loading.reshape(3 * count, -1), full_matrices=False)
+    factors = (turned * size).reshape(count, 3, -1)
+    rest = factors[..., _MOST_FACTORS:]
+    return factors[..., :_MOST_FACTORS], rest @ rest.swapaxes(-1, -2)
+
+
 def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Variances of sightings (k, 2) and walls (n,)."""
-    return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[_HANGING] ** 2)
+    return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[_RELIEF] ** 2)
 
 
 def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
