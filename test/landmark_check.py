@@ -5,7 +5,7 @@ Landmarks against the truth, in simulated rooms: where they are, and from where 
 prints a line a room and their sum; it exits with 1 if a bound is missed. ``--rooms DIR`` takes
 rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. ``--measured`` tells
 the robot not the truth but what a person would have measured: walls, papers and the camera's
-height as wrong as the configuration says, and all that hangs on the walls a little before them.
+height as wrong as the configuration says.
 
 =================  ===============================================================================
 ``median``, ``p95``  distance of landmarks from the truth, millimetres; ``false`` ones are not on

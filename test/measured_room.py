@@ -32,9 +32,7 @@ def measured(
 ) -> tuple[Room, PanTiltMount]:
     """What a person would have measured of a room whose walls meet at right angles."""
     expected, papers = AdjustmentConfig(), ReferenceAreaConfig()
-    # Things hang before the walls: that is walls behind what is seen.
     off = rng.normal(0.0, expected.wall_sigma_m, len(room.walls))
-    off -= abs(rng.normal(0.0, expected.common_hanging_sigma_m))
     moved = off[:, None] * room.normals[:, :2]
     starts = np.array([wall.start for wall in room.walls]) + moved + np.roll(moved, 1, axis=0)
     corners = [(float(x), float(y)) for x, y in starts]
