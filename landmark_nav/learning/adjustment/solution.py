@@ -120,7 +120,7 @@ class Adjustment:
     @property
     def hanging_sigma_m(self) -> float:
         """How differently far from their walls things hang."""
-        return float(self.noise[_HANGING])
+        return float(self.noise[_HANGING][-1])
 
 
 def adjust(
