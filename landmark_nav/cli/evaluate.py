@@ -126,7 +126,8 @@ def run(args: argparse.Namespace) -> int:
     if delay_s:
         bag.warn(
             f'{bag.path}: joint_states are stamped {1e3 * delay_s:.1f} ms late (sigma '
-            f'{1e3 * offsets.delay_sigma_s:.1f} ms): taken into account'
+            f'{1e3 * offsets.delay_sigma_s:.1f} ms): taken into account; on the robot set '
+            f'joint_delay_s of triangulation_localizer to {delay_s:.4f}'
         )
         done = localized(delay_s)
     if not len(done.truth):
@@ -203,11 +204,20 @@ def _summary(report: Mapping[str, Any]) -> str:
         f'{_range(nees["interval_95"])}), {_cell(nees["inside_95"], 100.0, 1)} % inside its 95 % '
         f'bound; RMSE {_cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
         f'pictures with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
+        _camera(report['camera']),
         f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
         f'{report["update_ms"]["p95"]:.1f} ms, {report["realtime_factor"]:.1f} times faster than '
         f'real time; result {report["result_hash"][:16]}',
     ]
     return wrapped(lines)
+
+
+def _camera(offsets: Mapping[str, float]) -> str:
+    return (
+        f'camera: joint_states {1e3 * offsets["joint_delay_s"]:.1f} ms late (sigma '
+        f'{1e3 * offsets["joint_delay_sigma_s"]:.1f}), turned by {offsets["boresight_deg"]:.2f} '
+        f'deg against the base (sigma {offsets["boresight_sigma_deg"]:.2f})'
+    )
 
 
 def _range(interval: list[float] | None) -> str:

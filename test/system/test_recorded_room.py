@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
+from landmark_nav.messages.factory import default_typestore
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast
+from landmark_nav.storage.bags import BagWriter, read_bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
 
@@ -74,6 +76,38 @@ def test_the_planner_would_have_foretold_it(figures: tuple[dict[str, float], Pat
     measured = np.array([sweep['measured']['sigma'] for sweep in sweeps])
     assert np.all(papers[:, 2] < 1.6 * measured[:, 2])
     assert np.all(papers[:, 2] > measured[:, 2] / 1.6)
+
+
+def test_joint_states_that_are_stamped_late_are_told_and_put_right(
+    figures: tuple[dict[str, float], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    late_ns, store = 40_000_000, default_typestore()
+    with BagWriter(tmp_path / 'late') as late:
+        for entry in read_bag(BAGS / 'drive'):
+            data, stamp_ns = entry.data, entry.stamp_ns
+            if entry.topic == '/joint_states':
+                message = store.deserialize_cdr(data, entry.type_name)
+                nanoseconds = message.header.stamp.nanosec + late_ns
+                message.header.stamp.sec += nanoseconds // 10**9
+                message.header.stamp.nanosec = nanoseconds % 10**9
+                data = store.serialize_cdr(message, entry.type_name)
+            late.write_serialized(entry.topic, entry.type_name, data, stamp_ns)
+    start = json.loads((BAGS / 'start.json').read_text())['pose']
+    arguments = ['evaluate', str(tmp_path / 'late'), '--map', str(figures[1] / 'map'), '--robot']
+    arguments += [str(BAGS / 'robot.yaml'), '--start', *map(str, start)]
+    assert main([*arguments, '--json', str(tmp_path / 'late.json')]) == 0
+    run = json.loads((tmp_path / 'late.json').read_text())
+    camera = run['camera']
+    assert camera['joint_delay_s'] == pytest.approx(0.04, abs=0.002)
+    assert camera['joint_delay_applied_s'] == camera['joint_delay_s']
+    usual = figures[0]['fused_position_rmse_m']
+    assert run['fused']['position_rmse_m'] < 1.3 * usual + 1e-3
+    advice = f'set joint_delay_s of triangulation_localizer to {camera["joint_delay_s"]:.4f}'
+    assert advice in caplog.text
+    assert 'camera: joint_states' in capsys.readouterr().out
 
 
 def test_pictures_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
