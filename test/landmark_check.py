@@ -3,9 +3,9 @@ Landmarks against the truth, in simulated rooms: where they are, and from where 
 
 ``python test/landmark_check.py --seeds 201 202`` simulates rooms, learns them from two sweeps and
 prints a line a room and their sum; it exits with 1 if a bound is missed. ``--rooms DIR`` takes
-rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. ``--measured`` tells
-the robot not the truth but what a person would have measured: walls, papers and the camera's
-height as wrong as the configuration says.
+rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. The robot
+is told what a person would have measured (``landmark-nav simulate --measured``), unless
+``--exact`` is given or the rooms were kept.
 
 =================  ===============================================================================
 ``median``, ``p95``  distance of landmarks from the truth, millimetres; ``false`` ones are not on
@@ -30,7 +30,6 @@ import sys
 import tempfile
 
 from landmark_truth import TrueWalls
-from measured_room import tell_measured
 import numpy as np
 import numpy.typing as npt
 from relocalize_check import changed, free_poses, picture
@@ -181,19 +180,19 @@ def check_area(room: Room) -> npt.NDArray[np.int64]:
     return counts
 
 
-def learned_map(seed: int, rooms: Path | None, as_measured: bool) -> LandmarkMap:
+def learned_map(seed: int, rooms: Path | None, exact: bool) -> LandmarkMap:
     """Learn a room as a user would."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = (rooms or Path(scratch)) / str(seed)
         if rooms is None:
-            _run('simulate', '--out', str(folder), '--seed', str(seed), '--drive-seconds', '1')
-        told = folder
-        if as_measured:
-            told = Path(scratch)
-            tell_measured(folder, told, seed)
+            told = () if exact else ('--measured',)
+            _run(
+                'simulate', '--out', str(folder), '--seed', str(seed), '--drive-seconds', '1',
+                *told,
+            )  # fmt: skip
         _run(
-            'learn', str(folder / 'learn'), '--room', str(told / 'room.yaml'),
-            '--robot', str(told / 'robot.yaml'), '--out', f'{scratch}/map',
+            'learn', str(folder / 'learn'), '--room', str(folder / 'room.yaml'),
+            '--robot', str(folder / 'robot.yaml'), '--out', f'{scratch}/map',
         )  # fmt: skip
         return load_map(f'{scratch}/map')
 
@@ -239,7 +238,7 @@ def main() -> int:
     parser.add_argument('--seeds', type=int, nargs='+', required=True)
     parser.add_argument('--rooms', type=Path, help='folder of rooms that were kept')
     parser.add_argument(
-        '--measured', action='store_true', help='tell the robot what a person would have measured'
+        '--exact', action='store_true', help='tell the robot exactly how the room is'
     )
     parser.add_argument('--maps', type=Path, help='folder of maps that were kept: MAPS/SEED')
     parser.add_argument('--poses', type=int, default=50, help='random poses in each room (50)')
@@ -250,7 +249,7 @@ def main() -> int:
         learned = (
             load_map(arguments.maps / str(seed))
             if arguments.maps
-            else learned_map(seed, arguments.rooms, arguments.measured)
+            else learned_map(seed, arguments.rooms, arguments.exact)
         )
         rooms.append(check_places(seed, learned))
         seen.append(check_sightings(rooms[-1], arguments.poses))

@@ -16,6 +16,7 @@ from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.furnishing import exchange_pictures, move_one_box
 from landmark_nav.simulation.gaze import Gaze
+from landmark_nav.simulation.measuring import as_measured
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.recording import drive_messages, Recorded, sweep_messages
 from landmark_nav.simulation.room_generator import generate_scene
@@ -135,6 +136,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='share of the pictures on the walls, 0 to 1, that are replaced by others between '
         'sweeps and drive (default 0)',
     )
+    parser.add_argument(
+        '--measured',
+        action='store_true',
+        help='write room.yaml and robot.yaml as a person with a tape measures them: walls and the '
+        'height of the camera to 5 mm, papers to 1 mm (default: exactly as they are)',
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -150,6 +157,9 @@ def run(args: argparse.Namespace) -> int:
         other = np.random.default_rng([args.seed, 31])
         later = replace(later, items=exchange_pictures(scene, args.exchange, other))
     config = WorldConfig(people=args.people)
+    told = scene.room, mount
+    if args.measured:
+        told = as_measured(*told, np.random.default_rng([args.seed, 60]))
     with whole_folder(args.out, _FILES) as folder:
         with BagWriter(folder / 'learn') as bag:
             frames = args.frames * len(poses)
@@ -182,8 +192,8 @@ def run(args: argparse.Namespace) -> int:
             gaze = Gaze(later, mount, world.pan_limit_rad, rng, known)
             _write(bag, _drive(world, path, gaze, args), 'drive', frames)
         for name, text in (
-            ('room.yaml', room_document(scene.room)),
-            ('robot.yaml', robot_document(mount)),
+            ('room.yaml', room_document(told[0])),
+            ('robot.yaml', robot_document(told[1])),
             ('start.json', start_document(start)),
             ('scene.json', scene_document(scene)),
         ):

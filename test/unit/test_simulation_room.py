@@ -14,6 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.furnishing import move_one_box
 from landmark_nav.simulation.lighting import irradiance
+from landmark_nav.simulation.measuring import as_measured
 from landmark_nav.simulation.people import WalkingPeople
 from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
 from landmark_nav.simulation.room_generator import generate_scene
@@ -30,6 +31,7 @@ from landmark_nav.simulation.wall_items import draw_item
 from landmark_nav.storage.setup_files import load_robot, load_room
 
 SEEDS = range(30)
+MOUNT = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope='module')
@@ -235,3 +237,42 @@ def test_documents_are_read_back(tmp_path, scenes):
     assert json.loads(start_document(np.array([1.0, 2.0, 0.5])))['pose'] == [1.0, 2.0, 0.5]
     items = json.loads(scene_document(scene))['items']
     assert [item['kind'] for item in items].count('target') == 1
+
+
+def test_a_measured_room_has_its_walls_a_few_millimetres_off_and_still_closed() -> None:
+    for scene in (generate_scene(seed) for seed in (3, 4)):
+        rng = np.random.default_rng(0)
+        offs, papers, heights = [], [], []
+        for _ in range(40):
+            room, mount = as_measured(scene.room, MOUNT, rng)
+            starts, ends = (
+                np.array([getattr(wall, name) for wall in room.walls]) for name in ('start', 'end')
+            )
+            np.testing.assert_allclose(np.roll(starts, -1, axis=0), ends, atol=1e-9)
+            np.testing.assert_allclose(room.normals, scene.room.normals, atol=1e-9)
+            true = np.array([wall.start for wall in scene.room.walls])
+            offs.append(np.sum((starts - true) * room.normals[:, :2], 1))
+            papers.append(
+                [
+                    np.subtract(a.center, b.center)
+                    for a, b in zip(room.papers, scene.room.papers, strict=True)
+                ]
+            )
+            heights.append(mount.axis_xyz[2] - MOUNT.axis_xyz[2])
+        assert 0.004 < np.std(offs) < 0.006
+        assert np.abs(np.corrcoef(np.array(offs).T) - np.eye(len(room.walls))).max() < 0.6
+        assert 0.0008 < np.sqrt(np.mean(np.sum(np.square(papers), -1)) / 2.0) < 0.0012
+        assert 0.0035 < np.std(heights) < 0.0065
+
+
+def test_walls_that_meet_at_other_angles_are_measured_too() -> None:
+    corners = [(0.0, 0.0), (5.0, 0.0), (6.0, 2.0), (3.0, 4.0), (0.0, 3.0)]
+    walls = tuple(
+        Wall(str(k), a, b, 2.5)
+        for k, (a, b) in enumerate(zip(corners, [*corners[1:], corners[0]], strict=True))
+    )
+    room = Room(walls, ())
+    measured, _ = as_measured(room, MOUNT, np.random.default_rng(1))
+    np.testing.assert_allclose(measured.normals, room.normals, atol=1e-9)
+    for a, b in zip(measured.walls, (*measured.walls[1:], measured.walls[0]), strict=True):
+        assert a.end == pytest.approx(b.start, abs=1e-9)
