@@ -208,13 +208,16 @@ class TriangulationLocalizerNode(LandmarkNode):
             'overtaken': self._pictures.dropped,
             'stale': self._stale,
         } | self._latency.values()
-        if self._observer is not None and self._observer.tilt_rad:
-            values['camera_higher_deg'] = f'{np.degrees(self._observer.tilt_rad):+.2f}'
+        knocked, tilt_rad = '', self._observer.tilt_rad if self._observer is not None else 0.0
+        if tilt_rad:
+            higher = f'{np.degrees(tilt_rad):+.2f}'
+            values['camera_higher_deg'] = higher
+            knocked = f'; the camera looks {higher} deg above where its joints say'
         if self._triplet is not None:
             values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))
         if isinstance(seen.fix, Refusal):
-            return Health(Level.DEGRADED, f'no fix: {seen.fix}', values)
-        return Health(Level.OK, f'fix from {len(found)} landmarks', values)
+            return Health(Level.DEGRADED, f'no fix: {seen.fix}{knocked}', values)
+        return Health(Level.OK, f'fix from {len(found)} landmarks{knocked}', values)
 
 
 def main() -> int:

@@ -276,7 +276,7 @@ class PoseFilter:
         self._health.observe(update)
         if update.turned_rad:
             angle = f'{np.degrees(update.turned_rad):+.2f} deg'
-            reason = 'the camera, or the robot on the spot, was turned'
+            reason = 'the camera or the robot was turned, or the wheels slipped'
             self._health.note_trouble(stamp_ns, Refusal(reason, angle))
         if self._health.astray and update.refusal is not None:
             self._history.insert(stamp_ns, self._doubted)
