@@ -142,6 +142,11 @@ class Observer:
         """By how much the camera turned out to look higher than its joints say."""
         return self._detector.tilt_rad
 
+    @property
+    def knocked_up_rad(self) -> float:
+        """`tilt_rad` where that takes a knock, else 0."""
+        return self._detector.knocked_up_rad
+
     def levelled(self, frame: CameraFrame) -> CameraFrame:
         """A picture with its tilt as that turned out to be."""
         return replace(frame, tilt_rad=frame.tilt_rad + self.tilt_rad)

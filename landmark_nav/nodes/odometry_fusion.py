@@ -31,9 +31,6 @@ __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 
-# Odometry that is late by this has stopped.
-_SILENCE_NS = 1_200_000_000
-
 
 @dataclass(frozen=True)
 class LiveFusionConfig(FusionConfig):
@@ -113,7 +110,8 @@ class OdometryFusionNode(LandmarkNode):
         """As the filter judges itself."""
         now_ns = self._now_ns()
         # Where odometry stays away nothing moves the filter on, but its time passes.
-        silent = self._last is not None and now_ns - self._last.stamp_ns > _SILENCE_NS
+        silent_ns = round(1e9 * self._config.health.silent_after_s)
+        silent = self._last is not None and now_ns - self._last.stamp_ns > silent_ns
         status, reason = self._filter.status_at(now_ns if silent else None)
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
         values = counts | {'rejected': self._rejected} | self._latency.values() | self._offsets()

@@ -208,9 +208,9 @@ class TriangulationLocalizerNode(LandmarkNode):
             'overtaken': self._pictures.dropped,
             'stale': self._stale,
         } | self._latency.values()
-        knocked, tilt_rad = '', self._observer.tilt_rad if self._observer is not None else 0.0
-        if tilt_rad:
-            higher = f'{np.degrees(tilt_rad):+.2f}'
+        knocked = ''
+        if self._observer is not None and self._observer.knocked_up_rad:
+            higher = f'{np.degrees(self._observer.knocked_up_rad):+.2f}'
             values['camera_higher_deg'] = higher
             knocked = f'; the camera looks {higher} deg above where its joints say'
         if self._triplet is not None:

@@ -63,6 +63,11 @@ class AimedDetector:
         """By how much the camera looks higher than its joints say."""
         return float(self._aim[1])
 
+    @property
+    def knocked_up_rad(self) -> float:
+        """`tilt_rad` where that is more than a floor does, else 0."""
+        return self.tilt_rad if abs(self.tilt_rad) > _TILTED_RAD else 0.0
+
     def aimed(self, frame: CameraFrame) -> CameraFrame:
         """A picture with its joints as they turned out to be."""
         return _turned(frame, self._aim)

@@ -26,6 +26,9 @@ class HealthConfig:
     coasting_after_s: float = parameter(
         1.0, 'Seconds without an accepted measurement until coasting.', minimum=0.0, maximum=3600.0
     )
+    silent_after_s: float = parameter(
+        0.7, 'Seconds without odometry until coasting.', minimum=0.0, maximum=3600.0
+    )
     lost_after_rejections: int = parameter(
         5, 'Measurements rejected in a row until lost.', minimum=1, maximum=1000
     )
@@ -260,7 +263,7 @@ class Health:
         if odometry_ns is None:
             return 'no odometry'
         seconds = (stamp_ns - odometry_ns) * 1e-9
-        if seconds <= self._config.coasting_after_s:
+        if seconds <= self._config.silent_after_s:
             return ''
         _, reason = self._trouble
         return f'no odometry for {seconds:.1f} s' + (f', last: {reason}' if reason else '')
