@@ -96,15 +96,16 @@ class Predictor:
         # The robot may be turned any way: of all directions the camera can look in so many.
         share *= config.half_arc_rad / np.pi
         self._observed = np.zeros((len(views), *reach.shape), np.float32)
+        self._alike = np.zeros((len(views), *views.range_m.shape), np.bool_)
+        stretch = config.election.max_stretch
         for p in range(len(views)):
-            well = observed_well(
+            seen_before = (
                 samples.xy,
                 samples.normal,
                 np.broadcast_to(views.eye[p], (len(samples.xy), 3)),
-                cells,
-                triplet.min_sampling,
-                triplet.max_sampling,
             )
+            self._alike[p] = observed_well(*seen_before, views.eye, 1.0 / stretch, stretch)
+            well = observed_well(*seen_before, cells, triplet.min_sampling, triplet.max_sampling)
             # Of the heights that the panorama shows, those that are in the picture here too.
             common = np.minimum(share / np.maximum(views.share[p], 1e-6), 1.0)
             self._observed[p] = np.where(seen & well, common, 0.0)
@@ -113,12 +114,10 @@ class Predictor:
         """Predict for a set of places (n,), n >= 2."""
         by_source, sighted = self._expected(places)
         config, views = self._config, self._views
-        variance = config.adjustment.azimuth_sigma_rad**2
-        variance += (config.match_sigma_px / config.focal_px) ** 2
         own, loading = landmark_errors(
             views.azimuth_rad[places],
             views.range_m[places],
-            sighted / variance,
+            sighted / self._variance,
             self._samples.normal,
             self._samples.wall,
             by_source.sum(axis=0),
@@ -145,6 +144,8 @@ class Predictor:
         fall = (parallax - config.match_half_rad) / config.match_slope_rad
         found = config.match_probability / (1.0 + np.exp(np.clip(fall, -50.0, 50.0)))
         found[parallax < config.stereo.min_parallax_rad] = 0.0
+        found[self._depth_sigma(places, parallax) > config.election.max_depth_sigma_m] = 0.0
+        found[~self._alike[places[:, None], places]] = 0.0
         itself = np.arange(len(places))
         found[itself, itself] = 0.0
         # A patch that one panorama shows may be too high or too low for another.
@@ -157,3 +158,20 @@ class Predictor:
         given[itself, itself] = 1.0
         total = np.maximum(by_source.sum(axis=0), 1e-12)
         return by_source, np.einsum('ns,nms->ms', by_source, given) / total
+
+    @property
+    def _variance(self) -> float:
+        """Of a sighting's azimuth."""
+        config = self._config
+        matched = config.match_sigma_px / config.focal_px
+        return config.adjustment.azimuth_sigma_rad**2 + matched**2
+
+    def _depth_sigma(self, places: npt.NDArray[np.intp], parallax_rad: FloatArray) -> FloatArray:
+        """How far off its wall two panoramas (n, n) alone would place a sample, (n, n, s)."""
+        samples, reach = self._samples, self._views.range_m[places]
+        way = self._views.eye[places, None, :2] - samples.xy
+        cosine = np.sum(way * samples.normal, -1) / reach
+        # Two bearings have the inverse information of their rays' directions.
+        ray = reach[:, None] * cosine[None]
+        square = (ray**2 + np.swapaxes(ray, 0, 1) ** 2) * self._variance
+        return np.asarray(np.sqrt(square) / np.maximum(np.abs(np.sin(parallax_rad)), 1e-9))
