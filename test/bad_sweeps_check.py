@@ -59,6 +59,7 @@ class Case:
     tilt_rad: float = 0.0
     people: int = 0
     few: bool = False  # a small map will do as well as the refusal
+    hidden: bool = False  # so may papers be: a full map will do as well as the refusal
     camera: CameraModel = DEFAULT_CAMERA
     frames: int = 48
 
@@ -149,7 +150,8 @@ def cases(seed: int) -> list[Case]:
         Case('from the same place', ((scene, here), (scene, nearly)), 'from one place'),
         Case('other things on the walls', ((scene, here), (other, there)), 'found again|elected',
              few=True),
-        Case('people in most pictures', both, people=8),
+        Case('people in most pictures', both, 'hides the papers|uncover the papers', people=8,
+             hidden=True),
         Case('a wall 5 cm off', both, f'wall {wall.id}|papers',
              told_room=moved_wall(scene.room, k, 0.05)),
         Case('a wall turned by 3 deg', both, f'wall {wall.id}|papers',
@@ -226,7 +228,7 @@ def judge(case: Case, folder: Path, seed: int) -> tuple[bool, str]:
         f'median {1e3 * np.median(size):.1f} mm, 95 % {1e3 * np.percentile(size, 95):.1f} mm, '
         f'NEES {nees:.1f}, {wrong} wrong'
     )
-    many = not case.refusal and len(landmarks) >= LEAST_LANDMARKS
+    many = (case.hidden or not case.refusal) and len(landmarks) >= LEAST_LANDMARKS
     return not wrong and nees < MAX_NEES and (case.few or many), told
 
 

@@ -35,7 +35,7 @@ _DARKEST, _BRIGHTEST = 14.0, 250.0
 # A paper looks so much like its bounding box: less is left of one that is partly covered.
 _SOLID = 0.55
 _LEAST_AREA_PX = 40.0
-_MOST_BLOBS = 40
+_MOST_BLOBS = 80
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,7 +148,8 @@ def why_not(
     )
     return (
         f'no place in the room fits the blobs found ({counted}): '
-        'check colours, sizes and places of the papers in room.yaml, and the mount in robot.yaml'
+        'see that nobody hides the papers, or check their colours, sizes and places in room.yaml, '
+        'and the mount in robot.yaml'
     )
 
 
