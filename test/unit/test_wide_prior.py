@@ -54,6 +54,12 @@ def test_a_pose_that_is_known_to_be_far_off_finds_the_same_landmarks(
         assert np.abs(errors_of(seen)).max() < 0.01
 
 
+@pytest.mark.parametrize('sigma', [(0.5, 0.5, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.3)])
+def test_a_prior_that_is_sure_of_one_direction(sigma: tuple[float, ...]) -> None:
+    seen = look(told(np.array([0.6, 0.6, 0.6]) * sigma, np.array(sigma)))
+    assert len(seen.detections) == 4
+
+
 def test_a_pose_that_is_claimed_to_be_known_is_taken_at_its_word() -> None:
     seen = look(told(np.array([0.6, 0.3, 0.2]), SURE))
     assert len(seen.detections) <= 1

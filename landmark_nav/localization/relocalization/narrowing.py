@@ -8,6 +8,8 @@ on tells which of their appearances are right, and from there they are looked fo
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.special import chdtri
 
@@ -23,6 +25,8 @@ __all__ = ['narrowed']
 
 # What the prior excludes: one in a thousand lies there.
 _EXCLUDED = 0.001
+# No pose is better known than this, whatever a prior says of one of its directions, m and rad.
+_LEAST_SIGMA = (1e-3, 1e-3, 1e-3)
 
 
 def narrowed(
@@ -54,11 +58,13 @@ def narrowed(
         Of the base, out of the picture alone; why there is none, such as too few landmarks.
 
     """
+    covariance = prior.covariance + np.diag(np.square(_LEAST_SIGMA))
+    prior = replace(prior, covariance=covariance)
     sightings = find_sightings(frame, landmark_map, mount, config.sighting, prior)
     poses = propose(sightings, landmark_map, config.hypothesis).poses
     offset = poses - prior.pose
     offset[:, 2] = wrap_rad(offset[:, 2])
-    distance = np.sum(offset * np.linalg.solve(prior.covariance, offset.T).T, axis=1)
+    distance = np.sum(offset * np.linalg.solve(covariance, offset.T).T, axis=1)
     allowed = poses[distance < chdtri(3, _EXCLUDED)][: config.candidates]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
     places = verified_places(allowed, still, landmark_map, mount, config)

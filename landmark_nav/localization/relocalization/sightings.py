@@ -217,7 +217,7 @@ def _any_look(landmark: Landmark, strip: _Strip) -> _Look:
 
 def _open_looks(prior: PoseEstimate, landmark_map: LandmarkMap, strip: _Strip) -> dict[int, _Look]:
     """Looks of the landmarks that may be in the picture, as sigma points of the prior have it."""
-    axes = _OPEN_SIGMAS * np.linalg.cholesky(prior.covariance + 1e-12 * np.eye(3)).T
+    axes = _OPEN_SIGMAS * np.linalg.cholesky(prior.covariance).T
     poses = prior.pose + np.vstack([np.zeros(3), axes, -axes])
     turned = rotation(poses[:, 2])
     # From map into the base frame: rows times the rotation are turned back by it.
