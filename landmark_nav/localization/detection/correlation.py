@@ -163,9 +163,10 @@ def _wrong_heights(
         view.prior.pose,
         view.rotation,
         view.center,
-        view.camera.fy,
+        view.camera,
     )
-    covariance = rows.covariance(view.prior.covariance, config.vertical_sigma_px)
+    lean_rad = config.vertical_sigma_px / view.camera.fy
+    covariance = rows.covariance(view.prior.covariance, lean_rad)
     own = rows.by_height**2 * [f.landmark.covariance[2, 2] for f in found]
     own += [f.match.covariance[1, 1] + config.lens_sigma_px**2 for f in found]
     return wrong_heights(np.array([f.down_px for f in found]), covariance + np.diag(own))

@@ -7,12 +7,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray
 
 __all__ = ['LEAST_HEIGHTS', 'RowModel', 'wrong_heights']
 
 # Fewer tell a wrong height from a wrong tilt no better than the search window does.
 LEAST_HEIGHTS = 3
+# Metres or radians: of differences that stand for derivatives.
+_STEP = 1e-4
 # Sigmas beyond which a match is at a wrong height, given the others.
 _WRONG = 4.0
 
@@ -21,13 +24,13 @@ class RowModel(NamedTuple):
     """
     Rows of points (n,) of the picture, differentiated.
 
-    `by_pose` (n, 3) by the pose of the base, px/m and px/rad; `by_height` (n,) by the point's own
-    height, px/m; `aside` (n,) is x/z in the optical frame.
+    `by_pose` (n, 3) by the pose of the base, px/m and px/rad; `by_lean` (n, 2) by tilt and roll of
+    the camera, px/rad; `by_height` (n,) by the point's own height, px/m.
     """
 
     by_pose: FloatArray
+    by_lean: FloatArray
     by_height: FloatArray
-    aside: FloatArray
 
     @classmethod
     def of(
@@ -36,20 +39,27 @@ class RowModel(NamedTuple):
         pose_map_base: FloatArray,
         rotation: FloatArray,
         center: FloatArray,
-        fy: float,
+        camera: CameraModel,
     ) -> RowModel:
-        """Of points (n, 3), a camera at `center` (3,) turned by `rotation` optical -> map."""
-        x, y, z = ((points_map - center) @ rotation).T
-        by_point = fy * (rotation[:, 1] - (y / z)[:, None] * rotation[:, 2]) / z[:, None]
+        """Of points (n, 3) and a camera at `center` (3,), turned by `rotation` optical -> map."""
+        points = (points_map - center) @ rotation
         away = points_map - [*pose_map_base[:2], 0.0]
-        by_turn = by_point[:, 0] * away[:, 1] - by_point[:, 1] * away[:, 0]
-        by_pose = np.column_stack([-by_point[:, :2], by_turn])
-        return cls(by_pose, by_point[:, 2], x / z)
+        # As the camera sees them, points move against the base.
+        moved = np.zeros((7, *points.shape))
+        moved[1, :, 0] = moved[2, :, 1] = -_STEP
+        moved[3, :, 0], moved[3, :, 1] = _STEP * away[:, 1], -_STEP * away[:, 0]
+        moved[6, :, 2] = _STEP
+        moved = moved @ rotation
+        moved[4, :, 1], moved[4, :, 2] = _STEP * points[:, 2], -_STEP * points[:, 1]
+        moved[5, :, 0], moved[5, :, 1] = -_STEP * points[:, 1], _STEP * points[:, 0]
+        rows = camera.project(points + moved)[..., 1]
+        by = ((rows[1:] - rows[0]) / _STEP).T
+        return cls(by[:, :3], by[:, 3:5], by[:, 5])
 
-    def covariance(self, pose_covariance: FloatArray, lean_px: float) -> FloatArray:
-        """What all rows share (n, n): the pose, and a floor that leans ahead and aside."""
-        lean = lean_px * np.column_stack([np.ones(len(self.aside)), self.aside])
-        return np.asarray(self.by_pose @ pose_covariance @ self.by_pose.T + lean @ lean.T)
+    def covariance(self, pose_covariance: FloatArray, lean_rad: float) -> FloatArray:
+        """What all rows share (n, n): the pose, and a camera that leans ahead and aside."""
+        by_pose = self.by_pose @ pose_covariance @ self.by_pose.T
+        return np.asarray(by_pose + lean_rad**2 * self.by_lean @ self.by_lean.T)
 
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:

@@ -1,0 +1,77 @@
+"""Rows of landmarks in the picture, beside each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.detection import camera_in_map
+from landmark_nav.localization.detection.height import RowModel, wrong_heights
+from landmark_nav.types import FloatArray
+
+PLAIN = CameraModel(512, 512, 555.0, 555.0, 256.0, 256.0, distortion=(-0.1, 0.02, 0.0, 0.0))
+FISHEYE = CameraModel(512, 512, 250.0, 250.0, 256.0, 256.0, 'equidistant', (0.02, -0.01, 0.0, 0.0))
+MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.2))
+POSE, PAN, TILT = np.array([1.0, 2.0, 0.3]), 0.4, 0.1
+
+
+def model_of(camera: CameraModel, spread: float) -> tuple[RowModel, FloatArray]:
+    """Rows of eight points about 3 m away."""
+    rotation, center = camera_in_map(POSE, MOUNT, PAN, TILT)
+    offset = np.random.default_rng(0).uniform(-spread, spread, (8, 3))
+    offset[:, 2] += 3.0
+    points = center + offset @ rotation.T
+    return RowModel.of(points, POSE, rotation, center, camera), points
+
+
+@pytest.mark.parametrize(('camera', 'spread'), [(PLAIN, 0.8), (FISHEYE, 2.0)])
+def test_derivatives_are_those_of_the_camera(camera: CameraModel, spread: float) -> None:
+    model, points = model_of(camera, spread)
+
+    def rows(pose: FloatArray, tilt_rad: float, roll_rad: float, higher_m: float) -> FloatArray:
+        turn, _ = MOUNT.camera_pose_base(PAN, tilt_rad, roll_rad)
+        _, center = camera_in_map(pose, MOUNT, PAN, tilt_rad)
+        heading = np.eye(3)
+        heading[:2, :2] = [
+            [np.cos(pose[2]), -np.sin(pose[2])],
+            [np.sin(pose[2]), np.cos(pose[2])],
+        ]
+        rotation = heading @ turn
+        raised = points + np.array([0.0, 0.0, higher_m])
+        return camera.project((raised - center) @ rotation)[:, 1]
+
+    step = 1e-5 * np.eye(6)
+    by = [
+        (
+            rows(POSE + s[:3], TILT + s[3], s[4], s[5])
+            - rows(POSE - s[:3], TILT - s[3], -s[4], -s[5])
+        )
+        / 2e-5
+        for s in step
+    ]
+    np.testing.assert_allclose(model.by_pose.T, by[:3], rtol=1e-3, atol=0.05)
+    np.testing.assert_allclose(np.abs(model.by_lean.T), np.abs(by[3:5]), rtol=1e-3, atol=0.05)
+    np.testing.assert_allclose(model.by_height, by[5], rtol=1e-3, atol=0.05)
+
+
+@pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
+def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: CameraModel) -> None:
+    model, _ = model_of(camera, 0.8)
+    own = 0.15
+    shared = model.covariance(np.diag([0.01, 0.01, 0.005]) ** 2, 0.002)
+    covariance = shared + own**2 * np.eye(8)
+    rng = np.random.default_rng(2)
+    refused = 0
+    for _ in range(300):
+        off = rng.multivariate_normal(np.zeros(8), covariance)
+        refused += int(wrong_heights(off, covariance).sum())
+        off[3] += 3.0
+        wrong = wrong_heights(off, covariance)
+        assert wrong[3]
+        assert wrong.sum() <= 2
+    assert refused <= 3
+
+
+def test_two_heights_do_not_tell_which_is_wrong() -> None:
+    assert not wrong_heights(np.array([0.0, 9.0]), 0.01 * np.eye(2)).any()
