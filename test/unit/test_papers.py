@@ -54,6 +54,17 @@ def search_in(image: FloatArray, noise: float = 0.0) -> ColorSearch:
     return ColorSearch(CylinderImage(picture(image, noise), np.ones(SHAPE, bool), CYLINDER))
 
 
+def test_a_paper_is_found_among_books_that_have_rather_its_hue() -> None:
+    books: list[Rectangle] = [
+        (color_of('green'), 40.0 + 16.0 * (k % 30), 10.0 + 45.0 * (k // 30), 8.0, 20.0)
+        for k in range(60)
+    ]
+    yellowish = 0.85 * color_of('green') + 0.15 * color_of('yellow')
+    blobs = search_in(wall_with([*books, (yellowish, 700.0, 30.0, 22.0, 31.0)])).blobs('green')
+    azimuth = CYLINDER.azimuth_rad(700.0 + 10.5)
+    assert np.abs(blobs.azimuth_rad - azimuth).min() < 0.01
+
+
 @pytest.mark.parametrize('light', [(1.0, 1.0, 1.0), (0.5, 0.75, 1.0), (0.25, 0.24, 0.2)], ids=str)
 def test_each_colour_is_found_among_the_others_in_any_light(
     light: tuple[float, float, float],
