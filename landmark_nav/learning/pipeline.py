@@ -173,7 +173,7 @@ def learn_from_panoramas(
         free = adjust(sightings, walls, start, panoramas, room, without_walls)
         check_walls(free, walls, room, config.wall_fit)
         adjustment = adjust(sightings, walls, start, panoramas, room, config.adjustment)
-        residuals = wall_residuals(adjustment, walls, room, config.wall_fit)
+        residuals = wall_residuals(adjustment, walls, room, config.adjustment, config.wall_fit)
     doubt = doubtful_walls(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
     )

@@ -81,7 +81,7 @@ def test_furniture_before_a_wall_says_nothing_about_it() -> None:
 def doubt(off_cm: list[float], shared_m: float = 0.002, hanging_m: float = 0.001) -> str:
     """What is said of four walls whose patches hang so far before them."""
     walls = [
-        WallResidual(name, 20, off / 100.0, shared_m * np.eye(4)[k])
+        WallResidual(name, 20, 5, off / 100.0, shared_m * np.eye(4)[k])
         for k, (name, off) in enumerate(zip('abcd', off_cm, strict=True))
     ]
     return doubtful_walls(walls, hanging_m, AdjustmentConfig(), WallFitConfig())
@@ -109,6 +109,6 @@ def test_a_room_that_is_wrong_as_a_whole_is_told_with_its_residuals(off_cm: list
 
 def test_things_that_hang_differently_far_doubt_no_wall() -> None:
     assert doubt([3.0, 0.2, 1.0, 0.4])
-    assert not doubt([3.0, 0.2, 1.0, 0.4], hanging_m=0.015)
+    assert not doubt([3.0, 0.2, 1.0, 0.4], hanging_m=0.03)
     assert not doubt([3.0, 0.2, 1.0, 0.4], shared_m=0.02)
     assert not doubtful_walls([], 0.001, AdjustmentConfig(), WallFitConfig())

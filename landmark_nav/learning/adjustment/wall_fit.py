@@ -100,10 +100,15 @@ def check_walls(free: Adjustment, walls: Sequence[int], room: Room, config: Wall
 
 @dataclass(frozen=True, eq=False)
 class WallResidual:
-    """How far before a wall, median, its patches lie; `shared` (m,) makes up its covariance."""
+    """
+    How far before a wall lies what hangs there, mean over its `stretches` with patches.
+
+    `shared` (m,) makes up its covariance, beside that of how differently far things hang.
+    """
 
     wall_id: str
     patches: int
+    stretches: int
     off_m: float
     shared: FloatArray
 
@@ -114,18 +119,24 @@ class WallResidual:
 
 
 def wall_residuals(
-    adjustment: Adjustment, walls: Sequence[int], room: Room, config: WallFitConfig
+    adjustment: Adjustment,
+    walls: Sequence[int],
+    room: Room,
+    expected: AdjustmentConfig,
+    config: WallFitConfig,
 ) -> tuple[WallResidual, ...]:
     """Tell how far before their walls patches lie, by all that is known; arguments as above."""
-    return tuple(
-        WallResidual(
-            room.walls[k].id,
-            int(on.sum()),
-            float(np.median(adjustment.off_wall_m[on])),
-            _shared(adjustment, room, k, on),
+    residuals = []
+    for k, on, along in _judged(adjustment, walls, room, config):
+        # Patches of one thing say no more of its wall than one of them.
+        _, stretch = np.unique(along // expected.hanging_length_m, return_inverse=True)
+        off = adjustment.off_wall_m[on]
+        means = [np.median(off[stretch == n]) for n in range(stretch.max() + 1)]
+        shared = _shared(adjustment, room, k, on)
+        residuals.append(
+            WallResidual(room.walls[k].id, len(off), len(means), float(np.mean(means)), shared)
         )
-        for k, on, _ in _judged(adjustment, walls, room, config)
-    )
+    return tuple(residuals)
 
 
 def doubtful_walls(
@@ -158,8 +169,9 @@ def doubtful_walls(
         return ''
     off = np.array([residual.off_m for residual in residuals])
     shared = np.stack([residual.shared for residual in residuals])
-    apart = expected.wall_sigma_m**2 + hanging_sigma_m**2
-    inverse = np.linalg.inv(shared @ shared.T + apart * np.eye(len(off)))
+    stretches = np.array([residual.stretches for residual in residuals])
+    apart = expected.wall_sigma_m**2 + hanging_sigma_m**2 / stretches
+    inverse = np.linalg.inv(shared @ shared.T + np.diag(apart))
     common = float(np.sum(inverse @ off) / inverse.sum())
     left = off - common
     likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
