@@ -4,7 +4,8 @@ Sweeps that went wrong, through ``landmark-nav learn``: a map that is right, or 
 ``python test/bad_sweeps_check.py`` simulates a room, takes sweeps in it under bad conditions, and
 learns from each pair of them. It exits with 1 if a map holds a landmark that lies farther from
 the truth than its covariance allows, if the covariances of a map are too small as a whole, or if
-something is refused for another reason than its own, or not even told. ``test/system/test_bad_sweeps.py`` runs some.
+something is refused for another reason than its own, or not even told.
+``test/system/test_bad_sweeps.py`` runs some.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ import numpy as np
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
@@ -24,11 +23,12 @@ def truth_of_bag(bag: Bag) -> PoseTrack:
     return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses)
 
 
-def true_places(
-    result: LearningResult, true_poses: FloatArray, mount: PanTiltMount, room: Room | None = None
-) -> FloatArray:
+def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMount) -> FloatArray:
     """
     Where the true rays to the patches of the landmarks end.
+
+    A patch is as far off its wall as its landmark, so that the two differ along the wall alone:
+    pictures hang a finger's breadth before it, nobody knows how far.
 
     Parameters
     ----------
@@ -38,10 +38,6 @@ def true_places(
         Of the base, one a panorama.
     mount : PanTiltMount
         Where the camera turns.
-    room : Room, optional
-        Walls that pictures lie flush on, as in the simulator. Without it a patch is as far off
-        its wall as its landmark, so that the two differ along the wall alone: real pictures hang
-        a finger's breadth before it, nobody knows how far.
 
     Returns
     -------
@@ -58,10 +54,7 @@ def true_places(
             if isinstance(outcome, Landmark):
                 azimuth = float(panorama.cylinder.azimuth_rad(candidate.column)) + pose[2]
                 ray, normal = np.array([np.cos(azimuth), np.sin(azimuth)]), outcome.normal[:2]
-                if room is None:
-                    reach = (outcome.position[:2] - axis) @ normal / (ray @ normal)
-                else:
-                    reach = room.raycast(axis, azimuth)[0]
+                reach = (outcome.position[:2] - axis) @ normal / (ray @ normal)
                 place = axis + reach * ray
                 truth[result.map.indices(np.array([outcome.id]))[0]] = place
     return truth
