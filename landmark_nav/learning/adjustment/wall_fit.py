@@ -101,7 +101,7 @@ def check_walls(free: Adjustment, walls: Sequence[int], room: Room, config: Wall
 @dataclass(frozen=True, eq=False)
 class WallResidual:
     """
-    How far before a wall lies what hangs there, mean over its `stretches` with patches.
+    How far before a wall lies what hangs there, median of its `stretches` with patches.
 
     `shared` (m,) makes up its covariance, beside that of how differently far things hang.
     """
@@ -131,10 +131,10 @@ def wall_residuals(
         # Patches of one thing say no more of its wall than one of them.
         _, stretch = np.unique(along // expected.hanging_length_m, return_inverse=True)
         off = adjustment.off_wall_m[on]
-        means = [np.median(off[stretch == n]) for n in range(stretch.max() + 1)]
+        things = [np.median(off[stretch == n]) for n in range(stretch.max() + 1)]
         shared = _shared(adjustment, room, k, on)
         residuals.append(
-            WallResidual(room.walls[k].id, len(off), len(means), float(np.mean(means)), shared)
+            WallResidual(room.walls[k].id, len(off), len(things), float(np.median(things)), shared)
         )
     return tuple(residuals)
 
@@ -170,12 +170,14 @@ def doubtful_walls(
     off = np.array([residual.off_m for residual in residuals])
     shared = np.stack([residual.shared for residual in residuals])
     stretches = np.array([residual.stretches for residual in residuals])
-    apart = expected.wall_sigma_m**2 + hanging_sigma_m**2 / stretches
+    # A median is that much less certain than a mean.
+    apart = expected.wall_sigma_m**2 + 0.5 * np.pi * hanging_sigma_m**2 / stretches
     inverse = np.linalg.inv(shared @ shared.T + np.diag(apart))
-    common = float(np.sum(inverse @ off) / inverse.sum())
-    left = off - common
+    left = off - np.sum(inverse @ off) / inverse.sum()
     likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
-    if likely and -config.max_behind_m <= common <= config.max_before_m:
+    slack = 2.0 * np.array([residual.sigma_m for residual in residuals])
+    near = (off >= -config.max_behind_m - slack) & (off <= config.max_before_m + slack)
+    if likely and near.all():
         return ''
     told = ', '.join(
         f'{100 * abs(r.off_m):.1f} cm {"before" if r.off_m > 0 else "behind"} {r.wall_id}'
