@@ -44,7 +44,7 @@ class TrueWalls:
                 depth = float((surface.corner - base.corner) @ base.normal)
                 before = np.where(share > 0.5, depth, before)
             # An outline belongs to what is in front.
-            nearest = cv2.dilate(before, np.ones((5, 5), np.uint8))
+            nearest = cv2.dilate(before, np.ones((11, 11), np.uint8))
             self._walls[wall.id] = (wall, base, grey.astype(np.float32), nearest)
 
     def place(self, landmark: Landmark) -> FloatArray | None:

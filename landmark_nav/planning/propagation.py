@@ -65,7 +65,7 @@ def landmark_errors(
     turned = azimuth_rad + 0.5 * np.pi
     by_point = np.stack([np.cos(turned), np.sin(turned)], -1) / range_m[..., None]
     by_pose = np.concatenate([-by_point, np.full((*range_m.shape, 1), -1.0)], -1)
-    hanging = config.hanging_sigma_m**-2.0
+    hanging = 1.0 / (config.hanging_sigma_m**2 + config.relief_sigma_m**2)
     h_xx = np.einsum('ns,nsi,nsj->sij', weight, by_point, by_point)
     h_xx += hanging * normal[:, :, None] * normal[:, None]
     # Nothing is known along the wall where no panorama looks: 30 m are as good as nothing.

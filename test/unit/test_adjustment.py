@@ -103,10 +103,13 @@ def test_landmarks_share_what_the_poses_err() -> None:
         prior = told_poses(world, rng)
         hung = world_hung(world, rng)
         found = solve(hung, sightings_of(hung, rng), prior, AS_EXPECTED)
+        if found.chi_square.max() > 50.0:
+            continue  # told to be false
         errors.append(found.positions - hung.points)
         loadings.append(found.shared_loading)
         owns.append(found.own_covariance)
     error = np.array(errors).reshape(len(errors), -1)
+    assert len(error) > 220
     measured = error.T @ error / len(error)
     loading = np.mean(loadings, axis=0).reshape(len(world.points) * 3, -1)
     predicted = loading @ loading.T

@@ -62,7 +62,9 @@ class NormalEquations:
         return np.asarray(np.linalg.solve(self.h_xx, self.h_xs), dtype=np.float64)
 
     def _schur(self) -> FloatArray:
-        return np.asarray(self.h_ss - np.einsum('nip,niq->pq', self.h_xs, self.gain))
+        shared = len(self.h_ss)
+        told = self.h_xs.reshape(-1, shared).T @ self.gain.reshape(-1, shared)
+        return np.asarray(self.h_ss - told)
 
     def solve(self) -> tuple[FloatArray, FloatArray]:
         """Steps of landmarks (n, 3) and shared unknowns (m,)."""
@@ -242,11 +244,11 @@ class Problem:
         shared = equations.shared_covariance()
         by_shared = at.by_shared - at.by_point @ gain[self.landmark]
         seen = np.einsum('nki,nij,nkj->nk', at.by_point, own[self.landmark], at.by_point)
-        seen += np.einsum('nkp,pq,nkq->nk', by_shared, shared, by_shared)
+        seen += np.sum((by_shared @ shared) * by_shared, -1)
         by_shared_wall = -np.einsum('ni,nip->np', self.normal, gain)
         by_shared_wall[:, self._walls] -= self._hangs
         wall = np.einsum('ni,nij,nj->n', self.normal, own, self.normal)
-        wall += np.einsum('np,pq,nq->n', by_shared_wall, shared, by_shared_wall)
+        wall += np.sum((by_shared_wall @ shared) * by_shared_wall, -1)
         return seen, wall
 
 

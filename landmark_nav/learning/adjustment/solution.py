@@ -50,13 +50,19 @@ class AdjustmentConfig:
         1e-3, 'what a panorama adds to each tangent of elevation', minimum=0, maximum=0.1
     )
     relief_sigma_m: float = parameter(
-        0.005, 'how differently far from the wall one thing is', minimum=1e-4, maximum=1
+        0.015,
+        'how differently far from the wall things on one stretch of it hang',
+        minimum=1e-4,
+        maximum=1,
     )
     hanging_sigma_m: float = parameter(
-        0.015, 'how differently far from the wall things hang', minimum=1e-4, maximum=1
+        0.015, 'how differently far from the wall stretches of it hang', minimum=1e-4, maximum=1
     )
     hanging_length_m: float = parameter(
-        0.6, 'how long a stretch of wall one thing takes up', minimum=0.05, maximum=10
+        0.6,
+        'how long a stretch of wall hangs together, as a picture does',
+        minimum=0.05,
+        maximum=10,
     )
     common_hanging_sigma_m: float = parameter(
         0.015, 'how far from the wall things hang on average', minimum=1e-4, maximum=1
@@ -167,11 +173,8 @@ def adjust(
             config.hanging_sigma_m,
         ]
     )
-    # A stretch may hold two things, and where it begins is nobody's business.
-    at_first = expected.copy()
-    at_first[_RELIEF] = max(config.relief_sigma_m, config.hanging_sigma_m)
-    points, shared = _settle(problem, start, at_first)
-    trusted = _misfit(problem, problem.linearize(points, shared), at_first) < _bound(problem)
+    points, shared = _settle(problem, start, expected)
+    trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
     say = np.where(trusted, 1.0, _NO_SAY)
     weight = np.full(len(expected), config.camera_weight)
     weight[_RELIEF] = weight[_HANGING] = config.room_weight
