@@ -136,7 +136,9 @@ class TestJacobians:
         )
         motion = Motion(np.array([0.3, 0.05, 0.4]), 0.1)
         state = initial_state(start_estimate(), MAP, quiet, 0.1)
-        mean = state.mean + np.array([0.0, 0.0, 0.0, 0.02, 0.1, -0.05, 0.03, 0.01, 0.02, 0.04])
+        mean = state.mean + np.array(
+            [0.0, 0.0, 0.0, 0.02, 0.1, -0.05, 0.03, 0.01, 0.02, 0.04, 0.06]
+        )
         n = len(mean)
         root = np.random.default_rng(0).normal(size=(n, n))
         state = replace(state, mean=mean, covariance=root @ root.T)

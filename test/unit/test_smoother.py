@@ -191,7 +191,7 @@ def test_derivatives_agree_with_differences() -> None:
         Bearings.of(drive.sightings[:4], drive.map),
         drive.map,
         np.array(MOUNT.axis_xyz[:2]),
-        np.array([*NOISE.bias_sigmas, 0.02, 0.05]),
+        np.array([*NOISE.bias_sigmas, 0.1, 0.02, 0.05]),
         2e-3,
         1e9,  # weights that do not change
     )

@@ -40,6 +40,7 @@ __all__ = [
     'HEADING',
     'LENS',
     'STATES',
+    'TURN_LOSS',
     'FilterState',
     'MeasurementModel',
     'among',
@@ -53,9 +54,9 @@ __all__ = [
 IndexArray = npt.NDArray[np.intp]
 
 # x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight; by how
-# much the stamps of the joints are late; principal point over focal length.
-STATES = 10
-HEADING, BORESIGHT, DELAY, LENS = 2, 7, 8, 9
+# much the stamps of the joints are late; principal point over focal length; way lost in turns.
+STATES = 11
+HEADING, BORESIGHT, DELAY, LENS, TURN_LOSS = 2, 7, 8, 9, 10
 _SCALE, _DRIFT, _TURN_SCALE, _SLIP = 3, 4, 5, 6
 _BIASES = slice(_SCALE, _SLIP)
 
@@ -127,8 +128,9 @@ def initial_state(
     lens_sigma: float = 0.0,
 ) -> FilterState:
     """Return the state at a given pose, independent of the map."""
+    wheels = *odometry.bias_sigmas, odometry.slip_sigma
     camera = boresight_sigma, delay_sigma_s, lens_sigma
-    sigmas = np.array([*odometry.bias_sigmas, odometry.slip_sigma, *camera])
+    sigmas = np.array([*wheels, *camera, odometry.turn_loss_sigma_m_per_rad])
     covariance = np.zeros((STATES, STATES))
     covariance[:3, :3] = start.covariance
     covariance[range(3, STATES), range(3, STATES)] = sigmas**2
@@ -193,7 +195,7 @@ def propagate(
     scale, drift, turn_scale, slip = state.mean[_SCALE:BORESIGHT]
     corrected = np.array(
         [
-            (1.0 + scale) * forward,
+            (1.0 + scale) * forward - state.mean[TURN_LOSS] * abs(turn),
             (1.0 + scale) * left + slip * forward,
             (1.0 + turn_scale) * turn + drift * forward,
         ]
@@ -204,6 +206,7 @@ def propagate(
     step[:3, :3] = by_pose
     step[:3, _SCALE] = by_motion @ [forward, left, 0.0]
     step[:3, _SLIP] = by_motion[:, 1] * forward
+    step[:3, TURN_LOSS] = -by_motion[:, 0] * abs(turn)
     step[2, _DRIFT], step[2, _TURN_SCALE] = forward, turn
     step[_SLIP, _SLIP] = kept
 

@@ -93,6 +93,13 @@ class OdometryNoiseConfig:
     turn_scale_sigma: float = parameter(
         0.03, 'Sigma of the relative error of turns at the start.', minimum=0.0, maximum=1.0
     )
+    turn_loss_sigma_m_per_rad: float = parameter(
+        0.0,
+        'Sigma of the way that is lost in turns, m per rad, which is estimated: a base that is '
+        'told to drive and to turn may drive slower. 0 has it lose none.',
+        minimum=0.0,
+        maximum=1.0,
+    )
     bias_change_per_sqrt_m: float = parameter(
         0.05,
         'How far these three wander in one metre, relative to their sigmas at the start.',

@@ -31,8 +31,9 @@ class Motions:
     ----------
     increment : ndarray, shape (m, 3)
         Pose of each time in the frame of the one before.
-    by_bias : ndarray, shape (m, 3, 3)
-        Its derivative by the scale of the way, the drift per metre and the scale of turns.
+    by_bias : ndarray, shape (m, 3, 4)
+        Its derivative by the scale of the way, the drift per metre, the scale of turns and the
+        way lost in turns.
     covariance : ndarray, shape (m, 3, 3)
         What is random in it.
 
@@ -72,7 +73,7 @@ def motions_between(
 def _between(
     times_ns: npt.NDArray[np.int64], track: OdometryTrack, config: OdometryNoiseConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Increment (3,), its derivative by the biases (3, 3) and its covariance (3, 3)."""
+    """Increment (3,), its derivative by the biases (3, 4) and its covariance (3, 3)."""
     poses, steps, variances = [np.zeros(3)], [], []
     slip = 2.0 * config.slip_length_m * config.slip_sigma**2
     for begin, end in pairwise(times_ns.tolist()):
@@ -89,9 +90,10 @@ def _between(
     effect[:, :2, :2] = rotation(pose[:-1, 2])
     effect[:, 0, 2], effect[:, 1, 2] = -lever[:, 1], lever[:, 0]
     effect[:, 2, 2] = 1.0
-    shifted = np.zeros((len(step), 3, 3))
+    shifted = np.zeros((len(step), 3, 4))
     shifted[:, :2, 0] = step[:, :2]
     shifted[:, 2, 1] = step[:, 0]
     shifted[:, 2, 2] = step[:, 2]
+    shifted[:, 0, 3] = -np.abs(step[:, 2])
     covariance = np.einsum('mij,mj,mkj->ik', effect, np.array(variances), effect)
     return pose[-1], np.sum(effect @ shifted, axis=0), covariance + _LEAST_VARIANCE * np.eye(3)

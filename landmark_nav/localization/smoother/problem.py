@@ -22,9 +22,9 @@ IndexArray = npt.NDArray[np.intp]
 # Unknowns of each time: x, y, heading, and the error of the pan in its own sigmas.
 _PER_POSE = 4
 _PAN = 3
-# Unknowns of all times: the three systematic errors of the odometry, boresight, principal point.
-_COMMON = 5
-_BORESIGHT, _LENS = 3, 4
+# Unknowns of all times: the four systematic errors of the odometry, boresight, principal point.
+_COMMON = 6
+_BORESIGHT, _LENS = 4, 5
 # What is taken as known exactly would be singular: a micrometre, a microradian.
 _LEAST_SIGMA = 1e-6
 
@@ -87,8 +87,8 @@ class Problem:
     """
     What is known: start, odometry, bearings, map, and how well.
 
-    `common_sigmas` (5,) are those of the odometry's scale, drift and turn scale, of the boresight
-    and of the principal point; `lever` (2,) is the pan axis in the base.
+    `common_sigmas` (6,) are those of the odometry's scale, drift, turn scale and way lost in
+    turns, of the boresight and of the principal point; `lever` (2,) is the pan axis in the base.
     """
 
     start: PoseEstimate

@@ -131,13 +131,14 @@ def smooth(
     if len(stamps) < 2 or np.any(np.diff(stamps) < 0):
         raise LandmarkNavError('smoother: needs sightings in the order of time after the start')
     fusion, noise = fusion or FusionConfig(), noise or OdometryNoiseConfig()
+    wheels = *noise.bias_sigmas, noise.turn_loss_sigma_m_per_rad
     problem = Problem(
         start,
         motions_between(stamps, odometry, noise),
         Bearings.of(sightings, landmark_map),
         landmark_map,
         np.asarray(mount.axis_xyz[:2], dtype=np.float64),
-        np.array([*noise.bias_sigmas, fusion.boresight_sigma_rad, fusion.principal_point_sigma]),
+        np.array([*wheels, fusion.boresight_sigma_rad, fusion.principal_point_sigma]),
         fusion.pan_sigma_rad,
         config.robust_sigmas,
     )
