@@ -59,7 +59,8 @@ def test_places_of_panoramas_that_err_more_than_they_say_are_trusted_less() -> N
             told = told_poses(world, rng, factor)
             found.append(solve(world, sightings_of(world, rng), told).noise[3])
         scales.append(np.median(found))
-    assert 0.2 < scales[0] < 0.6 < scales[1] < 1.6 < scales[2] < 4.5
+    # Those that agree may share what they err.
+    assert scales[0] == 1.0 <= scales[1] < 1.6 < scales[2] < 4.5
 
 
 def test_heights_that_err_more_than_they_say_do_not_make_the_plan_uncertain() -> None:

@@ -37,6 +37,7 @@ _NOISE_CONVERGED = 1e-3
 _MOST_FACTORS = 16
 # Among the sigmas that are estimated.
 _RELIEF, _SPREAD, _HANGING = 2, slice(3, 8), slice(5, 8)
+_PLACES = np.array([3, 4])
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,9 @@ class Adjustment:
     chi_square : ndarray, shape (n,)
         Misfit of its sightings and its wall.
     noise : ndarray, shape (8,)
-        Sigmas found: of azimuths, of tangents, of relief; factors on the sigmas that panoramas
-        say their places have, in plan and in height; how far things hang off all walls, how far
-        each wall lies from where the room says, and how differently far things hang.
+        Sigmas found: of azimuths, of tangents, of relief; factors, 1 or more, on the sigmas that
+        panoramas say their places have, in plan and in height; how far things hang off all walls,
+        how far each wall lies from where the room says, and how differently far things hang.
 
     """
 
@@ -324,4 +325,8 @@ def _noise(
     squares[_SPREAD], counts[_SPREAD] = problem.spread_misfit(shared, equations, noise[_SPREAD])
     pull = weight * (expected / noise) ** 2
     better = noise * np.sqrt((squares + pull) / (counts + weight))
-    return better, 1.0 + 2.0 * counts / (counts + weight) ** 2
+    fewness = 1.0 + 2.0 * counts / (counts + weight) ** 2
+    # Panoramas that agree may all be wrong by what they share: papers, floor and camera.
+    as_told = _PLACES[better[_PLACES] < 1.0]
+    better[as_told] = fewness[as_told] = 1.0
+    return better, fewness
