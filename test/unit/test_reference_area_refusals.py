@@ -16,6 +16,9 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.fit import PaperFit
+from landmark_nav.learning.reference_area.model import PaperPriors
+from landmark_nav.learning.reference_area.refusals import doubtful_size
 from landmark_nav.types import FloatArray, Sweep
 
 
@@ -170,3 +173,33 @@ def test_fewer_than_three_papers_are_no_reference_area(count: int) -> None:
     sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
     with pytest.raises(LandmarkNavError, match=f'names {count} reference papers.*sweep/pose'):
         locate(sweep, room)
+
+
+def fit_of_size(size: float, sigma: float, misfit: float) -> PaperFit:
+    """A fit of which its size alone matters; `sigma` before edges that scatter widen it."""
+    nothing = np.zeros((3, 2))
+    claimed = sigma * np.sqrt(max(1.0, misfit))
+    return PaperFit(
+        np.zeros(3), 0.0, np.eye(4), np.ones(3), np.ones(3), nothing, np.zeros(2), np.eye(2), size,
+        float(claimed), misfit,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize('misfit', [0.8, 3.0])
+def test_papers_that_say_nothing_of_their_size_are_not_doubted(misfit: float) -> None:
+    priors = PaperPriors(0.001, 0.005, 0.003, 0.05, 2e-4, 0.002)
+    # As the estimate scatters where papers tell a tenth of a percent of what is known before.
+    told = 0.001 * priors.size**2
+    sigma = float(np.sqrt(priors.size**2 - told))
+    assert doubtful_size(fit_of_size(2.0 * float(np.sqrt(told)), sigma, misfit), priors) == ''
+
+
+def test_papers_that_are_surely_larger_are_told_with_how_much() -> None:
+    priors = PaperPriors(0.001, 0.005, 0.003, 0.05, 2e-4, 0.002)
+    measured = 0.002
+    sigma = (priors.size**-2 + measured**-2) ** -0.5
+    drawn = 0.015 * priors.size**2 / (priors.size**2 + measured**2)
+    told = doubtful_size(fit_of_size(drawn, sigma, 1.0), priors)
+    assert '1.5 % larger' in told
+    # Edges that scatter by ten times as much as they should could look so by chance.
+    assert doubtful_size(fit_of_size(drawn, sigma, 100.0), priors) == ''

@@ -116,8 +116,10 @@ class Problem:
         self._hangs = np.hstack(
             [np.eye(len(room.walls))[self.wall], np.eye(int(stretch.max()) + 1)[stretch]]
         )
-        self._planes = np.arange(self._hangs.shape[1]) < len(room.walls)
-        self.prior = np.append(poses.ravel(), np.zeros(len(self._planes)))
+        plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
+        # What all walls have in common, each wall alone, and each stretch of one.
+        self._hanging = np.outer(plane, plane), np.diag(plane), np.diag(1.0 - plane)
+        self.prior = np.append(poses.ravel(), np.zeros(len(plane)))
         self._poses = slice(0, poses.size)
         self._walls = slice(poses.size, len(self.prior))
         self._places = _joint([p.covariance for p in panoramas])
@@ -202,13 +204,8 @@ class Problem:
         """
         plan, height, *hanging = spread
         factor = np.where(self._height, height, plan)
-        off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging(), strict=True))
+        off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
         return np.asarray(block_diag(self._places * np.outer(factor, factor), off_walls))
-
-    def _hanging(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What all walls have in common, each wall alone, and each stretch of one."""
-        planes = self._planes.astype(np.float64)
-        return np.outer(planes, planes), np.diag(planes), np.diag(1.0 - planes)
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray
@@ -229,7 +226,7 @@ class Problem:
         places = np.zeros(prior.shape)
         places[self._poses, self._poses] = prior[self._poses, self._poses]
         parts = [(1.0 - upward) * places, upward * places]
-        for sigma, hanging in zip(spread[2:], self._hanging(), strict=True):
+        for sigma, hanging in zip(spread[2:], self._hanging, strict=True):
             parts.append(np.zeros(prior.shape))
             parts[-1][self._walls, self._walls] = sigma**2 * hanging
         squares = np.array([misfit @ part @ misfit for part in parts])

@@ -18,6 +18,7 @@ from scipy.special import chdtrc
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment.problem import wall_stretches
 from landmark_nav.learning.adjustment.solution import Adjustment, AdjustmentConfig
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray
@@ -127,10 +128,10 @@ def wall_residuals(
 ) -> tuple[WallResidual, ...]:
     """Tell how far before their walls patches lie, by all that is known; arguments as above."""
     residuals = []
-    for k, on, along in _judged(adjustment, walls, room, config):
+    for k, on, _ in _judged(adjustment, walls, room, config):
         # Patches of one thing say no more of its wall than one of them.
-        _, stretch = np.unique(along // expected.hanging_length_m, return_inverse=True)
-        off = adjustment.off_wall_m[on]
+        off, there = adjustment.off_wall_m[on], [k] * int(on.sum())
+        stretch = wall_stretches(adjustment.positions[on], there, room, expected.hanging_length_m)
         things = [np.median(off[stretch == n]) for n in range(stretch.max() + 1)]
         shared = _shared(adjustment, room, k, on)
         residuals.append(

@@ -72,11 +72,13 @@ def doubtful_size(fit: PaperFit, priors: PaperPriors) -> str:
 
     A room that is told too large as a whole, papers and all, shows in nothing else.
     """
-    # How uncertain it is by how much sizes differ, before the prior drew them together.
-    told_apart = np.sqrt(max(priors.size**2 - fit.size_sigma**2, 1e-12))
-    if abs(fit.size) < _DOUBTFUL_SIZE * told_apart:
+    # Variance of a size that the prior drew towards what was told; where edges scatter more than
+    # they should, so does it. Papers that say next to nothing of it leave it where it was.
+    scatter = max(1.0, fit.misfit)
+    variance = max(priors.size**2 - fit.size_sigma**2 / scatter, 1e-12)
+    if abs(fit.size) < _DOUBTFUL_SIZE * np.sqrt(scatter * variance):
         return ''
-    share = fit.size * priors.size**2 / told_apart**2
+    share = fit.size * priors.size**2 / variance
     return (
         f'the papers look {100 * abs(share):.1f} % {"larger" if share > 0.0 else "smaller"} than '
         'told beside the distances between them: measure both again, all of room.yaml may be '

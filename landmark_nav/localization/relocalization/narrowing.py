@@ -16,7 +16,11 @@ from scipy.special import chdtri
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.relocalization.hypotheses import propose
-from landmark_nav.localization.relocalization.search import RelocalizationConfig, verified_places
+from landmark_nav.localization.relocalization.search import (
+    best_place,
+    RelocalizationConfig,
+    verified_places,
+)
 from landmark_nav.localization.relocalization.sightings import find_sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames
 from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Refusal
@@ -68,12 +72,5 @@ def narrowed(
     allowed = poses[distance < chdtri(3, _EXCLUDED)][: config.candidates]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
     places = verified_places(allowed, still, landmark_map, mount, config)
-    if not places:
-        return Refusal('nothing recognised', 'no landmarks agree on a place near the expected one')
-    best, *others = places
-    rival = max((len(other.ids) for other in others), default=0)
-    if rival > config.max_rival_share * len(best.ids):
-        return Refusal('not unique', f'{len(best.ids)} landmarks for one place, {rival} for other')
-    if len(best.ids) < config.min_found_share * best.expected:
-        return Refusal('nothing recognised', f'{len(best.ids)} of {best.expected} landmarks')
-    return best.estimate
+    best = best_place(places, len(allowed), config)
+    return best if isinstance(best, Refusal) else best.estimate

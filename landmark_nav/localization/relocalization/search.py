@@ -36,6 +36,7 @@ from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimat
 
 __all__ = [
     'RelocalizationConfig',
+    'best_place',
     'locate',
     'relocalize',
     'shows_new',
@@ -210,7 +211,7 @@ def locate(
     places = verified_places(
         proposed.poses[: config.candidates], carried, landmark_map, mount, config
     )
-    return _judged(places, len(proposed.poses), config)
+    return _judged(best_place(places, len(proposed.poses), config), config)
 
 
 def verified_places(
@@ -248,10 +249,26 @@ def _known(place: Verification, others: Sequence[Verification], config: Hypothes
     )
 
 
-def _judged(
+def best_place(
     places: Sequence[Verification], proposed: int, config: RelocalizationConfig
-) -> PoseEstimate | Refusal:
-    """Take the best place if the evidence is good and no other comes near it."""
+) -> Verification | Refusal:
+    """
+    Take the first place if no other comes near it and most of what it should show is found.
+
+    Parameters
+    ----------
+    places : sequence of Verification
+        Different places, the one with most landmarks first.
+    proposed : int
+        How many they were chosen from.
+    config : RelocalizationConfig
+        Parameters.
+
+    Returns
+    -------
+    Verification or Refusal
+
+    """
     if not places:
         return Refusal(
             'nothing recognised', f'none of {proposed} places shows what is to be seen there'
@@ -259,20 +276,29 @@ def _judged(
     best, *others = places
     found = len(best.ids)
     rival = max((len(other.ids) for other in others), default=0)
-    x, y, heading = best.estimate.pose
-    where = f'({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg'
     if rival > config.max_rival_share * found:
-        a, b, turn = others[0].estimate.pose
         return Refusal(
             'not unique',
-            f'{found} landmarks speak for {where}, {rival} for ({a:.2f}, {b:.2f}) m, '
-            f'{np.degrees(turn):.0f} deg',
+            f'{found} landmarks speak for {_where(best)}, {rival} for {_where(others[0])}',
         )
     if found < config.min_found_share * best.expected:
         return Refusal(
             'nothing recognised',
-            f'at {where} only {found} of {best.expected} landmarks are found',
+            f'at {_where(best)} only {found} of {best.expected} landmarks are found',
         )
+    return best
+
+
+def _where(place: Verification) -> str:
+    x, y, heading = place.estimate.pose
+    return f'({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg'
+
+
+def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> PoseEstimate | Refusal:
+    """Where the robot is, if enough of the room was seen to be sure of it."""
+    if isinstance(best, Refusal):
+        return best
+    found, where = len(best.ids), _where(best)
     if found < config.min_landmarks:
         return Refusal('too little seen', f'{found} landmarks speak for {where}')
     spread = _span(best.bearing_rad)
