@@ -33,6 +33,8 @@ IndexArray = npt.NDArray[np.intp]
 _MAX_ITERATIONS = 5
 # A step this small bends bearings by a few microradians only.
 _LINEAR_M = 2e-3
+# So many pictures in a row repeat what a straight line leaves out: it is no noise.
+_REPEATED = 10.0
 # Matches of a picture that tell what correlation is to be expected in it.
 _FEW = 4
 # What of a template's variance a match may leave unexplained: times the median, and some more.
@@ -176,9 +178,10 @@ def expected_bearings(
     at: FilterState | None = None,
 ) -> MeasurementModel:
     """Bearings of a frame, all by default, as the prior expects them; linearised there or `at`."""
-    return bearing_model(
+    at = at or prior
+    model = bearing_model(
         prior,
-        at or prior,
+        at,
         frame.columns[chosen],
         frame.bearing_rad[chosen],
         prior.scales.factors[SIGHTING] * frame.variance[chosen],
@@ -187,6 +190,29 @@ def expected_bearings(
         frame.pan_rate,
         frame.pan,
     )
+    bend, spread = _left_out(model.jacobian[:, :2], at.covariance[:2, :2])
+    return model._replace(innovation=model.innovation - bend, covariance=model.covariance + spread)
+
+
+def _left_out(gradient: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """
+    What a straight line leaves out of bearings (m,): its mean (m,) and its covariance (m, m).
+
+    To second order, of positions that scatter with `covariance` (2, 2) about where the bearings
+    are linearised (Garcia-Fernandez et al., Posterior Linearization Filter, 2015). Without it a
+    pose that is known to decimetres becomes certain along the very arc that a few bearings leave
+    open, as each picture is linearised elsewhere on it.
+    """
+    x, y = gradient.T
+    xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    # The second derivative of a bearing is [[a, b], [b, -a]] with these, from its first one.
+    second = np.stack([-2.0 * x * y, x * x - y * y], -1)
+    across = 2.0 * xy * (xx - yy)
+    squares = np.array(
+        [[xx * xx + yy * yy - 2.0 * xy * xy, across], [across, 2.0 * (xy * xy + xx * yy)]]
+    )
+    mean = 0.5 * second @ np.array([xx - yy, 2.0 * xy])
+    return mean, 0.5 * _REPEATED * second @ squares @ second.T
 
 
 def update_bearings(
@@ -228,7 +254,7 @@ def update_bearings(
     seen = ids[frame.columns]
     rejected = dict(frame.unusable)
     before = expected or expected_bearings(prior, frame, lever)
-    chosen = _inside_gate(before, prior, frame, seen, probability, rejected)
+    chosen = _inside_gate(before, seen, probability, rejected)
     least = max(least, (2 * len(seen) + 2) // 3)
     while len(chosen) >= least:
         model_at = partial(expected_bearings, prior, frame, lever, chosen)
@@ -264,18 +290,12 @@ def update_bearings(
 
 def _inside_gate(
     model: MeasurementModel,
-    prior: FilterState,
-    frame: BearingFrame,
     seen: npt.NDArray[np.int64],
     probability: float,
     rejected: dict[int, Refusal],
 ) -> IndexArray:
     """Places of the bearings that each fit the prior; the others go to `rejected`."""
-    delta = prior.landmarks[frame.columns] - prior.mean[:2]
-    # What linearisation leaves out: the second derivative of a bearing is 1 / range^2.
-    curvature = np.trace(prior.covariance[:2, :2]) / np.sum(delta * delta, axis=-1)
-    variance = np.diag(model.covariance) + 0.5 * curvature**2
-    sigmas = np.abs(model.innovation) / np.sqrt(variance)
+    sigmas = np.abs(model.innovation) / np.sqrt(np.diag(model.covariance))
     inside = sigmas**2 <= float(chdtri(1, 1.0 - probability))
     for k in np.flatnonzero(~inside):
         rejected[int(seen[k])] = Refusal(
