@@ -34,6 +34,9 @@ __all__ = ['Observation', 'ObservationConfig', 'Observer']
 
 _LOG = logging.getLogger(__name__)
 
+# So many landmarks have a say against a pose that is hardly known.
+_AGREE = 3
+
 
 @dataclass(frozen=True)
 class ObservationConfig:
@@ -203,14 +206,20 @@ class Observer:
         knocked = not wide or looked_from is not prior
         result = self._detector.detect(frame, looked, expected, knocked)
         missed = np.array(sorted(result.refused), dtype=np.int64)
+        found, refused = result.detections, dict(result.refused)
+        if not knocked and len(found) < _AGREE:
+            # Nothing tells a match that is mistaken from one that is not.
+            alone = Refusal('the expected pose is hardly known', f'{len(found)} found in all')
+            refused.update(dict.fromkeys(found.ids.tolist(), alone))
+            found = found.chosen(np.zeros(len(found), dtype=np.bool_))
         found = replace(
-            result.detections,
+            found,
             missed=missed,
             pan_rate_rad_s=frame.pan_rate_rad_s,
             pan_sigma_rad=frame.pan_sigma_rad,
             pan_rad=frame.pan_rad,
         )
-        return Observation(found, result.refused, self._fix(found, prior, triplet))
+        return Observation(found, refused, self._fix(found, prior, triplet))
 
     def _is_wide(self, prior: PoseEstimate) -> bool:
         """Whether landmarks may look otherwise than from the expected pose."""

@@ -75,7 +75,20 @@ def test_another_room_or_a_dark_picture_shows_nothing() -> None:
         place = narrowed(frame, wide, MAP, MOUNT, RelocalizationConfig())
         assert isinstance(place, Refusal)
         assert place.reason == 'nothing recognised'
-        assert len(look(wide, frame).detections) <= 1
+        assert not len(look(wide, frame).detections)
+
+
+def test_two_matches_are_no_evidence_where_the_pose_is_hardly_known() -> None:
+    usual = look(told(np.zeros(3), SURE)).detections.ids
+    few = LandmarkMap(tuple(k for k in MAP.landmarks if k.id in usual[:2]))
+    observer = Observer(few, MOUNT, ObservationConfig())
+    assert len(observer.look(FRAME, told(np.zeros(3), SURE)).detections) == 2
+    seen = observer.look(FRAME, told(np.zeros(3), np.array([0.3, 0.3, 0.1])))
+    assert not len(seen.detections)
+    assert not len(seen.detections.missed)
+    assert {str(why) for why in seen.refused.values()} == {
+        'the expected pose is hardly known: 2 found in all'
+    }
 
 
 def test_a_place_is_told_as_well_as_its_covariance_says() -> None:
