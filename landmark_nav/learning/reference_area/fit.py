@@ -79,13 +79,15 @@ class _Measured:
     """
     Edges that were found, arrays over n: which paper, frame and edge; where, and what.
 
-    `bright` is 1 where brightness was measured, not colour; `tried` (papers,) counts what was
-    looked for by colour. All was measured with one `gamma`.
+    `along` runs from -1 to 1 along each edge; `bright` is 1 where brightness was measured, not
+    colour; `tried` (papers,) counts what was looked for by colour. All was measured with one
+    `gamma`.
     """
 
     paper: IntArray
     frame: IntArray
     edge: IntArray
+    along: FloatArray
     bright: IntArray
     points: FloatArray
     normal: FloatArray
@@ -148,6 +150,7 @@ class PaperFitter:
         model, middle = self._model, slice(PROFILES // 2, None, PROFILES)
         gamma = float(np.clip(state[GAMMA], *_GAMMA_RANGE))
         side = np.repeat(np.arange(EDGES), _PARTS)
+        along = np.tile(np.linspace(-1.0, 1.0, _PARTS), EDGES)
         tried = np.zeros(model.papers, np.intp)
         columns = []
         for k, f in self._views(state, most):
@@ -175,6 +178,7 @@ class PaperFitter:
                         paper[middle][good],
                         frame[middle][good],
                         side[good],
+                        along[good],
                         np.full(int(good.sum()), kind),
                         points[middle][good],
                         normal[middle][good],
@@ -187,11 +191,22 @@ class PaperFitter:
             return None
         *known, by_gamma = (np.concatenate(c) for c in zip(*columns, strict=True))
         # Noise moves an edge and its slope alike: each slope by itself would bend gamma.
-        _, group = np.unique(known[0] * 8 + known[2] * 2 + known[3], return_inverse=True)
+        _, group = np.unique(known[0] * 8 + known[2] * 2 + known[4], return_inverse=True)
         by_gamma = (np.bincount(group, by_gamma) / np.bincount(group))[group]
-        paper, frame, edge, bright, points, normal, offset, sigma = known
+        paper, frame, edge, along, bright, points, normal, offset, sigma = known
         return _Measured(
-            paper, frame, edge, bright, points, normal, offset, sigma, by_gamma, tried, gamma
+            paper,
+            frame,
+            edge,
+            along,
+            bright,
+            points,
+            normal,
+            offset,
+            sigma,
+            by_gamma,
+            tried,
+            gamma,
         )
 
     def _views(self, state: FloatArray, most: int) -> list[tuple[int, int]]:
@@ -219,7 +234,7 @@ class PaperFitter:
     ) -> tuple[FloatArray, FloatArray, PaperFit]:
         """One step of reweighted Gauss-Newton from `state`; edges were measured at `base`."""
         model = self._model
-        shared = edge_sigma_px(self._priors, m.bright)
+        shift, turn = edge_sigma_px(self._priors, m.bright)
         moved = model.project(state, m.frame, m.paper, m.points)
         moved -= model.project(base, m.frame, m.paper, m.points)
         jacobian = model.jacobian(state, m.frame, m.paper, m.points, m.normal)
@@ -232,16 +247,17 @@ class PaperFitter:
             + m.by_gamma * (state[GAMMA + m.bright] - m.gamma)
             - jacobian[:, SHIFT : SHIFT + 2] @ state[SHIFT : SHIFT + 2]
         )
-        doubtful = innovation**2 / (m.sigma_px**2 + shared**2)
+        doubtful = innovation**2 / (m.sigma_px**2 + shift**2)
         weight = (1.0 + doubtful / doubt) ** -2.0 / m.sigma_px**2
         weight[doubtful > 4.0 * doubt] = 0.0
         edge = model.edge_index(m.paper, m.edge, m.bright)
-        jacobian[rows, edge] = shared
+        by_edge = np.stack([shift, turn * m.along])
+        jacobian[rows, edge] = by_edge
 
         prior = model.prior(self._priors, angle_sigma)
         usual = model.start(state[:3])
         information = (jacobian * weight[:, None]).T @ jacobian + np.diag(prior)
-        left = innovation - shared * state[edge]
+        left = innovation - np.sum(by_edge * state[edge], 0)
         right = jacobian.T @ (weight * left) + prior * (usual - state)
         step = np.linalg.solve(information, right)
         covariance = np.linalg.inv(information)

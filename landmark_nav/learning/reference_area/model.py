@@ -2,9 +2,9 @@
 Where a camera on a pan-tilt unit sees points of papers, given all that is not exactly known.
 
 Unknown beside the place are height and tilt of the pan axis, the camera's response to light, how
-far its colours lie beside its brightness, how each paper hangs, what shifts each edge as a whole,
-and the joint angles of each frame; all with priors, so that the covariance of a place holds their
-share.
+far its colours lie beside its brightness, how each paper hangs, what shifts and turns each edge as
+a whole, and the joint angles of each frame; all with priors, so that the covariance of a place
+holds their share.
 """
 
 from __future__ import annotations
@@ -48,6 +48,9 @@ _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
 _SHIFT_SIGMA_PX = 0.15
 # What shadows do to edges that are found by brightness.
 _BRIGHT_SIGMA_PX = 0.2
+# What turns an edge, at its ends, as a share of what shifts it: unknown, a turn of 0.02 px that
+# all frames share, as JPEG makes it, passes for a lean of the axis, and that for a height.
+_TURN_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,8 @@ class PaperModel:
         self._center = np.array([paper.center for paper in room.papers])
         self.papers = len(room.papers)
         self._edge = _COMMON + 2 * self.papers
-        self._frame = self._edge + 2 * EDGES * self.papers
+        self._turn = self._edge + 2 * EDGES * self.papers
+        self._frame = self._turn + 2 * EDGES * self.papers
         self.size = self._frame + 2 * len(sweep.frames)
 
     def start(self, pose_map_base: FloatArray) -> FloatArray:
@@ -112,8 +116,13 @@ class PaperModel:
         return state[self._frame :].reshape(-1, 2)
 
     def edge_index(self, paper: IntArray, edge: IntArray, bright: IntArray) -> IntArray:
-        """Index of what shifts an edge as a whole, in its standard deviations."""
-        return np.asarray(self._edge + EDGES * (2 * paper + bright) + edge)
+        """
+        Indices (2, n) of what shifts an edge as a whole, and of what turns it.
+
+        Both in its standard deviations: of all its points, and of its ends.
+        """
+        index = EDGES * (2 * paper + bright) + edge
+        return np.stack([self._edge + index, self._turn + index])
 
     def axis_xy(self, state: FloatArray) -> FloatArray:
         """Place (2,) of the pan axis in map."""
@@ -182,8 +191,9 @@ class PaperModel:
 
 
 def edge_sigma_px(priors: PaperPriors, bright: IntArray) -> FloatArray:
-    """Standard deviation of what shifts edges (n,) as a whole."""
-    return np.hypot(priors.edge_px, np.where(bright > 0, _BRIGHT_SIGMA_PX, 0.0))
+    """Standard deviations (2, n) of what shifts edges (n,) as a whole, and their ends apart."""
+    shift = np.hypot(priors.edge_px, np.where(bright > 0, _BRIGHT_SIGMA_PX, 0.0))
+    return np.stack([shift, np.full(len(bright), _TURN_SHARE * priors.edge_px)])
 
 
 def _outline(paper: Paper, room: Room, per_edge: int) -> tuple[FloatArray, FloatArray, FloatArray]:
