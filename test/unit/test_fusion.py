@@ -19,12 +19,8 @@ import numpy.typing as npt
 import pytest
 
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
-from landmark_nav.localization.fusion.state import (
-    bearing_model,
-    BORESIGHT,
-    initial_state,
-    propagate,
-)
+from landmark_nav.localization.fusion.measurement import bearing_model
+from landmark_nav.localization.fusion.state import BORESIGHT, initial_state, propagate
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.types import PoseEstimate
 

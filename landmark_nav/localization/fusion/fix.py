@@ -8,16 +8,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.fusion.bearings import IndexArray
+from landmark_nav.localization.fusion.measurement import bearing_model, correct, MeasurementModel
 from landmark_nav.localization.fusion.noise import LEARNED
-from landmark_nav.localization.fusion.state import (
-    bearing_model,
-    BORESIGHT,
-    correct,
-    FilterState,
-    HEADING,
-    MeasurementModel,
-)
-from landmark_nav.localization.fusion.update import FusionUpdate, IndexArray
+from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING
+from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['update_pose']

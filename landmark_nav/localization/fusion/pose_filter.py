@@ -1,8 +1,8 @@
 """
 Fusion of bearings with odometry: a Schmidt-Kalman filter that knows when it is lost.
 
-`state` holds the equations, `update` the gates, `history` the order of time
-and `health` the verdict.
+`state` and `measurement` hold the equations, `update` the gates, `history` the order of time and
+`health` the verdict.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.fusion.bearings import bearing_frame, IndexArray
 from landmark_nav.localization.fusion.config import FusionConfig
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
 from landmark_nav.localization.fusion.state import among, FilterState, initial_state, moved_to
 from landmark_nav.localization.fusion.turn import update_turning
-from landmark_nav.localization.fusion.update import bearing_frame, FusionUpdate, IndexArray
+from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import (
     Detections,

@@ -1,37 +1,27 @@
 """
-The Schmidt-Kalman state and its two steps, as pure functions.
+The Schmidt-Kalman state, and how it moves on, as pure functions.
 
 Schmidt, Application of State-Space Methods to Navigation Problems, 1966: landmarks are consider
 states. Their errors and their correlations with the pose are carried along, but their places are
 not estimated, so repeated sightings never claim more than the map knows. On request they are
-estimated too (`correct` with `refine`), which is EKF-SLAM with the map as its prior.
+estimated too (`measurement.correct` with `refine`), which is EKF-SLAM with the map as its prior.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
-from landmark_nav.localization.fusion.lens import straightened
-from landmark_nav.localization.fusion.noise import (
-    LEARNED,
-    NoiseScales,
-    SIGHTING,
-    SLIP,
-    WHEELS,
-)
+from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales, SLIP, WHEELS
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
     Motion,
     OdometryNoiseConfig,
     sensed_variances,
 )
-from landmark_nav.localization.triangulation.model import bearing_gradients, bearing_residuals
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = [
@@ -42,16 +32,11 @@ __all__ = [
     'STATES',
     'TURN_LOSS',
     'FilterState',
-    'MeasurementModel',
     'among',
-    'bearing_model',
-    'correct',
     'initial_state',
     'moved_to',
     'propagate',
 ]
-
-IndexArray = npt.NDArray[np.intp]
 
 # x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight; by how
 # much the stamps of the joints are late; principal point over focal length; way lost in turns.
@@ -99,24 +84,6 @@ class FilterState:
     def estimate(self) -> PoseEstimate:
         """Return the pose alone."""
         return PoseEstimate(self.stamp_ns, self.mean[:3].copy(), self.covariance[:3, :3].copy())
-
-
-class MeasurementModel(NamedTuple):
-    """
-    A linearised measurement of m numbers: what a Kalman step needs.
-
-    `innovation` (m,) is measured minus expected at the prior, `jacobian` (m, STATES) what is
-    measured differentiated by the state, `state_covariance` (STATES, m) the covariance of the
-    state with it, `map_covariance` (2n, m) that of the landmarks, `covariance` (m, m) its own;
-    `by_noise` (LEARNED, m, m) is what of that each noise adds in this measurement.
-    """
-
-    innovation: FloatArray
-    jacobian: FloatArray
-    state_covariance: FloatArray
-    map_covariance: FloatArray
-    covariance: FloatArray
-    by_noise: FloatArray
 
 
 def initial_state(
@@ -235,108 +202,4 @@ def propagate(
         cross=step @ state.cross,
         scales=scales,
         by_noise=by_noise,
-    )
-
-
-def bearing_model(
-    prior: FilterState,
-    at: FilterState,
-    columns: IndexArray,
-    bearings: FloatArray,
-    variance: FloatArray,
-    common_variance: float,
-    lever: FloatArray,
-    pan_rate: float = 0.0,
-    pan: float = 0.0,
-) -> MeasurementModel:
-    """
-    Bearings with the uncertainty of a prior, linearised at a state.
-
-    Parameters
-    ----------
-    prior : FilterState
-        What is known without them.
-    at : FilterState
-        Where to linearise; its covariances are not used.
-    columns : ndarray of int, shape (m,)
-        Which landmarks.
-    bearings : ndarray, shape (m,)
-        What was measured, radians.
-    variance : ndarray, shape (m,)
-        Of the noise that each has alone, rad^2.
-    common_variance : float
-        Of what they share, rad^2.
-    lever : ndarray, shape (2,)
-        Pan axis in the base frame, metres.
-    pan_rate : float
-        How fast the camera turned, rad/s: joint stamps that are late make bearings lag.
-    pan : float
-        Where it looked, radians: a principal point that is off bends bearings about there.
-
-    """
-    x, y, heading = at.mean[:3]
-    cos, sin = np.cos(heading), np.sin(heading)
-    arm = np.array([cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1]])
-    axis = np.array([x + arm[0], y + arm[1], heading])
-    seen = at.landmarks[columns]
-    straight, by_lens = straightened(bearings, pan, float(at.mean[LENS]))
-    shift = at.mean[BORESIGHT] - pan_rate * at.mean[DELAY]
-    residual = bearing_residuals(axis, seen, straight - shift)
-    gradient = bearing_gradients(axis, seen)
-
-    jacobian = np.zeros((len(columns), STATES))
-    jacobian[:, :2] = gradient
-    jacobian[:, 2] = gradient[:, 1] * arm[0] - gradient[:, 0] * arm[1] - 1.0
-    jacobian[:, BORESIGHT] = 1.0
-    jacobian[:, DELAY] = -pan_rate
-    jacobian[:, LENS] = -by_lens
-
-    # The derivative by a landmark's x and y is minus the one by the axis'.
-    places = np.stack([2 * columns, 2 * columns + 1], -1).reshape(-1)
-    row = np.arange(len(columns))
-    by_places = np.zeros((len(columns), len(places)))
-    by_places[row, 2 * row], by_places[row, 2 * row + 1] = gradient.T
-    state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
-    map_covariance = prior.cross.T @ jacobian.T
-    map_covariance -= prior.landmark_covariance[:, places] @ by_places.T
-    by_noise = np.zeros((LEARNED, len(columns), len(columns)))
-    np.fill_diagonal(by_noise[SIGHTING], variance)
-    covariance = jacobian @ state_covariance - by_places @ map_covariance[places]
-    covariance += by_noise[SIGHTING] + common_variance
-
-    offset = prior.mean - at.mean
-    offset[2] = wrap_rad(offset[2])
-    innovation = residual - jacobian @ offset
-    innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
-    return MeasurementModel(
-        innovation, jacobian, state_covariance, map_covariance, covariance, by_noise
-    )
-
-
-def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> FilterState:
-    """
-    Kalman step from a prior; with a model linearised elsewhere it is an iterated one.
-
-    Bell and Cathey, The Iterated Kalman Filter Update as a Gauss-Newton Method, 1993.
-    """
-    gain = np.linalg.solve(model.covariance, model.state_covariance.T).T
-    mean = prior.mean + gain @ model.innovation
-    mean[2] = wrap_rad(mean[2])
-    covariance = prior.covariance - gain @ model.state_covariance.T
-    left = np.eye(STATES) - gain @ model.jacobian
-    state = replace(
-        prior,
-        mean=mean,
-        covariance=0.5 * (covariance + covariance.T),
-        cross=prior.cross - gain @ model.map_covariance.T,
-        by_noise=left @ prior.by_noise @ left.T + gain @ model.by_noise @ gain.T,
-    )
-    if not refine:
-        return state
-    map_gain = np.linalg.solve(model.covariance, model.map_covariance.T).T
-    map_covariance = prior.landmark_covariance - map_gain @ model.map_covariance.T
-    return replace(
-        state,
-        landmarks=prior.landmarks + (map_gain @ model.innovation).reshape(-1, 2),
-        landmark_covariance=0.5 * (map_covariance + map_covariance.T),
     )

@@ -7,18 +7,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.localization.fusion.state import (
-    BORESIGHT,
-    FilterState,
-    HEADING,
-    MeasurementModel,
-)
-from landmark_nav.localization.fusion.update import (
-    BearingFrame,
-    expected_bearings,
-    FusionUpdate,
-    update_bearings,
-)
+from landmark_nav.localization.fusion.bearings import BearingFrame
+from landmark_nav.localization.fusion.measurement import expected_bearings, MeasurementModel
+from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING
+from landmark_nav.localization.fusion.update import FusionUpdate, update_bearings
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -10,38 +10,24 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from landmark_nav.localization.fusion.noise import learned_scales, SIGHTING
-from landmark_nav.localization.fusion.state import (
-    bearing_model,
+from landmark_nav.localization.fusion.bearings import BearingFrame, IndexArray
+from landmark_nav.localization.fusion.measurement import (
     correct,
-    FilterState,
+    expected_bearings,
     MeasurementModel,
 )
+from landmark_nav.localization.fusion.noise import learned_scales
+from landmark_nav.localization.fusion.state import FilterState
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.types import Detections, FloatArray, Refusal
+from landmark_nav.types import FloatArray, Refusal
 
-__all__ = [
-    'BearingFrame',
-    'FusionUpdate',
-    'bearing_frame',
-    'expected_bearings',
-    'update_bearings',
-]
-
-IndexArray = npt.NDArray[np.intp]
+__all__ = ['FusionUpdate', 'update_bearings']
 
 _MAX_ITERATIONS = 5
 # A step this small bends bearings by a few microradians only.
 _LINEAR_M = 2e-3
-# So many pictures in a row repeat what a straight line leaves out: it is no noise.
-_REPEATED = 10.0
-# Matches of a picture that tell what correlation is to be expected in it.
-_FEW = 4
-# What of a template's variance a match may leave unexplained: times the median, and some more.
-_UNLIKE_TIMES, _UNLIKE_ANYWAY = 6.0, 0.1
 _NO_IDS = np.empty(0, dtype=np.int64)
 _NO_INNOVATIONS = np.empty(0)
-_ALL = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,141 +64,6 @@ class FusionUpdate:
     rejected: dict[int, Refusal] = field(default_factory=dict)
     refusal: Refusal | None = None
     turned_rad: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class BearingFrame:
-    """
-    The bearings of one picture, ready for the filter.
-
-    `columns` (m,) are places of the landmarks in the map, `variance` (m,) what each bearing claims
-    of itself and `common_variance` what all of them share, `scores` (m,) their correlations,
-    `unusable` what was sorted out before.
-    """
-
-    columns: IndexArray
-    bearing_rad: FloatArray
-    variance: FloatArray
-    common_variance: float
-    unusable: dict[int, Refusal]
-    scores: FloatArray
-    pan_rate: float = 0.0
-    pan: float = 0.0
-
-
-def bearing_frame(
-    detections: Detections,
-    columns: Mapping[int, int],
-    common_sigma: float,
-    scores_before: npt.ArrayLike = (),
-) -> BearingFrame:
-    """
-    Sort out what no filter can use.
-
-    Parameters
-    ----------
-    detections : Detections
-        Of one picture.
-    columns : mapping of int to int
-        Landmark id to place in the map.
-    common_sigma : float
-        Error that all bearings of any picture share, radians.
-    scores_before : array_like, shape (k,)
-        Correlations in the pictures before: what is to be expected where few are found.
-
-    """
-    variance = detections.variance_rad2
-    good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
-    unlike = _unlike_the_others(detections.score, np.asarray(scores_before, dtype=np.float64))
-    unusable: dict[int, Refusal] = {}
-    chosen: dict[int, int] = {}
-    for k, landmark in enumerate(detections.ids.tolist()):
-        if landmark not in columns:
-            unusable[landmark] = Refusal('not in the map')
-        elif not good[k]:
-            unusable[landmark] = Refusal('bearing or variance is not a number')
-        elif landmark in chosen:
-            unusable[landmark] = Refusal('given twice')
-        elif unlike[k]:
-            unusable[landmark] = Refusal(
-                'less alike than the others', f'correlation {detections.score[k]:.2f}'
-            )
-        else:
-            chosen[landmark] = k
-    rows = list(chosen.values())
-    return BearingFrame(
-        np.array([columns[k] for k in chosen], dtype=np.intp),
-        detections.bearing_rad[rows],
-        variance[rows],
-        common_sigma**2 + detections.pan_sigma_rad**2,
-        unusable,
-        detections.score[rows],
-        detections.pan_rate_rad_s,
-        detections.pan_rad,
-    )
-
-
-def _unlike_the_others(score: FloatArray, before: FloatArray) -> npt.NDArray[np.bool_]:
-    """
-    Which matches leave far more unexplained than the others of their picture, (n,).
-
-    Light, blur and noise lower all correlations of a picture together. One far below the others
-    shows something else, as a picture that was exchanged, and is off by the same amount again
-    and again: its variance, which stands for noise, does not tell. Where a picture has few
-    matches, those of the pictures `before` count as well; if it lies below them as a whole, that
-    is the light.
-    """
-    others = score if len(score) >= _FEW else np.append(score, before)
-    if len(others) < _FEW:
-        return np.zeros(len(score), dtype=np.bool_)
-    limit = _UNLIKE_TIMES * np.median(1.0 - others**2) + _UNLIKE_ANYWAY
-    unlike = np.asarray(1.0 - score**2 > limit)
-    return unlike & ~unlike.all()
-
-
-def expected_bearings(
-    prior: FilterState,
-    frame: BearingFrame,
-    lever: FloatArray,
-    chosen: IndexArray | slice = _ALL,
-    at: FilterState | None = None,
-) -> MeasurementModel:
-    """Bearings of a frame, all by default, as the prior expects them; linearised there or `at`."""
-    at = at or prior
-    model = bearing_model(
-        prior,
-        at,
-        frame.columns[chosen],
-        frame.bearing_rad[chosen],
-        prior.scales.factors[SIGHTING] * frame.variance[chosen],
-        frame.common_variance,
-        lever,
-        frame.pan_rate,
-        frame.pan,
-    )
-    bend, spread = _left_out(model.jacobian[:, :2], at.covariance[:2, :2])
-    return model._replace(innovation=model.innovation - bend, covariance=model.covariance + spread)
-
-
-def _left_out(gradient: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """
-    What a straight line leaves out of bearings (m,): its mean (m,) and its covariance (m, m).
-
-    To second order, of positions that scatter with `covariance` (2, 2) about where the bearings
-    are linearised (Garcia-Fernandez et al., Posterior Linearization Filter, 2015). Without it a
-    pose that is known to decimetres becomes certain along the very arc that a few bearings leave
-    open, as each picture is linearised elsewhere on it.
-    """
-    x, y = gradient.T
-    xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
-    # The second derivative of a bearing is [[a, b], [b, -a]] with these, from its first one.
-    second = np.stack([-2.0 * x * y, x * x - y * y], -1)
-    across = 2.0 * xy * (xx - yy)
-    squares = np.array(
-        [[xx * xx + yy * yy - 2.0 * xy * xy, across], [across, 2.0 * (xy * xy + xx * yy)]]
-    )
-    mean = 0.5 * second @ np.array([xx - yy, 2.0 * xy])
-    return mean, 0.5 * _REPEATED * second @ squares @ second.T
 
 
 def update_bearings(

@@ -1,0 +1,110 @@
+"""The bearings of one picture as the filter takes them: what no filter can use is sorted out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.types import Detections, FloatArray, Refusal
+
+__all__ = ['BearingFrame', 'IndexArray', 'bearing_frame']
+
+IndexArray = npt.NDArray[np.intp]
+
+# Matches of a picture that tell what correlation is to be expected in it.
+_FEW = 4
+# What of a template's variance a match may leave unexplained: times the median, and some more.
+_UNLIKE_TIMES, _UNLIKE_ANYWAY = 6.0, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class BearingFrame:
+    """
+    The bearings of one picture, ready for the filter.
+
+    `columns` (m,) are places of the landmarks in the map, `variance` (m,) what each bearing claims
+    of itself and `common_variance` what all of them share, `scores` (m,) their correlations,
+    `unusable` what was sorted out before.
+    """
+
+    columns: IndexArray
+    bearing_rad: FloatArray
+    variance: FloatArray
+    common_variance: float
+    unusable: dict[int, Refusal]
+    scores: FloatArray
+    pan_rate: float = 0.0
+    pan: float = 0.0
+
+
+def bearing_frame(
+    detections: Detections,
+    columns: Mapping[int, int],
+    common_sigma: float,
+    scores_before: npt.ArrayLike = (),
+) -> BearingFrame:
+    """
+    Sort out what no filter can use.
+
+    Parameters
+    ----------
+    detections : Detections
+        Of one picture.
+    columns : mapping of int to int
+        Landmark id to place in the map.
+    common_sigma : float
+        Error that all bearings of any picture share, radians.
+    scores_before : array_like, shape (k,)
+        Correlations in the pictures before: what is to be expected where few are found.
+
+    """
+    variance = detections.variance_rad2
+    good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
+    unlike = _unlike_the_others(detections.score, np.asarray(scores_before, dtype=np.float64))
+    unusable: dict[int, Refusal] = {}
+    chosen: dict[int, int] = {}
+    for k, landmark in enumerate(detections.ids.tolist()):
+        if landmark not in columns:
+            unusable[landmark] = Refusal('not in the map')
+        elif not good[k]:
+            unusable[landmark] = Refusal('bearing or variance is not a number')
+        elif landmark in chosen:
+            unusable[landmark] = Refusal('given twice')
+        elif unlike[k]:
+            unusable[landmark] = Refusal(
+                'less alike than the others', f'correlation {detections.score[k]:.2f}'
+            )
+        else:
+            chosen[landmark] = k
+    rows = list(chosen.values())
+    return BearingFrame(
+        np.array([columns[k] for k in chosen], dtype=np.intp),
+        detections.bearing_rad[rows],
+        variance[rows],
+        common_sigma**2 + detections.pan_sigma_rad**2,
+        unusable,
+        detections.score[rows],
+        detections.pan_rate_rad_s,
+        detections.pan_rad,
+    )
+
+
+def _unlike_the_others(score: FloatArray, before: FloatArray) -> npt.NDArray[np.bool_]:
+    """
+    Which matches leave far more unexplained than the others of their picture, (n,).
+
+    Light, blur and noise lower all correlations of a picture together. One far below the others
+    shows something else, as a picture that was exchanged, and is off by the same amount again
+    and again: its variance, which stands for noise, does not tell. Where a picture has few
+    matches, those of the pictures `before` count as well; if it lies below them as a whole, that
+    is the light.
+    """
+    others = score if len(score) >= _FEW else np.append(score, before)
+    if len(others) < _FEW:
+        return np.zeros(len(score), dtype=np.bool_)
+    limit = _UNLIKE_TIMES * np.median(1.0 - others**2) + _UNLIKE_ANYWAY
+    unlike = np.asarray(1.0 - score**2 > limit)
+    return unlike & ~unlike.all()

@@ -1,0 +1,189 @@
+"""What a picture measures, linearised, and the step that a Kalman filter makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.fusion.bearings import BearingFrame, IndexArray
+from landmark_nav.localization.fusion.lens import straightened
+from landmark_nav.localization.fusion.noise import LEARNED, SIGHTING
+from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, FilterState, LENS, STATES
+from landmark_nav.localization.triangulation.model import bearing_gradients, bearing_residuals
+from landmark_nav.types import FloatArray
+
+__all__ = ['MeasurementModel', 'bearing_model', 'correct', 'expected_bearings']
+
+# So many pictures in a row repeat what a straight line leaves out: it is no noise.
+_REPEATED = 10.0
+_ALL = slice(None)
+
+
+class MeasurementModel(NamedTuple):
+    """
+    A linearised measurement of m numbers: what a Kalman step needs.
+
+    `innovation` (m,) is measured minus expected at the prior, `jacobian` (m, STATES) what is
+    measured differentiated by the state, `state_covariance` (STATES, m) the covariance of the
+    state with it, `map_covariance` (2n, m) that of the landmarks, `covariance` (m, m) its own;
+    `by_noise` (LEARNED, m, m) is what of that each noise adds in this measurement.
+    """
+
+    innovation: FloatArray
+    jacobian: FloatArray
+    state_covariance: FloatArray
+    map_covariance: FloatArray
+    covariance: FloatArray
+    by_noise: FloatArray
+
+
+def expected_bearings(
+    prior: FilterState,
+    frame: BearingFrame,
+    lever: FloatArray,
+    chosen: IndexArray | slice = _ALL,
+    at: FilterState | None = None,
+) -> MeasurementModel:
+    """Bearings of a frame, all by default, as the prior expects them; linearised there or `at`."""
+    at = at or prior
+    model = bearing_model(
+        prior,
+        at,
+        frame.columns[chosen],
+        frame.bearing_rad[chosen],
+        prior.scales.factors[SIGHTING] * frame.variance[chosen],
+        frame.common_variance,
+        lever,
+        frame.pan_rate,
+        frame.pan,
+    )
+    bend, spread = _left_out(model.jacobian[:, :2], at.covariance[:2, :2])
+    return model._replace(innovation=model.innovation - bend, covariance=model.covariance + spread)
+
+
+def bearing_model(
+    prior: FilterState,
+    at: FilterState,
+    columns: IndexArray,
+    bearings: FloatArray,
+    variance: FloatArray,
+    common_variance: float,
+    lever: FloatArray,
+    pan_rate: float = 0.0,
+    pan: float = 0.0,
+) -> MeasurementModel:
+    """
+    Bearings with the uncertainty of a prior, linearised at a state.
+
+    Parameters
+    ----------
+    prior : FilterState
+        What is known without them.
+    at : FilterState
+        Where to linearise; its covariances are not used.
+    columns : ndarray of int, shape (m,)
+        Which landmarks.
+    bearings : ndarray, shape (m,)
+        What was measured, radians.
+    variance : ndarray, shape (m,)
+        Of the noise that each has alone, rad^2.
+    common_variance : float
+        Of what they share, rad^2.
+    lever : ndarray, shape (2,)
+        Pan axis in the base frame, metres.
+    pan_rate : float
+        How fast the camera turned, rad/s: joint stamps that are late make bearings lag.
+    pan : float
+        Where it looked, radians: a principal point that is off bends bearings about there.
+
+    """
+    x, y, heading = at.mean[:3]
+    cos, sin = np.cos(heading), np.sin(heading)
+    arm = np.array([cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1]])
+    axis = np.array([x + arm[0], y + arm[1], heading])
+    seen = at.landmarks[columns]
+    straight, by_lens = straightened(bearings, pan, float(at.mean[LENS]))
+    shift = at.mean[BORESIGHT] - pan_rate * at.mean[DELAY]
+    residual = bearing_residuals(axis, seen, straight - shift)
+    gradient = bearing_gradients(axis, seen)
+
+    jacobian = np.zeros((len(columns), STATES))
+    jacobian[:, :2] = gradient
+    jacobian[:, 2] = gradient[:, 1] * arm[0] - gradient[:, 0] * arm[1] - 1.0
+    jacobian[:, BORESIGHT] = 1.0
+    jacobian[:, DELAY] = -pan_rate
+    jacobian[:, LENS] = -by_lens
+
+    # The derivative by a landmark's x and y is minus the one by the axis'.
+    places = np.stack([2 * columns, 2 * columns + 1], -1).reshape(-1)
+    row = np.arange(len(columns))
+    by_places = np.zeros((len(columns), len(places)))
+    by_places[row, 2 * row], by_places[row, 2 * row + 1] = gradient.T
+    state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
+    map_covariance = prior.cross.T @ jacobian.T
+    map_covariance -= prior.landmark_covariance[:, places] @ by_places.T
+    by_noise = np.zeros((LEARNED, len(columns), len(columns)))
+    np.fill_diagonal(by_noise[SIGHTING], variance)
+    covariance = jacobian @ state_covariance - by_places @ map_covariance[places]
+    covariance += by_noise[SIGHTING] + common_variance
+
+    offset = prior.mean - at.mean
+    offset[2] = wrap_rad(offset[2])
+    innovation = residual - jacobian @ offset
+    innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
+    return MeasurementModel(
+        innovation, jacobian, state_covariance, map_covariance, covariance, by_noise
+    )
+
+
+def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> FilterState:
+    """
+    Kalman step from a prior; with a model linearised elsewhere it is an iterated one.
+
+    Bell and Cathey, The Iterated Kalman Filter Update as a Gauss-Newton Method, 1993.
+    """
+    gain = np.linalg.solve(model.covariance, model.state_covariance.T).T
+    mean = prior.mean + gain @ model.innovation
+    mean[2] = wrap_rad(mean[2])
+    covariance = prior.covariance - gain @ model.state_covariance.T
+    left = np.eye(STATES) - gain @ model.jacobian
+    state = replace(
+        prior,
+        mean=mean,
+        covariance=0.5 * (covariance + covariance.T),
+        cross=prior.cross - gain @ model.map_covariance.T,
+        by_noise=left @ prior.by_noise @ left.T + gain @ model.by_noise @ gain.T,
+    )
+    if not refine:
+        return state
+    map_gain = np.linalg.solve(model.covariance, model.map_covariance.T).T
+    map_covariance = prior.landmark_covariance - map_gain @ model.map_covariance.T
+    return replace(
+        state,
+        landmarks=prior.landmarks + (map_gain @ model.innovation).reshape(-1, 2),
+        landmark_covariance=0.5 * (map_covariance + map_covariance.T),
+    )
+
+
+def _left_out(gradient: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """
+    What a straight line leaves out of bearings (m,): its mean (m,) and its covariance (m, m).
+
+    To second order, of positions that scatter with `covariance` (2, 2) about where the bearings
+    are linearised (Garcia-Fernandez et al., Posterior Linearization Filter, 2015). Without it a
+    pose that is known to decimetres becomes certain along the very arc that a few bearings leave
+    open, as each picture is linearised elsewhere on it.
+    """
+    x, y = gradient.T
+    xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    # The second derivative of a bearing is [[a, b], [b, -a]] with these, from its first one.
+    second = np.stack([-2.0 * x * y, x * x - y * y], -1)
+    across = 2.0 * xy * (xx - yy)
+    squares = np.array(
+        [[xx * xx + yy * yy - 2.0 * xy * xy, across], [across, 2.0 * (xy * xy + xx * yy)]]
+    )
+    mean = 0.5 * second @ np.array([xx - yy, 2.0 * xy])
+    return mean, 0.5 * _REPEATED * second @ squares @ second.T
