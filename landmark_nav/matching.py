@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+import math
 
 import cv2
 import numpy as np
@@ -23,8 +24,9 @@ Pair = tuple[float, float] | FloatArray
 # Bilinear interpolation of raw pixels pulls the optimum towards whole pixels; this blur of both
 # images takes that below 0.01 px (Gaussian sigma, pixels).
 _BLUR_PX = 0.8
-# What remains if noise did not matter: interpolation, and texture that isn't quite the same.
-_FLOOR_PX = 0.02
+# Covariance that remains if noise did not matter: interpolation, and texture that isn't quite the
+# same, pixels.
+_FLOOR = np.diag([0.02**2, 0.02**2])
 _ITERATIONS = 12
 _CONVERGED_PX = 2e-3
 # Blur that a pixel stands for, as a share of its width (Gaussian sigma).
@@ -174,8 +176,8 @@ def _align(
     np.subtract(template[1:-1, 2:], template[1:-1, :-2], out=grad_x)
     np.subtract(template[2:, 1:-1], template[:-2, 1:-1], out=grad_y)
     reference[...] = template[1:-1, 1:-1]
-    rows -= rows.mean(axis=1, keepdims=True)
-    (xx, xy, xr), (_, yy, yr), (_, _, power) = (rows @ rows.T).astype(np.float64).tolist()
+    rows -= rows.sum(axis=1, keepdims=True) / rows.shape[1]
+    (xx, xy, xr), (_, yy, yr), (_, _, power) = (rows @ rows.T).tolist()
     xx, xy, yy = (
         0.25 * (xx - xr * xr / power),
         0.25 * (xy - xr * yr / power),
@@ -203,7 +205,8 @@ def _align(
             return None
         if abs(step_x) + abs(step_y) < _CONVERGED_PX:
             break
-    value = seen.ravel() - seen.mean()
+    value = seen.ravel()
+    value -= value.sum() / value.size
     total = float(value @ value)
     explained = (
         gain
@@ -214,17 +217,16 @@ def _align(
     rows[:2] -= np.array([[xr], [yr]], np.float32) / power * rows[2]
     passed = _noise_passed(rows[:2].reshape(2, height, width), (x, y), search_blur)
     inverse = np.array([[yy, -xy], [-xy, xx]]) / determinant
-    covariance = 0.25 * variance * inverse @ passed @ inverse + np.eye(2) * _FLOOR_PX**2
+    covariance = 0.25 * variance * inverse @ passed @ inverse + _FLOOR
     return np.array([x, y]), covariance, gain * (power / max(total, 1e-12)) ** 0.5
 
 
 def _noise_passed(gradients: Float32Image, center: Pair, search_blur: Pair) -> FloatArray:
     """``G B B^T G^T`` (2, 2) over the sum of the squares of B's kernel; gradients (2, h, w)."""
     height, width = gradients.shape[1:]
-    across, down = (
-        _kernel(float(np.hypot(_BLUR_PX, blur)), round(place - 0.5 * (size - 1), 2) % 1.0)
-        for place, size, blur in zip(center, (width, height), search_blur, strict=True)
-    )
+    x, y = center[0] - 0.5 * (width - 1), center[1] - 0.5 * (height - 1)
+    across, across_power = _kernel(search_blur[0], round(x, 2) % 1.0)
+    down, down_power = _kernel(search_blur[1], round(y, 2) % 1.0)
     reach = max(len(across), len(down)) // 2
     # One above the other, so that one call does both.
     framed = np.zeros((2, height + 2 * reach, width + 2 * reach), np.float32)
@@ -232,14 +234,18 @@ def _noise_passed(gradients: Float32Image, center: Pair, search_blur: Pair) -> F
     stacked = framed.reshape(-1, framed.shape[2])
     carried = cv2.sepFilter2D(stacked, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
     flat = np.asarray(carried, dtype=np.float32).reshape(2, -1)
-    power = float(across @ across) * float(down @ down)
-    return np.asarray((flat @ flat.T) / power, dtype=np.float64)
+    return np.asarray((flat @ flat.T) / (across_power * down_power), dtype=np.float64)
 
 
 @lru_cache(maxsize=1024)
-def _kernel(sigma: float, fraction: float) -> Float32Image:
-    """Gaussian blur and linear interpolation at a fraction of a pixel, one after the other."""
+def _kernel(blur_px: float, fraction: float) -> tuple[Float32Image, float]:
+    """
+    Blur, here and before, and interpolation at a fraction of a pixel, one after the other.
+
+    With the kernel comes the sum of its squares.
+    """
+    sigma = math.hypot(_BLUR_PX, blur_px)
     reach = int(np.ceil(3.0 * sigma)) + 1
     gauss = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    kernel = np.convolve(gauss / gauss.sum(), [0.0, 1.0 - fraction, fraction])
-    return kernel.astype(np.float32)
+    kernel = np.convolve(gauss / gauss.sum(), [0.0, 1.0 - fraction, fraction]).astype(np.float32)
+    return kernel, float(kernel @ kernel)

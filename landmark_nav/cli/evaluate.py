@@ -32,7 +32,7 @@ from landmark_nav.storage.whole import write_whole
 __all__ = ['add_arguments', 'run']
 
 # Contract's names of what `sensor_events` passes on, for the length of the bar.
-_EVENTS = ('camera/image_raw', 'detections', 'odom', 'joint_states', 'ground_truth/odom')
+_EVENTS = ('camera/image_raw', 'detections', 'odom', 'ground_truth/odom')
 
 # Stretches without tracking that are told; the others are in the JSON.
 _MOST_SPELLS = 6

@@ -172,8 +172,10 @@ class CameraModel:
         if k4 or k5 or k6:
             radial /= 1.0 + square * (k4 + square * (k5 + square * k6))
         along = radial + 2.0 * (p1 * y + p2 * x)
-        u, v = x * along + p2 * square, y * along + p1 * square
-        return np.stack([self.fx * u + self.cx, self.fy * v + self.cy], -1)
+        pixels = np.empty((len(x), 2))
+        pixels[:, 0] = self.fx * (x * along + p2 * square) + self.cx
+        pixels[:, 1] = self.fy * (y * along + p1 * square) + self.cy
+        return pixels
 
     @property
     def ray_grid(self) -> npt.NDArray[np.float32]:
@@ -264,6 +266,10 @@ class PanTiltMount:
     pan_joint: str = 'pan_joint'
     tilt_joint: str = 'tilt_joint'
 
+    @cached_property
+    def _axis_rotation(self) -> FloatArray:
+        return rotation_rpy(self.axis_rpy)
+
     def camera_pose_base(
         self,
         pan_rad: npt.ArrayLike,
@@ -291,7 +297,7 @@ class PanTiltMount:
         pan, tilt, roll = np.broadcast_arrays(
             *(np.asarray(a, dtype=np.float64) for a in (pan_rad, tilt_rad, roll_rad))
         )
-        turned = rotation_rpy(self.axis_rpy) @ _rot_z(pan) @ _rot_y(-tilt)
+        turned = self._axis_rotation @ _rot_z(pan) @ _rot_y(-tilt)
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)
         return turned @ _BODY_FROM_OPTICAL @ _rot_z(roll + self.camera_roll_rad), center
 

@@ -9,7 +9,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import encode
 from landmark_nav.storage.bags import Bag, BagWriter, read_bag, sensor_events
-from landmark_nav.types import CameraFrame, JointSample, OdometrySample, PoseEstimate
+from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate
 
 
 def test_frames_carry_the_pan_of_their_own_stamp(tmp_path):
@@ -21,7 +21,6 @@ def test_frames_carry_the_pan_of_their_own_stamp(tmp_path):
         assert frame.pan_rad == pytest.approx(0.3 * (0.2 * k + 0.02))
         assert frame.camera == CAMERA
     assert sum(isinstance(e, OdometrySample) for e in events) == 40
-    assert sum(isinstance(e, JointSample) for e in events) == 40
     truth = [e for e in events if isinstance(e, PoseEstimate)]
     assert len(truth) == 40
     np.testing.assert_allclose(truth[0].pose, [1.0, 2.0, 0.0])

@@ -68,29 +68,27 @@ def draw(
 
     """
     height, width = rays.shape[:2]
+    right, below = cv2.split(cv2.perspectiveTransform(rays, ray_to_patch))
+    # Metres a pixel, across and down; they run backwards where the camera is upside down.
+    across = abs(float(right[height // 2, -1] - right[height // 2, 0])) / (width - 1)
+    down = abs(float(below[-1, width // 2] - below[0, width // 2])) / (height - 1)
     template = np.zeros((height, width), np.float32)
-    finer = np.zeros(2)
+    finer_across = finer_down = 0.0
     for image, share in textures(landmark, viewer, appearance):
         rows, columns = image.shape
         scale = columns / landmark.width_m
-        to_texel = [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
-        texel = cv2.perspectiveTransform(rays, to_texel @ ray_to_patch)
-        # Texels a pixel, across and down; they run backwards where the camera is upside down.
-        across = float(texel[height // 2, -1, 0] - texel[height // 2, 0, 0]) / (width - 1)
-        down = float(texel[-1, width // 2, 1] - texel[0, width // 2, 1]) / (height - 1)
-        step = max(abs(across), 1e-2), max(abs(down), 1e-2)
-        column, row = cv2.split(texel)
+        step_x, step_y = max(scale * across, 1e-2), max(scale * down, 1e-2)
         part = cv2.remap(
-            blur_to(image.astype(np.float32), step),
-            column,
-            row,
+            blur_to(image.astype(np.float32), (step_x, step_y)),
+            scale * right + (columns - 1) / 2,
+            scale * below + (rows - 1) / 2,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
         )
         template += share * part
-        finer += [share * max(1.0 / s, 1.0) ** 2 for s in step]
-    across, down = np.sqrt(finer).tolist()
-    return template, (across, down)
+        finer_across += share * max(1.0 / step_x, 1.0) ** 2
+        finer_down += share * max(1.0 / step_y, 1.0) ** 2
+    return template, (math.sqrt(finer_across), math.sqrt(finer_down))
 
 
 def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Texture]:

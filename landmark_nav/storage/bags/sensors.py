@@ -13,7 +13,6 @@ from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory, namin
 from landmark_nav.types import (
     CameraFrame,
     Detections,
-    JointSample,
     OdometrySample,
     PoseEstimate,
     Refusal,
@@ -21,8 +20,7 @@ from landmark_nav.types import (
 
 __all__ = ['SensorEvent', 'sensor_events']
 
-SensorEvent = CameraFrame | Detections | JointSample | OdometrySample | PoseEstimate
-
+SensorEvent = CameraFrame | Detections | OdometrySample | PoseEstimate
 
 _PICTURES = ('camera/image_raw', 'camera/image_raw/compressed')
 
@@ -51,9 +49,8 @@ def sensor_events(
     odometry = bag.require('odom')
     cameras = CameraInfos.read(bag, 'camera/camera_info')
     joints = JointHistory.read(bag, mount)
-    joint_topic = bag.require('joint_states')
     truth = bag.find('ground_truth/odom')
-    topics = [t for t in (images, odometry, joint_topic, truth) if t is not None]
+    topics = [t for t in (images, odometry, truth) if t is not None]
     complaints: list[str] = []
     used = 0
     for entry in bag.messages(topics):
@@ -65,15 +62,10 @@ def sensor_events(
                 complaints.append(str(error))
             continue
         with naming(bag, entry.topic):
-            event: SensorEvent | None
             if entry.topic == odometry:
-                event = decode.odometry(entry.message)
-            elif entry.topic == truth:
-                event = decode.pose_estimate(entry.message)
+                yield decode.odometry(entry.message)
             else:
-                event = decode.joint_sample(entry.message, mount)
-        if event is not None:
-            yield event
+                yield decode.pose_estimate(entry.message)
     if complaints and not used:
         raise LandmarkNavError(complaints[0])
     if complaints:
