@@ -155,7 +155,7 @@ class SightingGatherer:
         rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
         map_covariance = self._map.joint_covariance_xy[np.ix_(rows, rows)]
         position = self._map.positions[index, :2]
-        turned = np.array([rotation(turn) for turn in motions[:, 2]])
+        turned = rotation(motions[:, 2])
         aside = motions[:, :2] + turned @ self._lever - self._lever
         # Derivative of `aside` by the motion's turn.
         by_turn = np.stack([-(turned @ self._lever)[:, 1], (turned @ self._lever)[:, 0]], axis=-1)

@@ -33,6 +33,11 @@ class Solution:
     residual: FloatArray
     weight: FloatArray
 
+    @property
+    def chi_square(self) -> float:
+        """Of the residuals."""
+        return float(self.residual @ self.weight @ self.residual)
+
 
 def best_start(
     position: FloatArray, bearing: FloatArray, variance: FloatArray, start: PoseEstimate | None
@@ -68,13 +73,14 @@ def solve(
         # A normal matrix scaled to unit diagonal tells rank from units.
         scale = 1.0 / np.sqrt(np.diag(normal))
         scaled = normal * scale[:, None] * scale
-        if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > 1e12:
+        if not np.isfinite(scaled).all() or np.linalg.eigvalsh(scaled)[0] < 1e-12:
             return Refusal('degenerate geometry', 'the bearings leave a direction undetermined')
         covariance: FloatArray = np.linalg.inv(scaled) * scale[:, None] * scale
         step = covariance @ (jacobian.T @ (weight @ residual))
         step /= max(1.0, float(np.hypot(step[0], step[1])), abs(float(step[2])))
         pose = pose + step
-        if np.abs(step).max() < 1e-10:
+        # The next would be a hundred times smaller at least.
+        if np.abs(step).max() < 1e-8:
             pose[2] = wrap_rad(pose[2])
             return Solution(pose, covariance, jacobian, residual, weight)
     return Refusal('no convergence', f'last step {np.abs(step).max():.1e} m or rad')

@@ -15,7 +15,12 @@ from scipy.special import chdtri
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.triangulation.least_squares import best_start, solve, w_statistics
+from landmark_nav.localization.triangulation.least_squares import (
+    best_start,
+    Solution,
+    solve,
+    w_statistics,
+)
 from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
 from landmark_nav.localization.triangulation.three import triangulate_three
 from landmark_nav.parameters import check_parameters, parameter
@@ -127,11 +132,33 @@ def triangulate(
     n = len(bearing)
     if n < 3:
         return Refusal('fewer than three bearings', f'{n} given')
-    pose = best_start(position, bearing, variance, start)
-    if pose is None:
-        return Refusal('degenerate geometry', 'no three landmarks fix a pose')
-
     used = np.ones(n, dtype=np.bool_)
+    solved: Solution | Refusal | None = None
+    if start is not None:
+        solved = solve(position, bearing, variance, map_cov, start.pose)
+    # A prior from which all of them meet needs no better start.
+    if not isinstance(solved, Solution) or solved.chi_square > _limit(n, config):
+        pose = best_start(position, bearing, variance, start)
+        if pose is None:
+            return Refusal('degenerate geometry', 'no three landmarks fix a pose')
+        solved = _without_outliers(position, bearing, variance, map_cov, pose, used, config)
+        if isinstance(solved, Refusal):
+            return solved
+    residual = bearing_residuals(solved.pose, position, bearing)
+    fix = Fix(solved.pose, solved.covariance, residual, used, solved.chi_square)
+    return _doubt(fix, position[used], start, config) or fix
+
+
+def _without_outliers(
+    position: FloatArray,
+    bearing: FloatArray,
+    variance: FloatArray,
+    map_cov: FloatArray,
+    pose: FloatArray,
+    used: npt.NDArray[np.bool_],
+    config: TriangulationConfig,
+) -> Solution | Refusal:
+    """Solve from a pose (3,); clears `used` (n,) of the bearings that do not meet the others."""
     while True:
         index = np.flatnonzero(used)
         rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
@@ -140,22 +167,23 @@ def triangulate(
         )
         if isinstance(solved, Refusal):
             return solved
-        chi_square = float(solved.residual @ solved.weight @ solved.residual)
-        # Three bearings meet exactly or not at all; one degree of freedom stands for rounding.
-        limit = float(chdtri(max(len(index) - 3, 1), 1.0 - config.fit_probability))
-        if chi_square <= limit:
-            break
+        limit = _limit(len(index), config)
+        if solved.chi_square <= limit:
+            return solved
         if len(index) <= 4:
             return Refusal(
                 'bearings do not meet',
-                f'chi-square {chi_square:.1f} of {len(index)} bearings, limit {limit:.1f}, '
-                f'largest residual {np.degrees(np.abs(solved.residual).max()):.2f} deg',
+                f'chi-square {solved.chi_square:.1f} of {len(index)} bearings, limit '
+                f'{limit:.1f}, largest residual '
+                f'{np.degrees(np.abs(solved.residual).max()):.2f} deg',
             )
         used[index[np.argmax(w_statistics(solved))]] = False
 
-    residual = bearing_residuals(solved.pose, position, bearing)
-    fix = Fix(solved.pose, solved.covariance, residual, used, chi_square)
-    return _doubt(fix, position[used], start, config) or fix
+
+def _limit(count: int, config: TriangulationConfig) -> float:
+    """Chi-square up to which so many bearings meet."""
+    # Three meet exactly or not at all; one degree of freedom stands for rounding.
+    return float(chdtri(max(count - 3, 1), 1.0 - config.fit_probability))
 
 
 def _checked(
