@@ -13,7 +13,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
 from landmark_nav.localization.detection.expectation import camera_in_map
-from landmark_nav.types import CameraFrame, Detections, FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['AimedDetector']
 
@@ -97,7 +97,7 @@ class AimedDetector:
         if len(beside.detections) < _LEAST:
             return result
         # What is there by chance is not found again at one height.
-        aim = self._seen_aim(beside.detections, frame, prior)
+        aim = self._seen_aim(beside, frame, prior)
         again = self._search(frame, wide, expected, config, aim)
         if len(again.detections) < _LEAST:
             return result
@@ -109,7 +109,7 @@ class AimedDetector:
         """Aim where a picture was found to look, once that is beside."""
         if len(result.detections) < _LEAST:
             return
-        aim = self._seen_aim(result.detections, frame, prior)
+        aim = self._seen_aim(result, frame, prior)
         tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD
         if tilted:
             self._told_rad = aim[1]
@@ -134,15 +134,17 @@ class AimedDetector:
         bearing = wrap_rad(result.detections.bearing_rad - aim[0])
         return replace(result, detections=replace(result.detections, bearing_rad=bearing))
 
-    def _seen_aim(self, found: Detections, frame: CameraFrame, prior: PoseEstimate) -> FloatArray:
+    def _seen_aim(
+        self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate
+    ) -> FloatArray:
         """
         Pan and tilt (2,) by which a picture is off, in radians: the median over what was found.
 
         Pan holds the error of the expected heading as well.
         """
         rotation, center = camera_in_map(prior.pose, self._mount, frame.pan_rad, frame.tilt_rad)
-        expected = self._map.positions[self._map.indices(found.ids)] - center
-        seen = frame.camera.unproject(found.uv_px) @ rotation.T
+        expected = self._map.positions[self._map.indices(found.detections.ids)] - center
+        seen = found.rays @ rotation.T
         return np.asarray(np.median(wrap_rad(_angles(expected) - _angles(seen)), axis=1))
 
 

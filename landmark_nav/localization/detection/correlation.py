@@ -44,10 +44,11 @@ _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
 @dataclass(frozen=True, eq=False)
 class DetectionResult:
-    """Landmarks found, and why the others were not, by id."""
+    """Landmarks found, why the others were not, by id, and rays (n, 3) to the former, optical."""
 
     detections: Detections
     refused: Mapping[int, Refusal]
+    rays: FloatArray
 
 
 def detect_landmarks(
@@ -102,7 +103,8 @@ def detect_landmarks(
         found = list(compress(found, ~wrong))
     uv = np.array([f.uv for f in found]).reshape(-1, 2)
     covariance = np.array([f.match.covariance for f in found]).reshape(-1, 2, 2)
-    bearing, variance = _bearings([f.landmark for f in found], uv, covariance, view, config)
+    rays = view.camera.unproject(uv[:, None] + _HALF_PIXEL)
+    bearing, variance = _bearings([f.landmark for f in found], rays, covariance, view, config)
     return DetectionResult(
         Detections(
             frame.stamp_ns,
@@ -113,6 +115,7 @@ def detect_landmarks(
             uv,
         ),
         refused,
+        rays[:, 0],
     )
 
 
@@ -174,15 +177,18 @@ def _wrong_heights(
 
 def _bearings(
     landmarks: Sequence[Landmark],
-    uv: FloatArray,
+    rays: FloatArray,
     covariance: FloatArray,
     view: View,
     config: DetectionConfig,
 ) -> tuple[FloatArray, FloatArray]:
-    """Bearings (n,) at the pan axis in the base frame, and their variances (n,)."""
+    """
+    Bearings (n,) at the pan axis in the base frame, and their variances (n,).
+
+    Of the centres' rays (n, 3, 3), as they are and half a pixel to the right and down.
+    """
     if not landmarks:
         return np.empty(0), np.empty(0)
-    rays = view.camera.unproject(uv[:, None] + _HALF_PIXEL)
     directions = rays @ view.rotation.T
     azimuth = np.arctan2(directions[..., 1], directions[..., 0])
     by_uv = 2.0 * wrap_rad(azimuth[:, 1:] - azimuth[:, :1])

@@ -9,6 +9,7 @@ but three factors that the filter estimates; side slip is noise that lasts for s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -161,7 +162,7 @@ class OdometryNoiseConfig:
         slip_sigma = min(1.0, slip * self.slip_sigma)
         return replace(self, **sigmas, slip_sigma=slip_sigma, learning_sigma=0.0)
 
-    @property
+    @cached_property
     def bias_sigmas(self) -> FloatArray:
         """Sigmas at the start of scale, drift and turn scale, (3,); zero if not estimated."""
         sigmas = (self.scale_sigma, self.drift_sigma_rad_per_m, self.turn_scale_sigma)

@@ -96,7 +96,7 @@ class Outlook:
         windows = self.windows(index)
         reachable = np.isin(np.arange(len(index)), windows.place)
         # Those ahead of some pan must be whole in that view: neither too high nor too low.
-        azimuth = self._azimuth(self.expected_bearings(index)[0])
+        azimuth = self._azimuth_and_reach[0, index]
         straight = np.clip(azimuth, *self.gaze.limits_rad)
         ahead = np.abs(straight - azimuth) < 1e-9
         whole = self.whole(self.corners[index], straight) | ~ahead
@@ -106,16 +106,19 @@ class Outlook:
 
     def windows(self, index: IndexArray) -> PanWindows:
         """Pans at which each of the landmarks `index` (m,) is probably whole in the picture."""
-        bearing, sigma = self.expected_bearings(index)
+        azimuth, reach = self._azimuth_and_reach[:, index]
+        limits, pan = self.gaze.limits_rad, self.gaze.pan_rad
+        return PanWindows.around(azimuth, reach, limits, pan, self.config)
+
+    @cached_property
+    def _azimuth_and_reach(self) -> FloatArray:
+        """Pans straight at landmarks, and how far off these a pan may be, (2, n)."""
+        bearing, sigma = self.expected_bearings(np.arange(len(self.corners)))
         half_fov = self.camera.half_fov_rad
         # However wide the prior, some of the picture stays to be used.
         margin = np.minimum(self.config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
-        reach = half_fov - margin - _half_width(self.axis.pose, self.corners[index])
-        limits, pan = self.gaze.limits_rad, self.gaze.pan_rad
-        return PanWindows.around(self._azimuth(bearing), reach, limits, pan, self.config)
-
-    def _azimuth(self, bearing_rad: FloatArray) -> FloatArray:
-        return wrap_rad(bearing_rad - self.mount.axis_rpy[2])
+        reach = half_fov - margin - _half_width(self.axis.pose, self.corners)
+        return np.stack([wrap_rad(bearing - self.mount.axis_rpy[2]), reach])
 
     def whole(self, corners: FloatArray, pan_rad: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether views (m,) hold their patches' corners (m, 4, 3)."""

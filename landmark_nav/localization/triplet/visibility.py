@@ -114,8 +114,8 @@ def visible_landmarks(
     seen = observable(axis_position(prior.pose, mount), landmark_map, config)
     index = np.flatnonzero(seen)
     corners = patch_corners(landmark_map)[index]
-    pans = np.full(len(index), pan_rad)
-    inside = whole_in_view(corners, prior.pose, camera, mount, pans, tilt_rad, config.border_px)
+    pan = np.array([pan_rad])
+    inside = whole_in_view(corners, prior.pose, camera, mount, pan, tilt_rad, config.border_px)
     return index[inside]
 
 
@@ -187,7 +187,7 @@ def whole_in_view(
     """
     Whether views (m,) hold all of their points (m, k, 3).
 
-    `pan_rad` (m,) gives each its own pan.
+    `pan_rad` gives each its own pan (m,), or all the same (1,).
     """
     from_base, center_base = mount.camera_pose_base(pan_rad, tilt_rad)
     points_base = points_map - [pose_map_base[0], pose_map_base[1], 0.0]

@@ -29,7 +29,7 @@ def finite(values: Any, what: str, stamp: int) -> FloatArray:
     `what` names them: 'odometry position'; `stamp` is when, nanoseconds.
     """
     array = np.asarray(values, dtype=np.float64)
-    if not np.all(np.isfinite(array)):
+    if not np.isfinite(array).all():
         raise LandmarkNavError(
             f'{what} at {stamp * 1e-9:.3f} s is {np.array2string(array, separator=", ")}: '
             'not a number, mend its publisher'
@@ -39,7 +39,8 @@ def finite(values: Any, what: str, stamp: int) -> FloatArray:
 
 def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
     """Heading of a geometry_msgs/Quaternion, radians; it need not be normalised exactly."""
-    x, y, z, w = finite([quaternion.x, quaternion.y, quaternion.z, quaternion.w], what, stamp)
+    turn = [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
+    x, y, z, w = finite(turn, what, stamp).tolist()
     if x * x + y * y + z * z + w * w < 1e-6:
         raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s is the zero quaternion')
     return float(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
