@@ -4,8 +4,8 @@ Landmarks against the truth, in simulated rooms: where they are, and from where 
 ``python test/landmark_check.py --seeds 201 202`` simulates rooms, learns them from two sweeps and
 prints a line a room and their sum; it exits with 1 if a bound is missed. ``--rooms DIR`` takes
 rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. The robot
-is told what a person would have measured (``landmark-nav simulate --measured``), unless
-``--exact`` is given or the rooms were kept.
+is told what a person with a tape would have measured, unless ``--exact`` is given or the rooms
+were kept.
 
 =================  ===============================================================================
 ``median``, ``p95``  distance of landmarks from the truth, millimetres; ``false`` ones are not on
@@ -185,7 +185,7 @@ def learned_map(seed: int, rooms: Path | None, exact: bool) -> LandmarkMap:
     with tempfile.TemporaryDirectory() as scratch:
         folder = (rooms or Path(scratch)) / str(seed)
         if rooms is None:
-            told = () if exact else ('--measured',)
+            told = ('--exact',) if exact else ()
             _run(
                 'simulate', '--out', str(folder), '--seed', str(seed), '--drive-seconds', '1',
                 *told,

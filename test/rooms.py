@@ -36,8 +36,8 @@ def run_room(
 ) -> dict[str, float | bool]:
     """Take the commands that a user would, in `folder`; what came of it."""
     changes = ['--light-change', '--exchange', str(EXCHANGED)]
-    if not exact:
-        changes.append('--measured')
+    if exact:
+        changes.append('--exact')
     _run('simulate', '--out', str(folder), '--seed', str(seed), *changes, *options)
     room, robot = str(folder / 'room.yaml'), str(folder / 'robot.yaml')
     start = json.loads((folder / 'start.json').read_text())['pose']

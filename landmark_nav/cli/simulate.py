@@ -137,10 +137,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'sweeps and drive (default 0)',
     )
     parser.add_argument(
-        '--measured',
+        '--exact',
         action='store_true',
-        help='write room.yaml and robot.yaml as a person with a tape measures them: walls and the '
-        'height of the camera to 5 mm, papers to 1 mm (default: exactly as they are)',
+        help='write room.yaml and robot.yaml exactly as they are (default: as a person with a '
+        'tape measures them, walls and the height of the camera to 5 mm, papers to 1 mm)',
     )
 
 
@@ -158,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
         later = replace(later, items=exchange_pictures(scene, args.exchange, other))
     config = WorldConfig(people=args.people)
     told = scene.room, mount
-    if args.measured:
+    if not args.exact:
         told = as_measured(*told, np.random.default_rng([args.seed, 60]))
     with whole_folder(args.out, _FILES) as folder:
         with BagWriter(folder / 'learn') as bag:
