@@ -18,6 +18,8 @@ from landmark_nav.types import FloatArray, Landmark
 _SEARCH_M = 0.06
 # What truly hangs there scores above 0.99.
 _MIN_SCORE = 0.9
+# Of two places that look the same, as slats of blinds do, the landmark is that which is so near.
+_NEAR_M, _SAME_SCORE = 0.025, 0.02
 
 
 class TrueWalls:
@@ -67,27 +69,27 @@ class TrueWalls:
         slant = float(np.hypot(*ray[:2]) / abs(ray @ landmark.normal))
         wide = blur_to(grey, 1.5 * texel * np.array([slant, 1.0]) / step)
         search = cv2.remap(wide, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        found = match_template(
-            np.asarray(search, np.float32),
-            landmark.patch.astype(np.float32),
-            min_score=_MIN_SCORE,
-            max_second_ratio=1.0,
-        )
-        if not isinstance(found, Match):
+        found = _best_match(search, landmark.patch)
+        if found is None:
             return None
+        off = max(0, margin - round(_NEAR_M / texel) - 2)
+        near = _best_match(search[off : shape[0] - off, off : shape[1] - off], landmark.patch)
+        center = found.xy
+        if near is not None and near.score > found.score - _SAME_SCORE:
+            center = near.xy + off
         right, down = patch_axes(landmark.normal)
-        across, below = (found.xy - (np.array(shape[::-1]) - 1) / 2.0) * texel
+        across, below = (center - (np.array(shape[::-1]) - 1) / 2.0) * texel
         point = landmark.position + across * right + below * down
         size = landmark.patch.shape[::-1]
         there = cv2.remap(
             before, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
         )
         depths, edges = (
-            cv2.getRectSubPix(image, size, found.xy.tolist()).astype(np.float64)
+            cv2.getRectSubPix(image, size, center.tolist()).astype(np.float64)
             for image in (there, _edges(search))
         )
-        off = (point[:2] - wall.start) @ wall.normal[:2]
-        return np.asarray(point + (np.average(depths, weights=edges) - off) * wall.normal)
+        before_wall = (point[:2] - wall.start) @ wall.normal[:2]
+        return np.asarray(point + (np.average(depths, weights=edges) - before_wall) * wall.normal)
 
     def hidden(self, eye: FloatArray, points: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether furniture or walls stand between an eye (3,) and points (..., 3)."""
@@ -106,6 +108,16 @@ class TrueWalls:
             enter, leave = ends.min(-2).max(-1), ends.max(-2).min(-1)
             hidden |= (enter < leave) & (enter < 1.0 - 1e-6) & (leave > 0.0)
         return np.asarray(hidden)
+
+
+def _best_match(search: cv2.typing.MatLike, patch: npt.NDArray[np.uint8]) -> Match | None:
+    found = match_template(
+        np.ascontiguousarray(search, np.float32),
+        patch.astype(np.float32),
+        min_score=_MIN_SCORE,
+        max_second_ratio=1.0,
+    )
+    return found if isinstance(found, Match) else None
 
 
 def _grey(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:

@@ -164,6 +164,20 @@ def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:
     assert seen.reason == 'too little parallax'
 
 
+def test_straight_ahead_what_hangs_above_the_camera_has_parallax(
+    panoramas: list[Panorama],
+) -> None:
+    way = CENTERS[1] - CENTERS[0]
+    ahead = CENTERS[0] + (6.0 - CENTERS[0][0]) / way[0] * way
+    _, seen = match_at(panoramas, ahead + [0.0, 0.0, 0.02])
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'too little parallax'
+    patch, seen = match_at(panoramas, ahead + [0.0, 0.0, 0.45])
+    assert isinstance(seen, Sighting)
+    truth = direction_to(panoramas[1], patch.position)
+    assert [seen.azimuth_rad, seen.tangent] == pytest.approx(truth, abs=8e-4)
+
+
 def test_a_wall_between_hides(panoramas: list[Panorama]) -> None:
     patch = patch_at(panoramas[0], np.array([6.0, 2.2, 1.1]))
     assert isinstance(patch, WallPatch)

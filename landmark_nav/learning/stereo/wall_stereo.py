@@ -83,12 +83,13 @@ def match_in(
     here, there = panoramas[patch.source], panoramas[other]
     if not room.visible(there.center_map[:2], patch.position[:2]):
         return Refusal('hidden from the other place')
-    to_here = (here.center_map - patch.position)[:2]
-    to_there = (there.center_map - patch.position)[:2]
-    if to_there @ patch.normal[:2] < np.cos(config.max_incidence_rad) * np.hypot(*to_there):
+    to_here = here.center_map - patch.position
+    to_there = there.center_map - patch.position
+    if to_there @ patch.normal < np.cos(config.max_incidence_rad) * np.hypot(*to_there[:2]):
         return Refusal('too oblique from the other place')
-    turn = float(to_here[0] * to_there[1] - to_here[1] * to_there[0])
-    parallax = abs(float(np.arctan2(turn, to_here @ to_there)))
+    # Straight ahead of both, what hangs higher or lower than the camera has parallax in height.
+    turn = float(np.linalg.norm(np.cross(to_here, to_there)))
+    parallax = float(np.arctan2(turn, to_here @ to_there))
     if parallax < config.min_parallax_rad:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
     return compare(patch, other, panoramas, greys, config)
