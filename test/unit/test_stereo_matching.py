@@ -169,10 +169,10 @@ def test_straight_ahead_what_hangs_above_the_camera_has_parallax(
 ) -> None:
     way = CENTERS[1] - CENTERS[0]
     ahead = CENTERS[0] + (6.0 - CENTERS[0][0]) / way[0] * way
-    _, seen = match_at(panoramas, [*ahead, 0.0, 0.0, 0.02])
+    _, seen = match_at(panoramas, np.add(ahead, [0.0, 0.0, 0.02]))
     assert isinstance(seen, Refusal)
     assert seen.reason == 'too little parallax'
-    patch, seen = match_at(panoramas, [*ahead, 0.0, 0.0, 0.45])
+    patch, seen = match_at(panoramas, np.add(ahead, [0.0, 0.0, 0.45]))
     assert isinstance(seen, Sighting)
     truth = direction_to(panoramas[1], patch.position)
     assert [seen.azimuth_rad, seen.tangent] == pytest.approx(truth, abs=8e-4)
