@@ -72,6 +72,10 @@ class Room:
                 raise LandmarkNavError(f'wall {wall.id} has a coordinate that is not a number')
             if wall.length < 1e-3 or wall.height <= 0.0:
                 raise LandmarkNavError(f'wall {wall.id} has no length or no height')
+        names = [wall.id for wall in self.walls]
+        for name in names:
+            if names.count(name) > 1:
+                raise LandmarkNavError(f'two walls are called {name}: give each a name of its own')
         self._check_closed()
         self._check_crossings()
 

@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
-from landmark_nav.ros.parameters import declare
+from landmark_nav.ros.parameters import declare, misspelt
 from landmark_nav.ros.topics import TOPICS, with_depth
 
 __all__ = ['LandmarkNode']
@@ -60,7 +60,10 @@ class LandmarkNode(Node):
 
     def configure(self, config_class: type[T]) -> T:
         """Declare a dataclass as parameters and return it filled."""
-        return declare(self, config_class)
+        config = declare(self, config_class)
+        for name, meant in misspelt(self).items():
+            self.get_logger().warning(f'no parameter {name}: did you mean {meant}?')
+        return config
 
     def required(self, name: str, value: str) -> str:
         """Value of a parameter that has no sensible default, such as the path of a file."""

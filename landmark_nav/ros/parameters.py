@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import sys
 from typing import Any, TypeVar
 
@@ -12,11 +13,13 @@ from rclpy.node import Node
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['declare']
+__all__ = ['declare', 'misspelt']
 
 T = TypeVar('T')
 
 _LARGEST_INTEGER = 2**63 - 1
+# Names that share so much of their letters differ by a slip of the pen.
+_ALIKE = 0.85
 
 
 def declare(node: Node, config_class: type[T], prefix: str = '') -> T:
@@ -56,6 +59,22 @@ def declare(node: Node, config_class: type[T], prefix: str = '') -> T:
             ) from error
         values[field.name] = tuple(value) if listed else value
     return config_class(**values)
+
+
+def misspelt(node: Node) -> dict[str, str]:
+    """
+    Names that were given values and that no parameter has -> the parameter that looks like it.
+
+    Files may be for several nodes, so that what looks like none may well be another's.
+    """
+    given = getattr(node, '_parameter_overrides', {})  # rclpy tells of them nowhere else
+    unset = [name for name in node.get_parameters_by_prefix('') if name not in given]
+    meant = {
+        name: difflib.get_close_matches(name, unset, 1, _ALIKE)
+        for name in given
+        if not node.has_parameter(name)
+    }
+    return {name: names[0] for name, names in meant.items() if names}
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:

@@ -43,8 +43,8 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
         Exit status: 0 after a signal, 1 if the node could not be made.
 
     """
-    rclpy.init(args=sys.argv)
     try:
+        _join_ros()
         node = make_node()
         forward_logs(node.get_logger())
         executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
@@ -63,6 +63,14 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _join_ros() -> None:
+    """Take the arguments that ROS takes: a parameter file that cannot be read is bad input."""
+    try:
+        rclpy.init(args=sys.argv)
+    except RuntimeError as error:  # RCLError, UnknownROSArgsError
+        raise LandmarkNavError(' '.join(str(error).split())) from error
 
 
 def _spin(executor: Executor) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+import difflib
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from landmark_nav.types import FloatArray
 
 __all__ = [
     'array_field',
+    'check_spelling',
     'covariance_field',
     'field',
     'integer_field',
@@ -21,6 +23,8 @@ __all__ = [
 
 # A covariance may miss being positive semi-definite by this share of its largest eigenvalue.
 _ROUNDING = 1e-9
+# Names that share so much of their letters differ by a slip of the pen.
+_ALIKE = 0.8
 
 
 def field(mapping: Any, key: str, where: str) -> Any:
@@ -28,6 +32,15 @@ def field(mapping: Any, key: str, where: str) -> Any:
     if not isinstance(mapping, Mapping) or key not in mapping:
         raise LandmarkNavError(f'{where}: {key} is missing')
     return mapping[key]
+
+
+def check_spelling(mapping: Any, known: Collection[str], where: str) -> None:
+    """`LandmarkNavError` where a key looks like one of `known` that is not there."""
+    absent = [key for key in known if key not in mapping]
+    for key in (key for key in mapping if key not in known):
+        meant = difflib.get_close_matches(str(key), absent, 1, _ALIKE)
+        if meant:
+            raise LandmarkNavError(f'{where}: {key} is no field: write {meant[0]}')
 
 
 def list_field(mapping: Any, key: str, where: str) -> list[Any]:

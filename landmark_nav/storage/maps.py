@@ -27,7 +27,7 @@ from landmark_nav.storage.fields import (
     number_field,
 )
 from landmark_nav.storage.setup_files import read_yaml_mapping
-from landmark_nav.storage.whole import whole_folder
+from landmark_nav.storage.whole import left_over, whole_folder
 from landmark_nav.types import (
     FloatArray,
     ImageArray,
@@ -36,13 +36,13 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-__all__ = ['MAP_FILES', 'SCHEMA_VERSION', 'load_map', 'save_map', 'write_map']
+__all__ = ['MAP_DATA', 'MAP_FILES', 'SCHEMA_VERSION', 'load_map', 'save_map', 'write_map']
 
 SCHEMA_VERSION = 1
 
-# What this package writes into a map folder, for `whole_folder`.
-MAP_FILES = ('map.yaml', 'patches', 'views', 'map.png', 'panorama_*.png')
-
+# What this package writes into a map folder, for `whole_folder`: the map, and figures of it.
+MAP_DATA = ('map.yaml', 'patches', 'views')
+MAP_FILES = (*MAP_DATA, 'map.png', 'panorama_*.png')
 
 # Of a landmark of size 0 x 0: a point that has a bearing but no texture.
 _NO_PATCH: ImageArray = np.zeros((0, 0), dtype=np.uint8)
@@ -128,9 +128,7 @@ def load_map(folder: Path | str) -> LandmarkMap:
     folder = Path(folder)
     path = folder / 'map.yaml'
     if not path.is_file():
-        raise LandmarkNavError(
-            f'{folder}: no map there (no map.yaml): make one with `landmark-nav learn`'
-        )
+        raise LandmarkNavError(f'{folder}: {_no_map(folder)}')
     document = read_yaml_mapping(path)
     _check_version(document, path)
     where = str(path)
@@ -164,6 +162,15 @@ def load_map(folder: Path | str) -> LandmarkMap:
         ),
         {str(key): str(value) for key, value in provenance.items()},
     )
+
+
+def _no_map(folder: Path) -> str:
+    if folder.is_file():
+        return f'is a file: a map is a folder, {folder.parent} perhaps'
+    left = left_over(folder)
+    if left is not None:
+        return f'no map there: it was being replaced when that was ended; rename {left} to it'
+    return 'no map there (no map.yaml): make one with `landmark-nav learn`'
 
 
 def _check_version(document: dict[str, Any], path: Path) -> None:

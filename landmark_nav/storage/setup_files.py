@@ -14,6 +14,7 @@ from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.storage.fields import (
     array_field,
+    check_spelling,
     field,
     integer_field,
     list_field,
@@ -28,6 +29,14 @@ _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 # Walls and papers are measured to a few centimetres, with the papers perhaps on a frame; what is
 # farther off its wall was not measured but mistaken.
 _MAX_OFF_WALL_M = 0.1
+
+# Angles beyond a full turn were written in degrees.
+_FULL_TURN_RAD = 6.2832
+
+_ROBOT_FIELDS = (
+    *('base_frame', 'pan_joint', 'tilt_joint'),
+    *('pan_axis', 'optical_center_offset', 'camera_roll'),
+)
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
@@ -58,6 +67,7 @@ def load_room(path: Path | str) -> Room:
     path = Path(path)
     document = read_yaml_mapping(path)
     try:
+        check_spelling(document, ('frame_id', 'walls', 'reference_area'), 'room')
         walls = tuple(
             Wall(
                 str(field(wall, 'id', f'walls[{i}]')),
@@ -118,6 +128,7 @@ def load_robot(path: Path | str) -> PanTiltMount:
     path = Path(path)
     document = read_yaml_mapping(path)
     try:
+        check_spelling(document, _ROBOT_FIELDS, 'robot')
         axis = field(document, 'pan_axis', 'robot')
         offset = (
             _point(document, 'optical_center_offset', 3, 'robot')
@@ -126,9 +137,9 @@ def load_robot(path: Path | str) -> PanTiltMount:
         )
         return PanTiltMount(
             axis_xyz=_point(axis, 'xyz', 3, 'pan_axis'),
-            axis_rpy=_point(axis, 'rpy', 3, 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
+            axis_rpy=_angles(axis, 'rpy', (3,), 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
             optical_center_offset=offset,
-            camera_roll_rad=number_field({'camera_roll': 0.0, **document}, 'camera_roll', 'robot'),
+            camera_roll_rad=_angles({'camera_roll': 0.0, **document}, 'camera_roll', (), 'robot'),
             base_frame=str(document.get('base_frame', 'base_link')),
             pan_joint=str(document.get('pan_joint', 'pan_joint')),
             tilt_joint=str(document.get('tilt_joint', 'tilt_joint')),
@@ -163,6 +174,15 @@ def load_camera(path: Path | str) -> CameraModel:
         return CameraModel(width, height, fx, fy, cx, cy, model, tuple(coefficients))
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
+
+
+def _angles(mapping: Any, key: str, shape: tuple[int, ...], where: str) -> Any:
+    angles = array_field(mapping, key, shape, where)
+    if np.any(np.abs(angles) > _FULL_TURN_RAD):
+        raise LandmarkNavError(
+            f'{where}: {key} is {mapping[key]!r}, more than a full turn: give it in radians'
+        )
+    return tuple(angles.tolist()) if shape else float(angles)
 
 
 def _point(mapping: Any, key: str, size: int, where: str) -> Any:

@@ -11,7 +11,7 @@ import shutil
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['whole_folder', 'write_whole']
+__all__ = ['left_over', 'whole_folder', 'write_whole']
 
 
 @contextmanager
@@ -76,6 +76,13 @@ def write_whole(path: Path, content: str | bytes) -> None:
     except OSError as error:
         growing.unlink(missing_ok=True)
         raise LandmarkNavError(f'{path}: cannot be written: {error}') from error
+
+
+def left_over(folder: Path) -> Path | None:
+    """What `whole_folder` moved aside for a new one that never came: it was killed in between."""
+    target = folder.resolve()
+    aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
+    return aside[-1] if aside else None
 
 
 def _swap(growing: Path, target: Path, own: Sequence[str]) -> None:

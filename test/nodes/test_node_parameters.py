@@ -23,6 +23,7 @@ from landmark_nav.nodes.describe import parameter_file
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.parameters import misspelt
 
 NODES = [
     'bag_player',
@@ -109,6 +110,19 @@ def test_a_bad_value_is_named(context: Context, name: str, value: Any, words: st
     overrides = [Parameter(name, value=value)]
     with pytest.raises(LandmarkNavError, match=words):
         ConfiguredNode(Config, context=context, parameter_overrides=overrides)
+
+
+def test_a_name_that_nothing_has_is_told_with_what_it_looks_like(context: Context) -> None:
+    given = {
+        'countt': 3,
+        'section.rat_hz': 2.0,
+        'of_another_node': 1,
+        'kind': 'slow',
+        'kinds': 'x',
+    }
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    node = ConfiguredNode(Config, context=context, parameter_overrides=overrides)
+    assert misspelt(node) == {'countt': 'count', 'section.rat_hz': 'section.rate_hz'}
 
 
 def test_values_that_contradict_each_other(context: Context) -> None:

@@ -191,6 +191,18 @@ def test_maps_of_before_have_no_other_views(tmp_path):
     np.testing.assert_array_equal(old.landmarks[2].patch, make_map().landmarks[2].patch)
 
 
+def test_a_map_that_was_being_replaced_as_the_power_went_is_named(tmp_path):
+    save_map(make_map(0, 3, 1), tmp_path / '.hall.old-17')
+    with pytest.raises(LandmarkNavError, match=r'no map there.*rename .*\.hall\.old-17'):
+        load_map(tmp_path / 'hall')
+
+
+def test_the_file_of_a_map_is_not_the_map(tmp_path):
+    save_map(make_map(0, 3, 1), tmp_path / 'hall')
+    with pytest.raises(LandmarkNavError, match=r'is a file: a map is a folder, .*hall perhaps'):
+        load_map(tmp_path / 'hall' / 'map.yaml')
+
+
 def test_missing_parts_are_named(tmp_path):
     with pytest.raises(LandmarkNavError, match='no map there'):
         load_map(tmp_path / 'nowhere')

@@ -99,6 +99,10 @@ def test_robot_as_written_and_defaults(tmp_path: Path) -> None:
     assert load_robot(written(tmp_path, robot_document(rolled))) == rolled
 
 
+def test_fields_of_another_program_stay_unread(tmp_path: Path) -> None:
+    load_robot(written(tmp_path, ROBOT + 'note: by hand\nwheels: 2\n'))
+
+
 def test_the_study_room_is_read(shared_data: Path) -> None:
     room = load_room(shared_data / 'study' / 'room.yaml')
     assert len(room.walls) == 4
@@ -124,6 +128,9 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
         (ROOM.replace('height: 2.5', 'height: .nan', 1), r'walls\[0\]: height is nan: not finite'),
         (ROOM.replace('color: red, ', ''), r'papers\[0\]: color is missing'),
         (ROOM.replace('end: [4, 3]', 'end: [4, 2]'), 'the walls are open: wall east'),
+        (ROOM.replace('id: east', 'id: south'), 'two walls are called south'),
+        (ROOM.replace('reference_area', 'reference_ara'), 'reference_ara is no field: write refe'),
+        (ROOM.replace('frame_id', 'frameid'), 'frameid is no field: write frame_id'),
     ],
 )
 def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
@@ -143,6 +150,12 @@ def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: s
         ('pan_axis: {xyz: [0, 0, 1], rpy: 0}', 'rpy is 0, not 3 numbers'),
         ('pan_axis: {xyz: [0, 0, 1]}\noptical_center_offset: [1]', 'optical_center_offset is'),
         ('pan_axis: {xyz: [0, 0, 1]}\ncamera_roll: over', "camera_roll is 'over', not a number"),
+        ('pan_axis: {xyz: [0, 0, 1]}\ncamera_roll: 180', 'camera_roll is 180, .* in radians'),
+        ('pan_axis: {xyz: [0, 0, 1], rpy: [0, 0, 90]}', r'rpy is \[0, 0, 90\], .* in radians'),
+        ('pan_axs: {xyz: [0, 0, 1]}', 'pan_axs is no field: write pan_axis'),
+        ('pan_axis: {xyz: [0, 0, 1]}\ncamera_rol: 3.1', 'camera_rol is no field: write camera_ro'),
+        (ROBOT.replace('optical_center', 'optical_centre'), 'write optical_center_offset'),
+        (ROBOT.replace('pan_joint', 'panjoint'), 'panjoint is no field: write pan_joint'),
     ],
 )
 def test_a_bad_robot_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:

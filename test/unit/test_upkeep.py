@@ -188,7 +188,9 @@ def test_the_commands_tell_it_with_their_exit_status(tmp_path, capsys):
     assert '+3.0 cm right' in printed
     assert '5 in both' in printed
     assert main(['map', 'merge', a, b, '--out', out]) == 0
+    (tmp_path / 'out' / 'map.png').write_bytes(b'figure')
     assert main(['map', 'migrate', out]) == 0
+    assert (tmp_path / 'out' / 'map.png').read_bytes() == b'figure'
     assert main(['map', 'check', out]) == 0
     save_map(make_map(replace(landmark(0, PLACES[0]), wall_id='attic')), a)
     assert main(['map', 'check', a]) == 1
