@@ -171,7 +171,7 @@ def learn_from_panoramas(
             room_weight=_AS_EXPECTED,
         )
         free = adjust(sightings, walls, start, panoramas, room, without_walls)
-        check_walls(free, walls, room, config.wall_fit)
+        check_walls(free, walls, room, config.adjustment, config.wall_fit)
         adjustment = adjust(sightings, walls, start, panoramas, room, config.adjustment)
         residuals = wall_residuals(adjustment, walls, room, config.adjustment, config.wall_fit)
     doubt = doubtful_walls(

@@ -11,6 +11,7 @@ from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     doubtful_walls,
+    wall_residuals,
     WallFitConfig,
     WallResidual,
 )
@@ -45,7 +46,8 @@ def placed(south: np.ndarray, along: np.ndarray, shared_m: float = 0.001) -> Adj
 
 def check(south: np.ndarray, along: np.ndarray, **options: float) -> None:
     free = placed(south, along, **options)
-    check_walls(free, [0] * len(along) + [2] * 8, ROOM, WallFitConfig())
+    walls = [0] * len(along) + [2] * 8
+    check_walls(free, walls, ROOM, AdjustmentConfig(), WallFitConfig())
 
 
 ALONG = np.linspace(0.5, 5.5, 12)
@@ -112,3 +114,30 @@ def test_things_that_hang_differently_far_doubt_no_wall() -> None:
     assert not doubt([3.0, 0.2, 1.0, 0.4], hanging_m=0.03)
     assert not doubt([3.0, 0.2, 1.0, 0.4], shared_m=0.02)
     assert not doubtful_walls([], 0.001, AdjustmentConfig(), WallFitConfig())
+
+
+# Frames of unequal depth: two patches on each of seven pictures.
+ON_PICTURES = np.repeat(np.linspace(0.6, 5.4, 7), 2) + np.tile([-0.1, 0.1], 7)
+FRAMES = np.repeat([0.0, 0.03, 0.01, 0.028, 0.0, 0.025, 0.015], 2)
+
+
+def test_frames_of_unequal_depth_neither_turn_a_wall_nor_hide_that_it_is() -> None:
+    check(FRAMES, ON_PICTURES)
+    with pytest.raises(LandmarkNavError, match=r'south is turned by [23]\.\d deg'):
+        check(np.tan(np.radians(3.0)) * (ON_PICTURES - 3.0) + FRAMES, ON_PICTURES)
+
+
+def test_two_pictures_are_too_few_to_say_that_a_wall_is_turned() -> None:
+    along = np.repeat([2.0, 3.2], 6) + np.tile(np.linspace(-0.1, 0.1, 6), 2)
+    check(np.repeat([0.0, 0.05], 6), along)
+    check(np.repeat([0.0, 0.05], 6) - 0.05, along)
+
+
+def test_walls_with_few_patches_are_told_too() -> None:
+    few = placed(np.array([0.14, 0.15, 0.145]), np.array([0.6, 3.0, 5.0]))
+    walls = [0, 0, 0, *[2] * 8]
+    check_walls(few, walls, ROOM, AdjustmentConfig(), WallFitConfig())
+    residuals = wall_residuals(few, walls, ROOM, AdjustmentConfig(), WallFitConfig())
+    assert {r.wall_id: r.patches for r in residuals} == {'south': 3, 'north': 8}
+    told = doubtful_walls(residuals, 0.01, AdjustmentConfig(), WallFitConfig())
+    assert '14.5 cm before south' in told

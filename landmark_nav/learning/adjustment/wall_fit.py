@@ -27,8 +27,13 @@ __all__ = ['WallFitConfig', 'WallResidual', 'check_walls', 'doubtful_walls', 'wa
 
 BoolArray = npt.NDArray[np.bool_]
 
-# Chance that walls which a person measured are doubted.
+# Chance that walls which a person measured are doubted, and patches that doubt takes.
 _FALSE_ALARM = 1e-3
+_FEW = 2
+# What refuses a wall is so many standard deviations beyond its bound.
+_SURE = 3.0
+# Of fewer things none can be told to be the odd one.
+_LEAST_THINGS = 3
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class WallFitConfig:
         0.03, 'greatest angle between patches and their wall', minimum=0, maximum=1
     )
     min_patches: int = parameter(
-        6, 'patches that it takes to judge a wall', minimum=3, maximum=1000
+        6, 'patches that it takes to refuse a wall', minimum=3, maximum=1000
     )
     min_extent_m: float = parameter(
         1.0, 'how far along a wall they must spread, metres', minimum=0, maximum=100
@@ -54,7 +59,10 @@ class WallFitConfig:
         0.2, 'what stands farther before or behind says nothing', minimum=0, maximum=1
     )
     max_spread_m: float = parameter(
-        0.012, 'median distance from one plane that patches of a wall keep', minimum=0, maximum=1
+        0.025,
+        'distance from one plane that three quarters of the things on a wall keep',
+        minimum=0,
+        maximum=1,
     )
     max_sigma_m: float = parameter(
         0.02, 'least certain patch that counts, standard deviation', minimum=1e-4, maximum=1
@@ -65,7 +73,13 @@ class WallFitConfig:
         check_parameters(self)
 
 
-def check_walls(free: Adjustment, walls: Sequence[int], room: Room, config: WallFitConfig) -> None:
+def check_walls(
+    free: Adjustment,
+    walls: Sequence[int],
+    room: Room,
+    expected: AdjustmentConfig,
+    config: WallFitConfig,
+) -> None:
     """
     Compare patches, placed without the walls, with the walls.
 
@@ -77,6 +91,8 @@ def check_walls(free: Adjustment, walls: Sequence[int], room: Room, config: Wall
         The wall each was looked for on.
     room : Room
         The wall map.
+    expected : AdjustmentConfig
+        How things hang on walls.
     config : WallFitConfig
         Bounds.
 
@@ -87,9 +103,10 @@ def check_walls(free: Adjustment, walls: Sequence[int], room: Room, config: Wall
 
     """
     complaints = []
-    for k, on, along in _judged(free, walls, room, config):
-        slack = 3.0 * float(np.linalg.norm(_shared(free, room, k, on)))
-        complaint = _complaint(along, free.off_wall_m[on], slack, config)
+    for k, on in _judged(free, walls, room, config, config.min_patches):
+        things = _things(free, room, k, on, expected.hanging_length_m)
+        sigma = float(np.linalg.norm(_shared(free, room, k, on)))
+        complaint = _complaint(things, sigma, expected.hanging_sigma_m, int(on.sum()), config)
         if complaint:
             complaints.append(f'{room.walls[k].id} {complaint}')
     if complaints:
@@ -128,14 +145,11 @@ def wall_residuals(
 ) -> tuple[WallResidual, ...]:
     """Tell how far before their walls patches lie, by all that is known; arguments as above."""
     residuals = []
-    for k, on, _ in _judged(adjustment, walls, room, config):
-        # Patches of one thing say no more of its wall than one of them.
-        off, there = adjustment.off_wall_m[on], [k] * int(on.sum())
-        stretch = wall_stretches(adjustment.positions[on], there, room, expected.hanging_length_m)
-        things = [np.median(off[stretch == n]) for n in range(stretch.max() + 1)]
+    for k, on in _judged(adjustment, walls, room, config, _FEW):
+        off = _things(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
         shared = _shared(adjustment, room, k, on)
         residuals.append(
-            WallResidual(room.walls[k].id, len(off), len(things), float(np.median(things)), shared)
+            WallResidual(room.walls[k].id, int(on.sum()), len(off), float(np.median(off)), shared)
         )
     return tuple(residuals)
 
@@ -176,7 +190,8 @@ def doubtful_walls(
     inverse = np.linalg.inv(shared @ shared.T + np.diag(apart))
     left = off - np.sum(inverse @ off) / inverse.sum()
     likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
-    slack = 2.0 * np.array([residual.sigma_m for residual in residuals])
+    # One thing may hang as far as its frame is deep; many do not on average.
+    slack = 2.0 * np.sqrt(np.sum(shared**2, 1) + hanging_sigma_m**2 / stretches**2)
     near = (off >= -config.max_behind_m - slack) & (off <= config.max_before_m + slack)
     if likely and near.all():
         return ''
@@ -191,9 +206,9 @@ def doubtful_walls(
 
 
 def _judged(
-    adjustment: Adjustment, walls: Sequence[int], room: Room, config: WallFitConfig
-) -> Iterator[tuple[int, BoolArray, FloatArray]]:
-    """Walls with enough patches to judge them, which (n,) these are, and where along the wall."""
+    adjustment: Adjustment, walls: Sequence[int], room: Room, config: WallFitConfig, least: int
+) -> Iterator[tuple[int, BoolArray]]:
+    """Walls with `least` patches that are far enough apart, and which (n,) these are."""
     index = np.asarray(walls, dtype=np.intp)
     normal = room.normals[index]
     sigma = np.sqrt(np.einsum('ni,nij,nj->n', normal, adjustment.own_covariance, normal))
@@ -201,10 +216,24 @@ def _judged(
     tells = (sigma < config.max_sigma_m) & (np.abs(adjustment.off_wall_m) < config.max_distance_m)
     for k, wall in enumerate(room.walls):
         on = (index == k) & tells
-        along = (adjustment.positions[on, :2] - wall.start) @ np.subtract(wall.end, wall.start)
-        along /= wall.length
-        if on.sum() >= config.min_patches and np.ptp(along) >= config.min_extent_m:
-            yield k, on, along
+        along = adjustment.positions[on, :2] @ np.subtract(wall.end, wall.start) / wall.length
+        if on.sum() >= least and np.ptp(along) >= config.min_extent_m:
+            yield k, on
+
+
+def _things(
+    adjustment: Adjustment, room: Room, k: int, on: BoolArray, length_m: float
+) -> FloatArray:
+    """
+    How far along wall `k` and off it things are, (n, 2): medians of its stretches.
+
+    Patches of one thing say no more of its wall than one of them.
+    """
+    wall, positions = room.walls[k], adjustment.positions[on]
+    along = (positions[:, :2] - wall.start) @ np.subtract(wall.end, wall.start) / wall.length
+    patches = np.stack([along, adjustment.off_wall_m[on]], 1)
+    stretch = wall_stretches(positions, [k] * len(positions), room, length_m)
+    return np.array([np.median(patches[stretch == n], 0) for n in range(stretch.max() + 1)])
 
 
 def _shared(adjustment: Adjustment, room: Room, k: int, on: BoolArray) -> FloatArray:
@@ -213,35 +242,32 @@ def _shared(adjustment: Adjustment, room: Room, k: int, on: BoolArray) -> FloatA
 
 
 def _complaint(
-    along_m: FloatArray, off_m: FloatArray, slack_m: float, config: WallFitConfig
+    things: FloatArray, sigma_m: float, hanging_sigma_m: float, patches: int, config: WallFitConfig
 ) -> str:
-    """What is wrong with a wall; nothing unless its patches lie in one plane, as a wall's do."""
-    slope, low, high = _slope(along_m, off_m)
-    straightened = off_m - slope * along_m
-    spread = float(np.median(np.abs(straightened - np.median(straightened))))
+    """What is wrong with a wall; nothing unless things lie in one plane, as on a wall they do."""
+    along, off = things.T
+    if len(things) < _LEAST_THINGS:
+        return ''
+    slope = _slope(along, off)
+    straightened = off - slope * along
+    spread = float(np.quantile(np.abs(straightened - np.median(straightened)), 0.75))
     if spread > config.max_spread_m:
         return ''
-    if (
-        min(abs(low), abs(high)) > config.max_turn_rad + slack_m / np.ptp(along_m)
-        and low * high > 0
-    ):
+    apart = np.sqrt(np.sum((along - along.mean()) ** 2))
+    turned = np.hypot(hanging_sigma_m / apart, sigma_m / np.ptp(along))
+    if abs(slope) > config.max_turn_rad + _SURE * turned:
         return f'is turned by {np.degrees(np.arctan(abs(slope))):.1f} deg against its patches'
-    median = float(np.median(off_m))
-    if -config.max_behind_m - slack_m <= median <= config.max_before_m + slack_m:
+    median, slack = float(np.median(off)), _SURE * sigma_m
+    if -config.max_behind_m - slack <= median <= config.max_before_m + slack:
         return ''
     place = 'before' if median > 0 else 'behind'
     return (
-        f'has its {len(off_m)} patches {abs(median) * 100:.1f} cm {place} it '
+        f'has its {patches} patches {abs(median) * 100:.1f} cm {place} it '
         f'(+-{spread * 100:.1f} cm)'
     )
 
 
-def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
-    """Median slope between any two points and its 95 % interval (Sen, JASA 63, 1968)."""
+def _slope(x: FloatArray, y: FloatArray) -> float:
+    """Median slope between any two points (Sen, JASA 63, 1968)."""
     left, right = np.nonzero(x[:, None] < x)
-    slopes = np.sort((y[right] - y[left]) / (x[right] - x[left]))
-    count = len(x)
-    half = 0.5 * 1.96 * np.sqrt(count * (count - 1) * (2 * count + 5) / 18.0)
-    ranks = np.rint(0.5 * len(slopes) + np.array([-half - 1.0, half])).astype(int)
-    low, high = slopes[np.clip(ranks, 0, len(slopes) - 1)]
-    return float(np.median(slopes)), float(low), float(high)
+    return float(np.median((y[right] - y[left]) / (x[right] - x[left])))
