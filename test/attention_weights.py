@@ -4,12 +4,12 @@ Which feature proposes patches that are found again? Measure each alone, set wei
 ``python test/attention_weights.py --seeds 31 32 33 34 35 36`` simulates rooms with two sweeps
 each, lets attention propose patches with each feature alone, with chance, with equal weights and
 with the default ones, and looks for every patch from other places after a lamp was dimmed and a
-piece of furniture moved. Places and walls are the true ones, so that it is attention alone that is
-judged. Found again means: above the threshold and within 1 px of the truth; what does not lie on a
-wall is never found. It prints the share of the first 40 patches of a panorama that are found, of
-all, what is found in a wrong place, in percent, the root mean squared error in pixels of the
-first 40 that are found, and the weights that follow: in proportion to what a feature finds more
-than chance among the first 40.
+piece of furniture moved. Places and walls are the true ones, and so is how far before a wall a
+patch hangs, so that it is attention alone that is judged. Found again means: above the threshold
+and within 1 px of the truth; what no wall shows is never found. It prints the share of the first
+40 patches of a panorama that are found, of all, what is found in a wrong place, in percent, the
+root mean squared error in pixels of the first 40 that are found, and the weights that follow: in
+proportion to what a feature finds more than chance among the first 40.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ import sys
 from unittest.mock import patch as patched
 
 import cv2
+from landmark_truth import TrueWalls
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.attention import attend, AttentionConfig, FEATURES
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.stereo import hypothesize, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import wall_texture
+from landmark_nav.learning.stereo.wall_patch import wall_texture, WallPatch
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
@@ -75,7 +76,7 @@ class View:
 class Study:
     """A room, what was learned from, and what is seen later."""
 
-    scene: Scene
+    walls: TrueWalls
     later: Scene
     panoramas: tuple[Panorama, ...]
     views: tuple[View, ...]
@@ -106,7 +107,7 @@ def simulate(seed: int) -> Study:
     for place in places:
         pose = np.append(place, rng.uniform(-np.pi, np.pi))
         views.append(View(PoseEstimate(0, pose, PRIOR), turn(world, pose, VIEWS)))
-    return Study(scene, later, tuple(panoramas), tuple(views))
+    return Study(TrueWalls(scene), later, tuple(panoramas), tuple(views))
 
 
 def turn(world: RobotWorld, pose: FloatArray, count: int) -> tuple[CameraFrame, ...]:
@@ -126,12 +127,12 @@ def found_again(study: Study, config: AttentionConfig) -> FloatArray:
     for panorama in study.panoramas:
         grey = np.asarray(cv2.cvtColor(panorama.image, cv2.COLOR_BGR2GRAY), np.float32)
         for rank, candidate in enumerate(attend(panorama, config).candidates):
-            landmark = on_wall(candidate, panorama, grey, study.scene, len(rows))
+            landmark = on_wall(candidate, panorama, grey, study.walls, len(rows))
             if landmark is not None:
                 landmarks.append(landmark)
             rows.append((rank, landmark is None, 0.0, 0.0, 0.0))
     table = np.array(rows).reshape(-1, 5)
-    learned = LandmarkMap(tuple(landmarks), 'map', study.scene.room.walls)
+    learned = LandmarkMap(tuple(landmarks), 'map', study.later.room.walls)
     for view in study.views:
         look(view, learned, study.later, table)
     return table
@@ -141,15 +142,32 @@ def on_wall(
     candidate: Candidate,
     panorama: Panorama,
     grey: np.ndarray[tuple[int, ...], np.dtype[np.float32]],
-    scene: Scene,
+    walls: TrueWalls,
     number: int,
 ) -> Landmark | None:
     """What a candidate shows of a wall, None if it shows something else or can't be one."""
-    found = hypothesize(candidate, 0, panorama, scene.room, StereoConfig())
+    found = hypothesize(candidate, 0, panorama, walls.scene.room, StereoConfig())
     if isinstance(found, Refusal):
         return None
-    place, normal = found.position, found.normal
-    texture = wall_texture(panorama, grey, place, normal, found.shape, found.texel_m)
+    flush = _landmark(found, panorama, grey, walls.scene, number)
+    if flush is None:
+        return None
+    place = walls.place(flush)
+    if place is None:
+        return flush
+    return _landmark(replace(found, position=place), panorama, grey, walls.scene, number)
+
+
+def _landmark(
+    patch: WallPatch,
+    panorama: Panorama,
+    grey: np.ndarray[tuple[int, ...], np.dtype[np.float32]],
+    scene: Scene,
+    number: int,
+) -> Landmark | None:
+    """A patch as it would be learned where it is."""
+    place, normal = patch.position, patch.normal
+    texture = wall_texture(panorama, grey, place, normal, patch.shape, patch.texel_m)
     if texture is None:
         return None
     return Landmark(
@@ -158,12 +176,12 @@ def on_wall(
         1e-8 * np.eye(3),
         np.zeros((3, 1)),
         normal,
-        found.shape[1] * found.texel_m,
-        found.shape[0] * found.texel_m,
+        patch.shape[1] * patch.texel_m,
+        patch.shape[0] * patch.texel_m,
         np.clip(np.rint(texture), 0, 255).astype(np.uint8),
         panorama.center_map,
         THRESHOLD,
-        scene.room.walls[found.wall].id,
+        scene.room.walls[patch.wall].id,
     )
 
 
