@@ -59,7 +59,7 @@ def share_of(path, color):
 
 
 def test_map_shows_its_landmarks(tmp_path):
-    papers = [Paper('red', (1.0, 0.02, 1.7), 0.2, 0.3), Paper('mauve', (2, 0.02, 1.7), 0.2, 0.3)]
+    papers = [Paper('red', (1, 0.02, 1.7), 0.2, 0.3), Paper('#8020c0', (2, 0.02, 1.7), 0.2, 0.3)]
     draw_map(a_map(), tmp_path / 'map.png', papers)
     draw_map(a_map(), tmp_path / 'again.png', papers)
     draw_map(a_map(0), tmp_path / 'empty.png')
@@ -67,6 +67,7 @@ def test_map_shows_its_landmarks(tmp_path):
         tmp_path / 'empty.png', LANDMARK_BGR
     )
     assert (tmp_path / 'map.png').read_bytes() == (tmp_path / 'again.png').read_bytes()
+    assert share_of(tmp_path / 'map.png', (0xC0, 0x20, 0x80)) > 0.0
 
 
 def test_numbers_of_neighbours_do_not_lie_on_each_other():

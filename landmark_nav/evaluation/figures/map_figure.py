@@ -56,7 +56,6 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     figure = new_figure(9.0, 6.6)
     axes = figure.add_subplot()
     draw_walls(axes, landmarks.walls, _MARGIN_M)
-    draw_papers(axes, papers)
     draw_landmarks(axes, landmarks)
     _draw_certainty(axes, landmarks)
     for number, place in enumerate(landmarks.panorama_poses, 1):
@@ -78,9 +77,17 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
             linestyle='',
             label=f'3 sigma, {_MAGNIFIED:.0f} times as large',
         ),
-        Line2D([], [], color=FUSED, marker='^', linestyle='', label='place of a sweep'),
+        Line2D(
+            [], [], color=FUSED, marker='^', linestyle='', label='sweep, arrow along base_link +x'
+        ),
     ]
-    legend_beside(axes, 'below', 3, handles)
+    drawn = list(papers)
+    draw_papers(axes, drawn)
+    if drawn:
+        handles.append(
+            Line2D([], [], color='#888888', marker='s', linestyle='', label='paper, in its colour')
+        )
+    legend_beside(axes, 'below', (len(handles) + 1) // 2, handles)
     number_landmarks(figure, axes, landmarks)
     save(figure, path)
 

@@ -52,6 +52,8 @@ def draw_trajectory(
     axes.plot(*run.start.pose[:2], 'o', color=TRUTH, markersize=7, label='start', zorder=6)
     axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
     keep_in_view(axes, np.concatenate([run.odometry.poses[:, :2], run.fused[:, :2]]), 0.2)
+    way_m = float(np.sum(np.hypot(*np.diff(run.fused[:, :2], axis=0).T)))
+    axes.set_title(f'A drive of {way_m:.1f} m in {1e-9 * np.ptp(run.stamps_ns):.0f} s')
     plain(axes)
     legend_beside(axes, 'below', 7)
     save(figure, path)
@@ -61,7 +63,8 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
     """
     Draw the errors along and across the way and in heading, with the claimed +-3 sigma.
 
-    Below lies a strip of which pictures gave a fix and when the state was lost.
+    Fixes beyond the axes are counted. Below lies a strip of which pictures gave a fix and when
+    the state was lost.
     """
     figure = new_figure(10.0, 7.6)
     rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
@@ -71,25 +74,35 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
     covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     fixes = np.einsum('nij,nj->ni', turned, errors.triangulation)
-    units = ((100.0, 'along [cm]'), (100.0, 'across [cm]'), (180.0 / np.pi, 'heading [deg]'))
+    units = ((100.0, 'ahead [cm]'), (100.0, 'to the left [cm]'), (180.0 / np.pi, 'heading [deg]'))
     for k, (factor, label) in enumerate(units):
         axes: Axes = rows[k]
         band = 3.0 * factor * sigmas[:, k]
         axes.fill_between(
             seconds, -band, band, color=FUSED, alpha=0.18, linewidth=0, label='±3 sigma'
         )
-        axes.plot(seconds, factor * fixes[:, k], '.', color=FIX, markersize=3, label='fix')
+        axes.plot(
+            seconds, factor * fixes[:, k], '.', color=FIX, markersize=3, label='triangulated'
+        )
         axes.plot(seconds, factor * fused[:, k], color=FUSED, linewidth=1.3, label='fused')
         axes.axhline(0.0, color=TRUTH, linewidth=0.6)
         # A robot that is lost may be anywhere: its band runs off the axes.
         shown = np.concatenate([band[~run.lost], np.abs(factor * fused[:, k])])
         limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
         axes.set_ylim(-limit, limit)
+        beyond = int(np.sum(np.abs(factor * fixes[:, k]) > limit))
+        if beyond:
+            text, place = f'{beyond} triangulated beyond', axes.transAxes
+            axes.text(0.995, 0.97, text, ha='right', va='top', fontsize=8, transform=place)
         axes.set_ylabel(label)
         plain(axes)
     _strip(rows[3], run, seconds)
     rows[3].set_xlabel('time [s]')
-    figure.suptitle('Error of the pose of base_link in map' if len(run.truth) else 'No truth')
+    figure.suptitle(
+        'Errors of base_link in map: where it is said to be, seen from where it is'
+        if len(run.truth)
+        else 'No ground_truth/odom in the bag: no errors, only what the fusion claims'
+    )
     legend_beside(rows[0], 'above', 3)
     save(figure, path)
 
@@ -99,8 +112,8 @@ def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     fixed = np.isfinite(run.fixes[:, 0])
     used = np.array([update.fusion.refusal is None for update in run.updates])
     marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (
-        ('fix', fixed, FIX),
-        ('used', used, FUSED),
+        ('triangulated', fixed, FIX),
+        ('used by fusion', used, FUSED),
         ('lost', run.lost, ODOMETRY),
     )
     for height, (_, where, color) in enumerate(reversed(marks)):

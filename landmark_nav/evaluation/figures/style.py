@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 import numpy as np
 
+from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Wall
 from landmark_nav.types import FloatArray
 
@@ -46,8 +47,6 @@ WALL = '#555555'
 GRID = '#dddddd'
 
 DPI = 130
-
-_PAPERS = {'red': '#c0392b', 'green': '#2e9e48', 'blue': '#2b5fc0'}
 
 
 def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figure:
@@ -116,8 +115,8 @@ def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
 def draw_papers(axes: Axes, papers: Iterable[Paper]) -> None:
     """Reference papers as squares of their colour."""
     for paper in papers:
-        color = _PAPERS.get(paper.color, '#888888')
-        axes.plot(*paper.center[:2], 's', color=color, markersize=7, zorder=5)
+        blue, green, red = (part / 255.0 for part in paper_bgr(paper.color))
+        axes.plot(*paper.center[:2], 's', color=(red, green, blue), markersize=7, zorder=5)
 
 
 def add_ellipse(

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from landmark_nav.localization.relocalization.search import (
-    locate,
-    RelocalizationConfig,
-    relocalize,
-    shows_new,
-    view_direction,
-)
+from landmark_nav.localization.relocalization.config import RelocalizationConfig
+from landmark_nav.localization.relocalization.search import relocalize
 
-__all__ = ['RelocalizationConfig', 'locate', 'relocalize', 'shows_new', 'view_direction']
+__all__ = ['RelocalizationConfig', 'relocalize']

@@ -15,12 +15,9 @@ from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.hypotheses import propose
-from landmark_nav.localization.relocalization.search import (
-    best_place,
-    RelocalizationConfig,
-    verified_places,
-)
+from landmark_nav.localization.relocalization.search import best_place, verified_places
 from landmark_nav.localization.relocalization.sightings import find_sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames
 from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Refusal

@@ -8,8 +8,7 @@ looked for -> one place, if there is but one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,88 +16,23 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import transform_points
-from landmark_nav.localization.detection import DetectionConfig
+from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.hypotheses import HypothesisConfig, propose
-from landmark_nav.localization.relocalization.sightings import (
-    find_sightings,
-    SightingConfig,
-    Sightings,
-)
+from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import (
     CarriedFrames,
     Verification,
     verify,
 )
-from landmark_nav.localization.triangulation import TriangulationConfig
-from landmark_nav.localization.triplet.visibility import TripletConfig
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.localization.relocalization.views import shows_new, view_direction
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = [
-    'RelocalizationConfig',
     'best_place',
     'locate',
     'relocalize',
-    'shows_new',
     'verified_places',
-    'view_direction',
 ]
-
-# A picture tells something new if it looks this share of half the field of view elsewhere, aside
-# or up, or from this far away.
-_NEW_VIEW = 0.9
-_NEW_PLACE_M = 0.6
-
-
-@dataclass(frozen=True)
-class RelocalizationConfig:
-    """How one's place is found, and when it is believed."""
-
-    when_lost: bool = parameter(
-        True, 'look for the place without being asked, when it is not known any more'
-    )
-    min_landmarks: int = parameter(
-        6, 'least landmarks that must speak for a place', minimum=4, maximum=1000
-    )
-    min_found_share: float = parameter(
-        0.4, 'least share of the landmarks to be expected there', minimum=0.0, maximum=1.0
-    )
-    min_spread_rad: float = parameter(0.6, 'least angle that they span', minimum=0.0, maximum=6.28)
-    max_sigma_m: float = parameter(
-        0.03, 'largest predicted position sigma (root of the trace), m', minimum=0.0, maximum=10.0
-    )
-    max_sigma_rad: float = parameter(
-        0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
-    )
-    max_rival_share: float = parameter(
-        0.5,
-        'most that another place may have, of the landmarks of the best',
-        minimum=0.0,
-        maximum=1.0,
-    )
-    max_drift_m: float = parameter(
-        0.1, 'odometry sigma of a picture that still counts, m', minimum=0.001, maximum=10.0
-    )
-    max_drift_rad: float = parameter(
-        0.1, 'odometry sigma of a picture that still counts, rad', minimum=1e-4, maximum=1.0
-    )
-    slip: float = parameter(
-        0.04, 'share of way and turn that odometry may be wrong by', minimum=0.0, maximum=1.0
-    )
-    max_frames: int = parameter(30, 'pictures that count at a time', minimum=2, maximum=1000)
-    candidates: int = parameter(4, 'places that are looked at closely', minimum=2, maximum=100)
-    pan_sigma_rad: float = parameter(
-        2e-4, 'error of the measured pan, rad', minimum=0.0, maximum=0.1
-    )
-    sighting: SightingConfig = field(default_factory=SightingConfig)
-    hypothesis: HypothesisConfig = field(default_factory=HypothesisConfig)
-    visibility: TripletConfig = field(default_factory=TripletConfig)
-    detection: DetectionConfig = field(default_factory=DetectionConfig)
-    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 def relocalize(
@@ -160,33 +94,6 @@ def relocalize(
     sightings = [find_sightings(f, landmark_map, mount, config.sighting) for f in chosen]
     carried = CarriedFrames(frames[-1].stamp_ns, chosen, poses[telling], drift[telling])
     return locate(carried, sightings, landmark_map, mount, config)
-
-
-def view_direction(frame: CameraFrame, mount: PanTiltMount) -> FloatArray:
-    """Azimuth and elevation (2,) in the base frame that a picture looks along, radians."""
-    turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
-    x, y, z = turn[:, 2].tolist()
-    return np.array([math.atan2(y, x), math.atan2(z, math.hypot(x, y))])
-
-
-def shows_new(
-    frame: CameraFrame,
-    direction: FloatArray,
-    pose: FloatArray,
-    directions: FloatArray,
-    poses: FloatArray,
-) -> bool:
-    """
-    Whether a picture tells more than those before it.
-
-    Their directions (n, 2) in the base frame and poses (n, 3) are in one frame with its own.
-    """
-    off = np.reshape(directions, (-1, 2)) - direction
-    off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2] - pose[2])
-    half = frame.camera.half_fov_rad * np.array([1.0, frame.camera.height / frame.camera.width])
-    same = np.all(np.abs(off) < _NEW_VIEW * half, axis=1)
-    near = np.hypot(*(poses[:, :2] - pose[:2]).T) < _NEW_PLACE_M
-    return not np.any(same & near)
 
 
 def locate(

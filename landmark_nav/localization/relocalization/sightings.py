@@ -13,39 +13,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.se2 import rotation
+from landmark_nav.localization.relocalization.looks import (
+    any_look,
+    Look,
+    open_looks,
+    RANGE_SIGMA,
+)
+from landmark_nav.localization.relocalization.strip import Strip
 from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
-    ImageArray,
     Landmark,
     LandmarkMap,
     PoseEstimate,
 )
 
 __all__ = ['SightingConfig', 'Sightings', 'find_sightings']
-
-# Ranges relative to the one a landmark was learned from, and how much narrower than straight
-# ahead: neighbours differ by what normalized cross-correlation forgives.
-_STEP = 1.4
-_RELATIVE_RANGES = 0.55 * _STEP ** np.arange(5)
-_NARROWINGS = (0.9, 0.6)
-# Half of a step between them.
-_RANGE_SIGMA = 0.15
-# What is open is what so many sigmas of a prior reach.
-_OPEN_SIGMAS = 2.5
-# Patches seen narrower are not found.
-_NARROWEST = 0.3
 
 
 @dataclass(frozen=True)
@@ -130,123 +120,16 @@ def find_sightings(
         In the base frame of the picture's time; most of them are wrong.
 
     """
-    strip = _Strip(frame, mount, config.resolution)
+    strip, landmarks = Strip(frame, mount, config.resolution), landmark_map.landmarks
     if prior is None:
-        looks = {
-            k: _any_look(landmark, strip) for k, landmark in enumerate(landmark_map.landmarks)
-        }
+        looks = {k: any_look(landmark, strip) for k, landmark in enumerate(landmarks)}
     else:
-        looks = _open_looks(prior, landmark_map, strip)
-    found = [
-        _measured(k, landmark, _search(landmark, look, strip, config), strip, config)
-        for k, look in looks.items()
-        for landmark in [landmark_map.landmarks[k]]
-    ]
+        looks = open_looks(prior, landmark_map, strip)
+    found = []
+    for k, look in looks.items():
+        profile = _search(landmarks[k], look, strip, config)
+        found.append(_measured(k, landmarks[k], profile, strip, config))
     return Sightings.joined(found)
-
-
-class _Strip:
-    """A picture on an upright cylinder around its optical centre."""
-
-    def __init__(self, frame: CameraFrame, mount: PanTiltMount, resolution: float) -> None:
-        turn, self.center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
-        camera = frame.camera
-        border = np.linspace(0.0, 1.0, 9)
-        size = [camera.width - 1.0, camera.height - 1.0]
-        rays = camera.unproject(np.stack(np.meshgrid(border, border), -1) * size) @ turn.T
-        self.middle = float(np.arctan2(turn[1, 2], turn[0, 2]))
-        aside = self.aside(np.arctan2(rays[..., 1], rays[..., 0]))
-        tangent = rays[..., 2] / np.hypot(rays[..., 0], rays[..., 1])
-        cylinder = Cylinder.with_resolution(
-            resolution * camera.fx, float(tangent.min()), float(tangent.max())
-        )
-        self.px_per_rad = cylinder.fy
-        columns = np.arange(int(np.ceil(np.ptp(aside) * cylinder.fx)) + 1)
-        self.azimuth = self.middle + float(aside.max()) - columns / cylinder.fx
-        self.tangent = cylinder.tangent(np.arange(cylinder.height))
-        directions = np.empty((cylinder.height, len(columns), 3))
-        directions[..., 0], directions[..., 1] = np.cos(self.azimuth), np.sin(self.azimuth)
-        directions[..., 2] = self.tangent[:, None]
-        self.image = _resampled(frame.image, camera.project(directions @ turn), resolution)
-
-    def row_of(self, tangent: float) -> float:
-        """Row of a tangent of elevation."""
-        return float((self.tangent[0] - tangent) * self.px_per_rad)
-
-    def aside(self, azimuth: FloatArray) -> FloatArray:
-        """How far to the left of the middle azimuths are."""
-        return np.asarray(wrap_rad(azimuth - self.middle))
-
-    def columns(self, left: FloatArray, right: FloatArray) -> npt.NDArray[np.intp]:
-        """First and end (2, n) of the columns between angles aside."""
-        bounds = (self.azimuth[0] - self.middle - np.array([left, right])) * self.px_per_rad
-        return np.asarray(np.clip(np.rint(bounds), 0, len(self.azimuth)), dtype=np.intp)
-
-
-def _resampled(image: ImageArray, pixels: FloatArray, resolution: float) -> ImageArray:
-    """Grey values at pixels (rows, columns, 2) of a picture, after shrinking it."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    small = cv2.resize(grey, None, fx=resolution, fy=resolution, interpolation=cv2.INTER_AREA)
-    at = np.nan_to_num((pixels + 0.5) * resolution - 0.5, nan=-1e4).astype(np.float32)
-    return np.asarray(
-        cv2.remap(
-            small,
-            at[..., 0],
-            at[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float(np.mean(small)),
-        ),
-        dtype=np.uint8,
-    )
-
-
-class _Look(NamedTuple):
-    """Ranges and narrowings a landmark may have, and the columns (first, end) it may be in."""
-
-    ranges: FloatArray
-    narrowings: FloatArray
-    columns: tuple[int, int]
-
-
-def _any_look(landmark: Landmark, strip: _Strip) -> _Look:
-    reference = float(np.hypot(*(landmark.position - landmark.viewpoint)[:2]))
-    ranges = np.asarray(reference * _RELATIVE_RANGES, dtype=np.float64)
-    return _Look(ranges, np.array(_NARROWINGS), (0, len(strip.azimuth)))
-
-
-def _open_looks(prior: PoseEstimate, landmark_map: LandmarkMap, strip: _Strip) -> dict[int, _Look]:
-    """Looks of the landmarks that may be in the picture, as sigma points of the prior have it."""
-    axes = _OPEN_SIGMAS * np.linalg.cholesky(prior.covariance).T
-    poses = prior.pose + np.vstack([np.zeros(3), axes, -axes])
-    turned = rotation(poses[:, 2])
-    # From map into the base frame: rows times the rotation are turned back by it.
-    place = (landmark_map.positions[:, :2] - poses[:, None, :2]) @ turned - strip.center[:2]
-    reach = np.maximum(np.hypot(place[..., 0], place[..., 1]), 0.1)
-    aside = strip.aside(np.arctan2(place[..., 1], place[..., 0]))
-    normal = landmark_map.normals[:, :2] @ turned
-    facing = -np.sum(place * normal, -1) / reach
-    reference = np.hypot(*(landmark_map.positions - landmark_map.viewpoints)[:, :2].T)
-    nearest, farthest = reach.min(axis=0), reach.max(axis=0)
-    nearest = np.maximum(nearest, _RELATIVE_RANGES[0] * reference)
-    farthest = np.minimum(farthest, _RELATIVE_RANGES[-1] * reference)
-    least, most = np.maximum(facing.min(axis=0), _NARROWEST), facing.max(axis=0)
-    margin = 0.5 * landmark_map.sizes_m[:, 0] / reach.min(axis=0)
-    columns = strip.columns(aside.max(axis=0) + margin, aside.min(axis=0) - margin)
-    return {
-        int(k): _Look(
-            _steps(nearest[k], farthest[k]), _steps(least[k], most[k]), tuple(columns[:, k])
-        )
-        for k in np.flatnonzero(
-            (farthest > nearest) & (most > _NARROWEST) & (columns[1] > columns[0])
-        )
-    }
-
-
-def _steps(low: float, high: float) -> FloatArray:
-    """Values from low to high, apart by a step at most and half of that from the ends."""
-    count = max(1, int(np.ceil(np.log(high / low) / np.log(_STEP))))
-    return np.asarray(low * (high / low) ** ((np.arange(count) + 0.5) / count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +142,7 @@ class _Profile:
     half_width: FloatArray
 
 
-def _search(landmark: Landmark, look: _Look, strip: _Strip, config: SightingConfig) -> _Profile:
+def _search(landmark: Landmark, look: Look, strip: Strip, config: SightingConfig) -> _Profile:
     columns = len(strip.azimuth)
     best = np.full(columns, -1.0, np.float32)
     tangent, reach, half_width = np.zeros(columns), np.ones(columns), np.ones(columns)
@@ -268,7 +151,7 @@ def _search(landmark: Landmark, look: _Look, strip: _Strip, config: SightingConf
     for distance in look.ranges:
         height = round(landmark.height_m / distance * strip.px_per_rad)
         # The rows where its centre can be, for ranges up to half a step to the next one.
-        steepness = rise / distance * np.exp([-1.5 * _RANGE_SIGMA, 1.5 * _RANGE_SIGMA])
+        steepness = rise / distance * np.exp([-1.5 * RANGE_SIGMA, 1.5 * RANGE_SIGMA])
         spread = 2.0 * config.tangent_sigma
         top = int(strip.row_of(steepness.max() + spread) - (height - 1) / 2.0)
         bottom = int(np.ceil(strip.row_of(steepness.min() - spread) + (height - 1) / 2.0))
@@ -296,7 +179,7 @@ def _search(landmark: Landmark, look: _Look, strip: _Strip, config: SightingConf
 
 
 def _measured(
-    index: int, landmark: Landmark, profile: _Profile, strip: _Strip, config: SightingConfig
+    index: int, landmark: Landmark, profile: _Profile, strip: Strip, config: SightingConfig
 ) -> Sightings:
     """The best peaks of a landmark's profile, with the range that they tell."""
     columns = _peaks(profile, config)
@@ -309,7 +192,7 @@ def _measured(
         sigma = sigma / np.abs(tangent)
     usable = (by_height > 0.0) & (sigma < 0.5)
     weight = np.where(usable, 1.0 / np.where(usable, sigma, 1.0) ** 2, 0.0)
-    by_scale = _RANGE_SIGMA**-2
+    by_scale = RANGE_SIGMA**-2
     log_height = np.log(np.where(usable, by_height, 1.0))
     log_range = (weight * log_height + by_scale * np.log(reach)) / (weight + by_scale)
     return Sightings(

@@ -14,14 +14,11 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
 )
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.localization.relocalization.search import (
-    locate,
-    RelocalizationConfig,
-    shows_new,
-    view_direction,
-)
+from landmark_nav.localization.relocalization.config import RelocalizationConfig
+from landmark_nav.localization.relocalization.search import locate
 from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames
+from landmark_nav.localization.relocalization.views import shows_new, view_direction
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,

@@ -1,0 +1,65 @@
+"""How one's place is found, and when it is believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from landmark_nav.localization.detection import DetectionConfig
+from landmark_nav.localization.relocalization.hypotheses import HypothesisConfig
+from landmark_nav.localization.relocalization.sightings import SightingConfig
+from landmark_nav.localization.triangulation import TriangulationConfig
+from landmark_nav.localization.triplet.visibility import TripletConfig
+from landmark_nav.parameters import check_parameters, parameter
+
+__all__ = ['RelocalizationConfig']
+
+
+@dataclass(frozen=True)
+class RelocalizationConfig:
+    """How one's place is found, and when it is believed."""
+
+    when_lost: bool = parameter(
+        True, 'look for the place without being asked, when it is not known any more'
+    )
+    min_landmarks: int = parameter(
+        6, 'least landmarks that must speak for a place', minimum=4, maximum=1000
+    )
+    min_found_share: float = parameter(
+        0.4, 'least share of the landmarks to be expected there', minimum=0.0, maximum=1.0
+    )
+    min_spread_rad: float = parameter(0.6, 'least angle that they span', minimum=0.0, maximum=6.28)
+    max_sigma_m: float = parameter(
+        0.03, 'largest predicted position sigma (root of the trace), m', minimum=0.0, maximum=10.0
+    )
+    max_sigma_rad: float = parameter(
+        0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
+    )
+    max_rival_share: float = parameter(
+        0.5,
+        'most that another place may have, of the landmarks of the best',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    max_drift_m: float = parameter(
+        0.1, 'odometry sigma of a picture that still counts, m', minimum=0.001, maximum=10.0
+    )
+    max_drift_rad: float = parameter(
+        0.1, 'odometry sigma of a picture that still counts, rad', minimum=1e-4, maximum=1.0
+    )
+    slip: float = parameter(
+        0.04, 'share of way and turn that odometry may be wrong by', minimum=0.0, maximum=1.0
+    )
+    max_frames: int = parameter(30, 'pictures that count at a time', minimum=2, maximum=1000)
+    candidates: int = parameter(4, 'places that are looked at closely', minimum=2, maximum=100)
+    pan_sigma_rad: float = parameter(
+        2e-4, 'error of the measured pan, rad', minimum=0.0, maximum=0.1
+    )
+    sighting: SightingConfig = field(default_factory=SightingConfig)
+    hypothesis: HypothesisConfig = field(default_factory=HypothesisConfig)
+    visibility: TripletConfig = field(default_factory=TripletConfig)
+    detection: DetectionConfig = field(default_factory=DetectionConfig)
+    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        check_parameters(self)
