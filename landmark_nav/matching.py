@@ -16,7 +16,15 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray, Refusal
 
-__all__ = ['Float32Image', 'Match', 'blur_sigmas', 'blur_to', 'match_template']
+__all__ = [
+    'Float32Image',
+    'Match',
+    'blur_by',
+    'blur_sigmas',
+    'blur_to',
+    'match_template',
+    'sigmas_of',
+]
 
 Float32Image = npt.NDArray[np.float32]
 Pair = tuple[float, float] | FloatArray
@@ -31,6 +39,7 @@ _ITERATIONS = 12
 _CONVERGED_PX = 2e-3
 # Blur that a pixel stands for, as a share of its width (Gaussian sigma).
 _BLUR_SHARE = 0.5
+_LEAST_BLUR_PX = 0.3
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
@@ -41,13 +50,16 @@ class Match:
 
     `xy` (2,) is where the template's centre lies in the search image, pixels (fractional);
     `covariance` (2, 2) its covariance; `score` the normalized cross-correlation there and
-    `second` that of the best other place.
+    `second` that of the best other place. `blur_px2` (2,) is by how much more the search image is
+    blurred than the template, across and down: variance of a Gaussian, negative if less. What
+    interpolation blurs to compare them, f (1 - f) at a fraction f of a pixel, is part of it.
     """
 
     xy: FloatArray
     covariance: FloatArray
     score: float
     second: float
+    blur_px2: FloatArray
 
 
 def match_template(
@@ -109,8 +121,8 @@ def match_template(
     aligned = _align(search, template, *_parabola_peak(scores, column, row), search_blur)
     if aligned is None:
         return Refusal('alignment failed')
-    center, covariance, fine_score = aligned
-    return Match(center, covariance, max(float(score), fine_score), second)
+    center, covariance, fine_score, blur_px2 = aligned
+    return Match(center, covariance, max(float(score), fine_score), second, blur_px2)
 
 
 def blur_to(image: Float32Image, step: Pair, own_step: Pair = (1.0, 1.0)) -> Float32Image:
@@ -119,7 +131,12 @@ def blur_to(image: Float32Image, step: Pair, own_step: Pair = (1.0, 1.0)) -> Flo
 
     Where `step` is not the wider one nothing is to do; without it, sampling wider would alias.
     """
-    across, down = blur_sigmas(step, own_step)
+    return blur_by(image, blur_sigmas(step, own_step))
+
+
+def blur_by(image: Float32Image, sigmas: Pair) -> Float32Image:
+    """Blur an image by Gaussian sigmas across and down, pixels; where both are 0, not at all."""
+    across, down = sigmas
     if max(across, down) == 0.0:
         return image
     blurred = cv2.GaussianBlur(image, (0, 0), sigmaX=max(across, 0.01), sigmaY=max(down, 0.01))
@@ -128,9 +145,16 @@ def blur_to(image: Float32Image, step: Pair, own_step: Pair = (1.0, 1.0)) -> Flo
 
 def blur_sigmas(step: Pair, own_step: Pair = (1.0, 1.0)) -> tuple[float, float]:
     """Sigmas of the blur of `blur_to`, pixels; zero where it would do next to nothing."""
-    across = max(float(step[0]) ** 2 - float(own_step[0]) ** 2, 0.0) ** 0.5 * _BLUR_SHARE
-    down = max(float(step[1]) ** 2 - float(own_step[1]) ** 2, 0.0) ** 0.5 * _BLUR_SHARE
-    return (across, down) if max(across, down) >= 0.3 else (0.0, 0.0)
+    share = _BLUR_SHARE**2
+    across = share * (float(step[0]) ** 2 - float(own_step[0]) ** 2)
+    down = share * (float(step[1]) ** 2 - float(own_step[1]) ** 2)
+    return sigmas_of(across, down)
+
+
+def sigmas_of(across_px2: float, down_px2: float) -> tuple[float, float]:
+    """Sigmas of a blur with these variances, if any; zero where it would do next to nothing."""
+    across, down = max(across_px2, 0.0) ** 0.5, max(down_px2, 0.0) ** 0.5
+    return (across, down) if max(across, down) >= _LEAST_BLUR_PX else (0.0, 0.0)
 
 
 def _smooth(image: Float32Image) -> Float32Image:
@@ -166,18 +190,28 @@ def _parabola_peak(scores: Float32Image, column: int, row: int) -> tuple[float, 
 
 def _align(
     search: Float32Image, template: Float32Image, column: float, row: float, search_blur: Pair
-) -> tuple[FloatArray, FloatArray, float] | None:
-    """Centre (2,) of the template in the search image, its covariance, the correlation there."""
+) -> tuple[FloatArray, FloatArray, float, FloatArray] | None:
+    """
+    Centre (2,) of the template in the search image, its covariance, the correlation there.
+
+    And by how much more the search image is blurred there, (2,) as `Match` has it.
+    """
     height, width = template.shape[0] - 2, template.shape[1] - 2
-    # Twice the gradients, and the template itself. What gain and offset explain is taken out of
-    # the gradients once and for all, so that each step needs one product with the picture.
-    rows = np.empty((3, height * width), np.float32)
-    grad_x, grad_y, reference = rows.reshape(3, height, width)
+    # Twice the gradients, the template itself, and its second differences: what blur adds to it.
+    # What gain and offset explain is taken out of the gradients once and for all, so that each
+    # step needs one product with the picture.
+    all_rows = np.empty((5, height * width), np.float32)
+    grad_x, grad_y, reference, bend_x, bend_y = all_rows.reshape(5, height, width)
     np.subtract(template[1:-1, 2:], template[1:-1, :-2], out=grad_x)
     np.subtract(template[2:, 1:-1], template[:-2, 1:-1], out=grad_y)
     reference[...] = template[1:-1, 1:-1]
-    rows -= rows.sum(axis=1, keepdims=True) / rows.shape[1]
-    (xx, xy, xr), (_, yy, yr), (_, _, power) = (rows @ rows.T).tolist()
+    np.add(template[1:-1, 2:], template[1:-1, :-2], out=bend_x)
+    np.add(template[2:, 1:-1], template[:-2, 1:-1], out=bend_y)
+    all_rows[3:] -= 2.0 * all_rows[2]
+    all_rows -= all_rows.sum(axis=1, keepdims=True) / all_rows.shape[1]
+    normal = (all_rows @ all_rows.T).tolist()
+    rows = all_rows[:3]
+    (xx, xy, xr, _, _), (_, yy, yr, _, _), (_, _, power, _, _), _, _ = normal
     xx, xy, yy = (
         0.25 * (xx - xr * xr / power),
         0.25 * (xy - xr * yr / power),
@@ -214,11 +248,30 @@ def _align(
         * (power + xx * step_x * step_x + 2.0 * xy * step_x * step_y + yy * step_y * step_y)
     )
     variance = max(total - explained, 0.0) / max(value.size - 4, 1) / gain**2
+    blur_px2 = _further_blur(normal, (all_rows @ value).tolist())
     rows[:2] -= np.array([[xr], [yr]], np.float32) / power * rows[2]
     passed = _noise_passed(rows[:2].reshape(2, height, width), (x, y), search_blur)
     inverse = np.array([[yy, -xy], [-xy, xx]]) / determinant
     covariance = 0.25 * variance * inverse @ passed @ inverse + _FLOOR
-    return np.array([x, y]), covariance, gain * (power / max(total, 1e-12)) ** 0.5
+    return np.array([x, y]), covariance, gain * (power / max(total, 1e-12)) ** 0.5, blur_px2
+
+
+def _further_blur(normal: list[list[float]], seen: list[float]) -> FloatArray:
+    """
+    By how much more a picture is blurred than its template, (2,), to first order.
+
+    A Gaussian of variance v adds v / 2 times the second derivative: of the products of `_align`'s
+    rows, and those with the picture, what is left where gain and offset are taken out.
+    """
+    _, _, (_, _, power, rx, ry), (_, _, _, xx, xy), (_, _, _, _, yy) = normal
+    _, _, reference, x, y = seen
+    xx, xy, yy = xx - rx * rx / power, xy - rx * ry / power, yy - ry * ry / power
+    x, y = x - rx * reference / power, y - ry * reference / power
+    # A pattern that does not change one way says nothing of it.
+    least = 1e-3 * (xx + yy)
+    xx, yy = xx + least, yy + least
+    half = 0.5 * reference / power * (xx * yy - xy * xy)
+    return np.array([(yy * x - xy * y) / half, (xx * y - xy * x) / half])
 
 
 def _noise_passed(gradients: Float32Image, center: Pair, search_blur: Pair) -> FloatArray:

@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from scenes import (
@@ -25,6 +26,7 @@ from landmark_nav.localization.detection import (
     DetectionConfig,
     DetectionResult,
 )
+from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.appearance import textures
 from landmark_nav.types import (
     CameraFrame,
@@ -330,3 +332,33 @@ def test_pixels_and_bearings_are_of_one_place() -> None:
 def test_parameters_out_of_range_are_refused() -> None:
     with pytest.raises(LandmarkNavError, match='window_sigmas'):
         DetectionConfig(window_sigmas=0.1)
+
+
+@pytest.mark.parametrize('sigmas_px', [(1.5, 1.5), (2.5, 2.5), (2.5, 0.01)])
+@pytest.mark.parametrize('pose', [HERE, HERE + np.array([-0.4, 0.3, -0.1])])
+def test_a_blurred_picture_shows_landmarks_where_a_sharp_one_does(
+    sigmas_px: tuple[float, float], pose: FloatArray
+) -> None:
+    """Out of focus, or in motion; a pixel is 2.5 mrad."""
+    sharp = draw_frame(SCENE, LENS, MOUNT, pose, 0.05)
+    image = cv2.GaussianBlur(sharp.image, (0, 0), sigmaX=sigmas_px[0], sigmaY=sigmas_px[1])
+    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
+    prior = PoseEstimate(sharp.stamp_ns, pose, PRIOR)
+    blurred = detector.detect(replace(sharp, image=image), prior, np.arange(4))
+    assert len(blurred.detections) == 4
+    assert np.abs(errors_of(blurred, pose)).max() < 2.5e-4
+    np.testing.assert_allclose(blurred.blur_px2.mean(axis=0), np.square(sigmas_px), atol=1.2)
+    # And with the next picture it is sharp again.
+    again = detector.detect(sharp, prior, np.arange(4))
+    assert np.abs(errors_of(again, pose)).max() < 1e-4
+    assert np.abs(again.blur_px2.mean(axis=0)).max() < 0.5
+
+
+def test_a_blur_that_was_mistaken_hides_nothing_for_long() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
+    prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
+    haze = replace(frame, image=cv2.GaussianBlur(frame.image, (0, 0), 6.0))
+    for _ in range(3):
+        detector.detect(haze, prior, np.arange(4))
+    assert len(detector.detect(frame, prior, np.arange(4)).detections) == 4

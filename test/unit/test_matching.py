@@ -5,7 +5,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from landmark_nav.matching import blur_sigmas, blur_to, Match, match_template
+from landmark_nav.matching import blur_by, blur_sigmas, blur_to, Match, match_template
 from landmark_nav.types import FloatArray, Refusal
 
 Float32Image = npt.NDArray[np.float32]
@@ -68,6 +68,23 @@ def test_noise_moves_matches_as_far_as_their_covariance_says(
     ]
     # The mean of 300 squares is within 0.25 of 1 in 99.8 of 100 cases.
     assert 0.75 < np.mean(nees) / 2.0 < 1.25
+
+
+@pytest.mark.parametrize('sigmas', [(0.0, 0.0), (0.6, 0.6), (1.0, 0.0), (0.0, 1.0)])
+def test_how_much_more_a_picture_is_blurred_is_told(sigmas: tuple[float, float]) -> None:
+    told = []
+    for seed in range(20):
+        texture = Texture(seed, shortest_px=6.0)
+        search = blur_by(0.8 * texture.sample(56, 52) + 12.0, sigmas)
+        found = match_template(search, texture.sample(32, 28, 11.3, 9.8))
+        assert isinstance(found, Match)
+        told.append(found.blur_px2)
+        # A match in a picture that is blurred alike everywhere stays where it is.
+        assert np.abs(found.xy - (11.3 + 15.5, 9.8 + 13.5)).max() < 0.15
+    # To first order: what repeats of it is put right in the next look.
+    by_interpolation = [0.3 * 0.7, 0.8 * 0.2]
+    truth = np.square(sigmas) + by_interpolation
+    np.testing.assert_allclose(np.median(told, axis=0), truth, atol=0.05, rtol=0.15)
 
 
 def test_noise_of_a_blurred_picture_counts_as_far_as_it_is_blurred() -> None:

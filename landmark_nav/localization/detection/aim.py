@@ -23,6 +23,10 @@ _LOG = logging.getLogger(__name__)
 _HARDLY_ANY = 0.25
 # So many landmarks tell a turned camera from chance.
 _LEAST = 3
+# A picture that turns out to be blurred otherwise than the last one is looked at again.
+_LOOKS, _SAME_BLUR_PX2 = 3, 0.7
+# No picture is sharper or more blurred than this and still of use.
+_SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
 # A tilt that is told: more than a floor does.
 _TILTED_RAD = 0.005
 
@@ -57,6 +61,7 @@ class AimedDetector:
     ) -> None:
         self._map, self._mount, self._config, self._knock = landmark_map, mount, config, knock_rad
         self._aim, self._told_rad = np.zeros(2), 0.0
+        self._blur = np.zeros(2)
 
     @property
     def tilt_rad(self) -> float:
@@ -126,11 +131,17 @@ class AimedDetector:
         aim: FloatArray,
     ) -> DetectionResult:
         """Search with the camera turned by an aim; bearings are those of the joints."""
-        if not aim.any():
-            return detect_landmarks(frame, prior, self._map, self._mount, config, expected)
-        result = detect_landmarks(
-            _turned(frame, aim), prior, self._map, self._mount, config, expected
-        )
+        for _ in range(_LOOKS):
+            result = detect_landmarks(
+                _turned(frame, aim), prior, self._map, self._mount, config, expected, self._blur
+            )
+            if len(result.detections) < _LEAST:
+                # What hides landmarks may be a blur that is gone.
+                self._blur = 0.5 * self._blur
+                break
+            before, self._blur = self._blur, _blur_of(result)
+            if np.abs(self._blur - before).max() < _SAME_BLUR_PX2:
+                break
         bearing = wrap_rad(result.detections.bearing_rad - aim[0])
         return replace(result, detections=replace(result.detections, bearing_rad=bearing))
 
@@ -151,6 +162,11 @@ class AimedDetector:
 def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
     pan, tilt = frame.pan_rad + float(aim[0]), frame.tilt_rad + float(aim[1])
     return replace(frame, pan_rad=pan, tilt_rad=tilt)
+
+
+def _blur_of(result: DetectionResult) -> FloatArray:
+    """By how much more a picture is blurred than what was learned, variance (2,), pixels^2."""
+    return np.clip(np.median(result.blur_px2, axis=0), _SHARPEST_PX2, _BLURRIEST_PX2)
 
 
 def _angles(rays: FloatArray) -> FloatArray:

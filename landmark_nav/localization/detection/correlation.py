@@ -26,7 +26,14 @@ from landmark_nav.localization.detection.expectation import (
     View,
 )
 from landmark_nav.localization.detection.height import LEAST_HEIGHTS, RowModel, wrong_heights
-from landmark_nav.matching import blur_sigmas, blur_to, Match, match_template
+from landmark_nav.matching import (
+    blur_by,
+    blur_sigmas,
+    Float32Image,
+    Match,
+    match_template,
+    sigmas_of,
+)
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -39,16 +46,22 @@ from landmark_nav.types import (
 
 __all__ = ['DetectionResult', 'detect_landmarks']
 
+_SHARP = np.zeros(2)
 _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
 
 @dataclass(frozen=True, eq=False)
 class DetectionResult:
-    """Landmarks found, why the others were not, by id, and rays (n, 3) to the former, optical."""
+    """
+    Landmarks found, why the others were not, by id, and rays (n, 3) to the former, optical.
+
+    `blur_px2` (n, 2) is by how much more the picture is blurred at each than what was learned.
+    """
 
     detections: Detections
     refused: Mapping[int, Refusal]
     rays: FloatArray
+    blur_px2: FloatArray
 
 
 def detect_landmarks(
@@ -58,6 +71,7 @@ def detect_landmarks(
     mount: PanTiltMount,
     config: DetectionConfig,
     indices: npt.NDArray[np.intp],
+    blur_px2: FloatArray = _SHARP,
 ) -> DetectionResult:
     """
     Find landmarks in a picture.
@@ -76,6 +90,9 @@ def detect_landmarks(
         Parameters.
     indices : ndarray of int, shape (n,)
         Which landmarks of the map to look for: those expected in this view.
+    blur_px2 : ndarray, shape (2,)
+        By how much more the picture is blurred than those that were learned, across and down:
+        variance of a Gaussian; negative if less.
 
     Returns
     -------
@@ -89,7 +106,7 @@ def detect_landmarks(
     for landmark, expected in zip(
         chosen, expect(landmark_map, indices, view, config), strict=True
     ):
-        match = _detect(landmark, expected, view, config)
+        match = _detect(landmark, expected, view, config, blur_px2)
         if isinstance(match, Refusal):
             refused[landmark.id] = match
         else:
@@ -116,6 +133,7 @@ def detect_landmarks(
         ),
         refused,
         rays[:, 0],
+        blur_px2 + np.array([f.match.blur_px2 for f in found]).reshape(-1, 2),
     )
 
 
@@ -129,7 +147,11 @@ class _Found(NamedTuple):
 
 
 def _detect(
-    landmark: Landmark, expected: Expectation, view: View, config: DetectionConfig
+    landmark: Landmark,
+    expected: Expectation,
+    view: View,
+    config: DetectionConfig,
+    blur_px2: FloatArray,
 ) -> _Found | Refusal:
     """Where and how a landmark's template was found."""
     _, left, top, right, bottom, (window_u, window_v), ray_to_patch = expected
@@ -142,19 +164,29 @@ def _detect(
     y0, y1 = max(0, top - window_v), min(view.camera.height, bottom + window_v + 1)
     rays = view.camera.ray_grid[top : bottom + 1, left : right + 1]
     template, finer = draw(landmark, view.center, rays, ray_to_patch, config.appearance)
-    # Where the picture shows more than the panoramas did, it is blurred to what they showed.
-    search = blur_to(view.grey[y0:y1, x0:x1].astype(np.float32), finer)
+    # Where the picture shows more than the panoramas did, it is blurred to what they showed, and
+    # the other way round.
+    finer_across, finer_down = blur_sigmas(finer)
+    across, down = finer_across**2 - blur_px2[0], finer_down**2 - blur_px2[1]
+    search_blur, template_blur = sigmas_of(across, down), sigmas_of(-across, -down)
     match = match_template(
-        search,
-        template,
+        blur_by(view.grey[y0:y1, x0:x1].astype(np.float32), search_blur),
+        _inner(blur_by(template, template_blur), template_blur),
         min_score=landmark.threshold,
         max_second_ratio=config.max_second_ratio,
-        search_blur=blur_sigmas(finer),
+        search_blur=search_blur,
     )
     if isinstance(match, Refusal):
         return match
     shift = match.xy - ((left + right) / 2.0 - x0, (top + bottom) / 2.0 - y0)
     return _Found(landmark, expected.uv + shift, match, float(shift[1]))
+
+
+def _inner(template: Float32Image, blur: tuple[float, float]) -> Float32Image:
+    """A blurred template but for its border, into which the picture blurs what is around it."""
+    height, width = template.shape
+    u, v = min(round(blur[0]), width // 5), min(round(blur[1]), height // 5)
+    return template[v : height - v, u : width - u]
 
 
 def _wrong_heights(
