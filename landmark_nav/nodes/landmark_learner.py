@@ -23,6 +23,8 @@ from landmark_nav.types import LandmarkMap, Panorama
 
 __all__ = ['LandmarkLearnerNode', 'Parameters', 'main']
 
+_NOT_SAVED = 'not saved yet: call save_map'
+
 
 @dataclass(frozen=True)
 class Parameters(LearningConfig):
@@ -49,6 +51,7 @@ class LandmarkLearnerNode(LandmarkNode):
         ]
         self._panoramas: dict[int, Panorama] = {}
         self._map: LandmarkMap | None = None
+        self._on_disk = False
         panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
         listen_together(self, panorama, self._on_panorama)
         # One service at a time, while panoramas go on arriving.
@@ -65,7 +68,8 @@ class LandmarkLearnerNode(LandmarkNode):
         values = {'panoramas': len(self._panoramas)}
         if self._map is None:
             return Health(Level.DEGRADED, 'no map yet: call learn_landmarks or load_map', values)
-        return Health(Level.OK, f'{len(self._map.landmarks)} landmarks', values)
+        count = f'{len(self._map.landmarks)} landmarks'
+        return Health(Level.OK, count if self._on_disk else f'{count}, {_NOT_SAVED}', values)
 
     def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
         view = decode.panorama(image, info, pose)
@@ -76,13 +80,13 @@ class LandmarkLearnerNode(LandmarkNode):
         panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]
         start = time.monotonic()
         result = learn_from_panoramas(panoramas, self._room, self._config)
-        self._publish(result.map)
+        self._publish(result.map, on_disk=False)
         walls = len({landmark.wall_id for landmark in result.map.landmarks})
         done = (
             f'{len(result.map.landmarks)} landmarks on {walls} walls out of '
             f'{len(panoramas)} panoramas in {time.monotonic() - start:.1f} s'
         )
-        return f'{done}; {result.doubt}' if result.doubt else done
+        return '; '.join(filter(None, [done, _NOT_SAVED, result.doubt]))
 
     def _clear(self) -> str:
         count = len(self._panoramas)
@@ -93,15 +97,16 @@ class LandmarkLearnerNode(LandmarkNode):
         if self._map is None:
             raise LandmarkNavError('there is no map to save: call learn_landmarks first')
         save_map(self._map, self._config.map_folder)
+        self._on_disk = True
         return f'{len(self._map.landmarks)} landmarks saved in {self._config.map_folder}'
 
     def _load(self) -> str:
         loaded = load_map(self._config.map_folder)
-        self._publish(loaded)
+        self._publish(loaded, on_disk=True)
         return f'{len(loaded.landmarks)} landmarks loaded from {self._config.map_folder}'
 
-    def _publish(self, landmarks: LandmarkMap) -> None:
-        self._map = landmarks
+    def _publish(self, landmarks: LandmarkMap, on_disk: bool) -> None:
+        self._map, self._on_disk = landmarks, on_disk
         stamp_ns = self.get_clock().now().nanoseconds
         messages = encode.landmark_map(ros_factory, landmarks, stamp_ns)
         for output, message in zip(self._outputs, messages, strict=True):

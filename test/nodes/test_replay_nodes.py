@@ -79,7 +79,7 @@ def test_learned_and_localized_as_offline(
         60.0,
         'the panoramas',
     )
-    assert 'landmarks on' in client.call('learn_landmarks', 60.0)
+    assert 'not saved yet: call save_map' in client.call('learn_landmarks', 60.0)
     client.wait(
         lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 10.0, 'the map'
     )

@@ -60,6 +60,7 @@ def test_learner_says_what_is_missing(
 
     save_map(small_map(), folder)
     assert client.call('load_map', 10.0).startswith('4 landmarks loaded')
+    client.wait(lambda: client.said('landmark_learner').reason == '4 landmarks', 5.0, 'its health')
     # A learning that fails leaves the map that is there.
     with pytest.raises(LandmarkNavError, match='two panoramas'):
         client.call('learn_landmarks', 10.0)

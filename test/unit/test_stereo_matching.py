@@ -8,7 +8,16 @@ import tracemalloc
 import numpy as np
 import numpy.typing as npt
 import pytest
-from scenes import Board, flat_texture, GREY, rectangle_room, Scene, smooth_texture, textured_room
+from scenes import (
+    Board,
+    draw_panorama,
+    flat_texture,
+    GREY,
+    rectangle_room,
+    Scene,
+    smooth_texture,
+    textured_room,
+)
 from stereo_room import (
     CENTERS,
     CONFIG,
@@ -81,8 +90,14 @@ def sightings_and_errors(
     return found, np.array(errors)
 
 
-def test_patches_are_found_again_from_the_other_place(panoramas: list[Panorama]) -> None:
-    found, errors = sightings_and_errors(panoramas)
+@pytest.mark.parametrize('rise_m', [0.0, -0.2, 0.3])
+def test_patches_are_found_again_from_the_other_place(
+    scene: Scene, panoramas: list[Panorama], rise_m: float
+) -> None:
+    """Also where the camera is higher or lower there."""
+    center = CENTERS[1] + np.array([0.0, 0.0, rise_m])
+    other = draw_panorama(scene, center, HEADINGS[1], rng=np.random.default_rng(3))
+    found, errors = sightings_and_errors([panoramas[0], other])
     assert len(found) > 15
     assert {s.panorama for s in found} == {1}
     assert min(s.score for s in found) > CONFIG.min_score
