@@ -64,8 +64,12 @@ def bearing_gradients(pose: npt.ArrayLike, positions: npt.ArrayLike) -> FloatArr
     """
     center = np.asarray(pose, dtype=np.float64)[..., None, :2]
     delta = np.asarray(positions, dtype=np.float64) - center
-    range_sq = np.sum(delta * delta, -1, keepdims=True)
-    return np.asarray(np.stack([delta[..., 1], -delta[..., 0]], -1) / range_sq)
+    x, y = delta[..., 0], delta[..., 1]
+    # Filled in, not stacked: most calls are for a few landmarks, and many.
+    gradients = np.empty_like(delta)
+    gradients[..., 0], gradients[..., 1] = y, -x
+    gradients /= (x * x + y * y)[..., None]
+    return gradients
 
 
 def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
