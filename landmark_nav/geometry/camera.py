@@ -283,7 +283,7 @@ class PanTiltMount:
         ----------
         pan_rad, tilt_rad : array_like, shape (...)
             Joint angles; pan positive to the left, tilt positive upwards.
-        roll_rad : array_like, shape (...)
+        roll_rad : float or array_like, shape (...)
             Further turn of the camera about its optical axis, clockwise as it looks.
 
         Returns
@@ -294,12 +294,10 @@ class PanTiltMount:
             Optical centre in base, metres.
 
         """
-        pan, tilt, roll = np.broadcast_arrays(
-            *(np.asarray(a, dtype=np.float64) for a in (pan_rad, tilt_rad, roll_rad))
-        )
-        turned = self._axis_rotation @ _rot_z(pan) @ _rot_y(-tilt)
+        turned = self._axis_rotation @ _rot_z(pan_rad) @ _rot_y(np.negative(tilt_rad))
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)
-        return turned @ _BODY_FROM_OPTICAL @ _rot_z(roll + self.camera_roll_rad), center
+        roll = _rot_z(np.add(roll_rad, self.camera_roll_rad))
+        return turned @ _BODY_FROM_OPTICAL @ roll, center
 
 
 def _rot_x(angle: Any) -> FloatArray:
