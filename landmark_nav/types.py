@@ -241,12 +241,8 @@ class LandmarkMap:
 
     def indices(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
         """Places in `landmarks` of ids (n,) that the map holds."""
-        order = self._by_id
+        order = np.argsort(self.ids)
         return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)], dtype=np.intp)
-
-    @cached_property
-    def _by_id(self) -> npt.NDArray[np.intp]:
-        return np.argsort(self.ids)
 
     @cached_property
     def positions(self) -> FloatArray:
