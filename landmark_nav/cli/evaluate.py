@@ -21,6 +21,7 @@ from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.evaluation.run_report import run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report
+from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.bags import Bag, sensor_events
@@ -132,6 +133,7 @@ def run(args: argparse.Namespace) -> int:
         done = localized(delay_s)
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
+    check_truth_frame(bag, landmarks.frame_id)
     errors = run_errors(done)
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report(done, errors, landmarks, mount, learned)

@@ -17,7 +17,7 @@ from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
-from landmark_nav.evaluation.true_places import truth_of_bag
+from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import (
@@ -87,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
         with shown.measure('drawing'):  # one more than the bar has: it is gone by then
             _draw(result, room, folder)
         write_map(result.map, folder)
+    check_truth_frame(bag, room.frame_id)
     truth = truth_of_bag(bag)
     seconds = time.perf_counter() - begin
     report = learning_report(result, panoramas, frames, truth, mount, log, seconds)

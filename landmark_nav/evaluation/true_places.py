@@ -12,7 +12,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import FloatArray, Landmark
 
-__all__ = ['true_places', 'truth_of_bag']
+__all__ = ['check_truth_frame', 'true_places', 'truth_of_bag']
 
 
 def truth_of_bag(bag: Bag) -> PoseTrack:
@@ -21,6 +21,17 @@ def truth_of_bag(bag: Bag) -> PoseTrack:
     entries = bag.messages([topic]) if topic else iter(())
     poses = (decode.pose_estimate(entry.message) for entry in entries)
     return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses)
+
+
+def check_truth_frame(bag: Bag, frame: str) -> None:
+    """Warn where the ground truth of a bag is told in another frame than `frame`."""
+    topic = bag.find('ground_truth/odom')
+    first = next(bag.messages([topic]), None) if topic else None
+    if first is not None and first.message.header.frame_id not in ('', frame):
+        bag.warn(
+            f'{bag.path}: {topic} is in frame {first.message.header.frame_id}, the map in '
+            f'{frame}: errors are right only where both are the same'
+        )
 
 
 def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMount) -> FloatArray:

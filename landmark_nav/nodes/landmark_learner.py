@@ -60,14 +60,16 @@ class LandmarkLearnerNode(LandmarkNode):
         self.offer('clear_panoramas', self._clear, group=group)
         self.offer('save_map', self._save, group=group)
         self.offer('load_map', self._load, group=group)
+        self._why_none = 'no map yet'
         if self._config.load_on_start:
-            self.get_logger().info(self._load())
+            self._load_at_start()
 
     def health(self) -> Health:
         """OK with a map; degraded until then."""
         values = {'panoramas': len(self._panoramas)}
         if self._map is None:
-            return Health(Level.DEGRADED, 'no map yet: call learn_landmarks or load_map', values)
+            words = f'{self._why_none}: call learn_landmarks or load_map'
+            return Health(Level.DEGRADED, words, values)
         count = f'{len(self._map.landmarks)} landmarks'
         return Health(Level.OK, count if self._on_disk else f'{count}, {_NOT_SAVED}', values)
 
@@ -99,6 +101,14 @@ class LandmarkLearnerNode(LandmarkNode):
         save_map(self._map, self._config.map_folder)
         self._on_disk = True
         return f'{len(self._map.landmarks)} landmarks saved in {self._config.map_folder}'
+
+    def _load_at_start(self) -> None:
+        """Without a map there is still one to be learned: a missing or broken one ends nothing."""
+        try:
+            self.get_logger().info(self._load())
+        except LandmarkNavError as error:
+            self._why_none = f'no map loaded ({error})'
+            self.get_logger().error(self._why_none)
 
     def _load(self) -> str:
         loaded = load_map(self._config.map_folder)

@@ -154,14 +154,14 @@ class OdometryFusionNode(LandmarkNode):
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         """Go on with another map from where the robot is."""
+        decode.check_frame(points.header, self._config.map_frame, 'set map_frame to it')
         landmarks = decode.landmark_map(points, atlas)
         self._filter.change_map(landmarks)
         self._landmarks = len(landmarks.landmarks)
         self.get_logger().info(f'{self._landmarks} landmarks received')
 
     def _on_initial_pose(self, message: Any) -> None:
-        if message.header.frame_id != self._config.map_frame:
-            raise LandmarkNavError(f'it is not in frame {self._config.map_frame}: give it there')
+        decode.check_frame(message.header, self._config.map_frame, 'give it there')
         start = decode.pose_estimate(message)
         if not start.covariance.any():
             sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)

@@ -85,6 +85,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
             _remember(self._cameras, decode.stamp_ns(message.header), camera)
 
     def _on_pose(self, message: Any) -> None:
+        decode.check_frame(message.header, self._room.frame_id, 'give it there')
         self._pose = decode.pose_estimate(message)
 
     def _on_trajectory(self, message: Any) -> None:
@@ -97,7 +98,8 @@ class PanoramaSynthesizerNode(LandmarkNode):
             self._health = Health(Level.LOST, str(error))
             self.get_logger().error(f'no panorama: {error}')
             return
-        for output, part in zip(self._outputs, encode.panorama(ros_factory, view), strict=True):
+        parts = encode.panorama(ros_factory, view, self._room.frame_id)
+        for output, part in zip(self._outputs, parts, strict=True):
             output.publish(part)
         x, y, heading = *view.center_map[:2], np.degrees(view.heading_rad)
         sigma = np.sqrt(np.diag(view.covariance)[[0, 1, 3]])

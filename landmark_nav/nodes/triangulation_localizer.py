@@ -129,7 +129,13 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._triplet = decode.triplet(message)
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
-        config, landmarks = self._config, decode.landmark_map(points, atlas)
+        config = self._config
+        try:
+            decode.check_frame(points.header, config.map_frame, 'set map_frame to it')
+        except LandmarkNavError as error:
+            self._health = Health(Level.LOST, f'landmarks dropped: {error}')
+            raise
+        landmarks = decode.landmark_map(points, atlas)
         self._observer = Observer(
             landmarks, self._mount, config, config.odometry, config.pan_sigma_rad
         )

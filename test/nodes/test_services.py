@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 import shutil
 import time
@@ -69,6 +70,17 @@ def test_learner_says_what_is_missing(
     assert len(load_map(folder).landmarks) == 4
 
 
+def test_a_learner_that_is_to_load_a_map_that_is_not_there_can_still_learn_one(
+    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str], tmp_path: Path
+) -> None:
+    folder, node = str(tmp_path / 'map'), 'landmark_learner'
+    start(node, room_file=setup_files['room_file'], map_folder=folder, load_on_start=True)
+    client.wait(lambda: 'no map loaded' in client.said(node).reason, 30.0, 'word of no map')
+    assert f'{folder}: no map there' in client.said(node).reason
+    with pytest.raises(LandmarkNavError, match='two panoramas from different places'):
+        client.call('learn_landmarks', 30.0)
+
+
 def test_localizer_says_what_it_lacks(
     start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
 ) -> None:
@@ -78,6 +90,13 @@ def test_localizer_says_what_it_lacks(
     with pytest.raises(LandmarkNavError, match='no landmarks: call learn_landmarks or load_map'):
         client.call('relocalize', 30.0)
     landmarks = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
+    elsewhere = replace(small_map(), frame_id='hall')
+    for publisher, message in zip(
+        landmarks, encode.landmark_map(ros_factory, elsewhere, 1)[:2], strict=True
+    ):
+        publisher.publish(message)
+    wrong = "landmarks dropped: it is in frame 'hall', not in frame map: set map_frame to it"
+    client.wait(lambda: client.said(word).reason == wrong, 10.0, 'word of the frame')
     cloud, atlas, _ = encode.landmark_map(ros_factory, small_map(), 1)
     for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
         publisher.publish(message)
@@ -152,7 +171,16 @@ def test_start_in_another_frame_is_refused(
     estimate = PoseEstimate(1, np.zeros(3), np.eye(3))
     publisher.publish(encode.pose(ros_factory, estimate, 'odom'))
     log = client_log(setup_files)
-    client.wait(lambda: 'not in frame map' in log.read_text(), 10.0, 'a warning')
+    client.wait(
+        lambda: "initialpose dropped: it is in frame 'odom'" in log.read_text(), 10.0, 'it'
+    )
+    landmarks = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
+    elsewhere = replace(small_map(), frame_id='hall')
+    cloud, atlas, _ = encode.landmark_map(ros_factory, elsewhere, 1)
+    for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
+        publisher.publish(message)
+    client.wait(lambda: "dropped: it is in frame 'hall'" in log.read_text(), 10.0, 'a warning')
+    assert client.said('odometry_fusion').values['landmarks'] == '0'
 
 
 def client_log(setup_files: dict[str, str]) -> Path:

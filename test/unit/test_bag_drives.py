@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.messages import encode
 from landmark_nav.storage.bags import Bag, BagWriter, read_bag, sensor_events
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate
@@ -24,6 +25,15 @@ def test_frames_carry_the_pan_of_their_own_stamp(tmp_path):
     truth = [e for e in events if isinstance(e, PoseEstimate)]
     assert len(truth) == 40
     np.testing.assert_allclose(truth[0].pose, [1.0, 2.0, 0.0])
+
+
+def test_ground_truth_in_another_frame_than_the_map_is_told(tmp_path, caplog):
+    bag = Bag(write_drive(tmp_path / 'drive'))
+    check_truth_frame(bag, 'map')
+    assert not caplog.messages
+    check_truth_frame(bag, 'hall')
+    (words,) = caplog.messages
+    assert 'ground_truth/odom is in frame map, the map in hall' in words
 
 
 def test_raw_pictures_are_preferred_to_compressed_ones(tmp_path):

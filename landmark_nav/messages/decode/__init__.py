@@ -7,7 +7,7 @@ rosbags and rclpy; numeric arrays may be NumPy arrays, array.array, bytes or lis
 
 from landmark_nav.messages.decode.cameras import camera_model
 from landmark_nav.messages.decode.detections import detections, triplet
-from landmark_nav.messages.decode.headers import stamp_ns
+from landmark_nav.messages.decode.headers import check_frame, stamp_ns
 from landmark_nav.messages.decode.images import image
 from landmark_nav.messages.decode.joints import joint_sample, sweep_trajectory
 from landmark_nav.messages.decode.landmarks import landmark_map
@@ -16,6 +16,7 @@ from landmark_nav.messages.decode.poses import odometry, pose_estimate
 
 __all__ = [
     'camera_model',
+    'check_frame',
     'detections',
     'image',
     'joint_sample',

@@ -9,12 +9,20 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-__all__ = ['duration_ns', 'finite', 'stamp_ns', 'yaw_rad']
+__all__ = ['check_frame', 'duration_ns', 'finite', 'stamp_ns', 'yaw_rad']
 
 
 def stamp_ns(header: Any) -> int:
     """Stamp of a std_msgs/Header, integer nanoseconds."""
     return duration_ns(header.stamp)
+
+
+def check_frame(header: Any, frame: str, remedy: str) -> None:
+    """`LandmarkNavError` where a std_msgs/Header names another frame, with what to do then."""
+    if header.frame_id != frame:
+        raise LandmarkNavError(
+            f'it is in frame {header.frame_id!r}, not in frame {frame}: {remedy}'
+        )
 
 
 def duration_ns(value: Any) -> int:
