@@ -79,7 +79,20 @@ def test_who_walks_through_changes_little(even: Sweep) -> None:
     assert np.abs(np.log(found.gain)).max() < 0.03
 
 
-def test_dark_frames_tell_nothing(even: Sweep) -> None:
+@pytest.mark.parametrize('light', [0.15, 0.4])
+def test_a_sweep_in_the_dark_is_brightened_as_a_whole(even: Sweep, light: float) -> None:
+    usual = taken(even, np.ones(len(PANS)), 0.0, noise=0.5)
+    dark = taken(even, np.full(len(PANS), light), 0.0, noise=0.5)
+    found = measure_photometry(dark, MOUNT)
+    assert found.gain_spread == 0.0
+    assert found.exposure < 1.0
+    mended = even_out(dark, found).frames[3].image.astype(float)
+    assert 110.0 < np.quantile(mended, 0.9) < 130.0
+    likeness = np.corrcoef(mended.ravel(), usual.frames[3].image.ravel())[0, 1]
+    assert likeness > 0.99
+
+
+def test_black_frames_tell_nothing(even: Sweep) -> None:
     dark = replace(
         even, frames=tuple(replace(f, image=np.zeros_like(f.image)) for f in even.frames)
     )

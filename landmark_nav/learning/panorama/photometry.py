@@ -4,7 +4,7 @@ Exposure of each frame and vignetting of the lens, out of what frames show of th
 The logarithm of what a frame shows of a place is the sum of the place's own, of the frame's gain
 and of a polynomial in the squared radius (after Goldman, PAMI 32(12), 2010). All gains and the
 polynomial are fitted at once, robustly; the places' own brightness is eliminated. Nothing is
-changed that is not significant.
+changed that is not significant. A sweep in the dark is brightened as a whole.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ _LEVELS = (15.0, 225.0)
 
 _ROUNDS = 5
 _SIGNIFICANCE = 4.0
+# Sweeps whose brightest tenth is darker are brightened: contrast is judged in grey levels. What is
+# darker than the second is mostly noise.
+_BRIGHT, _DARKEST = 120.0, 10.0
 # Nobody sees less: a grey level.
 _WORTH = 0.004
 _LEAST_SAMPLES = 200
@@ -38,19 +41,21 @@ _LEAST_SAMPLES = 200
 @dataclass(frozen=True, eq=False)
 class Photometry:
     """
-    Relative brightness: `gain` (n,) of each frame and `falloff` (2,) of the lens.
+    Relative brightness: `gain` (n,) of each frame, `falloff` (2,) of the lens, `exposure` of all.
 
     A pixel at radius r, as a share of the farthest corner's, is multiplied by
-    ``exp(falloff[0] r^2 + falloff[1] r^4)``. What is not significant is 1, or 0.
+    ``exp(falloff[0] r^2 + falloff[1] r^4)``. What is not significant is 1, or 0; `exposure` is 1
+    unless the sweep as a whole is dark.
     """
 
     gain: FloatArray
     falloff: FloatArray
+    exposure: float = 1.0
 
     @classmethod
-    def none(cls, count: int) -> Photometry:
+    def none(cls, count: int, exposure: float = 1.0) -> Photometry:
         """Of `count` frames that are alike, with a perfect lens."""
-        return cls(np.ones(count), np.zeros(2))
+        return cls(np.ones(count), np.zeros(2), exposure)
 
     @property
     def vignetting(self) -> float:
@@ -80,8 +85,10 @@ def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
 
     """
     count = len(sweep.frames)
-    nothing = Photometry.none(count)
     place, frame, square, level = _samples(sweep, mount)
+    bright = float(np.quantile(level, 0.9))
+    exposure = bright / _BRIGHT if _DARKEST < bright < _BRIGHT else 1.0
+    nothing = Photometry.none(count, exposure)
     fine = (level > _LEVELS[0]) & (level < _LEVELS[1])
     place, frame, square, level = place[fine], frame[fine], square[fine], level[fine]
     if len(level) < _LEAST_SAMPLES:
@@ -106,16 +113,17 @@ def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
     used = (np.abs(gain) > _SIGNIFICANCE * sigma) & (np.abs(gain) > _WORTH)
     padded = np.zeros(2)
     padded[: len(falloff)] = falloff
-    return Photometry(np.where(used, np.exp(gain), 1.0), padded)
+    return Photometry(np.where(used, np.exp(gain), 1.0), padded, exposure)
 
 
 def even_out(sweep: Sweep, photometry: Photometry) -> Sweep:
     """Sweep whose frames are as if all had one exposure and a lens without vignetting."""
-    if not photometry.falloff.any() and np.all(photometry.gain == 1.0):
+    gains = photometry.exposure * photometry.gain
+    if not photometry.falloff.any() and np.all(gains == 1.0):
         return sweep
     flat: dict[CameraModel, npt.NDArray[np.float32]] = {}
     frames = []
-    for frame, gain in zip(sweep.frames, photometry.gain, strict=True):
+    for frame, gain in zip(sweep.frames, gains, strict=True):
         if photometry.falloff.any():
             if frame.camera not in flat:
                 flat[frame.camera] = _flat_field(frame, photometry.falloff)
