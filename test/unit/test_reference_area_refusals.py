@@ -17,7 +17,6 @@ from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
-from landmark_nav.learning.reference_area.model import PaperPriors
 from landmark_nav.learning.reference_area.refusals import doubtful_size
 from landmark_nav.types import FloatArray, Sweep
 
@@ -187,19 +186,19 @@ def fit_of_size(size: float, sigma: float, misfit: float) -> PaperFit:
 
 @pytest.mark.parametrize('misfit', [0.8, 3.0])
 def test_papers_that_say_nothing_of_their_size_are_not_doubted(misfit: float) -> None:
-    priors = PaperPriors(0.001, 0.005, 0.003, 0.05, 2e-4, 0.002)
+    config = ReferenceAreaConfig()
     # As the estimate scatters where papers tell a tenth of a percent of what is known before.
-    told = 0.001 * priors.size**2
-    sigma = float(np.sqrt(priors.size**2 - told))
-    assert doubtful_size(fit_of_size(2.0 * float(np.sqrt(told)), sigma, misfit), priors) == ''
+    told = 0.001 * config.paper_size_sigma**2
+    sigma = float(np.sqrt(config.paper_size_sigma**2 - told))
+    assert doubtful_size(fit_of_size(2.0 * float(np.sqrt(told)), sigma, misfit), config) == ''
 
 
 def test_papers_that_are_surely_larger_are_told_with_how_much() -> None:
-    priors = PaperPriors(0.001, 0.005, 0.003, 0.05, 2e-4, 0.002)
+    config = ReferenceAreaConfig()
     measured = 0.002
-    sigma = (priors.size**-2 + measured**-2) ** -0.5
-    drawn = 0.015 * priors.size**2 / (priors.size**2 + measured**2)
-    told = doubtful_size(fit_of_size(drawn, sigma, 1.0), priors)
+    sigma = (config.paper_size_sigma**-2 + measured**-2) ** -0.5
+    drawn = 0.015 * config.paper_size_sigma**2 / (config.paper_size_sigma**2 + measured**2)
+    told = doubtful_size(fit_of_size(drawn, sigma, 1.0), config)
     assert '1.5 % larger' in told
     # Edges that scatter by ten times as much as they should could look so by chance.
-    assert doubtful_size(fit_of_size(drawn, sigma, 100.0), priors) == ''
+    assert doubtful_size(fit_of_size(drawn, sigma, 100.0), config) == ''

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.location import (
     check_agreement,
     LEAST_PAPERS,
     locate_sweep,
     optical_height,
-    ReferenceAreaConfig,
     SweepPlace,
 )
 

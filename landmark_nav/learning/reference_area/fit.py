@@ -9,6 +9,7 @@ import numpy as np
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import hue_direction
+from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
 from landmark_nav.learning.reference_area.model import (
     EDGE_SHARE,
@@ -17,7 +18,6 @@ from landmark_nav.learning.reference_area.model import (
     GAMMA,
     IntArray,
     PaperModel,
-    PaperPriors,
     RISE,
     SHIFT,
     SIZE,
@@ -110,13 +110,15 @@ class PaperFitter:
         Papers and walls.
     mount : PanTiltMount
         Where the camera turns.
-    priors : PaperPriors
+    config : ReferenceAreaConfig
         How well everything else is known.
 
     """
 
-    def __init__(self, sweep: Sweep, room: Room, mount: PanTiltMount, priors: PaperPriors) -> None:
-        self._frames, self._room, self._priors = sweep.frames, room, priors
+    def __init__(
+        self, sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
+    ) -> None:
+        self._frames, self._room, self._config = sweep.frames, room, config
         self._model = PaperModel(sweep, room, mount, _PARTS * PROFILES)
         self._hues = [hue_direction(paper.color) for paper in room.papers]
 
@@ -134,7 +136,7 @@ class PaperFitter:
         """
         state = self._model.start(pose_map_base)
         state[RISE] = rise_m
-        angle_sigma = np.full(2, self._priors.angle_rad)
+        angle_sigma = np.full(2, self._config.pan_sigma_rad)
         fit = None
         for reach, doubts in zip(_SEARCH_PX, _DOUBTS, strict=True):
             measured = self._measure(state, frames_per_paper, reach)
@@ -234,7 +236,7 @@ class PaperFitter:
     ) -> tuple[FloatArray, FloatArray, PaperFit]:
         """One step of reweighted Gauss-Newton from `state`; edges were measured at `base`."""
         model = self._model
-        shift, turn = edge_sigma_px(self._priors, m.bright)
+        shift, turn = edge_sigma_px(self._config, m.bright)
         moved = model.project(state, m.frame, m.paper, m.points)
         moved -= model.project(base, m.frame, m.paper, m.points)
         jacobian = model.jacobian(state, m.frame, m.paper, m.points, m.normal)
@@ -254,7 +256,7 @@ class PaperFitter:
         by_edge = np.stack([shift, turn * m.along])
         jacobian[rows, edge] = by_edge
 
-        prior = model.prior(self._priors, angle_sigma)
+        prior = model.prior(self._config, angle_sigma)
         usual = model.start(state[:3])
         information = (jacobian * weight[:, None]).T @ jacobian + np.diag(prior)
         left = innovation - np.sum(by_edge * state[edge], 0)
@@ -288,7 +290,7 @@ class PaperFitter:
         # The sweep itself tells how exact its joint angles are (expectation maximization).
         used = np.unique(m.frame)
         left_over = model.angles(state)[used] ** 2 + model.angles(np.diag(covariance))[used]
-        trusted = _TRUSTED_FRAMES * self._priors.angle_rad**2
+        trusted = _TRUSTED_FRAMES * self._config.pan_sigma_rad**2
         spread = (trusted + left_over.sum(axis=0)) / (_TRUSTED_FRAMES + len(used))
         return state, np.sqrt(spread), fit
 

@@ -22,8 +22,8 @@ from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch
+from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
-from landmark_nav.learning.reference_area.model import PaperPriors
 from landmark_nav.learning.reference_area.refusals import (
     doubtful_size,
     LEAST_AGREED,
@@ -35,12 +35,10 @@ from landmark_nav.learning.reference_area.refusals import (
     wrong_prior,
 )
 from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
-from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import FloatArray, Sweep
 
 __all__ = [
     'LEAST_PAPERS',
-    'ReferenceAreaConfig',
     'SweepPlace',
     'check_agreement',
     'locate_sweep',
@@ -62,34 +60,6 @@ _RISE_STEP_M = 0.06
 _ANY_HEIGHT_M = 0.1
 # Places are told apart with so many frames a paper.
 _QUICK_FRAMES = 2
-
-
-@dataclass(frozen=True)
-class ReferenceAreaConfig:
-    """What is not exactly known when a place is measured from the papers."""
-
-    paper_sigma_m: float = parameter(
-        0.001, 'standard deviation of how exactly a paper hangs, metres', minimum=0, maximum=0.1
-    )
-    height_sigma_m: float = parameter(
-        0.005, "standard deviation of the camera's height, metres", minimum=1e-5, maximum=0.5
-    )
-    horizon_sigma_rad: float = parameter(
-        0.003, "standard deviation of the pan axis' tilt, radians", minimum=1e-6, maximum=0.2
-    )
-    edge_sigma_px: float = parameter(
-        0.05, 'standard deviation that all points of one edge share, pixels', minimum=0, maximum=2
-    )
-    paper_size_sigma: float = parameter(
-        0.002, 'standard deviation of the size of papers, a share', minimum=1e-5, maximum=0.1
-    )
-    pan_sigma_rad: float = parameter(
-        2e-4, 'standard deviation of the joint angles of a frame', minimum=0, maximum=0.1
-    )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,61 +120,98 @@ def locate_sweep(
             f'the room names {len(room.papers)} reference papers: hang three and list them in '
             'room.yaml, or give the pose of each sweep (sweep/pose)'
         )
-    height = optical_height(sweep, mount)
-    search = ColorSearch(view)
-    colors = {color: search.blobs(color) for color in {p.color for p in room.papers}}
-    blobs = [colors[paper.color] for paper in room.papers]
-    priors = PaperPriors(
-        config.paper_sigma_m,
-        config.height_sigma_m,
-        config.horizon_sigma_rad,
-        config.edge_sigma_px,
-        config.pan_sigma_rad,
-        config.paper_size_sigma,
+    papers = _PaperSearch(sweep, view, room, mount, config)
+    fit = papers.fit()
+    wrong = wrong_prior(fit, room, config)
+    if wrong:
+        raise LandmarkNavError(wrong)
+    inverse = np.linalg.inv(fit.tilt_covariance)
+    return SweepPlace(
+        fit.pose_map_base,
+        papers.height_m + fit.rise_m,
+        fit.covariance,
+        inverse @ fit.tilt_rad,
+        inverse - np.eye(2) / config.horizon_sigma_rad**2,
+        doubtful_size(fit, config),
     )
-    fitter = PaperFitter(sweep, room, mount, priors)
-    lever = np.array([*mount.axis_xyz[:2], 0.0])
 
-    def fits_at(other: Room, place: PaperPlace) -> bool:
-        pose = se2.compose(place.axis_pose, se2.inverse(lever))
-        fit = PaperFitter(sweep, other, mount, priors).fit(pose, _QUICK_FRAMES)
-        return fit is not None and _fits(fit, other)
 
-    def try_places(places: list[PaperPlace], rise_m: float = 0.0) -> list[PaperFit]:
+class _PaperSearch:
+    """The one place where all papers of a room fit what a sweep saw; arguments as above."""
+
+    def __init__(
+        self,
+        sweep: Sweep,
+        view: CylinderImage,
+        room: Room,
+        mount: PanTiltMount,
+        config: ReferenceAreaConfig,
+    ) -> None:
+        self._sweep, self._view, self._room = sweep, view, room
+        self._mount, self._config = mount, config
+        self.height_m = optical_height(sweep, mount)
+        search = ColorSearch(view)
+        colors = {color: search.blobs(color) for color in {p.color for p in room.papers}}
+        self._blobs = [colors[paper.color] for paper in room.papers]
+        self._fitter = PaperFitter(sweep, room, mount, config)
+
+    def fit(self) -> PaperFit:
+        """Fit of all edges at the place; `LandmarkNavError` that says why there is none."""
+        places = find_places(self._blobs, self._room, self.height_m)
+        fits = at_told_height = self._tried(places)
+        for rise_m in _rises(self._config):
+            if any(_fits(fit, self._room) for fit in fits):
+                break
+            higher = find_places(self._blobs, self._room, self.height_m + rise_m)
+            fits = self._tried(higher, rise_m)
+        good = sorted((f for f in fits if _fits(f, self._room)), key=lambda f: -_support(f))
+        if not good:
+            raise self._refusal(places, at_told_height)
+        _check_unique(good)
+        fit = self._fitter.fit(good[0].pose_map_base, rise_m=good[0].rise_m)
+        if fit is None or not _fits(fit, self._room):
+            raise self._refusal(places, [fit] if fit else [])
+        return fit
+
+    def _tried(self, places: list[PaperPlace], rise_m: float = 0.0) -> list[PaperFit]:
+        """Fits of few frames at places, the cheapest first, until the rest is hopeless."""
         fits: list[PaperFit] = []
         enough = np.inf
         for place in places:
             if place.cost > enough:
                 break
-            pose = se2.compose(place.axis_pose, se2.inverse(lever))
-            fit = fitter.fit(pose, _QUICK_FRAMES, rise_m)
-            if fit is not None and room.contains(fit.pose_map_base[:2]):
+            fit = self._fitter.fit(self._base(place), _QUICK_FRAMES, rise_m)
+            if fit is not None and self._room.contains(fit.pose_map_base[:2]):
                 fits.append(fit)
-                if _fits(fit, room):
+                if _fits(fit, self._room):
                     enough = min(enough, place.cost + _HOPELESS)
         return fits
 
-    def refusal(fits: list[PaperFit]) -> LandmarkNavError:
-        if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b.misfit) for b in blobs):
+    def _base(self, place: PaperPlace) -> FloatArray:
+        lever = np.array([*self._mount.axis_xyz[:2], 0.0])
+        return se2.compose(place.axis_pose, se2.inverse(lever))
+
+    def _fits_at(self, other: Room, place: PaperPlace) -> bool:
+        """Whether the papers of another room fit at a place."""
+        fitter = PaperFitter(self._sweep, other, self._mount, self._config)
+        fit = fitter.fit(self._base(place), _QUICK_FRAMES)
+        return fit is not None and _fits(fit, other)
+
+    def _refusal(self, places: list[PaperPlace], fits: list[PaperFit]) -> LandmarkNavError:
+        config, frames = self._config, self._sweep.frames
+        if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b.misfit) for b in self._blobs):
             anywhere = replace(config, height_sigma_m=_ANY_HEIGHT_M)
             with suppress(LandmarkNavError):
-                high = locate_sweep(sweep, view, room, mount, anywhere)
-                return LandmarkNavError(wrong_height(high.height_m - height))
-        why = why_not(blobs, places, fits, room, height, fits_at)
-        pans, half_fov = [f.pan_rad for f in sweep.frames], sweep.frames[0].camera.half_fov_rad
-        unseen = describe_coverage(pans, half_fov)
+                high = locate_sweep(self._sweep, self._view, self._room, self._mount, anywhere)
+                return LandmarkNavError(wrong_height(high.height_m - self.height_m))
+        why = why_not(self._blobs, places, fits, self._room, self.height_m, self._fits_at)
+        unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
         return LandmarkNavError(f'{hint if unseen else ""}{why}')
 
-    places = find_places(blobs, room, height)
-    fits = told = try_places(places)
-    for rise_m in _rises(config):
-        if any(_fits(fit, room) for fit in fits):
-            break
-        fits = try_places(find_places(blobs, room, height + rise_m), rise_m)
-    good = sorted((f for f in fits if _fits(f, room)), key=lambda f: -_support(f))
-    if not good:
-        raise refusal(told)
+
+def _check_unique(good: list[PaperFit]) -> None:
+    """`LandmarkNavError` where another place has about the support of the best, which is first."""
     for other in good[1:]:
         away = se2.relative(good[0].pose_map_base, other.pose_map_base)
         distinct = np.hypot(away[0], away[1]) > 0.1 or abs(away[2]) > 0.05
@@ -214,21 +221,6 @@ def locate_sweep(
                 f'({place_text(good[0])}) and ({place_text(other)}) fit alike; '
                 'hang them at unequal distances'
             )
-    fit = fitter.fit(good[0].pose_map_base, rise_m=good[0].rise_m)
-    if fit is None or not _fits(fit, room):
-        raise refusal([fit] if fit else [])
-    wrong = wrong_prior(fit, room, priors)
-    if wrong:
-        raise LandmarkNavError(wrong)
-    inverse = np.linalg.inv(fit.tilt_covariance)
-    return SweepPlace(
-        fit.pose_map_base,
-        height + fit.rise_m,
-        fit.covariance,
-        inverse @ fit.tilt_rad,
-        inverse - np.eye(2) / config.horizon_sigma_rad**2,
-        doubtful_size(fit, priors),
-    )
 
 
 def _rises(config: ReferenceAreaConfig) -> list[float]:

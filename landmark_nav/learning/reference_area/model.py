@@ -9,13 +9,12 @@ holds their share.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.types import FloatArray, Sweep
 
 __all__ = [
@@ -27,7 +26,6 @@ __all__ = [
     'SIZE',
     'IntArray',
     'PaperModel',
-    'PaperPriors',
     'edge_sigma_px',
 ]
 
@@ -51,18 +49,6 @@ _BRIGHT_SIGMA_PX = 0.2
 # What turns an edge, at its ends, as a share of what shifts it: unknown, a turn of 0.02 px that
 # all frames share, as JPEG makes it, passes for a lean of the axis, and that for a height.
 _TURN_SHARE = 0.5
-
-
-@dataclass(frozen=True)
-class PaperPriors:
-    """Standard deviations of what is not exactly known: metres, radians, pixels, a share."""
-
-    paper_m: float
-    height_m: float
-    tilt_rad: float
-    edge_px: float
-    angle_rad: float
-    size: float
 
 
 class PaperModel:
@@ -178,22 +164,27 @@ class PaperModel:
             jacobian[rows, column] = np.sum(change * normal, 1) / 1e-5
         return jacobian
 
-    def prior(self, priors: PaperPriors, angle_sigma_rad: FloatArray) -> FloatArray:
+    def prior(self, config: ReferenceAreaConfig, angle_sigma_rad: FloatArray) -> FloatArray:
         """Information (size,) of the unknowns; `angle_sigma_rad` (2,) of pan and tilt."""
         sigma = np.ones(self.size)
-        sigma[RISE:_PLACE] = priors.height_m, priors.tilt_rad, priors.tilt_rad, priors.size
+        sigma[RISE:_PLACE] = (
+            config.height_sigma_m,
+            config.horizon_sigma_rad,
+            config.horizon_sigma_rad,
+            config.paper_size_sigma,
+        )
         sigma[GAMMA:SHIFT], sigma[SHIFT:_COMMON] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
-        sigma[_COMMON : self._edge] = max(priors.paper_m, 1e-6)
+        sigma[_COMMON : self._edge] = max(config.paper_sigma_m, 1e-6)
         sigma[self._frame :].reshape(-1, 2)[:] = angle_sigma_rad
         information = sigma**-2.0
         information[:3] = 1e-4  # for what no measurement says anything about
         return np.asarray(information)
 
 
-def edge_sigma_px(priors: PaperPriors, bright: IntArray) -> FloatArray:
+def edge_sigma_px(config: ReferenceAreaConfig, bright: IntArray) -> FloatArray:
     """Standard deviations (2, n) of what shifts edges (n,) as a whole, and their ends apart."""
-    shift = np.hypot(priors.edge_px, np.where(bright > 0, _BRIGHT_SIGMA_PX, 0.0))
-    return np.stack([shift, np.full(len(bright), _TURN_SHARE * priors.edge_px)])
+    shift = np.hypot(config.edge_sigma_px, np.where(bright > 0, _BRIGHT_SIGMA_PX, 0.0))
+    return np.stack([shift, np.full(len(bright), _TURN_SHARE * config.edge_sigma_px)])
 
 
 def _outline(paper: Paper, room: Room, per_edge: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
+from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
-from landmark_nav.learning.reference_area.model import PaperPriors
 from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
 
 __all__ = [
@@ -45,11 +45,11 @@ def place_text(fit: PaperFit) -> str:
     return f'{x:.2f} m, {y:.2f} m, {np.degrees(heading):.0f} deg'
 
 
-def wrong_prior(fit: PaperFit, room: Room, priors: PaperPriors) -> str | None:
+def wrong_prior(fit: PaperFit, room: Room, config: ReferenceAreaConfig) -> str | None:
     """What was taken as nearly known and turns out to be wrong; None if nothing does."""
-    if abs(fit.rise_m) > WRONG_PRIOR * priors.height_m:
+    if abs(fit.rise_m) > WRONG_PRIOR * config.height_sigma_m:
         return wrong_height(fit.rise_m)
-    if np.hypot(*fit.tilt_rad) > WRONG_PRIOR * priors.tilt_rad:
+    if np.hypot(*fit.tilt_rad) > WRONG_PRIOR * config.horizon_sigma_rad:
         roll, pitch = np.degrees(fit.tilt_rad)
         return (
             f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
@@ -58,7 +58,7 @@ def wrong_prior(fit: PaperFit, room: Room, priors: PaperPriors) -> str | None:
         )
     hang = np.abs(fit.hang_m).max(axis=1)
     worst = int(np.argmax(hang))
-    if hang[worst] > WRONG_PRIOR * max(priors.paper_m, 1e-4):
+    if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):
         return (
             f'the {room.papers[worst].color} paper hangs {100 * hang[worst]:.1f} cm from where '
             'room.yaml says, as the others show it: measure the papers again'
@@ -66,7 +66,7 @@ def wrong_prior(fit: PaperFit, room: Room, priors: PaperPriors) -> str | None:
     return None
 
 
-def doubtful_size(fit: PaperFit, priors: PaperPriors) -> str:
+def doubtful_size(fit: PaperFit, config: ReferenceAreaConfig) -> str:
     """
     Say it if papers do not look as large as told beside the distances between them.
 
@@ -75,10 +75,10 @@ def doubtful_size(fit: PaperFit, priors: PaperPriors) -> str:
     # Variance of a size that the prior drew towards what was told; where edges scatter more than
     # they should, so does it. Papers that say next to nothing of it leave it where it was.
     scatter = max(1.0, fit.misfit)
-    variance = max(priors.size**2 - fit.size_sigma**2 / scatter, 1e-12)
+    variance = max(config.paper_size_sigma**2 - fit.size_sigma**2 / scatter, 1e-12)
     if abs(fit.size) < _DOUBTFUL_SIZE * np.sqrt(scatter * variance):
         return ''
-    share = fit.size * priors.size**2 / variance
+    share = fit.size * config.paper_size_sigma**2 / variance
     return (
         f'the papers look {100 * abs(share):.1f} % {"larger" if share > 0.0 else "smaller"} than '
         'told beside the distances between them: measure both again, all of room.yaml may be '
