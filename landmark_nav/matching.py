@@ -278,7 +278,8 @@ def _noise_passed(gradients: Float32Image, center: Pair, search_blur: Pair) -> F
     """``G B B^T G^T`` (2, 2) over the sum of the squares of B's kernel; gradients (2, h, w)."""
     height, width = gradients.shape[1:]
     x, y = center[0] - 0.5 * (width - 1), center[1] - 0.5 * (height - 1)
-    across, down = _kernel(search_blur[0], x % 1.0), _kernel(search_blur[1], y % 1.0)
+    across, across_power = _kernel(round(search_blur[0], 1), round(x % 1.0, 1))
+    down, down_power = _kernel(round(search_blur[1], 1), round(y % 1.0, 1))
     reach = max(len(across), len(down)) // 2
     # One above the other, so that one call does both.
     framed = np.zeros((2, height + 2 * reach, width + 2 * reach), np.float32)
@@ -286,21 +287,18 @@ def _noise_passed(gradients: Float32Image, center: Pair, search_blur: Pair) -> F
     stacked = framed.reshape(-1, framed.shape[2])
     carried = cv2.sepFilter2D(stacked, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
     flat = np.asarray(carried, dtype=np.float32).reshape(2, -1)
-    power = float(across @ across) * float(down @ down)
-    return np.asarray((flat @ flat.T) / power, dtype=np.float64)
-
-
-def _kernel(blur_px: float, fraction: float) -> Float32Image:
-    """Blur, here and before, and interpolation at a fraction of a pixel, one after the other."""
-    here, beside = _gauss(round(blur_px, 2))
-    return np.asarray((1.0 - fraction) * here + fraction * beside, dtype=np.float32)
+    return np.asarray((flat @ flat.T) / (across_power * down_power), dtype=np.float64)
 
 
 @lru_cache(maxsize=1024)
-def _gauss(blur_px: float) -> Float32Image:
-    """Kernel of the blur, here and before, and the same one pixel on, (2, n)."""
+def _kernel(blur_px: float, fraction: float) -> tuple[Float32Image, float]:
+    """
+    Blur, here and before, and interpolation at a fraction of a pixel, one after the other.
+
+    With the kernel comes the sum of its squares. Asked for in tenths, most of them again.
+    """
     sigma = math.hypot(_BLUR_PX, blur_px)
     reach = int(np.ceil(3.0 * sigma)) + 1
     gauss = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    padded = np.pad(gauss / gauss.sum(), (2, 1))
-    return np.stack([padded[1:], padded[:-1]]).astype(np.float32)
+    kernel = np.convolve(gauss / gauss.sum(), [0.0, 1.0 - fraction, fraction]).astype(np.float32)
+    return kernel, float(kernel @ kernel)
