@@ -18,7 +18,12 @@ from landmark_nav.simulation.furnishing import exchange_pictures, move_one_box
 from landmark_nav.simulation.gaze import Gaze
 from landmark_nav.simulation.measuring import as_measured
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
-from landmark_nav.simulation.recording import drive_messages, Recorded, sweep_messages
+from landmark_nav.simulation.recording import (
+    drive_messages,
+    Recorded,
+    STATE_RATE_HZ,
+    sweep_messages,
+)
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.setup_documents import (
@@ -96,7 +101,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--camera-rate',
-        type=_at_least(0.5, float),
+        type=_camera_rate,
         default=5.0,
         metavar='HZ',
         help='pictures a second in the drive, a whole part of 20 (default 5)',
@@ -215,6 +220,18 @@ def _at_least(lowest: float, kind: type[int] | type[float]) -> Any:
         return value
 
     return number
+
+
+def _camera_rate(text: str) -> float:
+    """Argument type: pictures come with every so many samples of the odometry."""
+    rate = float(_at_least(0.5, float)(text))
+    every = max(1, round(STATE_RATE_HZ / rate))
+    if abs(every * rate - STATE_RATE_HZ) > 1e-3 * STATE_RATE_HZ:
+        near = STATE_RATE_HZ / every
+        raise argparse.ArgumentTypeError(
+            f'{text} is no whole part of {STATE_RATE_HZ}: take {near:.4g}'
+        )
+    return rate
 
 
 def _sweep_poses(

@@ -14,12 +14,12 @@ from landmark_nav.simulation.gaze import Gaze
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.types import CameraFrame, FloatArray, JointSample
 
-__all__ = ['Recorded', 'drive_messages', 'sweep_messages']
+__all__ = ['STATE_RATE_HZ', 'Recorded', 'drive_messages', 'sweep_messages']
 
 _FRAME = 'camera_optical_frame'
 
 # Joint states and odometry of a drive come at this rate; physics runs at a multiple of it.
-_STATE_RATE_HZ = 20
+STATE_RATE_HZ = 20
 
 _SETTLE_LIMIT_S = 3.0
 
@@ -65,7 +65,7 @@ def sweep_messages(
         begin_ns = world.stamp_ns
         world.advance(0.1)
         while not world.camera_settled and world.stamp_ns - begin_ns < _SETTLE_LIMIT_S * 1e9:
-            world.advance(1.0 / _STATE_RATE_HZ)
+            world.advance(1.0 / STATE_RATE_HZ)
         frame = world.camera_frame()
         samples.append(JointSample(frame.stamp_ns, frame.pan_rad, frame.tilt_rad))
         yield from _picture(frame, factory, 'sweep', 'sweep/image/compressed', jpeg_quality)
@@ -117,9 +117,9 @@ def drive_messages(
 
     """
     driver = PathFollower(path_xy, speed_m_s)
-    every = max(1, round(_STATE_RATE_HZ / camera_rate_hz))
-    for k in range(round(seconds * _STATE_RATE_HZ)):
-        time_s = k / _STATE_RATE_HZ
+    every = max(1, round(STATE_RATE_HZ / camera_rate_hz))
+    for k in range(round(seconds * STATE_RATE_HZ)):
+        time_s = k / STATE_RATE_HZ
         world.command_velocity(*driver.command(world.true_pose))
         world.command_pan(gaze.pan(time_s, world.true_pose))
         if k % every == 0:
@@ -131,7 +131,7 @@ def drive_messages(
         odometry = encode.odometry(factory, world.odometry_sample(), _ODOMETRY_COVARIANCE)
         yield Recorded('odom', odometry, world.stamp_ns)
         yield _truth(world, factory)
-        world.advance(1.0 / _STATE_RATE_HZ)
+        world.advance(1.0 / STATE_RATE_HZ)
 
 
 def _picture(

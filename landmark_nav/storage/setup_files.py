@@ -47,6 +47,9 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
         raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
     try:
         document = yaml.load(text, Loader=_LOADER)
+    except yaml.MarkedYAMLError as error:
+        line = '' if error.problem_mark is None else f'line {error.problem_mark.line + 1}: '
+        raise LandmarkNavError(f'{path}: not YAML: {line}{error.problem}') from error
     except yaml.YAMLError as error:
         raise LandmarkNavError(f'{path}: not YAML: {" ".join(str(error).split())}') from error
     if not isinstance(document, dict):

@@ -115,7 +115,9 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
     [
         ('- 1', 'holds no mapping'),
         ('', 'holds no mapping'),
-        ('a: [1', 'not YAML'),
+        ('a: 2\nb: [1', r'not YAML: line \d: .*expected'),
+        ('a: 2\n\tb: 1', r'not YAML: line 2: .'),
+        ('a: \x07', 'not YAML: '),
         ('frame_id: map', 'walls is missing'),
         ('walls: 3', 'walls is 3, not a list'),
         ('walls: [3]', r'walls\[0\]: id is missing'),
