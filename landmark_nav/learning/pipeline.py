@@ -27,9 +27,8 @@ from landmark_nav.learning.adjustment.wall_fit import (
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.free_stereo import explain
-from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.learning.stereo import StereoConfig
+from landmark_nav.learning.stereo.found_again import find_again
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.types import (
     Candidate,
@@ -129,32 +128,9 @@ def learn_from_panoramas(
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
-    patches: list[WallPatch] = []
-    sightings: list[list[Sighting]] = []
-    origin: list[tuple[int, int]] = []
-    outcomes: list[list[Landmark | Refusal]] = [[] for _ in panoramas]
     with log.measure('stereo'):
-        for i, panorama in enumerate(panoramas):
-            for n, candidate in enumerate(candidates[i]):
-                patch = hypothesize(candidate, i, panorama, room, config.stereo)
-                if isinstance(patch, Refusal):
-                    outcomes[i].append(patch)
-                    continue
-                found = [
-                    match_in(patch, j, panoramas, greys, room, config.stereo)
-                    for j in range(len(panoramas))
-                    if j != i
-                ]
-                seen = [s for s in found if isinstance(s, Sighting)]
-                if not seen:
-                    refused = next(s for s in found if isinstance(s, Refusal))
-                    before = explain(patch, panoramas, greys, config.stereo)
-                    outcomes[i].append(before or refused)
-                    continue
-                outcomes[i].append(Refusal('not elected'))
-                patches.append(patch)
-                sightings.append([own_sighting(patch, panorama), *seen])
-                origin.append((i, n))
+        found = find_again(panoramas, candidates, greys, room, config.stereo)
+    patches, sightings, outcomes = found.patches, found.sightings, found.outcomes
     if len(patches) < 3:
         raise LandmarkNavError(
             f'{len(patches)} of {sum(map(len, candidates))} candidates were found again from '
@@ -189,7 +165,7 @@ def learn_from_panoramas(
         elected = elect(
             patches, sightings, adjustment, free, adjusted, greys, room, config.election
         )
-    for (i, n), outcome in zip(origin, elected, strict=True):
+    for (i, n), outcome in zip(found.origin, elected, strict=True):
         outcomes[i][n] = outcome
     landmarks = sorted((e for e in elected if isinstance(e, Landmark)), key=lambda e: e.id)
     if not landmarks:

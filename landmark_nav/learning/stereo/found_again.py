@@ -1,0 +1,65 @@
+"""All candidates of all panoramas, looked for in the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.stereo.config import StereoConfig
+from landmark_nav.learning.stereo.free_stereo import explain
+from landmark_nav.learning.stereo.wall_patch import (
+    Float32Image,
+    own_sighting,
+    Sighting,
+    WallPatch,
+)
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
+from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
+
+__all__ = ['Found', 'find_again']
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """
+    Patches that were found again from another place, and where the panoramas show each.
+
+    `origin` tells the panorama and the candidate of each; `outcomes` what became of every
+    candidate so far.
+    """
+
+    patches: list[WallPatch]
+    sightings: list[list[Sighting]]
+    origin: list[tuple[int, int]]
+    outcomes: list[list[Landmark | Refusal]]
+
+
+def find_again(
+    panoramas: Sequence[Panorama],
+    candidates: Sequence[Sequence[Candidate]],
+    greys: Sequence[Float32Image],
+    room: Room,
+    config: StereoConfig,
+) -> Found:
+    """Look for each candidate in the other panoramas."""
+    found = Found([], [], [], [[] for _ in panoramas])
+    for i, panorama in enumerate(panoramas):
+        for n, candidate in enumerate(candidates[i]):
+            patch = hypothesize(candidate, i, panorama, room, config)
+            if isinstance(patch, Refusal):
+                found.outcomes[i].append(patch)
+                continue
+            others = [j for j in range(len(panoramas)) if j != i]
+            matches = [match_in(patch, j, panoramas, greys, room, config) for j in others]
+            seen = [match for match in matches if isinstance(match, Sighting)]
+            if not seen:
+                refused = next(match for match in matches if isinstance(match, Refusal))
+                before = explain(patch, panoramas, greys, config)
+                found.outcomes[i].append(before or refused)
+                continue
+            found.outcomes[i].append(Refusal('not elected'))
+            found.patches.append(patch)
+            found.sightings.append([own_sighting(patch, panorama), *seen])
+            found.origin.append((i, n))
+    return found
