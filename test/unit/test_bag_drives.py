@@ -49,6 +49,23 @@ def test_raw_pictures_are_preferred_to_compressed_ones(tmp_path):
     assert [f.stamp_ns for f in frames] == [stamp]
 
 
+def test_of_one_moment_pictures_come_last(tmp_path):
+    moment = 50_000_000
+    entries = list(read_bag(write_drive(tmp_path / 'drive')))
+    with BagWriter(tmp_path / 'same') as same:
+        for entry in sorted(entries, key=lambda e: 'image' not in e.topic):
+            log_ns = entry.stamp_ns // moment * moment
+            same.write_serialized(entry.topic, entry.type_name, entry.data, log_ns)
+    passed, pictures = [], 0
+    for event in sensor_events(Bag(tmp_path / 'same'), MOUNT):
+        if isinstance(event, OdometrySample):
+            passed.append(event.stamp_ns)
+        elif isinstance(event, CameraFrame):
+            pictures += 1
+            assert passed[-1] // moment == event.stamp_ns // moment
+    assert pictures == 10
+
+
 def test_a_damaged_picture_is_left_out_and_told(tmp_path):
     warnings = []
     bag = Bag(write_drive(tmp_path / 'drive', damaged=(2, 5)), warnings.append)

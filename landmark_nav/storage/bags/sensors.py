@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
@@ -31,10 +31,11 @@ def sensor_events(
     """
     What a drive's bag holds, in the order it was recorded.
 
-    Pictures are grey, with pan and tilt interpolated at their stamps; those of joint states are
-    late by `joint_delay_s`. Ground truth, if there is any, comes as `PoseEstimate`. Pictures that
-    cannot be used are left out and reported through ``bag.warn``. A bag without pictures may
-    bring ``detections`` instead, of this package or another sensor.
+    Of one moment the pictures come last, as nodes wait for what belongs to them. They are grey,
+    with pan and tilt interpolated at their stamps; those of joint states are late by
+    `joint_delay_s`. Ground truth, if there is any, comes as `PoseEstimate`. Pictures that cannot
+    be used are left out and reported through ``bag.warn``. A bag without pictures may bring
+    ``detections`` instead, of this package or another sensor.
 
     Raises
     ------
@@ -53,7 +54,7 @@ def sensor_events(
     topics = [t for t in (images, odometry, truth) if t is not None]
     complaints: list[str] = []
     used = 0
-    for entry in bag.messages(topics):
+    for entry in _pictures_last(bag.messages(topics), images):
         if entry.topic == images:
             try:
                 yield _frame(bag, entry, cameras, joints, round(joint_delay_s * 1e9))
@@ -72,6 +73,20 @@ def sensor_events(
         bag.warn(
             f'{len(complaints)} of {used + len(complaints)} pictures left out: {complaints[0]}'
         )
+
+
+def _pictures_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMessage]:
+    """Messages with those on the topic `images` behind others that were recorded with them."""
+    held: list[BagMessage] = []
+    for entry in messages:
+        if held and entry.stamp_ns > held[-1].stamp_ns:
+            yield from held
+            held.clear()
+        if entry.topic == images:
+            held.append(entry)
+        else:
+            yield entry
+    yield from held
 
 
 def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
