@@ -362,3 +362,22 @@ def test_a_blur_that_was_mistaken_hides_nothing_for_long() -> None:
     for _ in range(3):
         detector.detect(haze, prior, np.arange(4))
     assert len(detector.detect(frame, prior, np.arange(4)).detections) == 4
+
+
+@pytest.mark.parametrize('strangers', [0, 8])
+def test_a_camera_is_tilted_where_most_landmarks_say_so(strangers: int) -> None:
+    """From a wrong place a few are mistaken for others, and may agree on a tilt."""
+    knock_rad, viewpoint = 0.03, np.array([3.0, 2.3, 1.15])
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    frame = replace(frame, tilt_rad=frame.tilt_rad - knock_rad)
+    other = textured_room(ROOM, seed=23, feature_m=0.04)
+    elsewhere = [
+        true_landmark(other, 10 + k, other.boards[1], 0.2 * k - 0.7, 0.4, viewpoint)
+        for k in range(strangers)
+    ]
+    landmark_map = replace(LANDMARKS, landmarks=(*LANDMARKS.landmarks, *elsewhere))
+    detector = AimedDetector(landmark_map, MOUNT, CONFIG, knock_rad)
+    prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
+    found = detector.detect(frame, prior, np.arange(4 + strangers)).detections
+    assert len(found) == (0 if strangers else 4)
+    assert detector.tilt_rad == pytest.approx(0.0 if strangers else knock_rad, abs=1e-3)

@@ -19,8 +19,9 @@ __all__ = ['AimedDetector']
 
 _LOG = logging.getLogger(__name__)
 
-# Share of what should be in view.
-_HARDLY_ANY = 0.25
+# Shares of what should be in view: next to nothing, and what a camera that looks beside must show
+# there; from a wrong place some landmarks may be mistaken for others, and agree on a tilt.
+_HARDLY_ANY, _MOST = 0.25, 0.5
 # So many landmarks tell a turned camera from chance.
 _LEAST = 3
 # A picture that turns out to be blurred otherwise than the last one is looked at again.
@@ -104,7 +105,7 @@ class AimedDetector:
         # What is there by chance is not found again at one height.
         aim = self._seen_aim(beside, frame, prior)
         again = self._search(frame, wide, expected, config, aim)
-        if len(again.detections) < _LEAST:
+        if len(again.detections) < max(_LEAST, _MOST * len(expected)):
             return result
         self._aim = aim
         self._follow(again, frame, prior)
