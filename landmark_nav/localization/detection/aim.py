@@ -94,7 +94,8 @@ class AimedDetector:
         result = self._search(frame, prior, expected, config, self._aim)
         few = len(result.detections) <= _HARDLY_ANY * len(expected)
         if not few or len(expected) < _LEAST or not knock:
-            self._follow(result, frame, prior)
+            if self._tells(result, expected):
+                self._follow(result, frame, prior)
             return result
         wide = replace(prior, covariance=prior.covariance + np.diag([0.0, 0.0, knock**2]))
         height = np.hypot(config.vertical_sigma_px, knock * frame.camera.fy)
@@ -105,16 +106,19 @@ class AimedDetector:
         # What is there by chance is not found again at one height.
         aim = self._seen_aim(beside, frame, prior)
         again = self._search(frame, wide, expected, config, aim)
-        if len(again.detections) < max(_LEAST, _MOST * len(expected)):
+        if not self._tells(again, expected):
             return result
         self._aim = aim
         self._follow(again, frame, prior)
         return again
 
+    @staticmethod
+    def _tells(result: DetectionResult, expected: npt.NDArray[np.intp]) -> bool:
+        """Whether enough was found to tell how the camera looks."""
+        return len(result.detections) >= max(_LEAST, _MOST * len(expected))
+
     def _follow(self, result: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> None:
         """Aim where a picture was found to look, once that is beside."""
-        if len(result.detections) < _LEAST:
-            return
         aim = self._seen_aim(result, frame, prior)
         tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD
         if tilted:

@@ -57,7 +57,7 @@ class HealthConfig:
         0.15, 'Share of them that counts as next to nothing.', minimum=0.0, maximum=1.0
     )
     missing_extent_m: float = parameter(
-        0.9,
+        1.5,
         'What is missing must reach further along the walls, m: one picture may be exchanged.',
         minimum=0.0,
         maximum=100.0,
