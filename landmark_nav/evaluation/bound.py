@@ -63,7 +63,13 @@ def posterior_bound(
         NaN where the truth is not known.
 
     """
-    told = replace(config.fusion, mode='bearings', landmarks='refine', bearing_probability=1.0)
+    told = replace(
+        config.fusion,
+        mode='bearings',
+        landmarks='refine',
+        bearing_probability=1.0,
+        curvature_repeats=0.0,
+    )
     # Bearings without noise are nothing to learn noise from.
     odometry = replace(config.odometry, learning_sigma=0.0)
     ideal = PoseFilter(landmark_map, mount, told, odometry, config.health)

@@ -27,7 +27,8 @@ class BearingFrame:
 
     `columns` (m,) are places of the landmarks in the map, `variance` (m,) what each bearing claims
     of itself and `common_variance` what all of them share, `scores` (m,) their correlations,
-    `unusable` what was sorted out before.
+    `unusable` what was sorted out before. What linearising them leaves out counts as if so many
+    pictures, `curvature_repeats`, repeated it.
     """
 
     columns: IndexArray
@@ -38,6 +39,7 @@ class BearingFrame:
     scores: FloatArray
     pan_rate: float = 0.0
     pan: float = 0.0
+    curvature_repeats: float = 0.0
 
 
 def bearing_frame(
@@ -45,6 +47,7 @@ def bearing_frame(
     columns: Mapping[int, int],
     common_sigma: float,
     scores_before: npt.ArrayLike = (),
+    curvature_repeats: float = 0.0,
 ) -> BearingFrame:
     """
     Sort out what no filter can use.
@@ -59,6 +62,8 @@ def bearing_frame(
         Error that all bearings of any picture share, radians.
     scores_before : array_like, shape (k,)
         Correlations in the pictures before: what is to be expected where few are found.
+    curvature_repeats : float
+        How many pictures repeat what linearising leaves out; 0 takes bearings as linear.
 
     """
     variance = detections.variance_rad2
@@ -89,6 +94,7 @@ def bearing_frame(
         detections.score[rows],
         detections.pan_rate_rad_s,
         detections.pan_rad,
+        curvature_repeats,
     )
 
 

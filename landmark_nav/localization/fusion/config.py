@@ -53,6 +53,13 @@ class FusionConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    curvature_repeats: float = parameter(
+        10.0,
+        'How many pictures in a row repeat what linearising bearings leaves out, where the pose '
+        'is known to decimetres only; 0 takes bearings as linear.',
+        minimum=0.0,
+        maximum=1000.0,
+    )
     turn_sigma_rad: float = parameter(
         0.035,
         'How far heading and boresight are doubted at most where all bearings are off by one '

@@ -17,8 +17,6 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['MeasurementModel', 'bearing_model', 'correct', 'expected_bearings']
 
-# So many pictures in a row repeat what a straight line leaves out: it is no noise.
-_REPEATED = 10.0
 _ALL = slice(None)
 
 
@@ -60,8 +58,14 @@ def expected_bearings(
         frame.pan_rate,
         frame.pan,
     )
+    if not frame.curvature_repeats:
+        return model
     bend, spread = _left_out(model.jacobian[:, :2], at.covariance[:2, :2])
-    return model._replace(innovation=model.innovation - bend, covariance=model.covariance + spread)
+    return model._replace(
+        innovation=model.innovation - bend,
+        # It is no noise: pictures in a row repeat it.
+        covariance=model.covariance + frame.curvature_repeats * spread,
+    )
 
 
 def bearing_model(
@@ -186,4 +190,4 @@ def _left_out(gradient: FloatArray, covariance: FloatArray) -> tuple[FloatArray,
         [[xx * xx + yy * yy - 2.0 * xy * xy, across], [across, 2.0 * (xy * xy + xx * yy)]]
     )
     mean = 0.5 * second @ np.array([xx - yy, 2.0 * xy])
-    return mean, 0.5 * _REPEATED * second @ squares @ second.T
+    return mean, 0.5 * second @ squares @ second.T

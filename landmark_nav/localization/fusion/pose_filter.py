@@ -160,7 +160,13 @@ class PoseFilter:
     def add_detections(self, detections: Detections) -> FusionUpdate:
         """Correct by the bearings of one picture, at its time."""
         stamp = detections.stamp_ns
-        frame = bearing_frame(detections, self._columns, self._config.pan_sigma_rad, self._scores)
+        frame = bearing_frame(
+            detections,
+            self._columns,
+            self._config.pan_sigma_rad,
+            self._scores,
+            self._config.curvature_repeats,
+        )
         if (refusal := self._untimely(stamp)) is not None:
             self._health.note(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)

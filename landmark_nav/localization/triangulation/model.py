@@ -68,7 +68,8 @@ def bearing_gradients(pose: npt.ArrayLike, positions: npt.ArrayLike) -> FloatArr
     # Filled in, not stacked: most calls are for a few landmarks, and many.
     gradients = np.empty_like(delta)
     gradients[..., 0], gradients[..., 1] = y, -x
-    gradients /= (x * x + y * y)[..., None]
+    # On a landmark, to a micrometre, there is no bearing.
+    gradients /= np.maximum(x * x + y * y, 1e-12)[..., None]
     return gradients
 
 
