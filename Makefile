@@ -22,7 +22,7 @@ PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \
-	latency papers bad-sweeps config test-oldest clean
+	latency papers bad-sweeps spoiled config test-oldest clean
 
 install: .venv/installed
 
@@ -92,6 +92,10 @@ papers: install
 # Sweeps that went wrong, through `learn`: a map that is right, or a clear refusal.
 bad-sweeps: install
 	$(BIN)/python test/bad_sweeps_check.py
+
+# A drive with its pictures spoiled: blur, noise, darkness. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
+spoiled: install
+	$(BIN)/python test/spoiled_check.py $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
 
 # The parameter files say what the code says; run it after changing a parameter.
 config: install

@@ -71,7 +71,7 @@ def solve(
         weight = np.asarray(np.linalg.inv(np.diag(variance) + map_share(gradient, map_cov)))
         normal = jacobian.T @ weight @ jacobian
         # A normal matrix scaled to unit diagonal tells rank from units.
-        scale = 1.0 / np.sqrt(np.diag(normal))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-100))
         scaled = normal * scale[:, None] * scale
         if not np.isfinite(scaled).all() or np.linalg.eigvalsh(scaled)[0] < 1e-12:
             return Refusal('degenerate geometry', 'the bearings leave a direction undetermined')
