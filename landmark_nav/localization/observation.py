@@ -203,11 +203,11 @@ class Observer:
         turned = np.diag([0.0, 0.0, frame.pan_sigma_rad**2])
         looked = replace(looked_from, covariance=looked_from.covariance + turned)
         # Where the pose is hardly known, it is no wonder if nothing is where it says.
-        knocked = not wide or looked_from is not prior
-        result = self._detector.detect(frame, looked, expected, knocked)
+        known = not wide or looked_from is not prior
+        result = self._detector.detect(frame, looked, expected, knocked=known)
         missed = np.array(sorted(result.refused), dtype=np.int64)
         found, refused = result.detections, dict(result.refused)
-        if not knocked and len(found) < _AGREE:
+        if not known and len(found) < _AGREE:
             # Nothing tells a match that is mistaken from one that is not.
             alone = Refusal('the expected pose is hardly known', f'{len(found)} found in all')
             refused.update(dict.fromkeys(found.ids.tolist(), alone))

@@ -79,7 +79,9 @@ def test_learned_and_localized_as_offline(
         60.0,
         'the panoramas',
     )
-    assert 'not saved yet: call save_map' in client.call('learn_landmarks', 60.0)
+    learned = client.call('learn_landmarks', 60.0)
+    assert 'landmarks on' in learned
+    assert 'not saved yet: call save_map' in learned
     client.wait(
         lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 10.0, 'the map'
     )

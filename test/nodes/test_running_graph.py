@@ -132,4 +132,4 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         wrong = replace(watch.last, pose=watch.last.pose + np.array([0.8, 0.6, 0.0]))
         client.start_at(replace(wrong, covariance=np.diag(np.square([0.01, 0.01, 0.01]))))
         client.wait(lambda: client.said(FUSION).lost, 8.0, 'the word lost')
-        watch.wait(20.0, 'the place after a wrong start')
+        watch.wait(10.0, 'the place after a wrong start')

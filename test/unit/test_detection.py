@@ -3,14 +3,29 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import cv2
+from east_wall import (
+    CONFIG,
+    detect,
+    EAST,
+    errors_of,
+    HERE,
+    LANDMARKS,
+    LENS,
+    map_of,
+    MOUNT,
+    PATCH,
+    PLACES,
+    PRIOR,
+    ROOM,
+    SCENE,
+    VIRTUAL,
+)
 import numpy as np
 import pytest
 from scenes import (
     Board,
     draw_frame,
     flat_texture,
-    rectangle_room,
     Scene,
     textured_room,
     true_landmark,
@@ -18,81 +33,17 @@ from scenes import (
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.localization.detection import (
     detect_landmarks,
     DetectionConfig,
-    DetectionResult,
 )
-from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.appearance import textures
 from landmark_nav.types import (
-    CameraFrame,
     FloatArray,
-    Landmark,
     LandmarkMap,
     PoseEstimate,
 )
-
-LENS = CameraModel(
-    480, 360, 400.0, 400.0, 240.0, 180.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
-)
-MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15), optical_center_offset=(0.03, 0.0, 0.0))
-CONFIG = DetectionConfig()
-PATCH = DetectionConfig(appearance='patch')
-VIRTUAL = DetectionConfig(appearance='virtual_view')
-ROOM = rectangle_room(6.0, 5.0)
-SCENE = textured_room(ROOM, seed=6, feature_m=0.04)
-EAST = SCENE.boards[1]
-HERE = np.array([2.9, 2.3, 0.1])
-PRIOR = np.diag([0.02, 0.02, 0.008]) ** 2
-
-
-def map_of(
-    places: list[tuple[float, float]], viewpoint: FloatArray | None = None, size_m: float = 0.32
-) -> LandmarkMap:
-    """Landmarks of the east wall, metres across and up from its centre."""
-    viewpoint = np.array([3.0, 2.3, 1.15]) if viewpoint is None else viewpoint
-    return LandmarkMap(
-        tuple(
-            true_landmark(SCENE, k + 1, EAST, *place, viewpoint, size_m=size_m)
-            for k, place in enumerate(places)
-        ),
-        walls=ROOM.walls,
-    )
-
-
-PLACES = [(-0.8, 0.1), (-0.2, -0.3), (0.3, 0.2), (0.9, -0.1)]
-LANDMARKS = map_of(PLACES)
-
-
-def detect(
-    frame: CameraFrame,
-    prior: FloatArray,
-    landmark_map: LandmarkMap = LANDMARKS,
-    config: DetectionConfig = CONFIG,
-) -> DetectionResult:
-    everything = np.arange(len(landmark_map.landmarks))
-    estimate = PoseEstimate(frame.stamp_ns, prior, PRIOR)
-    return detect_landmarks(frame, estimate, landmark_map, MOUNT, config, everything)
-
-
-def bearing_at(pose: FloatArray, landmark: Landmark) -> float:
-    """Bearing at the pan axis."""
-    axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
-    d = landmark.position[:2] - axis[:2]
-    return float(wrap_rad(np.arctan2(d[1], d[0]) - pose[2]))
-
-
-def errors_of(
-    result: DetectionResult, pose: FloatArray, landmark_map: LandmarkMap = LANDMARKS
-) -> FloatArray:
-    found = result.detections
-    index = landmark_map.indices(found.ids)
-    truth = [bearing_at(pose, landmark_map.landmarks[k]) for k in index]
-    return wrap_rad(found.bearing_rad - truth)
 
 
 def test_landmarks_are_found_where_they_are() -> None:
@@ -332,52 +283,3 @@ def test_pixels_and_bearings_are_of_one_place() -> None:
 def test_parameters_out_of_range_are_refused() -> None:
     with pytest.raises(LandmarkNavError, match='window_sigmas'):
         DetectionConfig(window_sigmas=0.1)
-
-
-@pytest.mark.parametrize('sigmas_px', [(1.5, 1.5), (2.5, 2.5), (2.5, 0.01)])
-@pytest.mark.parametrize('pose', [HERE, HERE + np.array([-0.4, 0.3, -0.1])])
-def test_a_blurred_picture_shows_landmarks_where_a_sharp_one_does(
-    sigmas_px: tuple[float, float], pose: FloatArray
-) -> None:
-    """Out of focus, or in motion; a pixel is 2.5 mrad."""
-    sharp = draw_frame(SCENE, LENS, MOUNT, pose, 0.05)
-    image = cv2.GaussianBlur(sharp.image, (0, 0), sigmaX=sigmas_px[0], sigmaY=sigmas_px[1])
-    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
-    prior = PoseEstimate(sharp.stamp_ns, pose, PRIOR)
-    blurred = detector.detect(replace(sharp, image=image), prior, np.arange(4))
-    assert len(blurred.detections) == 4
-    assert np.abs(errors_of(blurred, pose)).max() < 2.5e-4
-    np.testing.assert_allclose(blurred.blur_px2.mean(axis=0), np.square(sigmas_px), atol=1.2)
-    # And with the next picture it is sharp again.
-    again = detector.detect(sharp, prior, np.arange(4))
-    assert np.abs(errors_of(again, pose)).max() < 1e-4
-    assert np.abs(again.blur_px2.mean(axis=0)).max() < 0.5
-
-
-def test_a_blur_that_was_mistaken_hides_nothing_for_long() -> None:
-    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
-    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
-    prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
-    haze = replace(frame, image=cv2.GaussianBlur(frame.image, (0, 0), 6.0))
-    for _ in range(3):
-        detector.detect(haze, prior, np.arange(4))
-    assert len(detector.detect(frame, prior, np.arange(4)).detections) == 4
-
-
-@pytest.mark.parametrize('strangers', [0, 8])
-def test_a_camera_is_tilted_where_most_landmarks_say_so(strangers: int) -> None:
-    """From a wrong place a few are mistaken for others, and may agree on a tilt."""
-    knock_rad, viewpoint = 0.03, np.array([3.0, 2.3, 1.15])
-    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
-    frame = replace(frame, tilt_rad=frame.tilt_rad - knock_rad)
-    other = textured_room(ROOM, seed=23, feature_m=0.04)
-    elsewhere = [
-        true_landmark(other, 10 + k, other.boards[1], 0.2 * k - 0.7, 0.4, viewpoint)
-        for k in range(strangers)
-    ]
-    landmark_map = replace(LANDMARKS, landmarks=(*LANDMARKS.landmarks, *elsewhere))
-    detector = AimedDetector(landmark_map, MOUNT, CONFIG, knock_rad)
-    prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
-    found = detector.detect(frame, prior, np.arange(4 + strangers)).detections
-    assert len(found) == (0 if strangers else 4)
-    assert detector.tilt_rad == pytest.approx(0.0 if strangers else knock_rad, abs=1e-3)

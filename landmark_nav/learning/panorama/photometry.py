@@ -86,7 +86,7 @@ def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
     """
     count = len(sweep.frames)
     place, frame, square, level = _samples(sweep, mount)
-    bright = float(np.quantile(level, 0.9))
+    bright = float(np.quantile(level, 0.9)) if len(level) else 0.0
     exposure = bright / _BRIGHT if _DARKEST < bright < _BRIGHT else 1.0
     nothing = Photometry.none(count, exposure)
     fine = (level > _LEVELS[0]) & (level < _LEVELS[1])

@@ -45,7 +45,12 @@ def expected_bearings(
     chosen: IndexArray | slice = _ALL,
     at: FilterState | None = None,
 ) -> MeasurementModel:
-    """Bearings of a frame, all by default, as the prior expects them; linearised there or `at`."""
+    """
+    Bearings of a frame, all by default, as the prior expects them; linearised there or `at`.
+
+    What a straight line leaves out of them counts, by how uncertain the place is where they are
+    linearised, unless the frame says that they are to be taken as linear.
+    """
     at = at or prior
     model = bearing_model(
         prior,

@@ -1,0 +1,74 @@
+"""A camera before a wall of texture with four landmarks, and how far off they are found."""
+
+from __future__ import annotations
+
+import numpy as np
+from scenes import rectangle_room, textured_room, true_landmark
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.detection import (
+    detect_landmarks,
+    DetectionConfig,
+    DetectionResult,
+)
+from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, PoseEstimate
+
+LENS = CameraModel(
+    480, 360, 400.0, 400.0, 240.0, 180.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
+)
+MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15), optical_center_offset=(0.03, 0.0, 0.0))
+CONFIG = DetectionConfig()
+PATCH = DetectionConfig(appearance='patch')
+VIRTUAL = DetectionConfig(appearance='virtual_view')
+ROOM = rectangle_room(6.0, 5.0)
+SCENE = textured_room(ROOM, seed=6, feature_m=0.04)
+EAST = SCENE.boards[1]
+HERE = np.array([2.9, 2.3, 0.1])
+PRIOR = np.diag([0.02, 0.02, 0.008]) ** 2
+
+
+def map_of(
+    places: list[tuple[float, float]], viewpoint: FloatArray | None = None, size_m: float = 0.32
+) -> LandmarkMap:
+    """Landmarks of the east wall, metres across and up from its centre."""
+    viewpoint = np.array([3.0, 2.3, 1.15]) if viewpoint is None else viewpoint
+    return LandmarkMap(
+        tuple(
+            true_landmark(SCENE, k + 1, EAST, *place, viewpoint, size_m=size_m)
+            for k, place in enumerate(places)
+        ),
+        walls=ROOM.walls,
+    )
+
+
+PLACES = [(-0.8, 0.1), (-0.2, -0.3), (0.3, 0.2), (0.9, -0.1)]
+LANDMARKS = map_of(PLACES)
+
+
+def detect(
+    frame: CameraFrame,
+    prior: FloatArray,
+    landmark_map: LandmarkMap = LANDMARKS,
+    config: DetectionConfig = CONFIG,
+) -> DetectionResult:
+    everything = np.arange(len(landmark_map.landmarks))
+    estimate = PoseEstimate(frame.stamp_ns, prior, PRIOR)
+    return detect_landmarks(frame, estimate, landmark_map, MOUNT, config, everything)
+
+
+def bearing_at(pose: FloatArray, landmark: Landmark) -> float:
+    """Bearing at the pan axis."""
+    axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
+    d = landmark.position[:2] - axis[:2]
+    return float(wrap_rad(np.arctan2(d[1], d[0]) - pose[2]))
+
+
+def errors_of(
+    result: DetectionResult, pose: FloatArray, landmark_map: LandmarkMap = LANDMARKS
+) -> FloatArray:
+    found = result.detections
+    index = landmark_map.indices(found.ids)
+    truth = [bearing_at(pose, landmark_map.landmarks[k]) for k in index]
+    return wrap_rad(found.bearing_rad - truth)

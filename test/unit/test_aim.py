@@ -1,0 +1,63 @@
+"""A camera that looks otherwise than its joints and its sweeps say: blurred, or tilted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+from east_wall import CONFIG, errors_of, HERE, LANDMARKS, LENS, MOUNT, PRIOR, ROOM, SCENE
+import numpy as np
+import pytest
+from scenes import draw_frame, textured_room, true_landmark
+
+from landmark_nav.localization.detection.aim import AimedDetector
+from landmark_nav.types import FloatArray, PoseEstimate
+
+
+@pytest.mark.parametrize('sigmas_px', [(1.5, 1.5), (2.5, 2.5), (2.5, 0.01)])
+@pytest.mark.parametrize('pose', [HERE, HERE + np.array([-0.4, 0.3, -0.1])])
+def test_a_blurred_picture_shows_landmarks_where_a_sharp_one_does(
+    sigmas_px: tuple[float, float], pose: FloatArray
+) -> None:
+    """Out of focus, or in motion; a pixel is 2.5 mrad."""
+    sharp = draw_frame(SCENE, LENS, MOUNT, pose, 0.05)
+    image = cv2.GaussianBlur(sharp.image, (0, 0), sigmaX=sigmas_px[0], sigmaY=sigmas_px[1])
+    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
+    prior = PoseEstimate(sharp.stamp_ns, pose, PRIOR)
+    blurred = detector.detect(replace(sharp, image=image), prior, np.arange(4))
+    assert len(blurred.detections) == 4
+    assert np.abs(errors_of(blurred, pose)).max() < 2.5e-4
+    np.testing.assert_allclose(blurred.blur_px2.mean(axis=0), np.square(sigmas_px), atol=1.2)
+    # And with the next picture it is sharp again.
+    again = detector.detect(sharp, prior, np.arange(4))
+    assert np.abs(errors_of(again, pose)).max() < 1e-4
+    assert np.abs(again.blur_px2.mean(axis=0)).max() < 0.5
+
+
+def test_a_blur_that_was_mistaken_hides_nothing_for_long() -> None:
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
+    prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
+    haze = replace(frame, image=cv2.GaussianBlur(frame.image, (0, 0), 6.0))
+    for _ in range(3):
+        detector.detect(haze, prior, np.arange(4))
+    assert len(detector.detect(frame, prior, np.arange(4)).detections) == 4
+
+
+@pytest.mark.parametrize('strangers', [0, 8])
+def test_a_camera_is_tilted_where_most_landmarks_say_so(strangers: int) -> None:
+    """From a wrong place a few are mistaken for others, and may agree on a tilt."""
+    knock_rad, viewpoint = 0.03, np.array([3.0, 2.3, 1.15])
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    frame = replace(frame, tilt_rad=frame.tilt_rad - knock_rad)
+    other = textured_room(ROOM, seed=23, feature_m=0.04)
+    elsewhere = [
+        true_landmark(other, 10 + k, other.boards[1], 0.2 * k - 0.7, 0.4, viewpoint)
+        for k in range(strangers)
+    ]
+    landmark_map = replace(LANDMARKS, landmarks=(*LANDMARKS.landmarks, *elsewhere))
+    detector = AimedDetector(landmark_map, MOUNT, CONFIG, knock_rad)
+    prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
+    found = detector.detect(frame, prior, np.arange(4 + strangers)).detections
+    assert len(found) == (0 if strangers else 4)
+    assert detector.tilt_rad == pytest.approx(0.0 if strangers else knock_rad, abs=1e-3)
