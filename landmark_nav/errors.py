@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ['LandmarkNavError']
+__all__ = ['LandmarkNavError', 'why']
 
 
 class LandmarkNavError(Exception):
@@ -13,3 +13,8 @@ class LandmarkNavError(Exception):
     stderr and exit with status 1; services answer it with ``success: false``. What is merely to
     be expected (too few landmarks, a degenerate triplet) is a typed result instead.
     """
+
+
+def why(error: Exception) -> str:
+    """What is wrong with a file: the system's words, without number and temporary name."""
+    return getattr(error, 'strerror', None) or str(error)

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterator
 import heapq
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -82,13 +83,14 @@ def run(args: argparse.Namespace) -> int:
     start = PoseTrack.of((pose.stamp_ns, pose.pose) for pose in log.truth).at([begin])[0]
     if np.isnan(start).any():
         raise LandmarkNavError(f'{args.folder}: robot {args.robot}: no truth at the start')
-    beside = {kind: args.out.with_name(f'{args.out.name}_{kind}') for kind in ('map', 'robot')}
+    landmarks, robot, beginning, config = (
+        args.out.with_name(f'{args.out.name}_{kind}')
+        for kind in ('map', 'robot.yaml', 'start.json', 'config.yaml')
+    )
     _write_bag(log, odometry, args.out)
-    save_map(log.landmark_map, beside['map'])
-    robot = beside['robot'].with_suffix('.yaml')
+    save_map(log.landmark_map, landmarks)
     write_whole(robot, robot_document(PanTiltMount()))
-    write_whole(args.out.with_name(f'{args.out.name}_start.json'), start_document(start))
-    config = args.out.with_name(f'{args.out.name}_config.yaml')
+    write_whole(beginning, start_document(start))
     write_whole(config, shipped_config('mrclam.yaml').read_bytes())
     seen = sum(len(sighting) for sighting in log.sightings)
     print(
@@ -97,8 +99,8 @@ def run(args: argparse.Namespace) -> int:
         f'{delay:.2f} s'
     )
     print(
-        f'landmark-nav evaluate {args.out} --map {beside["map"]} --robot {robot} '
-        f'--config {config} --start {_listed(start)}'
+        f'landmark-nav evaluate {quote(str(args.out))} --map {quote(str(landmarks))} '
+        f'--robot {quote(str(robot))} --config {quote(str(config))} --start {_listed(start)}'
     )
     return 0
 

@@ -23,12 +23,14 @@ from landmark_nav.evaluation.run_report import run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
+from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.storage.whole import write_whole
+from landmark_nav.types import LandmarkMap
 
 __all__ = ['add_arguments', 'run']
 
@@ -106,7 +108,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Replay, measure, draw; nothing is written unless all went well."""
     mount, landmarks = load_robot(args.robot), load_map(args.map)
-    start, covariance = _start(args)
+    start, covariance = _start(args, landmarks)
     if not landmarks.landmarks:
         raise LandmarkNavError(f'{args.map}: the map holds no landmark: learn it again')
     bag = Bag(args.bag)
@@ -149,7 +151,7 @@ def run(args: argparse.Namespace) -> int:
         for path in paths.values():
             write_whole(folder / path.name, path.read_bytes())
         if args.report:
-            title = f'{bag.path.name} on the map {Path(args.map).name}'
+            title = f'{bag.path.name} on {Path(args.map).name}'
             write_whole(args.report, html_report(title, report, paths))
     if args.tum:
         write_tum_files(done, args.tum)
@@ -160,15 +162,27 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _start(args: argparse.Namespace) -> tuple[Any, Any]:
+def _start(args: argparse.Namespace, landmarks: LandmarkMap) -> tuple[Any, Any]:
     """Pose (3,) at the start and its covariance (3, 3), if given."""
     if args.start is None:
         return None, None
     start, (position, heading) = np.array(args.start), args.start_sigma
     if not np.all(np.isfinite(start)):
         raise LandmarkNavError(f'--start {args.start} holds something that is not a number')
+    if abs(start[2]) > 2.0 * np.pi:
+        raise LandmarkNavError(
+            f'--start: THETA is {start[2]:g}, more than a full turn: give it in radians'
+        )
     if not (0.0 < position < np.inf and 0.0 < heading < np.inf):
         raise LandmarkNavError(f'--start-sigma {position:g} {heading:g}: both must be positive')
+    room = Room(landmarks.walls) if landmarks.walls else None
+    if room is not None and not room.contains(start[:2]):
+        beyond = float(room.wall_distances(start[:2]).min())
+        if beyond > 3.0 * position:
+            raise LandmarkNavError(
+                f'--start {start[0]:g} {start[1]:g} lies {beyond:.2f} m outside the room of '
+                f'{args.map}: give x and y in {landmarks.frame_id}, in metres'
+            )
     return start, np.diag([position**2, position**2, heading**2])
 
 
@@ -194,7 +208,7 @@ def _summary(report: Mapping[str, Any]) -> str:
             f'{np.degrees(heading):.1f} deg'
         )
     lines += [
-        f'{spell["status"]} from {spell["from_s"]:.1f} to {spell["to_s"]:.1f} s: {spell["reason"]}'
+        f'{spell["status"]} {_when(spell)}: {spell["reason"]}'
         for spell in report['spells'][:_MOST_SPELLS]
     ]
     if len(report['spells']) > _MOST_SPELLS:
@@ -203,23 +217,29 @@ def _summary(report: Mapping[str, Any]) -> str:
         f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
         f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',
         f'NEES {_cell(nees["mean"], 1.0, 2)} in the mean (3 is ideal'
-        f'{_range(nees["interval_95"])}), {_cell(nees["inside_95"], 100.0, 1)} % inside its 95 % '
-        f'bound; RMSE {_cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
+        f'{_range(nees["interval_95"])}); {_cell(nees["inside_95"], 100.0, 1)} % within 95 %',
+        f'RMSE {_cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
         f'pictures with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
         _camera(report['camera']),
         f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
-        f'{report["update_ms"]["p95"]:.1f} ms, {report["realtime_factor"]:.1f} times faster than '
-        f'real time; result {report["result_hash"][:16]}',
+        f'{report["update_ms"]["p95"]:.1f} ms; {report["realtime_factor"]:.1f} times real time',
+        f'result {report["result_hash"][:16]}',
     ]
     return wrapped(lines)
 
 
 def _camera(offsets: Mapping[str, float]) -> str:
+    delay_s = offsets['joint_delay_s']
     return (
-        f'camera: joint_states {1e3 * offsets["joint_delay_s"]:.1f} ms late (sigma '
-        f'{1e3 * offsets["joint_delay_sigma_s"]:.1f}), turned by {offsets["boresight_deg"]:.2f} '
-        f'deg against the base (sigma {offsets["boresight_sigma_deg"]:.2f})'
+        f'camera: joint_states {1e3 * abs(delay_s):.1f} ms {"early" if delay_s < 0 else "late"} '
+        f'(sigma {1e3 * offsets["joint_delay_sigma_s"]:.1f}), turned by '
+        f'{offsets["boresight_deg"]:.2f} deg (sigma {offsets["boresight_sigma_deg"]:.2f})'
     )
+
+
+def _when(spell: Mapping[str, Any]) -> str:
+    begin, end = (f'{spell[key]:.1f}' for key in ('from_s', 'to_s'))
+    return f'at {begin} s' if begin == end else f'from {begin} to {end} s'
 
 
 def _range(interval: list[float] | None) -> str:

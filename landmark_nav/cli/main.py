@@ -16,7 +16,7 @@ import os
 import sys
 import warnings
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, why
 
 __all__ = ['main']
 
@@ -64,8 +64,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Whoever read our output has gone (`| head`): nothing to say, and nowhere to flush to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (LandmarkNavError, OSError) as error:
+    except LandmarkNavError as error:
         message = str(error)
+    except OSError as error:
+        message = f'{error.filename}: {why(error)}' if error.filename else str(error)
     except ModuleNotFoundError as error:
         message = _missing(error)
     print(f'landmark-nav {name}: {" ".join(message.split())}', file=sys.stderr)
@@ -89,6 +91,9 @@ def _run(name: str, arguments: list[str]) -> int:
         if known == name:
             command = import_module(f'landmark_nav.cli.{module}')
             command.add_arguments(subparser)
+    if not arguments:
+        parser.print_help(sys.stderr)
+        return 2
     try:
         args = parser.parse_args(arguments)
     except SystemExit as stop:  # argparse has printed its help or what is wrong

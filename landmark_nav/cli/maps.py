@@ -128,7 +128,7 @@ def describe_comparison(comparison: Comparison) -> str:
         )
     lines.append(
         f'{len(changed)} changed, {len(comparison.only_a)} gone, {len(comparison.only_b)} new, '
-        f'{len(unknown)} overlap too little to tell'
+        f'{len(unknown)} unclear'
     )
     return '\n'.join(lines)
 
@@ -157,8 +157,8 @@ def _described_walls(a: tuple[Wall, ...], b: tuple[Wall, ...]) -> list[str]:
 def describe_map(landmarks: LandmarkMap) -> str:
     """Tell of a map as a table of its landmarks and a summary."""
     lines = [
-        f'{"id":>4}  {"wall":<10} {"x m":>8} {"y m":>8} {"z m":>7} {"along cm":>9} '
-        f'{"across cm":>9} {"size cm":>9}  {"range m":>7} {"NCC":>5}'
+        f'{"id":>4} {"wall":<8} {"x m":>7} {"y m":>7} {"z m":>6} {"along mm":>8} '
+        f'{"across mm":>9} {"size cm":>8} {"range m":>7} {"NCC":>5}'
     ]
     for k in landmarks.landmarks:
         x, y, z = k.position
@@ -167,8 +167,8 @@ def describe_map(landmarks: LandmarkMap) -> str:
         size = f'{100 * k.width_m:.0f}x{100 * k.height_m:.0f}'
         distance = np.hypot(*(k.position - k.viewpoint)[:2])
         lines.append(
-            f'{k.id:>4}  {k.wall_id:<10} {x:>8.3f} {y:>8.3f} {z:>7.3f} {100 * along:>9.2f} '
-            f'{100 * across:>9.2f} {size:>9}  {distance:>7.2f} {k.threshold:>5.2f}'
+            f'{k.id:>4} {k.wall_id:<8} {x:>7.3f} {y:>7.3f} {z:>6.3f} {1e3 * along:>8.1f} '
+            f'{1e3 * across:>9.1f} {size:>8} {distance:>7.2f} {k.threshold:>5.2f}'
         )
     counts = {wall.id: 0 for wall in landmarks.walls}
     for k in landmarks.landmarks:
@@ -176,6 +176,8 @@ def describe_map(landmarks: LandmarkMap) -> str:
     on_walls = ', '.join(f'{name} {count}' for name, count in counts.items())
     lines += [
         '',
+        'along, across: sigma along the wall and off it; range: from where it was learned;',
+        'NCC: least correlation at which it counts as found',
         f'{len(landmarks.landmarks)} landmarks in frame {landmarks.frame_id}: {on_walls}',
         *(
             f'panorama of {p.stamp_ns * 1e-9:.3f} s at ({p.pose[0]:.3f}, {p.pose[1]:.3f}) m, '

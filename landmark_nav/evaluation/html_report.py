@@ -11,19 +11,22 @@ from typing import Any
 __all__ = ['html_report']
 
 _STYLE = (
-    'body{font-family:sans-serif;max-width:62rem;margin:2rem auto;color:#222;line-height:1.4}'
-    'table{border-collapse:collapse;margin:1rem 0}'
-    'td,th{padding:.25rem .9rem;border-bottom:1px solid #ddd;text-align:right}'
-    'td:first-child,th:first-child{text-align:left}img{max-width:100%}'
+    ':root{color-scheme:light dark}'
+    'body{font-family:sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;line-height:1.4}'
+    'table{border-collapse:collapse;display:block;overflow-x:auto;margin:1rem 0}'
+    'td,th{padding:.25rem .7rem;border-bottom:1px solid #8886;text-align:right}'
+    'td{font-variant-numeric:tabular-nums}'
+    'td:first-child,th:first-child,.left{text-align:left}'
+    'img{max-width:100%;background:#fff}'
 )
 
 _ROWS = {
-    'position RMSE [cm]': ('position_rmse_m', 100.0),
-    'position median [cm]': ('position_median_m', 100.0),
-    'position 95 % [cm]': ('position_p95_m', 100.0),
-    'position maximum [cm]': ('position_max_m', 100.0),
-    'heading RMSE [deg]': ('heading_rmse_deg', 1.0),
-    'heading 95 % [deg]': ('heading_p95_deg', 1.0),
+    'position RMSE [cm]': ('position_rmse_m', 100.0, 2),
+    'position median [cm]': ('position_median_m', 100.0, 2),
+    'position 95 % [cm]': ('position_p95_m', 100.0, 2),
+    'position maximum [cm]': ('position_max_m', 100.0, 2),
+    'heading RMSE [deg]': ('heading_rmse_deg', 1.0, 3),
+    'heading 95 % [deg]': ('heading_p95_deg', 1.0, 3),
 }
 
 _ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
@@ -47,21 +50,25 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
     head = ''.join(f'<th>{name}</th>' for name in ('error', *estimates))
     body = ''.join(
         f'<tr><td>{label}</td>'
-        + ''.join(f'<td>{_scaled(report[name][key], factor)}</td>' for name in estimates)
+        + ''.join(f'<td>{_cell(report[name][key], factor, digits)}</td>' for name in estimates)
         + '</tr>'
-        for label, (key, factor) in _ROWS.items()
+        for label, (key, factor, digits) in _ROWS.items()
     )
+    found, nees, times = report['found'], report['nees'], report['update_ms']
+    ideal = '3 is ideal' + ('' if nees['interval_95'] is None else _honest(*nees['interval_95']))
     rest = {
+        'place': 'given' if found is None else f'found after {found["after_s"]:.1f} s',
         'pictures': report['frames'],
         'triangulated poses': report['fixes'],
-        'availability': _scaled(report['availability'], 1.0),
+        'availability': _cell(report['availability'], 1.0, 3),
         'landmarks in the map': report['landmarks'],
-        'NEES, mean (3 is ideal)': _scaled(report['nees']['mean'], 1.0),
-        'NEES, share below its 95 % bound': _scaled(report['nees']['inside_95'], 1.0),
-        'RMSE over Cramer-Rao bound': _scaled(report['crlb_ratio'], 1.0),
-        'update, median and 95 % [ms]': f'{_scaled(report["update_ms"]["median"], 1.0)}, '
-        f'{_scaled(report["update_ms"]["p95"], 1.0)}',
-        'times faster than real time': _scaled(report['realtime_factor'], 1.0),
+        f'NEES, mean ({ideal})': _cell(nees['mean'], 1.0, 2),
+        'NEES, share within 95 % [%]': _cell(nees['inside_95'], 100.0, 1),
+        'RMSE over Cramér-Rao bound': _cell(report['crlb_ratio'], 1.0, 2),
+        'pictures over 5 sigma off, not told': report['silently_wrong'],
+        'update, median [ms]': _cell(times['median'], 1.0, 1),
+        'update, 95 % within [ms]': _cell(times['p95'], 1.0, 1),
+        'times real time': _cell(report['realtime_factor'], 1.0, 1),
         'result hash': report['result_hash'][:16],
     }
     others = ''.join(
@@ -70,12 +77,13 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
     )
     spells = ''.join(
         f'<tr><td>{escape(spell["status"])}</td><td>{spell["from_s"]:.1f}</td>'
-        f'<td>{spell["to_s"]:.1f}</td><td style="text-align:left">{escape(spell["reason"])}</td>'
+        f'<td>{spell["to_s"]:.1f}</td><td class="left">{escape(spell["reason"])}</td>'
         '</tr>'
         for spell in report['spells']
     )
     if spells:
-        head_of_spells = '<th>not tracking</th><th>from [s]</th><th>to [s]</th><th>reason</th>'
+        head_of_spells = '<th>not tracking</th><th>from [s]</th><th>to [s]</th>'
+        head_of_spells += '<th class="left">reason</th>'
         others += f'</table><table><tr>{head_of_spells}</tr>{spells}'
     pictures = ''.join(
         f'<h2>{escape(caption)}</h2><img alt="{escape(caption)}" '
@@ -83,12 +91,18 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         for caption, path in figures.items()
     )
     return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'<!doctype html><html lang="en"><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<title>{escape(title)}</title>'
         f'<style>{_STYLE}</style><h1>{escape(title)}</h1>'
         '<p>Errors are absolute in map, never aligned, at the stamps of the pictures.</p>'
         f'<table><tr>{head}</tr>{body}</table><table>{others}</table>{pictures}</html>\n'
     )
 
 
-def _scaled(value: float | None, factor: float) -> str:
-    return '-' if value is None else f'{factor * value:.3g}'
+def _honest(low: float, high: float) -> str:
+    return f', {low:.2f} to {high:.2f} is honest'
+
+
+def _cell(value: float | None, factor: float, digits: int) -> str:
+    return '-' if value is None else f'{factor * value:.{digits}f}'

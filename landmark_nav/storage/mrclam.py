@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.types import (
     Detections,
     FloatArray,
@@ -125,7 +125,7 @@ def _table(folder: Path, name: str, columns: int) -> FloatArray:
         rows = [line.split() for line in text.splitlines() if line.split('#')[0].strip()]
         table = np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
     except (OSError, EOFError, UnicodeDecodeError, ValueError) as error:
-        raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
+        raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
     if not len(table):
         raise LandmarkNavError(f'{path}: is empty')
     if table.shape[1] != columns:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Room, Wall
@@ -30,6 +30,9 @@ _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 # farther off its wall was not measured but mistaken.
 _MAX_OFF_WALL_M = 0.1
 
+# What is longer is told in another unit.
+_MAX_WALL_M = 1000.0
+
 # Angles beyond a full turn were written in degrees.
 _FULL_TURN_RAD = 6.2832
 
@@ -44,7 +47,7 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
-        raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
+        raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
     try:
         document = yaml.load(text, Loader=_LOADER)
     except yaml.MarkedYAMLError as error:
@@ -85,6 +88,11 @@ def load_room(path: Path | str) -> Room:
             _paper(paper, f'papers[{i}]')
             for i, paper in enumerate(list_field(area, 'papers', 'reference_area') if area else [])
         )
+        for wall in walls:
+            if wall.length > _MAX_WALL_M:
+                raise LandmarkNavError(
+                    f'wall {wall.id} is {wall.length:g} m long: lengths are metres'
+                )
         room = Room(walls, papers, str(document.get('frame_id', 'map')))
         for i, paper in enumerate(papers):
             _check_on_wall(paper, room, f'papers[{i}]')
@@ -102,7 +110,9 @@ def _paper(document: Any, where: str) -> Paper:
         raise LandmarkNavError(f'{where}: {error}') from error
     width, height = (number_field(document, key, where) for key in ('width', 'height'))
     if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
-        raise LandmarkNavError(f'{where}: {width:g} x {height:g} m is no size of a paper')
+        raise LandmarkNavError(
+            f'{where}: {width:g} x {height:g} m is no size of a paper: lengths are metres'
+        )
     return Paper(color, _point(document, 'center', 3, where), width, height)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import fnmatch
 import os
 from pathlib import Path
 import shutil
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, why
 
 __all__ = ['left_over', 'whole_folder', 'write_whole']
 
@@ -52,7 +52,7 @@ def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
         yield growing
         _swap(growing, target, own)
     except OSError as error:
-        raise LandmarkNavError(f'{folder}: cannot be written: {error}') from error
+        raise LandmarkNavError(f'{folder}: cannot be written: {why(error)}') from error
     finally:
         shutil.rmtree(growing, ignore_errors=True)
 
@@ -74,8 +74,9 @@ def write_whole(path: Path, content: str | bytes) -> None:
         growing.write_bytes(data)
         growing.replace(path)
     except OSError as error:
-        growing.unlink(missing_ok=True)
-        raise LandmarkNavError(f'{path}: cannot be written: {error}') from error
+        with suppress(OSError):
+            growing.unlink()
+        raise LandmarkNavError(f'{path}: cannot be written: {why(error)}') from error
 
 
 def left_over(folder: Path) -> Path | None:

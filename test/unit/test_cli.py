@@ -58,7 +58,7 @@ def test_a_command_gets_its_arguments_and_gives_its_status(command: types.Module
     [
         (LandmarkNavError('room.yaml: no walls: add some'), 'room.yaml: no walls: add some'),
         (LandmarkNavError('two\n  lines'), 'two lines'),
-        (PermissionError(13, 'Permission denied', '/map'), "[Errno 13] Permission denied: '/map'"),
+        (PermissionError(13, 'Permission denied', '/map'), '/map: Permission denied'),
         (ModuleNotFoundError('x', name='cv2'), 'cv2 is not installed: pip install opencv-pyth'),
         (ModuleNotFoundError('x', name='rclpy.node'), 'needs ROS 2 and rclpy is not installed: '),
         (ModuleNotFoundError('x', name='std_srvs.srv'), 'needs ROS 2 and std_srvs is not inst'),
@@ -139,6 +139,15 @@ def test_ros_commands_explain_themselves_without_ros(
 def test_progress_passes_everything_through(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(progress(iter('abc'), 'letters', total=3)) == ['a', 'b', 'c']
     assert capsys.readouterr().err == ''
+
+
+@pytest.mark.parametrize(('columns', 'width'), [('70', 70), ('200', 99), ('20', 60)])
+def test_lines_are_no_longer_than_the_terminal_is_wide(
+    columns: str, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('COLUMNS', columns)
+    lengths = [len(line) for line in wrapped(['a ' * 200]).split('\n')]
+    assert width - 2 <= max(lengths) <= width
 
 
 def test_long_lines_go_on_below_and_keep_their_words() -> None:

@@ -114,7 +114,7 @@ class TestStatus:
 
     def test_without_odometry_it_only_waits(self) -> None:
         fused = started()
-        assert fused.status == ('coasting', 'no odometry')
+        assert fused.status == ('coasting', 'no odometry yet')
         run(fused, 2)
         assert fused.status[0] == 'tracking'
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+import shlex
 
 from bare_landmarks import bearings
 import numpy as np
@@ -117,9 +118,9 @@ def test_evaluated_smoothed_and_exported(
 def test_the_line_that_is_printed_evaluates_what_was_converted(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bag = tmp_path / 'run'
+    bag = tmp_path / 'a run'
     assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(bag)]) == 0
-    program, *arguments = capsys.readouterr().out.splitlines()[-1].split()
+    program, *arguments = shlex.split(capsys.readouterr().out.splitlines()[-1])
     assert program == 'landmark-nav'
     assert '--config' in arguments
     assert main([*arguments, '--out', str(tmp_path)]) == 0

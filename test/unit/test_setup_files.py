@@ -50,7 +50,7 @@ def test_a_room_needs_no_papers(tmp_path: Path) -> None:
     [
         (('color: red', 'color: beige'), r"papers\[0\]: paper colour 'beige' is not known"),
         (('color: red', "color: '#777777'"), r'papers\[0\]: .* too grey'),
-        (('height: 0.3', 'height: -0.3'), r'papers\[0\]: .* is no size of a paper'),
+        (('height: 0.3', 'height: 297'), r'papers\[0\]: .* is no size of a paper: .* metres'),
     ],
 )
 def test_papers_that_cannot_be_looked_for_are_refused(
@@ -130,6 +130,7 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
         (ROOM.replace('height: 2.5', 'height: .nan', 1), r'walls\[0\]: height is nan: not finite'),
         (ROOM.replace('color: red, ', ''), r'papers\[0\]: color is missing'),
         (ROOM.replace('end: [4, 3]', 'end: [4, 2]'), 'the walls are open: wall east'),
+        (ROOM.replace('[4, ', '[4000, '), 'wall south is 4000 m long: lengths are metres'),
         (ROOM.replace('id: east', 'id: south'), 'two walls are called south'),
         (ROOM.replace('reference_area', 'reference_ara'), 'reference_ara is no field: write refe'),
         (ROOM.replace('frame_id', 'frameid'), 'frameid is no field: write frame_id'),

@@ -123,7 +123,9 @@ class AimedDetector:
         tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD
         if tilted:
             self._told_rad = aim[1]
-            _LOG.warning('camera looks %+.1f deg above where its joints say', np.degrees(aim[1]))
+            side = 'above' if aim[1] > 0.0 else 'below'
+            degrees = np.degrees(abs(aim[1]))
+            _LOG.warning('camera looks %.1f deg %s where its joints say', degrees, side)
         if tilted or self._aim.any():
             self._aim = aim
 

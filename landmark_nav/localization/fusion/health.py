@@ -261,7 +261,7 @@ class Health:
     def _blind(self, stamp_ns: int, odometry_ns: int | None) -> str:
         """Say whether odometry is missing, and why it may be."""
         if odometry_ns is None:
-            return 'no odometry'
+            return 'no odometry yet'
         seconds = (stamp_ns - odometry_ns) * 1e-9
         if seconds <= self._config.silent_after_s:
             return ''

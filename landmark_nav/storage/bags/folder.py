@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import CameraFrame, Sweep
 
@@ -35,7 +35,7 @@ def read_sweep_folder(folder: Path | str) -> Sweep:
         with path.open(newline='', encoding='utf-8') as stream:
             rows = list(csv.DictReader(stream))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
+        raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
     missing = [name for name in _COLUMNS if not rows or rows[0].get(name) is None]
     if missing:
         raise LandmarkNavError(

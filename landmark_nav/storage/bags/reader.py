@@ -14,7 +14,7 @@ from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.container import ChannelInfo, McapFile, RawMessage
 from landmark_nav.storage.bags.topics import find_topic
@@ -103,7 +103,7 @@ class Bag:
         try:
             self._files = [McapFile(p, on_warning) for p in _mcap_paths(self.path, on_warning)]
         except OSError as error:
-            raise LandmarkNavError(f'{self.path}: cannot be read: {error}') from error
+            raise LandmarkNavError(f'{self.path}: cannot be read: {why(error)}') from error
         self._typestore = get_typestore(Stores.EMPTY)
         self._learned: set[ChannelInfo] = set()
         self.types: dict[str, str] = {}
