@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 import time
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from landmark_nav.localization.triplet import Gaze, TripletConfig
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
+from landmark_nav.localization.triplet.look_around import LookAround, LookAroundConfig
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
@@ -29,6 +31,10 @@ __all__ = ['Parameters', 'TripletSelectorNode', 'main']
 
 # A fused pose that nothing followed for so long tells no more where to look.
 _SILENCE_S = 1.0
+# How often is seen whether a view that helps to find the place has been looked at.
+_LOOK_S = 0.1
+# Commands come back, when there is much to do after the next ones.
+_ECHOES = 8
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,7 @@ class Parameters:
         10.0, 'how long to hold back after somebody else commanded the pan, s', minimum=0.0
     )
     triplet: TripletConfig = field(default_factory=TripletConfig)
+    look_around: LookAroundConfig = field(default_factory=LookAroundConfig)
     command: PanCommandParameters = field(default_factory=PanCommandParameters)
 
     def __post_init__(self) -> None:
@@ -71,7 +78,10 @@ class TripletSelectorNode(LandmarkNode):
         self._fused: PoseEstimate | None = None
         self._fused_s = 0.0
         self._camera: ActiveCamera | None = None
-        self._commanded_rad: float | None = None
+        self._limits = (self._config.pan_min_rad, self._config.pan_max_rad)
+        self._around = LookAround(self._config.look_around, self._limits)
+        self._looks_at: float | None = None
+        self._commanded: deque[float] = deque(maxlen=_ECHOES)
         self._yield_until = 0.0
         self._health = Health(Level.DEGRADED, 'waits for its first choice')
         self.listen('odometry/fused', self._on_fused, depth=1)
@@ -79,11 +89,16 @@ class TripletSelectorNode(LandmarkNode):
         listen_for_pan(self, self._mount, self._config.command.type, self._on_command)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
         self.create_timer(self._config.period_s, self._choose)
+        self.create_timer(_LOOK_S, self._look_around)
 
     def health(self) -> Health:
         """What was chosen last, or what a choice waits for; also while the clock stands."""
-        missing = self._missing()
-        return Health(Level.DEGRADED, missing) if missing else self._health
+        missing, at = self._missing(), self._looks_at
+        health = Health(Level.DEGRADED, missing) if missing else self._health
+        if at is None:
+            return health
+        words = f'{health.reason}; looks around for the place, at {np.degrees(at):.0f} deg'
+        return Health(Level.DEGRADED, words, health.values)
 
     def _on_fused(self, message: Any) -> None:
         self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
@@ -101,9 +116,10 @@ class TripletSelectorNode(LandmarkNode):
 
     def _on_command(self, pan_rad: float) -> None:
         """Leave the camera to who else turns it, such as a sweep."""
-        if self._commanded_rad is None or abs(pan_rad - self._commanded_rad) > 1e-6:
+        if not any(abs(pan_rad - own) <= 1e-6 for own in self._commanded):
             self._yield_until = time.monotonic() + self._config.yield_s
-            self._commanded_rad = pan_rad
+            self._commanded.clear()
+            self._commanded.append(pan_rad)
 
     def _missing(self) -> str:
         """What a choice still needs, in words; nothing where it has all."""
@@ -121,8 +137,7 @@ class TripletSelectorNode(LandmarkNode):
         if active is None or known is None or fused is None or model is None or self._missing():
             return
         start = time.perf_counter()
-        limits = (self._config.pan_min_rad, self._config.pan_max_rad)
-        gaze = Gaze(self._frames.pan_rad, self._frames.tilt_rad, limits)
+        gaze = Gaze(self._frames.pan_rad, self._frames.tilt_rad, self._limits)
         ranking = active.choose(fused, model, gaze)
         took_ms = 1e3 * (time.perf_counter() - start)
         stamp, base = fused.stamp_ns, self._mount.base_frame
@@ -143,13 +158,30 @@ class TripletSelectorNode(LandmarkNode):
         self._health = Health(Level.OK, f'landmarks {names}', values)
         self._turn_to(chosen)
 
+    def _look_around(self) -> None:
+        """Turn the camera view by view while the pose is not known, to help find the place."""
+        now_s, model, pan_rad = time.monotonic(), self._frames.camera, self._frames.pan_rad
+        self._looks_at = None
+        if self._knows_pose(now_s) or now_s < self._yield_until:
+            self._around.end()
+        elif self._camera is not None and model is not None and pan_rad is not None:
+            self._looks_at = self._around.pan_at(now_s, pan_rad, 2.0 * model.half_fov_rad)
+            if self._looks_at is not None:
+                self._command(self._looks_at, 0.0)
+
+    def _knows_pose(self, now_s: float) -> bool:
+        if self._fused is None or now_s - self._fused_s > _SILENCE_S:
+            return False
+        return self._config.look_around.knows(self._fused)
+
     def _turn_to(self, chosen: Triplet) -> None:
-        if time.monotonic() < self._yield_until:
-            return
-        last = self._commanded_rad
-        if last is None or abs(chosen.pan_rad - last) > self._config.deadband_rad:
-            self._commanded_rad = chosen.pan_rad
-            self._commander.command(chosen.pan_rad, self._frames.pan_rad)
+        if self._looks_at is None and time.monotonic() >= self._yield_until:
+            self._command(chosen.pan_rad, self._config.deadband_rad)
+
+    def _command(self, pan_rad: float, deadband_rad: float) -> None:
+        if not self._commanded or abs(pan_rad - self._commanded[-1]) > deadband_rad:
+            self._commanded.append(pan_rad)
+            self._commander.command(pan_rad, self._frames.pan_rad)
 
 
 def _why_others_lost(ranking: Ranking) -> dict[str, str]:
