@@ -135,7 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--exchange',
-        type=_at_least(0.0, float),
+        type=_share,
         default=0.0,
         metavar='SHARE',
         help='share of the pictures on the walls, 0 to 1, that are replaced by others between '
@@ -220,6 +220,14 @@ def _at_least(lowest: float, kind: type[int] | type[float]) -> Any:
         return value
 
     return number
+
+
+def _share(text: str) -> float:
+    """Argument type: a number from 0 to 1."""
+    value = float(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f'{text} is not from 0 to 1')
+    return value
 
 
 def _camera_rate(text: str) -> float:

@@ -35,8 +35,12 @@ class PlanConfig:
     )
     width_px: int = parameter(512, 'width of its pictures, pixels', minimum=16, maximum=16384)
     height_px: int = parameter(512, 'height of its pictures, pixels', minimum=16, maximum=16384)
-    pan_min_rad: float = parameter(-np.pi, 'least pan of the joint, rad')
-    pan_max_rad: float = parameter(np.pi, 'largest pan of the joint, rad')
+    pan_min_rad: float = parameter(
+        -np.pi, 'least pan of the joint, rad', minimum=-6.2832, maximum=6.2832
+    )
+    pan_max_rad: float = parameter(
+        np.pi, 'largest pan of the joint, rad', minimum=-6.2832, maximum=6.2832
+    )
     clearance_m: float = parameter(
         0.4, 'least distance of the robot from walls', minimum=0.05, maximum=5
     )

@@ -67,6 +67,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
         It cannot be written.
 
     """
+    if path.parent.is_file():
+        raise LandmarkNavError(f'{path.parent}: is a file: take another name')
     data = content.encode('utf-8') if isinstance(content, str) else content
     growing = path.with_name(f'.{path.name}.part-{os.getpid()}')
     try:

@@ -86,7 +86,8 @@ def test_another_camera_gives_another_plan(folder: Path) -> None:
         (('--focal', '-3'), '2', 'focal_px'),
         (('--focal', '5000'), '2', 'see all 3 papers'),
         (('--pan', '1', '-1'), '2', 'pan_min_rad of PlanConfig is 1, more than pan_max_rad, -1'),
-        (('--room', 'nowhere.yaml'), '2', 'nowhere.yaml: cannot be read'),
+        (('--pan', '-90', '90'), '2', 'pan_min_rad of PlanConfig is -90: take'),
+        (('--room', 'nowhere.yaml'), '2', 'nowhere.yaml: cannot be read: No such file'),
     ],
 )
 def test_what_can_not_be_planned_is_told_in_a_line(

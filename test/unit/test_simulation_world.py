@@ -174,5 +174,6 @@ class TestCommand:
         assert capsys.readouterr().err.count('\n') == 1
         assert not out.exists()
         assert main(['simulate', '--out', str(out), '--seed', '-3']) == 2
+        assert main(['simulate', '--out', str(out), '--exchange', '20']) == 2
         assert main(['simulate', '--out', str(out), '--camera-rate', '7']) == 2
         assert 'no whole part of 20: take' in capsys.readouterr().err
