@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import replace
 import json
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
+from landmark_nav.cli.run_summary import run_summary
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
@@ -37,8 +36,6 @@ __all__ = ['add_arguments', 'run']
 # Contract's names of what `sensor_events` passes on, for the length of the bar.
 _EVENTS = ('camera/image_raw', 'detections', 'odom', 'ground_truth/odom')
 
-# Stretches without tracking that are told; the others are in the JSON.
-_MOST_SPELLS = 6
 _FIGURES = {'Trajectory': 'trajectory.png', 'Errors': 'errors.png'}
 
 
@@ -157,7 +154,7 @@ def run(args: argparse.Namespace) -> int:
         write_tum_files(done, args.tum)
     if args.json:
         write_whole(args.json, json.dumps(report, indent=2) + '\n')
-    print(_summary(report))
+    print(run_summary(report))
     print(f'{" and ".join(_FIGURES.values())} in {folder.resolve()}')
     return 0
 
@@ -184,67 +181,3 @@ def _start(args: argparse.Namespace, landmarks: LandmarkMap) -> tuple[Any, Any]:
                 f'{args.map}: give x and y in {landmarks.frame_id}, in metres'
             )
     return start, np.diag([position**2, position**2, heading**2])
-
-
-def _summary(report: Mapping[str, Any]) -> str:
-    """Tell how the run went, for a person."""
-    lines = [
-        f'{"error":<14}{"position [cm]":>36}{"heading [deg]":>20}',
-        f'{"":<14}{"RMSE":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE":>11}{"95 %":>9}',
-    ]
-    keys = ('rmse', 'median', 'p95', 'max')
-    names = ['fused', 'triangulation', 'odometry', 'smoothed']
-    for name in filter(report.__contains__, names):
-        figures = report[name]
-        cells = [_cell(figures[f'position_{key}_m'], 100.0, 2, 9) for key in keys]
-        cells.append(_cell(figures['heading_rmse_deg'], 1.0, 3, 11))
-        cells.append(_cell(figures['heading_p95_deg'], 1.0, 3, 9))
-        lines.append(f'{name:<14}' + ''.join(cells))
-    nees = report['nees']
-    if report['found'] is not None:
-        x, y, heading = report['found']['pose']
-        lines.append(
-            f'place found after {report["found"]["after_s"]:.1f} s: ({x:.2f}, {y:.2f}) m, '
-            f'{np.degrees(heading):.1f} deg'
-        )
-    lines += [
-        f'{spell["status"]} {_when(spell)}: {spell["reason"]}'
-        for spell in report['spells'][:_MOST_SPELLS]
-    ]
-    if len(report['spells']) > _MOST_SPELLS:
-        lines.append(f'... {len(report["spells"]) - _MOST_SPELLS} more in --json')
-    lines += [
-        f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
-        f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',
-        f'NEES {_cell(nees["mean"], 1.0, 2)} in the mean (3 is ideal'
-        f'{_range(nees["interval_95"])}); {_cell(nees["inside_95"], 100.0, 1)} % within 95 %',
-        f'RMSE {_cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
-        f'pictures with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
-        _camera(report['camera']),
-        f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
-        f'{report["update_ms"]["p95"]:.1f} ms; {report["realtime_factor"]:.1f} times real time',
-        f'result {report["result_hash"][:16]}',
-    ]
-    return wrapped(lines)
-
-
-def _camera(offsets: Mapping[str, float]) -> str:
-    delay_s = offsets['joint_delay_s']
-    return (
-        f'camera: joint_states {1e3 * abs(delay_s):.1f} ms {"early" if delay_s < 0 else "late"} '
-        f'(sigma {1e3 * offsets["joint_delay_sigma_s"]:.1f}), turned by '
-        f'{offsets["boresight_deg"]:.2f} deg (sigma {offsets["boresight_sigma_deg"]:.2f})'
-    )
-
-
-def _when(spell: Mapping[str, Any]) -> str:
-    begin, end = (f'{spell[key]:.1f}' for key in ('from_s', 'to_s'))
-    return f'at {begin} s' if begin == end else f'from {begin} to {end} s'
-
-
-def _range(interval: list[float] | None) -> str:
-    return f', {interval[0]:.2f} to {interval[1]:.2f} is honest' if interval else ''
-
-
-def _cell(value: float | None, factor: float, digits: int, width: int = 0) -> str:
-    return f'{"-" if value is None else f"{factor * value:.{digits}f}":>{width}}'

@@ -68,6 +68,12 @@ class Replay:
     sighting_sigma: float = 1.0
 
     @property
+    def begin_ns(self) -> int:
+        """Stamp of the first picture or odometry."""
+        first = (*self.searched, *(update.stamp_ns for update in self.updates))[0]
+        return min(first, int(self.odometry.stamps_ns[0]))
+
+    @property
     def stamps_ns(self) -> npt.NDArray[np.int64]:
         """Stamps of the pictures, (n,)."""
         return np.array([update.stamp_ns for update in self.updates], dtype=np.int64)

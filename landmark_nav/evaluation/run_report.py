@@ -56,7 +56,8 @@ def run_report(
     """
     Figures of a run, by the keys of the contract.
 
-    Those that need ground truth are None where the bag has none; ``found`` is None where the start
+    Those that need ground truth are None where the bag has none; ``claimed`` is the sigma of the
+    fused poses; ``found`` is None where the start
     was given; ``spells`` are the stretches of pictures in which the state was coasting or lost.
     """
     bound = posterior_bound(
@@ -71,8 +72,10 @@ def run_report(
     took_ms = 1e3 * run.update_seconds
     stamps = run.stamps_ns
     pictures = np.concatenate([run.searched, stamps])
-    begin = min(pictures[0], run.odometry.stamps_ns[0])
-    span_s = 1e-9 * float(max(pictures[-1], run.odometry.stamps_ns[-1]) - begin)
+    end = max(pictures[-1], run.odometry.stamps_ns[-1])
+    span_s = 1e-9 * float(end - run.begin_ns)
+    sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
+    sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {
         'schema': SCHEMA,
         'frames': len(pictures),
@@ -87,7 +90,14 @@ def run_report(
             'inside_95': nees.inside_95 if nees else None,
             'interval_95': list(nees.interval_95) if nees else None,
         },
-        'silently_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking),
+        'claimed': {
+            'position_median_m': float(np.median(sigma_m)),
+            'position_p95_m': float(np.percentile(sigma_m, 95)),
+            'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
+        },
+        'silently_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking)
+        if len(run.truth)
+        else None,
         'crlb_ratio': crlb_ratio(errors.fused, bound),
         'update_ms': {
             'median': float(np.median(took_ms)),
@@ -95,7 +105,7 @@ def run_report(
         },
         'realtime_factor': span_s / run.seconds,
         'result_hash': result_hash(stamps, run.fused, run.fixes),
-        'spells': _spells(run, begin),
+        'spells': _spells(run),
         'odometry_noise': {
             'along_m_per_sqrt_m': run.odometry_noise.along_m_per_sqrt_m,
             'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
@@ -103,7 +113,7 @@ def run_report(
         },
         'sighting_sigma': run.sighting_sigma,
         'found': {
-            'after_s': 1e-9 * float(run.start.stamp_ns - begin),
+            'after_s': 1e-9 * float(run.start.stamp_ns - run.begin_ns),
             'pose': list(run.start.pose),
         }
         if run.searched
@@ -111,14 +121,14 @@ def run_report(
     }
 
 
-def _spells(run: Replay, begin_ns: int) -> list[dict[str, Any]]:
+def _spells(run: Replay) -> list[dict[str, Any]]:
     """When the state was not tracking, and the reason that it gave first."""
     spells = []
     for status, group in groupby(run.updates, key=lambda update: update.status):
         updates = list(group)
         if status == 'tracking':
             continue
-        first, last = ((updates[k].stamp_ns - begin_ns) * 1e-9 for k in (0, -1))
+        first, last = ((updates[k].stamp_ns - run.begin_ns) * 1e-9 for k in (0, -1))
         spells.append(
             {'status': status, 'from_s': first, 'to_s': last, 'reason': updates[0].reason}
         )

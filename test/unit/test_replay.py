@@ -107,6 +107,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         'triangulation',
         'odometry',
         'nees',
+        'claimed',
         'silently_wrong',
         'crlb_ratio',
         'update_ms',
@@ -154,7 +155,9 @@ def test_without_truth_the_errors_stay_empty(tmp_path):
     report = run_report(done, run_errors(done), a_map(), MOUNT, CONFIG)
     assert report['fused']['position_rmse_m'] is None
     assert report['nees'] == {'mean': None, 'inside_95': None, 'interval_95': None}
-    assert report['crlb_ratio'] is None
+    assert report['crlb_ratio'] is report['silently_wrong'] is None
+    sigma = np.sqrt([np.trace(c[:2, :2]) for c in done.fused_covariances])
+    assert report['claimed']['position_median_m'] == pytest.approx(np.median(sigma))
     page = html_report('a <run>', report, {})
     assert 'a &lt;run&gt;' in page
     assert '<td>-</td>' in page

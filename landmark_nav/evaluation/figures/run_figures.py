@@ -52,7 +52,8 @@ def draw_trajectory(
     axes.plot(*run.start.pose[:2], 'o', color=TRUTH, markersize=7, label='start', zorder=6)
     axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
     keep_in_view(axes, np.concatenate([run.odometry.poses[:, :2], run.fused[:, :2]]), 0.2)
-    way_m = float(np.sum(np.hypot(*np.diff(run.fused[:, :2], axis=0).T)))
+    driven = run.odometry.at(run.stamps_ns)[:, :2]
+    way_m = float(np.nansum(np.hypot(*np.diff(driven, axis=0).T)))
     axes.set_title(f'A drive of {way_m:.1f} m in {1e-9 * np.ptp(run.stamps_ns):.0f} s')
     plain(axes)
     legend_beside(axes, 'below', 7)
@@ -68,7 +69,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
     """
     figure = new_figure(10.0, 7.6)
     rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
-    seconds = 1e-9 * (run.stamps_ns - run.stamps_ns[0])
+    seconds = 1e-9 * (run.stamps_ns - run.begin_ns).astype(np.float64)
     turned = _body_frame(run)
     fused = np.einsum('nij,nj->ni', turned, errors.fused)
     covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)

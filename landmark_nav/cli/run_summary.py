@@ -1,0 +1,99 @@
+"""What `landmark-nav evaluate` says of a run, for a person."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.cli.lines import wrapped
+
+__all__ = ['run_summary']
+
+# Stretches without tracking that are told; the others are in the JSON.
+_MOST_SPELLS = 6
+# A drive whose camera does not turn says nothing of late joint states.
+_DELAY_TOLD_S = 0.02
+
+
+def run_summary(report: Mapping[str, Any]) -> str:
+    """Tell how the run went, by the report of `run_report`."""
+    known = report['fused']['position_rmse_m'] is not None
+    lines = _errors(report) if known else []
+    if report['found'] is not None:
+        x, y, heading = report['found']['pose']
+        lines.append(
+            f'place found after {report["found"]["after_s"]:.1f} s: ({x:.2f}, {y:.2f}) m, '
+            f'{np.degrees(heading):.1f} deg'
+        )
+    lines += [
+        f'{spell["status"]} {_when(spell)}: {spell["reason"]}'
+        for spell in report['spells'][:_MOST_SPELLS]
+    ]
+    if len(report['spells']) > _MOST_SPELLS:
+        lines.append(f'... {len(report["spells"]) - _MOST_SPELLS} more in --json')
+    claimed = report['claimed']
+    lines += [
+        f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
+        f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',
+        f'claimed sigma {100.0 * claimed["position_median_m"]:.2f} cm, '
+        f'{claimed["heading_median_deg"]:.3f} deg in the median, '
+        f'{100.0 * claimed["position_p95_m"]:.2f} cm at 95 %',
+        *(_honesty(report) if known else []),
+        _camera(report['camera']),
+        f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
+        f'{report["update_ms"]["p95"]:.1f} ms; {report["realtime_factor"]:.1f} times real time',
+        f'result {report["result_hash"][:16]}',
+    ]
+    return wrapped(lines)
+
+
+def _errors(report: Mapping[str, Any]) -> list[str]:
+    lines = [
+        f'{"error":<14}{"position [cm]":>36}{"heading [deg]":>20}',
+        f'{"":<14}{"RMSE":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE":>11}{"95 %":>9}',
+    ]
+    keys = ('rmse', 'median', 'p95', 'max')
+    names = ['fused', 'triangulation', 'odometry', 'smoothed']
+    for name in filter(report.__contains__, names):
+        figures = report[name]
+        cells = [_cell(figures[f'position_{key}_m'], 100.0, 2, 9) for key in keys]
+        cells.append(_cell(figures['heading_rmse_deg'], 1.0, 3, 11))
+        cells.append(_cell(figures['heading_p95_deg'], 1.0, 3, 9))
+        lines.append(f'{name:<14}' + ''.join(cells))
+    return lines
+
+
+def _honesty(report: Mapping[str, Any]) -> list[str]:
+    nees = report['nees']
+    return [
+        f'NEES {_cell(nees["mean"], 1.0, 2)} in the mean (3 is ideal'
+        f'{_range(nees["interval_95"])}); {_cell(nees["inside_95"], 100.0, 1)} % within 95 %',
+        f'RMSE {_cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
+        f'pictures with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
+    ]
+
+
+def _camera(offsets: Mapping[str, float]) -> str:
+    delay_s, sigma_s = offsets['joint_delay_s'], offsets['joint_delay_sigma_s']
+    delay = f'joint_states {1e3 * abs(delay_s):.1f} ms {"early" if delay_s < 0 else "late"} '
+    return (
+        'camera: '
+        + (f'{delay}(sigma {1e3 * sigma_s:.1f}), ' if sigma_s < _DELAY_TOLD_S else '')
+        + f'turned by {offsets["boresight_deg"]:.2f} deg (sigma '
+        f'{offsets["boresight_sigma_deg"]:.2f})'
+    )
+
+
+def _when(spell: Mapping[str, Any]) -> str:
+    begin, end = (f'{spell[key]:.1f}' for key in ('from_s', 'to_s'))
+    return f'at {begin} s' if begin == end else f'from {begin} to {end} s'
+
+
+def _range(interval: list[float] | None) -> str:
+    return f', {interval[0]:.2f} to {interval[1]:.2f} is honest' if interval else ''
+
+
+def _cell(value: float | None, factor: float, digits: int, width: int = 0) -> str:
+    return f'{"-" if value is None else f"{factor * value:.{digits}f}":>{width}}'
