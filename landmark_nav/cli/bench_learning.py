@@ -16,7 +16,11 @@ from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
-from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig
+from landmark_nav.learning.reference_area import (
+    joint_covariance,
+    locate_sweep,
+    ReferenceAreaConfig,
+)
 from landmark_nav.learning.sharpness import look_at, relative_sharpness
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
@@ -183,7 +187,8 @@ def _adjustment_and_election(world: World) -> Iterator[Comparison]:
                     sightings.append([own_sighting(patch, panoramas[k]), seen])
     walls = [patch.wall for patch in patches]
     start = np.array([patch.position for patch in patches])
-    run = partial(adjust, sightings, walls, start, panoramas, room, AdjustmentConfig())
+    places = joint_covariance(panoramas, room, ReferenceAreaConfig())
+    run = partial(adjust, sightings, walls, start, panoramas, places, room, AdjustmentConfig())
     adjustment = run()
     # Two numbers a sighting and one a wall; three unknowns a landmark and four a panorama.
     rng = np.random.default_rng(0)

@@ -26,6 +26,7 @@ from landmark_nav.learning.adjustment.wall_fit import (
 )
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
+from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again
@@ -66,6 +67,7 @@ class LearningConfig:
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     wall_fit: WallFitConfig = field(default_factory=WallFitConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
+    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +146,13 @@ def learn_from_panoramas(
             config.adjustment,
             relief_sigma_m=_NO_WALL_M,
             camera_weight=_AS_EXPECTED,
+            place_weight=_AS_EXPECTED,
             room_weight=_AS_EXPECTED,
         )
-        free = adjust(sightings, walls, start, panoramas, room, without_walls)
+        places = joint_covariance(panoramas, room, config.reference_area)
+        free = adjust(sightings, walls, start, panoramas, places, room, without_walls)
         check_walls(free, walls, room, config.adjustment, config.wall_fit)
-        adjustment = adjust(sightings, walls, start, panoramas, room, config.adjustment)
+        adjustment = adjust(sightings, walls, start, panoramas, places, room, config.adjustment)
         residuals = wall_residuals(adjustment, walls, room, config.adjustment, config.wall_fit)
     doubt = doubtful_walls(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit

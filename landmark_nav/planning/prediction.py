@@ -15,6 +15,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.reference_area import joined
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.propagation import landmark_errors, localization_sigma
@@ -121,7 +122,7 @@ class Predictor:
             self._samples.normal,
             self._samples.wall,
             by_source.sum(axis=0),
-            views.covariance[places],
+            joined(views.covariance[places], views.by_papers[places]),
             config.adjustment,
         )
         covariance = own + loading @ np.swapaxes(loading, -1, -2)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.types import FloatArray
@@ -48,8 +49,8 @@ def landmark_errors(
         Which wall each is on.
     landmarks : ndarray, shape (s,)
         How many there are at each point.
-    pose_covariance : ndarray, shape (n, 3, 3)
-        Of x, y and heading of the panoramas, before the adjustment.
+    pose_covariance : ndarray, shape (3 n, 3 n)
+        Joint one of x, y and heading of the panoramas, before the adjustment.
     config : AdjustmentConfig
         How exactly things hang on walls.
 
@@ -79,11 +80,8 @@ def landmark_errors(
 
     shared = np.zeros((h_xs.shape[2], h_xs.shape[2]))
     blocks = np.einsum('s,ns,nsi,nsj->nij', landmarks, weight, by_pose, by_pose)
-    blocks += np.linalg.inv(pose_covariance)
-    for k, block in enumerate(blocks):
-        part = slice(_POSE * k, _POSE * (k + 1))
-        shared[part, part] = block
-    planes = slice(_POSE * len(blocks), None)
+    poses, planes = slice(0, _POSE * len(blocks)), slice(_POSE * len(blocks), None)
+    shared[poses, poses] = block_diag(*blocks) + np.linalg.inv(pose_covariance)
     off_walls = (
         config.common_hanging_sigma_m**2 + np.eye(on_wall.shape[1]) * config.wall_sigma_m**2
     )

@@ -11,13 +11,25 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.reference_area import LEAST_PAPERS
+from landmark_nav.learning.reference_area import LEAST_PAPERS, pose_errors
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.paper_pose import papers_seen, pose_covariance
 from landmark_nav.planning.room_grid import WallSamples
 from landmark_nav.types import FloatArray
 
-__all__ = ['Views', 'ahead_rad', 'band_share', 'eye_height', 'look', 'sweep_poses', 'turns_rad']
+__all__ = [
+    'Views',
+    'ahead_rad',
+    'band_share',
+    'eye_height',
+    'look',
+    'papers_seen',
+    'sweep_poses',
+    'turns_rad',
+]
+
+# Less than that of a paper is hardly found by its colour, pixels across and along.
+_LEAST_PAPER_PX = 8.0
+_MOST_PAPER_INCIDENCE_RAD = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +45,8 @@ class Views:
         The pan axis at the height of the optical centre, in map.
     covariance : ndarray, shape (p, 3, 3)
         Of the pan axis' x, y and heading by the papers.
+    by_papers : ndarray, shape (p, 3, m)
+        Of that, what all places have in common, by factors of unit variance.
     azimuth_rad, range_m : ndarray, shape (p, s)
         Of the samples in map.
     share : ndarray, shape (p, s)
@@ -46,6 +60,7 @@ class Views:
     pose_map_base: FloatArray
     eye: FloatArray
     covariance: FloatArray
+    by_papers: FloatArray
     azimuth_rad: FloatArray
     range_m: FloatArray
     share: FloatArray
@@ -139,11 +154,30 @@ def look(
     return Views(
         poses_map_base[measured],
         eye,
-        pose_covariance(eye, room, config, papers[measured]),
+        *pose_errors(eye, room, config.reference_area, config.focal_px, papers[measured]),
         azimuth,
         reach,
         share,
         np.maximum(proposed, 0.0),
+    )
+
+
+def papers_seen(eye: FloatArray, room: Room, config: PlanConfig) -> npt.NDArray[np.bool_]:
+    """Whether panoramas from (p, 3) show papers well enough to be measured, (p, papers)."""
+    center = np.array([paper.center for paper in room.papers])
+    width, height = np.array([(paper.width, paper.height) for paper in room.papers]).T
+    normal = room.normals[room.nearest_wall(center[:, :2]), :2]
+    way = eye[:, None, :2] - center[:, :2]
+    reach = np.maximum(np.linalg.norm(way, axis=-1), 1e-6)
+    cosine = np.sum(way * normal, -1) / reach
+    rise = np.abs(center[:, 2] - eye[:, None, 2]) + 0.5 * height
+    across = width * cosine * config.focal_px / reach
+    along = height * config.focal_px / reach
+    return np.asarray(
+        (cosine > np.cos(_MOST_PAPER_INCIDENCE_RAD))
+        & (rise < config.steepest * reach)
+        & (np.minimum(across, along) >= _LEAST_PAPER_PX)
+        & room.visible(eye[:, None, :2], center[:, :2])
     )
 
 

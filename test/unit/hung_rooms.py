@@ -10,6 +10,7 @@ from scenes import rectangle_room
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import wall_stretches
+from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
@@ -20,7 +21,7 @@ CONFIG = AdjustmentConfig()
 
 
 # Sigmas are what they are said to be: nothing of them is estimated.
-AS_EXPECTED = AdjustmentConfig(camera_weight=1e9, room_weight=1e9)
+AS_EXPECTED = AdjustmentConfig(camera_weight=1e9, place_weight=1e9, room_weight=1e9)
 
 
 # x, y, z, heading: one at the seam of angles.
@@ -103,7 +104,22 @@ def solve(
 ) -> Adjustment:
     # From anywhere near by on the same stretch of wall.
     start = world.points + 0.05 * (ROOM.normals[world.walls] + [0.0, 0.0, 1.0])
-    return adjust(sightings, world.walls, start, panoramas_at(prior_poses), ROOM, config)
+    return adjusted(world, sightings, start, panoramas_at(prior_poses), config)
+
+
+def adjusted(
+    world: World,
+    sightings: list[list[Sighting]],
+    start: FloatArray,
+    panoramas: list[Panorama],
+    config: AdjustmentConfig = CONFIG,
+) -> Adjustment:
+    places = places_of(panoramas)
+    return adjust(sightings, world.walls, start, panoramas, places, ROOM, config)
+
+
+def places_of(panoramas: list[Panorama]) -> FloatArray:
+    return joint_covariance(panoramas, ROOM, ReferenceAreaConfig())
 
 
 def told_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> FloatArray:
@@ -133,9 +149,10 @@ def world_hung(
     rng: np.random.Generator,
     hanging_m: float = CONFIG.hanging_sigma_m,
     relief_m: float = CONFIG.relief_sigma_m,
+    thing_m: float = CONFIG.hanging_length_m,
 ) -> World:
     """The world with its landmarks hung anew before the walls."""
-    thing = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    thing = wall_stretches(world.points, world.walls, ROOM, thing_m)
     off = rng.normal(0.0, CONFIG.common_hanging_sigma_m) + rng.normal(
         0.0, hanging_m, int(thing.max()) + 1
     )

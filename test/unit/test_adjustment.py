@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hung_rooms import (
+    adjusted,
     AS_EXPECTED,
     CONFIG,
     draw,
     nees,
     panoramas_at,
+    places_of,
     POSES,
     PRIOR,
     ROOM,
@@ -25,7 +27,6 @@ from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.adjustment import adjust
 from landmark_nav.learning.adjustment.problem import Problem, wall_stretches
 from landmark_nav.types import FloatArray
 
@@ -67,7 +68,8 @@ def test_the_solution_is_that_of_sparse_least_squares() -> None:
     sightings = sightings_of(world, None)
     found = solve(world, sightings, prior, AS_EXPECTED)
     stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
-    problem = Problem(sightings, world.walls, stretch, panoramas_at(prior), ROOM)
+    views = panoramas_at(prior)
+    problem = Problem(sightings, world.walls, stretch, views, places_of(views), ROOM)
     sigma = np.hypot(problem.own_sigma, [CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
     hanging = (CONFIG.common_hanging_sigma_m, CONFIG.wall_sigma_m, CONFIG.hanging_sigma_m)
     spread = np.array([1.0, 1.0, *hanging])
@@ -131,9 +133,7 @@ def test_a_better_known_panorama_makes_better_known_landmarks() -> None:
     start = world.points
     sizes = []
     for scale in (1.0, 9.0):
-        found = adjust(
-            sightings, world.walls, start, panoramas_at(POSES, scale * PRIOR), ROOM, CONFIG
-        )
+        found = adjusted(world, sightings, start, panoramas_at(POSES, scale * PRIOR))
         sizes.append(np.trace(total_covariance(found), axis1=1, axis2=2).mean())
         # Nobody knows less after the measurements than before.
         assert np.all(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hung_rooms import (
+    adjusted,
     AS_EXPECTED,
     CONFIG,
     draw,
@@ -23,7 +24,6 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.adjustment import adjust
 
 
 @pytest.mark.parametrize(
@@ -63,6 +63,20 @@ def test_places_of_panoramas_that_err_more_than_they_say_are_trusted_less() -> N
     assert scales[0] == 1.0 <= scales[1] < 1.6 < scales[2] < 4.5
 
 
+def test_steps_between_things_do_not_make_good_places_bad() -> None:
+    # Each stretch of wall carries things narrower than itself, each at a depth of its own: their
+    # steps look like slopes, and a few slopes like a room that is turned.
+    rng = np.random.default_rng(11)
+    scales = []
+    for _ in range(24):
+        world = world_of(rng, 160, flat=True)
+        world = world_hung(world, rng, 0.012, 2e-4, thing_m=0.5 * CONFIG.hanging_length_m)
+        panoramas = panoramas_at(told_poses(world, rng, 0.2), 0.04 * PRIOR)
+        sightings = sightings_of(world, rng, (4e-5, 1e-4))
+        scales.append(adjusted(world, sightings, world.points, panoramas).noise[3])
+    assert max(scales) < 1.5
+
+
 def test_heights_that_err_more_than_they_say_do_not_make_the_plan_uncertain() -> None:
     rng = np.random.default_rng(13)
     world = world_of(rng, 100, hanging_m=0.002, relief_m=0.002)
@@ -88,8 +102,7 @@ def test_how_far_walls_are_off_is_estimated_from_the_room(
         world = replace(world, points=moved)
         panoramas = panoramas_at(told_poses(world, rng, 0.2), 0.2**2 * PRIOR)
         sightings = sightings_of(world, rng)
-        adjusted = adjust(sightings, world.walls, world.points, panoramas, ROOM, CONFIG)
-        found.append(adjusted.noise[6])
+        found.append(adjusted(world, sightings, world.points, panoramas).noise[6])
     assert least < np.median(found) < most
 
 
@@ -135,7 +148,7 @@ def test_a_common_distance_from_the_walls_is_no_surprise() -> None:
     # Well known places tell it from a smaller room.
     panoramas = panoramas_at(framed.poses, PRIOR / 400.0)
     sightings = sightings_of(framed, rng)
-    found = adjust(sightings, world.walls, world.points, panoramas, ROOM, CONFIG)
+    found = adjusted(framed, sightings, world.points, panoramas)
     assert found.off_wall_m.mean() == pytest.approx(0.04, abs=0.004)
     assert np.abs((found.positions - framed.points).mean(axis=0)).max() < 0.003
     assert np.median(found.chi_square) < 4.0

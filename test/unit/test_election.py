@@ -15,6 +15,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
 from landmark_nav.learning.election import elect, ElectionConfig
+from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusal
@@ -289,7 +290,8 @@ def reconstruct(
         sightings.append([own_sighting(patch, panoramas[0]), seen])
     start = np.array([p.position for p in patches])
     walls = [p.wall for p in patches]
-    found = adjust(sightings, walls, start, panoramas, ROOM, AdjustmentConfig())
+    places = joint_covariance(panoramas, ROOM, ReferenceAreaConfig())
+    found = adjust(sightings, walls, start, panoramas, places, ROOM, AdjustmentConfig())
     adjusted = [
         replace(p, center_map=pose[:3], heading_rad=float(pose[3]))
         for p, pose in zip(panoramas, found.poses, strict=True)

@@ -11,15 +11,15 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
+from landmark_nav.learning.reference_area import joined, joint_covariance, pose_errors
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.paper_pose import papers_seen, pose_covariance
 from landmark_nav.planning.prediction import Predictor
 from landmark_nav.planning.propagation import landmark_errors, localization_sigma
 from landmark_nav.planning.room_grid import free_floor, sample_walls
-from landmark_nav.planning.views import look
+from landmark_nav.planning.views import look, papers_seen
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
 CONFIG = PlanConfig()
@@ -31,6 +31,10 @@ PAPERS = tuple(
 ROOM = rectangle_room(6.0, 5.0, PAPERS)
 
 
+def errors_at(eye: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return pose_errors(eye, ROOM, CONFIG.reference_area, CONFIG.focal_px)
+
+
 class TestPaperPose:
     def test_covariance_is_that_of_fits_to_noisy_edges(self) -> None:
         # Least squares of the twelve edges, its derivatives by differences, many times.
@@ -38,41 +42,48 @@ class TestPaperPose:
         rng = np.random.default_rng(5)
         area = CONFIG.reference_area
         tilts = [area.horizon_sigma_rad] * 2
-        prior = np.array([np.inf] * 3 + [area.height_sigma_m, *tilts])
+        told = [area.height_sigma_m, *tilts, area.paper_size_sigma]
+        prior = np.array([np.inf] * 3 + told)
         prior = np.append(prior, [area.paper_sigma_m] * 6)
         pixel = np.hypot(0.03, area.edge_sigma_px) / CONFIG.focal_px
 
         def edges(p: FloatArray) -> FloatArray:
             measured = []
             for k, paper in enumerate(PAPERS):
-                x, y, z = np.add(paper.center, (p[6 + 2 * k], 0.0, p[7 + 2 * k])) - eye
+                x, y, z = np.add(paper.center, (p[7 + 2 * k], 0.0, p[8 + 2 * k])) - eye
                 x, y, z = x - p[0], y - p[1], z - p[3]
-                left, right = x - paper.width / 2, x + paper.width / 2
+                half = (1.0 + p[6]) * paper.width / 2
+                left, right = x - half, x + half
                 measured += [np.arctan2(y, left) - p[2], np.arctan2(y, right) - p[2]]
-                for half in (-paper.height / 2, paper.height / 2):
-                    reach = np.hypot(x, y)
-                    measured.append((z + half) / reach + (p[4] * x + p[5] * y) / reach)
+                for side in (-1.0, 1.0):
+                    reach, up = np.hypot(x, y), side * (1.0 + p[6]) * paper.height / 2
+                    measured.append((z + up) / reach + (p[4] * x + p[5] * y) / reach)
             return np.array(measured)
 
-        zero, step = np.zeros(12), 1e-6
+        zero, step = np.zeros(13), 1e-6
         jacobian = np.stack(
-            [(edges(step * e) - edges(-step * e)) / (2 * step) for e in np.eye(12)], 1
+            [(edges(step * e) - edges(-step * e)) / (2 * step) for e in np.eye(13)], 1
         )
-        truth = rng.normal(size=(20000, 12)) * np.where(np.isfinite(prior), prior, 0.0)
+        truth = rng.normal(size=(20000, 13)) * np.where(np.isfinite(prior), prior, 0.0)
         noise = rng.normal(0.0, pixel, (20000, 12))
         normal = jacobian.T @ jacobian / pixel**2 + np.diag(prior**-2)
         estimate = (truth @ jacobian.T + noise) @ jacobian @ np.linalg.inv(normal) / pixel**2
         spread = np.cov((estimate - truth)[:, :3].T)
-        predicted = pose_covariance(eye[None], ROOM, CONFIG)[0]
+        predicted, by_papers = (a[0] for a in errors_at(eye[None]))
         sigma = np.sqrt(np.diag(predicted))
         np.testing.assert_allclose(
             spread / np.outer(sigma, sigma), predicted / np.outer(sigma, sigma), atol=0.05
         )
         assert edges(zero).shape == (12,)
+        # What a size or a paper's place moves, estimates follow.
+        moved = np.linalg.lstsq(truth[:, 6:] / prior[6:], (estimate - truth)[:, :3], rcond=None)[0]
+        np.testing.assert_allclose(
+            moved.T / sigma[:, None], -by_papers / sigma[:, None], atol=0.05
+        )
 
     def test_grows_with_the_distance(self) -> None:
         eye = np.column_stack([np.full(4, 3.1), [1.5, 2.5, 3.5, 4.5], np.full(4, 1.1)])
-        sigma = np.sqrt(np.trace(pose_covariance(eye, ROOM, CONFIG)[:, :2, :2], axis1=1, axis2=2))
+        sigma = np.sqrt(np.trace(errors_at(eye)[0][:, :2, :2], axis1=1, axis2=2))
         assert np.all(np.diff(sigma) > 0.0)
         assert 5e-4 < sigma[0] < 5e-3
 
@@ -91,7 +102,7 @@ def panoramas(poses: FloatArray, covariance: FloatArray) -> list[Panorama]:
         full = np.diag([0.0, 0.0, 1e-8, 0.0])
         full[np.ix_([0, 1, 3], [0, 1, 3])] = cov
         image = np.zeros((2, 2, 3), np.uint8)
-        cylinder = Cylinder(2, 2, 1.0, 0.0, 0.0)
+        cylinder = Cylinder(2, 2, CONFIG.focal_px, 0.0, 0.0)
         center = np.array([*pose[:2], 1.1])
         found.append(Panorama(0, image, image[..., 0] > 0, cylinder, center, float(pose[2]), full))
     return found
@@ -120,9 +131,12 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
         [Sighting(i, azimuth[i, k] - poses[i, 2], 0.0, sigma, 1e-3, 1.0) for i in range(3)]
         for k in range(24)
     ]
-    spread = pose_covariance(np.column_stack([poses[:, :2], np.full(3, 1.1)]), ROOM, CONFIG)
-    config = AdjustmentConfig(camera_weight=1e9, room_weight=1e9)
-    done = adjust(sightings, list(walls), points, panoramas(poses, spread), ROOM, config)
+    eye = np.column_stack([poses[:, :2], np.full(3, 1.1)])
+    spread, by_papers = errors_at(eye)
+    config = AdjustmentConfig(camera_weight=1e9, place_weight=1e9, room_weight=1e9)
+    views = panoramas(poses, spread)
+    places = joint_covariance(views, ROOM, CONFIG.reference_area)
+    done = adjust(sightings, list(walls), points, views, places, ROOM, config)
     own, loading = landmark_errors(
         azimuth,
         np.linalg.norm(delta, axis=-1),
@@ -130,7 +144,7 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
         ROOM.normals[walls, :2],
         walls,
         np.ones(24),
-        spread,
+        joined(spread, by_papers),
         config,
     )
     expected = joint(done.own_covariance[:, :2, :2], done.shared_loading[:, :2])
@@ -141,7 +155,7 @@ def test_two_landmarks_at_a_point_are_worth_two() -> None:
     rng = np.random.default_rng(8)
     azimuth, reach = rng.uniform(-3.0, 3.0, (2, 10)), rng.uniform(1.0, 4.0, (2, 10))
     normal = np.tile([[1.0, 0.0]], (10, 1))
-    spread = np.tile(np.diag([1e-5, 1e-5, 1e-6]), (2, 1, 1))
+    spread = np.diag([1e-5, 1e-5, 1e-6] * 2)
     weight = np.full((2, 10), 1e6)
     twice = [np.concatenate([a, a], -1) for a in (azimuth, reach, weight)]
     config = AdjustmentConfig()

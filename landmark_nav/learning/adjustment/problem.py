@@ -26,8 +26,6 @@ __all__ = ['Linearized', 'NormalEquations', 'Problem', 'wall_stretches']
 # x, y, z, heading of each panorama; after all of them, how far things hang off each wall, then
 # how much farther they do on each stretch of one.
 _POSE = 4
-# Share of the variance in height that panoramas have in common.
-_COMMON_HEIGHT = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +94,7 @@ class Problem:
         walls: Sequence[int],
         stretch: npt.NDArray[np.intp],
         panoramas: Sequence[Panorama],
+        places: FloatArray,
         room: Room,
     ) -> None:
         """Collect what does not change while it is solved."""
@@ -122,7 +121,7 @@ class Problem:
         self.prior = np.append(poses.ravel(), np.zeros(len(plane)))
         self._poses = slice(0, poses.size)
         self._walls = slice(poses.size, len(self.prior))
-        self._places = _joint([p.covariance for p in panoramas])
+        self._places = places
         self._height = np.arange(poses.size) % _POSE == 2
 
     def off_wall(self, points: FloatArray) -> FloatArray:
@@ -263,22 +262,6 @@ def wall_stretches(
     along = np.sum((points[:, :2] - start) * side, 1)
     cells = np.stack([np.asarray(walls), np.floor(along / length_m)], 1)
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1], np.intp).ravel()
-
-
-def _joint(covariances: Sequence[FloatArray]) -> FloatArray:
-    """
-    Joint covariance (4 * views, 4 * views) of places that were found each for itself.
-
-    The camera stands equally high everywhere and saw the same papers: as much of the error in
-    height as can be is one and the same.
-    """
-    spread = [c + 1e-12 * np.eye(_POSE) for c in covariances]
-    joint = block_diag(*spread)
-    common = _COMMON_HEIGHT * min(1.0 / np.linalg.inv(c)[2, 2] for c in spread)
-    height = np.arange(2, len(joint), _POSE)
-    apart = height[:, None] != height
-    joint[np.ix_(height, height)] += common * apart
-    return np.asarray(joint)
 
 
 def _sum_by(index: npt.NDArray[np.intp], values: FloatArray, count: int) -> FloatArray:

@@ -73,7 +73,13 @@ class AdjustmentConfig:
     )
     camera_weight: float = parameter(
         1.0,
-        'how many measurements the expected sigmas of panoramas and places count for',
+        'how many measurements the expected sigmas of panoramas and of relief count for',
+        minimum=1e-3,
+        maximum=1e9,
+    )
+    place_weight: float = parameter(
+        10.0,
+        'how many measurements the expected sigmas of their places count for',
         minimum=1e-3,
         maximum=1e9,
     )
@@ -135,6 +141,7 @@ def adjust(
     walls: Sequence[int],
     start: FloatArray,
     panoramas: Sequence[Panorama],
+    places: FloatArray,
     room: Room,
     config: AdjustmentConfig,
 ) -> Adjustment:
@@ -150,7 +157,9 @@ def adjust(
     start : ndarray, shape (n, 3)
         Positions to start from.
     panoramas : sequence of Panorama
-        With prior poses and covariances.
+        With prior poses.
+    places : ndarray, shape (4 * views, 4 * views)
+        Joint covariance of these, as `reference_area.joint_covariance` tells it.
     room : Room
         The walls; what hangs on them lies near them, not on them.
     config : AdjustmentConfig
@@ -162,7 +171,7 @@ def adjust(
 
     """
     stretch = wall_stretches(start, walls, room, config.hanging_length_m)
-    problem = Problem(sightings, walls, stretch, panoramas, room)
+    problem = Problem(sightings, walls, stretch, panoramas, places, room)
     expected = np.array(
         [
             config.azimuth_sigma_rad,
@@ -178,7 +187,8 @@ def adjust(
     trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
     say = np.where(trusted, 1.0, _NO_SAY)
     weight = np.full(len(expected), config.camera_weight)
-    weight[_RELIEF] = weight[_HANGING] = config.room_weight
+    weight[_PLACES] = config.place_weight
+    weight[_HANGING] = config.room_weight
     noise = expected
     for _ in range(_NOISE_ITERATIONS):
         at = problem.linearize(points, shared)

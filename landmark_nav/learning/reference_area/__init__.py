@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from landmark_nav.learning.reference_area.common_errors import (
+    joined,
+    joint_covariance,
+    pose_errors,
+)
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.location import (
     check_agreement,
@@ -16,6 +21,9 @@ __all__ = [
     'ReferenceAreaConfig',
     'SweepPlace',
     'check_agreement',
+    'joined',
+    'joint_covariance',
     'locate_sweep',
     'optical_height',
+    'pose_errors',
 ]

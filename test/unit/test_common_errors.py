@@ -1,0 +1,115 @@
+"""Sweeps that are placed by the same papers err together, and that is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hung_rooms import (
+    AS_EXPECTED,
+    nees,
+    panoramas_at,
+    POSES,
+    PRIOR,
+    sightings_of,
+    World,
+    world_of,
+)
+import numpy as np
+from paper_sweeps import CAMERA, EAST, error_of, locate, MOUNT, scene_of, sweep_at
+import pytest
+from scenes import rectangle_room
+
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.walls import Paper
+from landmark_nav.learning.adjustment import adjust
+from landmark_nav.learning.reference_area import (
+    joint_covariance,
+    pose_errors,
+    ReferenceAreaConfig,
+)
+from landmark_nav.types import FloatArray
+
+PAPERS = tuple(
+    Paper(color, (x, 0.0, 1.4), 0.21, 0.297)
+    for color, x in (('red', 1.8), ('green', 2.9), ('blue', 4.4))
+)
+ROOM = rectangle_room(6.0, 5.0, PAPERS)
+CONFIG = ReferenceAreaConfig()
+FOCAL_PX = 320.0
+
+
+def test_a_paper_that_hangs_elsewhere_moves_sweeps_as_told() -> None:
+    told = rectangle_room(6.0, 5.0, EAST)
+    moved_m = 0.002
+    hung = (EAST[0], replace(EAST[1], center=(6.0, 2.3 + moved_m, 1.35)), EAST[2])
+    for pose in np.array([[3.6, 2.2, 0.1], [4.4, 3.4, -0.4]]):
+        truly = error_of(locate(sweep_at(scene_of(told), pose), told), pose)
+        off = error_of(locate(sweep_at(scene_of(told, hung), pose), told), pose) - truly
+        eye = [*se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])[:2], 1.1]
+        _, by_papers = pose_errors(np.array([eye]), told, CONFIG, CAMERA.fx)
+        # Size first, then how far along the wall and up each paper hangs; it runs along +y.
+        expected = -by_papers[0, :, 3] * moved_m / CONFIG.paper_sigma_m
+        # Of the viewpoint; the lever to the base is short.
+        assert np.linalg.norm(expected[:2]) > 5e-4
+        np.testing.assert_allclose(off[:2], expected[:2], atol=0.3 * np.linalg.norm(expected[:2]))
+
+
+def told_by_papers(world: World, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Poses (v, 4) with errors as papers make them, and covariances (v, 4, 4) of each alone."""
+    covariance, by_papers = pose_errors(world.poses[:, :3], ROOM, CONFIG, FOCAL_PX)
+    poses = world.poses.copy()
+    factors = rng.normal(size=by_papers.shape[2])
+    full = np.tile(np.diag([0.0, 0.0, PRIOR[2, 2], 0.0]), (len(poses), 1, 1))
+    for k, (spread, part) in enumerate(zip(covariance, by_papers, strict=True)):
+        full[k][np.ix_([0, 1, 3], [0, 1, 3])] = spread
+        alone = rng.multivariate_normal(np.zeros(3), spread - part @ part.T)
+        poses[k, [0, 1, 3]] += part @ factors + alone
+    poses[:, 2] += np.sqrt(0.9) * rng.normal(0.0, np.sqrt(PRIOR[2, 2]))
+    poses[:, 2] += np.sqrt(0.1) * rng.normal(0.0, np.sqrt(PRIOR[2, 2]), len(poses))
+    return poses, full
+
+
+def test_what_sweeps_err_together_is_not_taken_for_agreement() -> None:
+    rng = np.random.default_rng(3)
+    of_poses, if_apart = [], []
+    for _ in range(60):
+        world = world_of(rng, 60)
+        prior, covariance = told_by_papers(world, rng)
+        panoramas = [
+            replace(p, covariance=c, cylinder=replace(p.cylinder, fy=FOCAL_PX))
+            for p, c in zip(panoramas_at(prior), covariance, strict=True)
+        ]
+        sightings = sightings_of(world, rng)
+        for room, found in ((ROOM, of_poses), (replace(ROOM, papers=()), if_apart)):
+            places = joint_covariance(panoramas, room, CONFIG)
+            done = adjust(
+                sightings, world.walls, world.points, panoramas, places, ROOM, AS_EXPECTED
+            )
+            error = done.poses - world.poses
+            error[:, 3] = wrap_rad(error[:, 3])
+            found.append(nees(error, done.pose_covariance).mean())
+    # Four numbers each.
+    assert 3.2 < np.mean(of_poses) < 4.8
+    assert np.mean(of_poses) < np.mean(if_apart)
+
+
+def test_places_that_are_given_better_than_papers_would_tell_keep_to_themselves() -> None:
+    exact = np.diag([1e-4, 1e-4, 5e-3, 5e-5]) ** 2
+    panoramas = panoramas_at(POSES, exact)
+    places = joint_covariance(panoramas, ROOM, CONFIG)
+    np.testing.assert_allclose(places[:4, :4], exact, rtol=1e-5, atol=1e-11)
+    assert np.linalg.eigvalsh(places).min() > 0.0
+    sigma = np.sqrt(np.diag(places))
+    correlation = places / np.outer(sigma, sigma)
+    assert np.abs(correlation[np.ix_([0, 1, 3], [4, 5, 7])]).max() < 0.05
+    assert correlation[2, 6] == pytest.approx(0.9, abs=0.01)
+
+
+@pytest.mark.parametrize('papers', [(), PAPERS[:1], PAPERS[:2]])
+def test_without_three_papers_only_the_height_is_shared(papers: tuple[Paper, ...]) -> None:
+    places = joint_covariance(panoramas_at(POSES), replace(ROOM, papers=papers), CONFIG)
+    apart = places[:4, 4:].copy()
+    assert apart[2, 2] == pytest.approx(0.9 * PRIOR[2, 2], rel=1e-3)
+    apart[2, 2] = 0.0
+    assert not apart.any()
