@@ -16,7 +16,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
+from landmark_nav.learning.adjustment import adjust, AdjustmentConfig, told_by_sizes
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     doubtful_walls,
@@ -154,6 +154,9 @@ def learn_from_panoramas(
         check_walls(free, walls, room, config.adjustment, config.wall_fit)
         adjustment = adjust(sightings, walls, start, panoramas, places, room, config.adjustment)
         residuals = wall_residuals(adjustment, walls, room, config.adjustment, config.wall_fit)
+        adjustment, free = told_by_sizes(
+            adjustment, free, sightings, room.normals[walls], config.adjustment
+        )
     doubt = doubtful_walls(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
     )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from landmark_nav.learning.adjustment.sizes import told_by_sizes
 from landmark_nav.learning.adjustment.solution import (
     adjust,
     Adjustment,
     AdjustmentConfig,
 )
 
-__all__ = ['Adjustment', 'AdjustmentConfig', 'adjust']
+__all__ = ['Adjustment', 'AdjustmentConfig', 'adjust', 'told_by_sizes']

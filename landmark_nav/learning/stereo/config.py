@@ -25,6 +25,12 @@ class StereoConfig:
     min_parallax_rad: float = parameter(
         0.04, 'least angle between two views of a landmark', minimum=0, maximum=1.5
     )
+    min_approach: float = parameter(
+        1.25,
+        'how many times nearer one of two views in line must be, which tells by sizes',
+        minimum=1,
+        maximum=100,
+    )
     behind_wall_m: float = parameter(
         0.15, 'how far behind the wall a match is searched', minimum=0, maximum=2
     )

@@ -17,6 +17,7 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
 from landmark_nav.learning.stereo.likeness import displaced_quarter
+from landmark_nav.learning.stereo.magnification import log_nearer
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
     Float32Image,
@@ -78,7 +79,7 @@ def match_in(
     """
     Find a patch of one panorama in another, number `other`.
 
-    Without parallax nothing tells what lies on the wall from what stands before it.
+    Without parallax, and as far away, nothing tells what lies on the wall from what stands before.
     """
     here, there = panoramas[patch.source], panoramas[other]
     if not room.visible(there.center_map[:2], patch.position[:2]):
@@ -87,10 +88,13 @@ def match_in(
     to_there = there.center_map - patch.position
     if to_there @ patch.normal < np.cos(config.max_incidence_rad) * np.hypot(*to_there[:2]):
         return Refusal('too oblique from the other place')
-    # Straight ahead of both, what hangs higher or lower than the camera has parallax in height.
+    # Straight ahead of both, what hangs higher or lower than the camera has parallax in height,
+    # and all grows on the way to it.
     turn = float(np.linalg.norm(np.cross(to_here, to_there)))
     parallax = float(np.arctan2(turn, to_here @ to_there))
-    if parallax < config.min_parallax_rad:
+    reach, reach_there = float(np.linalg.norm(to_here)), float(np.linalg.norm(to_there))
+    approach = max(reach, reach_there) / min(reach, reach_there)
+    if parallax < config.min_parallax_rad and approach < config.min_approach:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
     return compare(patch, other, panoramas, greys, config)
 
@@ -156,6 +160,7 @@ def compare(
     reach = float(np.hypot(ray[0], ray[1]))
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
     sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
+    nearer = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
     return Sighting(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -163,6 +168,7 @@ def compare(
         float(sigma[0]) * cosine,
         float(sigma[1]),
         match.score,
+        *nearer,
     )
 
 

@@ -1,0 +1,131 @@
+"""
+Depths of patches that both panoramas see in one direction, by how large each shows them.
+
+On the line through two panoramas bearings don't tell depth, and the walls would draw to them
+whatever stands there. Sizes tell it to a centimetre. They have no say in what is shared: panoramas
+and walls are known better than sizes are free of what all have in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.learning.adjustment.solution import Adjustment, AdjustmentConfig
+from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.types import FloatArray
+
+__all__ = ['told_by_sizes']
+
+# Patches whose depth is known to this share of what is doubt tell how true sizes are; so many.
+_KNOWN = 1.0 / 3.0
+_LEAST_KNOWN = 10
+_MAD_TO_SIGMA = 1.4826
+
+
+def told_by_sizes(
+    adjustment: Adjustment,
+    free: Adjustment,
+    sightings: Sequence[Sequence[Sighting]],
+    normals: FloatArray,
+    config: AdjustmentConfig,
+) -> tuple[Adjustment, Adjustment]:
+    """
+    Place patches by their sizes where bearings leave their depths in doubt.
+
+    Of such a patch the wall is believed no more than of a patch on a wall that nothing else hangs
+    on: what hangs beside it may hang otherwise.
+
+    Parameters
+    ----------
+    adjustment : Adjustment
+        With the walls.
+    free : Adjustment
+        The same without: what bearings alone tell.
+    sightings : sequence of sequences
+        Of each of n patches; its first is in the panorama that proposed it.
+    normals : ndarray, shape (n, 3)
+        Of their walls.
+    config : AdjustmentConfig
+        How precise sizes are and how differently things hang.
+
+    Returns
+    -------
+    Adjustment, Adjustment
+        Both again.
+
+    """
+    loose = np.hypot(
+        np.hypot(config.relief_sigma_m, config.hanging_sigma_m), config.common_hanging_sigma_m
+    )
+    own, told = adjustment.own_covariance, free.own_covariance
+    along = np.einsum('nij,nj->ni', told, normals)
+    depth_variance = np.sum(along * normals, 1)
+    doubtful = depth_variance > config.relief_sigma_m**2
+    shift, size_variance = _shift_by_size(adjustment, sightings, normals, config)
+    known = depth_variance < (_KNOWN * config.relief_sigma_m) ** 2
+    known &= np.isfinite(size_variance)
+    if known.sum() >= _LEAST_KNOWN:
+        missed = np.abs(shift[known]) / np.sqrt(size_variance[known])
+        size_variance = size_variance * max(1.0, _MAD_TO_SIGMA * float(np.median(missed))) ** 2
+
+    which = np.flatnonzero(doubtful & np.isfinite(size_variance))
+    n, by_size = normals[which], size_variance[which]
+    # Along its ray it may be anywhere that things hang.
+    ray = along[which] / depth_variance[which, None]
+    loosened = own[which] + loose**2 * ray[:, :, None] * ray[:, None]
+    loading = adjustment.shared_loading[which]
+    spread = np.einsum('ni,nij,nj->n', n, loosened, n) + by_size
+    spread += np.sum(np.einsum('ni,nip->np', n, loading) ** 2, 1)
+    gain = np.einsum('nij,nj->ni', loosened, n) / spread[:, None]
+    kept = np.eye(3) - gain[:, :, None] * n[:, None]
+    noise = by_size[:, None, None] * gain[:, :, None] * gain[:, None]
+
+    positions, off_wall = adjustment.positions.copy(), adjustment.off_wall_m.copy()
+    chi_square, own, told = adjustment.chi_square.copy(), own.copy(), told.copy()
+    shared_loading = adjustment.shared_loading.copy()
+    moved = gain * shift[which, None]
+    positions[which] += moved
+    off_wall[which] += np.sum(moved * n, 1)
+    chi_square[which] += shift[which] ** 2 / spread
+    own[which] = kept @ loosened @ kept.swapaxes(1, 2) + noise
+    shared_loading[which] = kept @ loading
+    told[which] -= (
+        along[which, :, None] * along[which, None]
+        / (depth_variance[which] + by_size)[:, None, None]
+    )  # fmt: skip
+    return (
+        replace(
+            adjustment,
+            positions=positions,
+            own_covariance=own,
+            shared_loading=shared_loading,
+            off_wall_m=off_wall,
+            chi_square=chi_square,
+        ),
+        replace(free, own_covariance=told),
+    )
+
+
+def _shift_by_size(
+    adjustment: Adjustment,
+    sightings: Sequence[Sequence[Sighting]],
+    normals: FloatArray,
+    config: AdjustmentConfig,
+) -> tuple[FloatArray, FloatArray]:
+    """How much farther off their walls sizes put patches (n,), and with what variance (n,)."""
+    told, information = np.zeros((2, len(sightings)))
+    for k, group in enumerate(sightings):
+        reach = (adjustment.poses[:, :3] - adjustment.positions[k]) @ normals[k]
+        source = reach[group[0].panorama]
+        for sighting in group[1:]:
+            there = reach[sighting.panorama]
+            by_depth = 1.0 / there - 1.0 / source
+            variance = sighting.sigma_log_nearer**2 + config.nearness_sigma**2
+            missed = sighting.log_nearer - np.log(source / there)
+            told[k] += by_depth * missed / variance
+            information[k] += by_depth**2 / variance
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.where(information > 0.0, told / information, 0.0), 1.0 / information
