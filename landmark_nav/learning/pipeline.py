@@ -212,7 +212,7 @@ def learn_from_panoramas(
 def _check(panoramas: Sequence[Panorama]) -> None:
     if len(panoramas) < 2:
         raise LandmarkNavError(
-            f'learning needs two panoramas from different places, there is {len(panoramas)}: '
+            f'learning needs two panoramas from different places, not {len(panoramas)}: '
             'drive 1 to 3 m on and call capture_sweep again'
         )
     centers = np.array([p.center_map[:2] for p in panoramas])

@@ -288,7 +288,7 @@ def test_a_sweep_without_frames_is_refused() -> None:
 
 
 def test_one_panorama_is_not_enough(panoramas: list[Panorama]) -> None:
-    with pytest.raises(LandmarkNavError, match=r'needs two panoramas .* there is 1'):
+    with pytest.raises(LandmarkNavError, match=r'needs two panoramas .* not 1: drive'):
         learn_from_panoramas(panoramas[:1], ROOM, LearningConfig())
 
 

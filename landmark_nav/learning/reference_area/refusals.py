@@ -136,8 +136,8 @@ def why_not(
         )
         alone = bool((measured_papers(best) | ~in_view).all())
         remedy = (
-            'not all together: check how the pan axis stands in robot.yaml, and where the papers '
-            'hang in room.yaml'
+            'not all together: check sizes and places of the papers in room.yaml, and how the '
+            'pan axis stands in robot.yaml'
             if alone
             else 'uncover the papers, or check colours, sizes and places in room.yaml'
         )
