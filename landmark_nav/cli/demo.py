@@ -18,6 +18,7 @@ from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.demo.verdict import Check, figures, judge, table
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
+from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.ros import require_ros
@@ -32,7 +33,7 @@ _TOUR_M = 14.0
 
 # What a demo leaves; a folder with other things in it is not touched.
 _OWN = (
-    *('room.yaml', 'robot.yaml', 'logs', 'map', 'recording', 'demo.json'),
+    *('room.yaml', 'robot.yaml', 'logs', 'map', 'recording', 'demo.json', 'report.html'),
     *('map.png', 'panorama_1.png', 'panorama_2.png', 'trajectory.png', 'errors.png'),
 )
 
@@ -120,8 +121,11 @@ def _report(
     for k, view in enumerate(learned.panoramas):
         path = folder / f'panorama_{k + 1}.png'
         draw_panorama(view, learned.candidates[k], learned.outcomes[k], k + 1, path)
-    draw_trajectory(run, landmarks, folder / 'trajectory.png')
-    draw_errors(run, run_errors(run), folder / 'errors.png')
+    pictures = {name: folder / f'{name.lower()}.png' for name in ('Trajectory', 'Errors')}
+    draw_trajectory(run, landmarks, pictures['Trajectory'])
+    draw_errors(run, run_errors(run), pictures['Errors'])
+    pictures |= {'Map': folder / 'map.png', 'Panorama 1': folder / 'panorama_1.png'}
+    (folder / 'report.html').write_text(html_report('Demo', measured, pictures), encoding='utf-8')
     (folder / 'demo.json').write_text(json.dumps(measured, indent=2) + '\n', encoding='utf-8')
     for line in table(measured):
         narrator.say(line)
@@ -132,8 +136,6 @@ def _report(
     for check in checks:
         narrator.say(f'{"ok    " if check.passed else "FAILED"}  {check.text}')
     narrator.say(f'{narrator.seconds:.0f} s; all of it is in {folder}:')
-    narrator.say(
-        'map/ and map.png, recording/ (MCAP), trajectory.png, errors.png, panorama_*.png,'
-    )
-    narrator.say('demo.json, logs/ of the nodes')
+    narrator.say('report.html, and what is in it: demo.json, map.png, trajectory.png, errors.png,')
+    narrator.say('panorama_*.png; map/, recording/ (MCAP), logs/ of the nodes')
     return 0 if all(check.passed for check in checks) else 1

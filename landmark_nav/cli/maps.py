@@ -151,6 +151,8 @@ def _described_walls(a: tuple[Wall, ...], b: tuple[Wall, ...]) -> list[str]:
         moved = float(np.abs(ends[1] - ends[0]).max())
         if moved > 0.0:
             lines.append(f'wall     {name}: an end moved by {100 * moved:.1f} cm')
+    if lines:
+        lines.append('of two rooms, or the room.yaml was changed between the maps')
     return lines
 
 

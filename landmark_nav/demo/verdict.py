@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from landmark_nav.evaluation.metrics import error_summary
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import run_errors
+from landmark_nav.evaluation.run_report import pose_report, run_errors
 from landmark_nav.types import LandmarkMap
 
 __all__ = ['Check', 'figures', 'judge', 'table']
@@ -31,17 +28,8 @@ class Check:
 
 def figures(run: Replay, landmarks: LandmarkMap) -> dict[str, Any]:
     """Figures of the drive, by the keys of ``landmark-nav evaluate --json``."""
-    errors = run_errors(run)
-    return {
-        'frames': len(run.updates),
-        'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
-        'availability': float(np.mean(~run.lost)),
-        'landmarks': len(landmarks.landmarks),
-        'walls': len({landmark.wall_id for landmark in landmarks.landmarks}),
-        'fused': error_summary(errors.fused),
-        'triangulation': error_summary(errors.triangulation),
-        'odometry': error_summary(errors.odometry),
-    }
+    walls = len({landmark.wall_id for landmark in landmarks.landmarks})
+    return {**pose_report(run, run_errors(run), landmarks), 'walls': walls}
 
 
 def judge(measured: dict[str, Any]) -> list[Check]:

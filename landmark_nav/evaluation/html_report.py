@@ -41,7 +41,7 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
     title : str
         Of the page.
     report : mapping
-        As `landmark_nav.evaluation.run_report.run_report` makes it.
+        As `landmark_nav.evaluation.run_report` makes it: of a run, or of its poses alone.
     figures : mapping of str to Path
         Captions and PNG files.
 
@@ -54,10 +54,9 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         + '</tr>'
         for label, (key, factor, digits) in _ROWS.items()
     )
-    found, nees, times = report['found'], report['nees'], report['update_ms']
+    nees = report['nees']
     ideal = '3 is ideal' + ('' if nees['interval_95'] is None else _honest(*nees['interval_95']))
     rest = {
-        'place': 'given' if found is None else f'found after {found["after_s"]:.1f} s',
         'pictures': report['frames'],
         'triangulated poses': report['fixes'],
         'availability': _cell(report['availability'], 1.0, 3),
@@ -65,12 +64,8 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         'claimed sigma, median [cm]': _cell(report['claimed']['position_median_m'], 100.0, 2),
         f'NEES, mean ({ideal})': _cell(nees['mean'], 1.0, 2),
         'NEES, share within 95 % [%]': _cell(nees['inside_95'], 100.0, 1),
-        'RMSE over Cramér-Rao bound': _cell(report['crlb_ratio'], 1.0, 2),
         'pictures over 5 sigma off, not told': _cell(report['silently_wrong'], 1, 0),
-        'update, median [ms]': _cell(times['median'], 1.0, 1),
-        'update, 95 % within [ms]': _cell(times['p95'], 1.0, 1),
-        'times real time': _cell(report['realtime_factor'], 1.0, 1),
-        'result hash': report['result_hash'][:16],
+        **(_of_replay(report) if 'crlb_ratio' in report else {}),
     }
     others = ''.join(
         f'<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>'
@@ -80,7 +75,7 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         f'<tr><td>{escape(spell["status"])}</td><td>{spell["from_s"]:.1f}</td>'
         f'<td>{spell["to_s"]:.1f}</td><td class="left">{escape(spell["reason"])}</td>'
         '</tr>'
-        for spell in report['spells']
+        for spell in report.get('spells', ())
     )
     if spells:
         head_of_spells = '<th>not tracking</th><th>from [s]</th><th>to [s]</th>'
@@ -99,6 +94,18 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         '<p>Errors are absolute in map, never aligned, at the stamps of the pictures.</p>'
         f'<table><tr>{head}</tr>{body}</table><table>{others}</table>{pictures}</html>\n'
     )
+
+
+def _of_replay(report: Mapping[str, Any]) -> dict[str, str]:
+    found, times = report['found'], report['update_ms']
+    return {
+        'RMSE over Cramér-Rao bound': _cell(report['crlb_ratio'], 1.0, 2),
+        'place': 'given' if found is None else f'found after {found["after_s"]:.1f} s',
+        'update, median [ms]': _cell(times['median'], 1.0, 1),
+        'update, 95 % within [ms]': _cell(times['p95'], 1.0, 1),
+        'times real time': _cell(report['realtime_factor'], 1.0, 1),
+        'result hash': report['result_hash'][:16],
+    }
 
 
 def _honest(low: float, high: float) -> str:

@@ -22,7 +22,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
 from landmark_nav.types import Detections, FloatArray, LandmarkMap
 
-__all__ = ['RunErrors', 'run_errors', 'run_report']
+__all__ = ['RunErrors', 'pose_report', 'run_errors', 'run_report']
 
 SCHEMA = 1
 
@@ -56,8 +56,7 @@ def run_report(
     """
     Figures of a run, by the keys of the contract.
 
-    Those that need ground truth are None where the bag has none; ``claimed`` is the sigma of the
-    fused poses; ``found`` is None where the start
+    Those that need ground truth are None where the bag has none; ``found`` is None where the start
     was given; ``spells`` are the stretches of pictures in which the state was coasting or lost.
     """
     bound = posterior_bound(
@@ -68,36 +67,11 @@ def run_report(
         config,
         run.start,
     )
-    nees = consistency(errors.fused, run.fused_covariances)
     took_ms = 1e3 * run.update_seconds
     stamps = run.stamps_ns
-    pictures = np.concatenate([run.searched, stamps])
-    end = max(pictures[-1], run.odometry.stamps_ns[-1])
-    span_s = 1e-9 * float(end - run.begin_ns)
-    sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
-    sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
+    span_s = 1e-9 * float(max(stamps[-1], run.odometry.stamps_ns[-1]) - run.begin_ns)
     return {
-        'schema': SCHEMA,
-        'frames': len(pictures),
-        'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
-        'availability': float(np.sum(~run.lost)) / len(pictures),
-        'landmarks': len(landmark_map.landmarks),
-        'fused': error_summary(errors.fused),
-        'triangulation': error_summary(errors.triangulation),
-        'odometry': error_summary(errors.odometry),
-        'nees': {
-            'mean': nees.mean if nees else None,
-            'inside_95': nees.inside_95 if nees else None,
-            'interval_95': list(nees.interval_95) if nees else None,
-        },
-        'claimed': {
-            'position_median_m': float(np.median(sigma_m)),
-            'position_p95_m': float(np.percentile(sigma_m, 95)),
-            'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
-        },
-        'silently_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking)
-        if len(run.truth)
-        else None,
+        **pose_report(run, errors, landmark_map),
         'crlb_ratio': crlb_ratio(errors.fused, bound),
         'update_ms': {
             'median': float(np.median(took_ms)),
@@ -117,6 +91,37 @@ def run_report(
             'pose': list(run.start.pose),
         }
         if run.searched
+        else None,
+    }
+
+
+def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> dict[str, Any]:
+    """Of these figures, those that the poses of a run tell; ``claimed`` are their sigmas."""
+    pictures = len(run.searched) + len(run.updates)
+    nees = consistency(errors.fused, run.fused_covariances)
+    sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
+    sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
+    return {
+        'schema': SCHEMA,
+        'frames': pictures,
+        'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
+        'availability': float(np.sum(~run.lost)) / pictures,
+        'landmarks': len(landmark_map.landmarks),
+        'fused': error_summary(errors.fused),
+        'triangulation': error_summary(errors.triangulation),
+        'odometry': error_summary(errors.odometry),
+        'nees': {
+            'mean': nees.mean if nees else None,
+            'inside_95': nees.inside_95 if nees else None,
+            'interval_95': list(nees.interval_95) if nees else None,
+        },
+        'claimed': {
+            'position_median_m': float(np.median(sigma_m)),
+            'position_p95_m': float(np.percentile(sigma_m, 95)),
+            'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
+        },
+        'silently_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking)
+        if len(run.truth)
         else None,
     }
 
