@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 from hypothesis import given, settings
@@ -16,6 +17,8 @@ from landmark_nav.localization.triplet.ranking import Standing, Verdict
 from landmark_nav.localization.triplet.search import best_triplets, mean_variance
 from landmark_nav.localization.triplet.views import travel_s
 from landmark_nav.types import LandmarkMap, PoseEstimate
+
+UP = np.array([0.0, 0.0, 0.3])
 
 
 class TestSearch:
@@ -39,6 +42,18 @@ class TestSearch:
         np.testing.assert_allclose(scores, score[order], rtol=1e-9)
         assert {tuple(t) for t in triplets} == {tuple(t) for t in every[order]}
         assert len(scores) == min(10, np.isfinite(score).sum())
+
+    @pytest.mark.filterwarnings('error')
+    def test_landmarks_one_above_the_other_are_as_good_as_one(self) -> None:
+        landmark_map = random_map(90, 4)
+        pairs = zip(landmark_map.landmarks[::2], landmark_map.landmarks[1::2], strict=True)
+        above = [(a, replace(b, position=a.position + UP)) for a, b in pairs]
+        stacked = LandmarkMap(tuple(k for pair in above for k in pair))
+        tables = pair_tables(PRIOR.pose[None, :2], stacked, np.arange(90), 4e-4)
+        scores, triplets = best_triplets(tables, np.ones(90), np.ones((90, 90)), 5000)
+        every = np.array(list(combinations(range(90), 3)))
+        np.testing.assert_allclose(scores, np.sort(mean_variance(tables, every))[:5000], rtol=1e-9)
+        assert all(len({k // 2 for k in triplet}) == 3 for triplet in triplets)
 
     @pytest.mark.parametrize('views', ['one', 'several'])
     def test_no_triplet_scores_better_than_the_chosen(self, views: str) -> None:

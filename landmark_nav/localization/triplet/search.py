@@ -98,7 +98,7 @@ def _add_across(least: FloatArray, tables: PairTables, good: npt.NDArray[np.bool
         least, (PairTables(*t) for t in zip(*tables, strict=True)), strict=True
     ):
         x, y = table.gradient
-        length = np.sqrt(table.distance[first, second])
+        length = np.maximum(np.sqrt(table.distance[first, second]), _NOWHERE)
         normal_x, normal_y = (y[second] - y[first]) / length, (x[first] - x[second]) / length
         offset = normal_x * x[first] + normal_y * y[first]
         pair = table.own[first] * table.own[second] / (table.own[first] + table.own[second])
