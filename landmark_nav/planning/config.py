@@ -70,6 +70,12 @@ class PlanConfig:
     match_sigma_px: float = parameter(
         0.08, 'standard deviation of a patch found again', minimum=0.001, maximum=5
     )
+    match_sigma_size: float = parameter(
+        3e-3,
+        'standard deviation of how much larger another view shows a patch, as a share',
+        minimum=1e-5,
+        maximum=1,
+    )
     cap_m: float = parameter(
         0.05, 'greater localization errors count as this much', minimum=0.001, maximum=10
     )

@@ -144,7 +144,10 @@ class Predictor:
         parallax = np.abs(wrap_rad(azimuth[:, None] - azimuth))
         fall = (parallax - config.match_half_rad) / config.match_slope_rad
         found = config.match_probability / (1.0 + np.exp(np.clip(fall, -50.0, 50.0)))
-        found[parallax < config.stereo.min_parallax_rad] = 0.0
+        reach = views.range_m[places]
+        approach = np.maximum(reach[:, None], reach) / np.minimum(reach[:, None], reach)
+        in_line = parallax < config.stereo.min_parallax_rad
+        found[in_line & (approach < config.stereo.min_approach)] = 0.0
         found[self._depth_sigma(places, parallax) > config.election.max_depth_sigma_m] = 0.0
         found[~self._alike[places[:, None], places]] = 0.0
         itself = np.arange(len(places))
@@ -175,4 +178,10 @@ class Predictor:
         # Two bearings have the inverse information of their rays' directions.
         ray = reach[:, None] * cosine[None]
         square = (ray**2 + np.swapaxes(ray, 0, 1) ** 2) * self._variance
-        return np.asarray(np.sqrt(square) / np.maximum(np.abs(np.sin(parallax_rad)), 1e-9))
+        # Sizes have it in line, too.
+        config = self._config
+        size_sigma = np.hypot(config.match_sigma_size, config.adjustment.nearness_sigma)
+        nearness = 1.0 / np.maximum(reach * cosine, 1e-3)
+        by_size = (nearness[:, None] - nearness) / size_sigma
+        information = np.sin(parallax_rad) ** 2 / np.maximum(square, 1e-12) + by_size**2
+        return np.asarray(1.0 / np.sqrt(np.maximum(information, 1e-12)))
