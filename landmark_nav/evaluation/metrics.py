@@ -91,12 +91,30 @@ def error_summary(errors: FloatArray) -> dict[str, float | None]:
     return {key: float(value) for key, value in zip(keys, values, strict=True)}
 
 
-def consistency(errors: FloatArray, covariances: FloatArray) -> Consistency | None:
+def consistency(
+    errors: FloatArray, covariances: FloatArray, by_map: FloatArray | None = None
+) -> Consistency | None:
     """
-    Compare errors (n, 3) with the covariances (n, 3, 3) that were claimed for them.
+    Compare errors with the covariances that were claimed for them.
 
     Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
-    section 5.4. None without a single known error.
+    section 5.4.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n, 3)
+        NaN where unknown.
+    covariances : ndarray, shape (n, 3, 3)
+        Of them, as claimed.
+    by_map : ndarray, shape (n, 3, m), optional
+        Of that, what the map's errors make up, by factors of unit variance: these are drawn once
+        a run, whether or not the errors of this one show it.
+
+    Returns
+    -------
+    Consistency or None
+        None without a single known error.
+
     """
     known = np.all(np.isfinite(errors), axis=1)
     if not np.any(known):
@@ -106,6 +124,8 @@ def consistency(errors: FloatArray, covariances: FloatArray) -> Consistency | No
     nees = np.sum(white * white, axis=1)
     bound = chdtri(_DEGREES_OF_FREEDOM, 0.05)
     n = _independent(white)
+    if by_map is not None:
+        n = min(n, _independent_maps(np.linalg.solve(roots, by_map[known])))
     low, high = chdtri(_DEGREES_OF_FREEDOM * n, [0.975, 0.025]) / n
     return Consistency(
         float(np.mean(nees)), float(np.mean(nees < bound)), (float(low), float(high))
@@ -130,6 +150,18 @@ def _independent(white: FloatArray) -> float:
             break
         repeated += correlation**2
     return n / (1.0 + 2.0 * repeated)
+
+
+def _independent_maps(white: FloatArray) -> float:
+    """
+    How many independent samples n errors are worth of which the map makes up (n, 3, m).
+
+    The variance of a sum of squares of Gaussians is twice the sum of their squared correlations.
+    """
+    n = len(white)
+    factors = white.reshape(3 * n, -1)
+    repeated = float(np.sum((factors.T @ factors) ** 2))
+    return _DEGREES_OF_FREEDOM * n**2 / repeated if repeated > 0.0 else float(n)
 
 
 def silently_wrong(

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solve_triangular
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.tracks import PoseTrack
@@ -87,6 +88,17 @@ class Replay:
     def fused_covariances(self) -> FloatArray:
         """Their covariances, (n, 3, 3)."""
         return np.array([update.fused.covariance for update in self.updates]).reshape(-1, 3, 3)
+
+    def by_map(self, landmark_map: LandmarkMap) -> FloatArray | None:
+        """How errors of the map move the fused poses, (n, 3, 2 l), by factors of unit variance."""
+        parts = [update.with_landmarks for update in self.updates]
+        known = [part for part in parts if part is not None]
+        if not known or len(known) < len(parts):
+            return None
+        root = np.linalg.cholesky(landmark_map.joint_covariance_xy)
+        return np.asarray(solve_triangular(root, np.vstack(known).T, lower=True).T).reshape(
+            len(known), 3, -1
+        )
 
     @property
     def fixes(self) -> FloatArray:

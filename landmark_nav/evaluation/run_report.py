@@ -98,7 +98,7 @@ def run_report(
 def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> dict[str, Any]:
     """Of these figures, those that the poses of a run tell; ``claimed`` are their sigmas."""
     pictures = len(run.searched) + len(run.updates)
-    nees = consistency(errors.fused, run.fused_covariances)
+    nees = consistency(errors.fused, run.fused_covariances, run.by_map(landmark_map))
     sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
     sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {

@@ -23,6 +23,7 @@ from landmark_nav.parameters import check_parameters, parameter
 from landmark_nav.types import (
     CameraFrame,
     Detections,
+    FloatArray,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -61,8 +62,8 @@ class LocalizationUpdate:
     All that came of one picture.
 
     `triplet` is what the camera would best be turned to, as last chosen; `fused` is the filter's
-    estimate at the picture's stamp, after it; `search` is what came of looking for the place, if
-    it was lost.
+    estimate at the picture's stamp, after it; `with_landmarks` (3, 2 n) is its covariance with
+    their places; `search` is what came of looking for the place, if it was lost.
     """
 
     stamp_ns: int
@@ -72,6 +73,7 @@ class LocalizationUpdate:
     fused: PoseEstimate
     status: str
     reason: str
+    with_landmarks: FloatArray | None = None
     search: PoseEstimate | Refusal | None = None
 
 
@@ -216,4 +218,7 @@ class Localizer:
         fused = self._filter.estimate(stamp_ns)
         assert fused is not None, 'it was initialized'
         status, reason = self._filter.status
-        return LocalizationUpdate(stamp_ns, triplet, seen, update, fused, str(status), reason)
+        with_landmarks = self._filter.with_landmarks(stamp_ns)
+        return LocalizationUpdate(
+            stamp_ns, triplet, seen, update, fused, str(status), reason, with_landmarks
+        )

@@ -117,6 +117,23 @@ def test_nees_interval_allows_for_errors_that_repeat(kept):
     assert (np.median(widths) > 3.0) == (kept > 0.95)
 
 
+def test_nees_interval_knows_that_the_map_is_drawn_once():
+    # Two thirds of the variance are the map's, the same all along; the rest is new each time.
+    rng = np.random.default_rng(4)
+    by_map = np.broadcast_to(np.sqrt(2.0 / 3.0) * np.eye(3), (200, 3, 3))
+    covariances = np.broadcast_to(np.eye(3), (200, 3, 3))
+    told, alone = 0, 0
+    for _ in range(200):
+        errors = by_map[0] @ rng.normal(size=3) + rng.normal(0.0, np.sqrt(1.0 / 3.0), (200, 3))
+        low, high = consistency(errors, covariances, by_map).interval_95
+        told += low < np.mean(np.sum(errors**2, 1)) < high
+        low, high = consistency(errors, covariances).interval_95
+        alone += low < np.mean(np.sum(errors**2, 1)) < high
+    assert told >= 0.93 * 200
+    # A map that happens to be good hides how much is the map's.
+    assert alone < told
+
+
 def test_what_is_sure_and_wrong_is_counted():
     errors = np.zeros((6, 3))
     errors[1, 0], errors[2, 2], errors[3, 1], errors[4, :2] = 0.06, -0.06, 0.04, np.nan

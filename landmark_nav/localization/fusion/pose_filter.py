@@ -265,6 +265,10 @@ class PoseFilter:
         doubt *= min(1.0, self._config.astray_limit_m**2 / (doubt[0] + 1e-300))
         return replace(found, covariance=found.covariance + np.diag(doubt))
 
+    def with_landmarks(self, stamp_ns: int) -> FloatArray:
+        """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
+        return self._history.at(stamp_ns).cross[:3]
+
     @property
     def _doubt(self) -> FloatArray:
         """Variances (3,) that each picture adds which contradicts a pose that is not believed."""
