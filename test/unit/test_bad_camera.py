@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import re
 
 import numpy as np
 from picture_drives import MAP, MOUNT, START, START_SIGMA, Step
@@ -88,8 +89,9 @@ def test_a_camera_bumped_in_its_tilt_finds_all_as_before(
     )
     assert seen > 0.9 * without
     # The joints say too much, so the camera looks lower.
-    (told,) = [float(word) for word in caplog.text.split() if word[0] in '+-' and word[1:]]
-    assert told == pytest.approx(-angle_deg, abs=0.2)
+    ((told, side),) = re.findall(r'looks ([\d.]+) deg (above|below)', caplog.text)
+    assert side == ('below' if angle_deg > 0.0 else 'above')
+    assert float(told) == pytest.approx(abs(angle_deg), abs=0.2)
 
 
 def test_a_place_is_found_with_a_camera_whose_tilt_was_knocked_before(

@@ -28,8 +28,8 @@ _LEAST = 3
 _LOOKS, _SAME_BLUR_PX2 = 3, 0.7
 # No picture is sharper or more blurred than this and still of use.
 _SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
-# A tilt that is told: more than a floor does.
-_TILTED_RAD = 0.005
+# A tilt that is told: more than a floor does, and than heights that are a centimetre off.
+_TILTED_RAD, _HEIGHT_M = 0.005, 0.01
 
 
 class AimedDetector:
@@ -120,7 +120,9 @@ class AimedDetector:
     def _follow(self, result: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> None:
         """Aim where a picture was found to look, once that is beside."""
         aim = self._seen_aim(result, frame, prior)
-        tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD
+        away = self._map.positions[self._map.indices(result.detections.ids), :2] - prior.pose[:2]
+        doubt_rad = _HEIGHT_M / float(np.median(np.hypot(*away.T)))
+        tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD + doubt_rad
         if tilted:
             self._told_rad = aim[1]
             side = 'above' if aim[1] > 0.0 else 'below'
