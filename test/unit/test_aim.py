@@ -61,3 +61,15 @@ def test_a_camera_is_tilted_where_most_landmarks_say_so(strangers: int) -> None:
     found = detector.detect(frame, prior, np.arange(4 + strangers)).detections
     assert len(found) == (0 if strangers else 4)
     assert detector.tilt_rad == pytest.approx(0.0 if strangers else knock_rad, abs=1e-3)
+
+
+def test_heights_that_are_a_centimetre_off_are_no_tilt() -> None:
+    """From 1.6 m, elevations say 6 mrad."""
+    pose = HERE + np.array([1.6, 0.0, 0.0])
+    frame = draw_frame(SCENE, LENS, MOUNT, pose, 0.05)
+    raised = np.array([0.0, 0.0, 0.01])
+    higher = tuple(replace(k, position=k.position + raised) for k in LANDMARKS.landmarks)
+    detector = AimedDetector(replace(LANDMARKS, landmarks=higher), MOUNT, CONFIG, 0.03)
+    prior = PoseEstimate(frame.stamp_ns, pose, PRIOR)
+    assert len(detector.detect(frame, prior, np.arange(4)).detections) >= 3
+    assert detector.knocked_up_rad == 0.0
