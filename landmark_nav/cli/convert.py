@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.tracks import PoseTrack
@@ -93,11 +94,12 @@ def run(args: argparse.Namespace) -> int:
     write_whole(beginning, start_document(start))
     write_whole(config, shipped_config('mrclam.yaml').read_bytes())
     seen = sum(len(sighting) for sighting in log.sightings)
-    print(
+    told = (
         f'{seen} bearings to {len(log.landmark_map.landmarks)} posts in {len(log.sightings)} '
-        f'pictures, {log.unknown} unknown barcodes left out; commands take effect after '
+        f'pictures, {log.unknown} with unknown barcodes left out; commands take effect after '
         f'{delay:.2f} s'
     )
+    print(wrapped([told]))
     print(
         f'landmark-nav evaluate {quote(str(args.out))} --map {quote(str(landmarks))} '
         f'--robot {quote(str(robot))} --config {quote(str(config))} --start {_listed(start)}'
