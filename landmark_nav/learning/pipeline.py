@@ -155,7 +155,12 @@ def learn_from_panoramas(
         adjustment = adjust(sightings, walls, start, panoramas, places, room, config.adjustment)
         residuals = wall_residuals(adjustment, walls, room, config.adjustment, config.wall_fit)
         adjustment, free = told_by_sizes(
-            adjustment, free, sightings, room.normals[walls], config.adjustment
+            adjustment,
+            free,
+            sightings,
+            room.normals[walls],
+            config.adjustment,
+            config.election.max_depth_sigma_m,
         )
     doubt = doubtful_walls(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit

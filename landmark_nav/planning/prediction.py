@@ -15,6 +15,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment.sizes import TELLING
 from landmark_nav.learning.reference_area import joined
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
@@ -183,5 +184,6 @@ class Predictor:
         size_sigma = np.hypot(config.match_sigma_size, config.adjustment.nearness_sigma)
         nearness = 1.0 / np.maximum(reach * cosine, 1e-3)
         by_size = (nearness[:, None] - nearness) / size_sigma
+        by_size[np.abs(by_size) * TELLING * config.election.max_depth_sigma_m < 1.0] = 0.0
         information = np.sin(parallax_rad) ** 2 / np.maximum(square, 1e-12) + by_size**2
         return np.asarray(1.0 / np.sqrt(np.maximum(information, 1e-12)))

@@ -149,7 +149,7 @@ class TestPrediction:
     def test_walls_straight_ahead_of_both_places_give_landmarks_if_sizes_tell(self) -> None:
         samples = sample_walls(ROOM, 0.05, 1000)
         # Both see the papers in the south and look at the middle of the east wall in line.
-        poses = sweep_poses(np.array([[1.2, 2.0], [3.0, 2.0]]), ROOM)
+        poses = sweep_poses(np.array([[1.0, 2.0], [3.5, 2.0]]), ROOM)
         poses[:, :2] -= look(poses, samples, ROOM, MOUNT, CONFIG).eye[:, :2] - poses[:, :2]
         views = look(poses, samples, ROOM, MOUNT, CONFIG)
         assert len(views) == 2

@@ -19,6 +19,7 @@ EAST = ROOM.normals[1]
 # Both look east along y = 2.5.
 POSES = np.array([[4.2, 2.5, 1.1, 0.0], [1.8, 2.5, 1.1, 0.0]])
 SIZE_SIGMA = 1.5e-3
+DOUBT_M = 0.02
 STEREO = StereoConfig()
 
 
@@ -60,6 +61,7 @@ def placed(points: FloatArray, seed: int = 0) -> tuple[Adjustment, Adjustment]:
         sizes_of(points, np.random.default_rng(seed)),
         np.tile(EAST, (len(points), 1)),
         CONFIG,
+        DOUBT_M,
     )
 
 
@@ -95,12 +97,12 @@ def test_sizes_that_miss_where_depths_are_known_count_for_less() -> None:
     adjustment, free = on_the_wall(points, 1e-3), on_the_wall(points, 0.08)
     free.own_covariance[known] = on_the_wall(points[known], 2e-3).own_covariance
     normals = np.tile(EAST, (60, 1))
-    _, right = told_by_sizes(adjustment, free, sizes_of(points, rng), normals, CONFIG)
+    _, right = told_by_sizes(adjustment, free, sizes_of(points, rng), normals, CONFIG, DOUBT_M)
     wrong = [
         [own, replace(other, log_nearer=other.log_nearer + rng.normal(0.0, 0.01))]
         for own, other in sizes_of(points, rng)
     ]
-    _, doubted = told_by_sizes(adjustment, free, wrong, normals, CONFIG)
+    _, doubted = told_by_sizes(adjustment, free, wrong, normals, CONFIG, DOUBT_M)
     worse = doubted.own_covariance[~known, 0, 0] / right.own_covariance[~known, 0, 0]
     assert worse.min() > 4.0
     np.testing.assert_array_equal(doubted.own_covariance[known], free.own_covariance[known])
@@ -113,7 +115,9 @@ def test_without_sizes_nothing_changes() -> None:
         [own, replace(other, sigma_log_nearer=np.inf)]
         for own, other in sizes_of(points, np.random.default_rng(0))
     ]
-    found, still = told_by_sizes(adjustment, free, sightings, np.tile(EAST, (3, 1)), CONFIG)
+    found, still = told_by_sizes(
+        adjustment, free, sightings, np.tile(EAST, (3, 1)), CONFIG, DOUBT_M
+    )
     np.testing.assert_array_equal(found.positions, adjustment.positions)
     np.testing.assert_array_equal(found.own_covariance, adjustment.own_covariance)
     np.testing.assert_array_equal(still.own_covariance, free.own_covariance)

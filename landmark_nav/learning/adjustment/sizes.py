@@ -17,12 +17,14 @@ from landmark_nav.learning.adjustment.solution import Adjustment, AdjustmentConf
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray
 
-__all__ = ['told_by_sizes']
+__all__ = ['TELLING', 'told_by_sizes']
 
 # Patches whose depth is known to this share of what is doubt tell how true sizes are; so many.
-_KNOWN = 1.0 / 3.0
+_KNOWN = 0.25
 _LEAST_KNOWN = 10
 _MAD_TO_SIGMA = 1.4826
+# Sizes that tell no better than this share of what is doubt are left aside.
+TELLING = 0.5
 
 
 def told_by_sizes(
@@ -31,6 +33,7 @@ def told_by_sizes(
     sightings: Sequence[Sequence[Sighting]],
     normals: FloatArray,
     config: AdjustmentConfig,
+    doubt_m: float,
 ) -> tuple[Adjustment, Adjustment]:
     """
     Place patches by their sizes where bearings leave their depths in doubt.
@@ -50,6 +53,8 @@ def told_by_sizes(
         Of their walls.
     config : AdjustmentConfig
         How precise sizes are and how differently things hang.
+    doubt_m : float
+        Standard deviation of a depth that is in doubt, metres, or more.
 
     Returns
     -------
@@ -63,15 +68,16 @@ def told_by_sizes(
     own, told = adjustment.own_covariance, free.own_covariance
     along = np.einsum('nij,nj->ni', told, normals)
     depth_variance = np.sum(along * normals, 1)
-    doubtful = depth_variance > config.relief_sigma_m**2
+    doubtful = depth_variance > doubt_m**2
     shift, size_variance = _shift_by_size(adjustment, sightings, normals, config)
-    known = depth_variance < (_KNOWN * config.relief_sigma_m) ** 2
+    known = depth_variance < (_KNOWN * doubt_m) ** 2
     known &= np.isfinite(size_variance)
     if known.sum() >= _LEAST_KNOWN:
         missed = np.abs(shift[known]) / np.sqrt(size_variance[known])
         size_variance = size_variance * max(1.0, _MAD_TO_SIGMA * float(np.median(missed))) ** 2
 
-    which = np.flatnonzero(doubtful & np.isfinite(size_variance))
+    tells = size_variance < (TELLING * doubt_m) ** 2
+    which = np.flatnonzero(doubtful & tells)
     n, by_size = normals[which], size_variance[which]
     # Along its ray it may be anywhere that things hang.
     ray = along[which] / depth_variance[which, None]
