@@ -61,7 +61,8 @@ def wrong_prior(fit: PaperFit, room: Room, config: ReferenceAreaConfig) -> str |
     if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):
         return (
             f'the {room.papers[worst].color} paper hangs {100 * hang[worst]:.1f} cm from where '
-            'room.yaml says, as the others show it: measure the papers again'
+            'room.yaml says, as the others show it: measure the papers again, or uncover the '
+            'papers and sweep again if somebody hid a part of one'
         )
     return None
 
