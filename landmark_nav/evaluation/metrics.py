@@ -36,8 +36,8 @@ class Consistency(NamedTuple):
     Normalised estimation errors squared.
 
     `mean` is 3 for honest covariances, give or take: it lies in `interval_95` in 19 of 20 runs of
-    an honest filter, whose errors follow each other as they do here. `inside_95` is the share
-    below the 95 % bound of one.
+    an honest filter, whose errors follow each other as they do here, on maps drawn anew.
+    `inside_95` is the share below the 95 % bound of one.
     """
 
     mean: float
