@@ -14,7 +14,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['check_order', 'check_parameters', 'parameter']
+__all__ = ['check_order', 'check_parameters', 'parameter', 'unit_hint']
 
 T = TypeVar('T')
 
@@ -63,8 +63,13 @@ def check_parameters(config: Any) -> None:
         if (low is not None and value < low) or (high is not None and value > high):
             raise LandmarkNavError(
                 f'{where} is {value:g}: take {"any" if low is None else f"{low:g}"} '
-                f'to {"any" if high is None else f"{high:g}"}'
+                f'to {"any" if high is None else f"{high:g}"}{unit_hint(field.name)}'
             )
+
+
+def unit_hint(name: str) -> str:
+    """What to say of the unit of a parameter out of its range: angles are mistaken for degrees."""
+    return '; it is in radians' if name.endswith('_rad') else ''
 
 
 def check_order(config: Any, least: str, largest: str) -> None:

@@ -108,7 +108,7 @@ class LandmarkLearnerNode(LandmarkNode):
             self.get_logger().info(self._load())
         except LandmarkNavError as error:
             self._why_none = f'no map loaded ({error})'
-            self.get_logger().error(self._why_none)
+            self.get_logger().warning(self._why_none)
 
     def _load(self) -> str:
         loaded = load_map(self._config.map_folder)

@@ -216,9 +216,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         } | self._latency.values()
         knocked = ''
         if self._observer is not None and self._observer.knocked_up_rad:
-            higher = f'{np.degrees(self._observer.knocked_up_rad):+.2f}'
-            values['camera_higher_deg'] = higher
-            knocked = f'; the camera looks {higher} deg above where its joints say'
+            higher = np.degrees(self._observer.knocked_up_rad)
+            values['camera_higher_deg'] = f'{higher:+.2f}'
+            side = 'above' if higher > 0.0 else 'below'
+            knocked = f'; the camera looks {abs(higher):.2f} deg {side} where its joints say'
         if self._triplet is not None:
             values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))
         if isinstance(seen.fix, Refusal):

@@ -46,8 +46,12 @@ class Parameters:
     deadband_rad: float = parameter(
         0.05, 'least change of the pan that is worth a command, rad', minimum=0.0
     )
-    pan_min_rad: float = parameter(-np.pi, 'least pan of the joint, rad')
-    pan_max_rad: float = parameter(np.pi, 'largest pan of the joint, rad')
+    pan_min_rad: float = parameter(
+        -np.pi, 'least pan of the joint, rad', minimum=-6.2832, maximum=6.2832
+    )
+    pan_max_rad: float = parameter(
+        np.pi, 'largest pan of the joint, rad', minimum=-6.2832, maximum=6.2832
+    )
     yield_s: float = parameter(
         10.0, 'how long to hold back after somebody else commanded the pan, s', minimum=0.0
     )

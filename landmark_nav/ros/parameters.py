@@ -12,6 +12,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.parameters import unit_hint
 
 __all__ = ['declare', 'misspelt']
 
@@ -56,6 +57,7 @@ def declare(node: Node, config_class: type[T], prefix: str = '') -> T:
         except InvalidParameterValueException as error:
             raise LandmarkNavError(
                 f'parameter {name} of {node.get_name()}: {" ".join(str(error).split())}'
+                f'{unit_hint(name)}'
             ) from error
         values[field.name] = tuple(value) if listed else value
     return config_class(**values)

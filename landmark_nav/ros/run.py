@@ -17,6 +17,7 @@ from rclpy.executors import (
     SingleThreadedExecutor,
 )
 from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.logs import forward_logs
@@ -40,11 +41,15 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
     Returns
     -------
     int
-        Exit status: 0 after a signal, 1 if the node could not be made.
+        Exit status: 0 after a signal, 1 if the node could not be made, 2 for wrong usage.
 
     """
+    name = Path(sys.argv[0]).stem
     try:
         _join_ros()
+        if own := remove_ros_args(sys.argv)[1:]:
+            print(_usage(name, sys.modules[make_node.__module__].__doc__ or ''))
+            return 0 if set(own) & {'-h', '--help'} else 2
         node = make_node()
         forward_logs(node.get_logger())
         executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
@@ -54,7 +59,7 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except LandmarkNavError as error:
-        print(f'{Path(sys.argv[0]).stem}: {error}', file=sys.stderr)
+        print(f'{name}: {error}', file=sys.stderr)
         return 1
     except Exception:
         # After a signal publishers and services have no context any more.
@@ -63,6 +68,14 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _usage(name: str, does: str) -> str:
+    return (
+        f'{does.strip()}\n\n'
+        f'usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]\n'
+        f'All parameters with their defaults: python -m landmark_nav.nodes.describe {name}'
+    )
 
 
 def _join_ros() -> None:

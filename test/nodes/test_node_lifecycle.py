@@ -71,6 +71,17 @@ def test_a_parameter_file_that_ros_cannot_read_is_named(domain_id: int) -> None:
     assert all('rcl' in line for line in by_rcl)
 
 
+@pytest.mark.parametrize(('argument', 'status'), [('--help', 0), ('robot_file:=r.yaml', 2)])
+def test_arguments_that_are_not_of_ros_are_answered_with_the_usage(
+    argument: str, status: int
+) -> None:
+    command = [sys.executable, '-m', 'landmark_nav.nodes.odometry_fusion', argument]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert done.returncode == status
+    assert 'usage: odometry_fusion [--ros-args' in done.stdout
+    assert not done.stderr
+
+
 def what_it_says(arguments: list[str], domain_id: int) -> list[str]:
     """Lines of a node that cannot run."""
     command = [sys.executable, '-m', 'landmark_nav.nodes.sweep_capture', '--ros-args', *arguments]

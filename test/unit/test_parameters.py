@@ -13,6 +13,7 @@ from landmark_nav.parameters import check_parameters, parameter
 class Config:
     ratio: float = parameter(0.5, 'A share', minimum=0.0, maximum=1.0)
     count: int = parameter(3, 'How many', minimum=1)
+    turn_rad: float = parameter(0.5, 'An angle', minimum=-3.2, maximum=3.2)
     mode: str = parameter('fast', 'What to do', choices=('fast', 'good'))
     active: bool = parameter(True, 'Whether at all')
 
@@ -37,6 +38,7 @@ def test_fields_carry_what_a_node_declares() -> None:
     [
         ({'ratio': 1.01}, 'parameter ratio of Config is 1.01: take 0 to 1'),
         ({'ratio': float('nan')}, 'parameter ratio of Config is nan: take a number'),
+        ({'turn_rad': 90.0}, r'turn_rad of Config is 90: take -3\.2 to 3\.2; it is in radians'),
         ({'count': 0}, 'parameter count of Config is 0: take 1 to any'),
         ({'mode': 'slow'}, "parameter mode of Config is 'slow': take one of fast, good"),
     ],

@@ -28,10 +28,16 @@ class CaptureConfig:
     )
     frames: int = parameter(72, 'frames of a sweep', minimum=1, maximum=1440)
     pan_min_rad: float = parameter(
-        -np.pi, 'least pan of the joint, rad; steps beyond it are left out'
+        -np.pi,
+        'least pan of the joint, rad; steps beyond it are left out',
+        minimum=-6.2832,
+        maximum=6.2832,
     )
     pan_max_rad: float = parameter(
-        np.pi, 'largest pan of the joint, rad; steps beyond it are left out'
+        np.pi,
+        'largest pan of the joint, rad; steps beyond it are left out',
+        minimum=-6.2832,
+        maximum=6.2832,
     )
     arrival_tolerance_rad: float = parameter(
         0.01, 'distance from the commanded pan that counts as arrived, rad', minimum=1e-5
