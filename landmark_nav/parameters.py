@@ -14,7 +14,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['check_order', 'check_parameters', 'parameter', 'unit_hint']
+__all__ = ['Config', 'check_order', 'parameter', 'unit_hint']
 
 T = TypeVar('T')
 
@@ -39,32 +39,36 @@ def parameter(
     )
 
 
-def check_parameters(config: Any) -> None:
-    """
-    Check every field against its metadata; call it in ``__post_init__``.
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Base of all that has parameters: each is checked against its metadata."""
 
-    Raises
-    ------
-    LandmarkNavError
-        A value is not a number, outside its range, or none of its choices.
+    def __post_init__(self) -> None:
+        """
+        Check every field.
 
-    """
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        where = f'parameter {field.name} of {type(config).__name__}'
-        choices = field.metadata.get('choices')
-        if choices is not None and value not in choices:
-            raise LandmarkNavError(f'{where} is {value!r}: take one of {", ".join(choices)}')
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        low, high = field.metadata.get('minimum'), field.metadata.get('maximum')
-        if not np.isfinite(value):
-            raise LandmarkNavError(f'{where} is {value}: take a number')
-        if (low is not None and value < low) or (high is not None and value > high):
-            raise LandmarkNavError(
-                f'{where} is {value:g}: take {"any" if low is None else f"{low:g}"} '
-                f'to {"any" if high is None else f"{high:g}"}{unit_hint(field.name)}'
-            )
+        Raises
+        ------
+        LandmarkNavError
+            A value is not a number, outside its range, or none of its choices.
+
+        """
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            where = f'parameter {field.name} of {type(self).__name__}'
+            choices = field.metadata.get('choices')
+            if choices is not None and value not in choices:
+                raise LandmarkNavError(f'{where} is {value!r}: take one of {", ".join(choices)}')
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                continue
+            low, high = field.metadata.get('minimum'), field.metadata.get('maximum')
+            if not np.isfinite(value):
+                raise LandmarkNavError(f'{where} is {value}: take a number')
+            if (low is not None and value < low) or (high is not None and value > high):
+                raise LandmarkNavError(
+                    f'{where} is {value:g}: take {"any" if low is None else f"{low:g}"} '
+                    f'to {"any" if high is None else f"{high:g}"}{unit_hint(field.name)}'
+                )
 
 
 def unit_hint(name: str) -> str:

@@ -18,14 +18,14 @@ from landmark_nav.geometry.patches import patch_axes, PatchView
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
 from landmark_nav.learning.stereo.wall_patch import Float32Image, Sighting, wall_texture, WallPatch
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
 
 __all__ = ['ElectionConfig', 'elect']
 
 
 @dataclass(frozen=True)
-class ElectionConfig:
+class ElectionConfig(Config):
     """What a landmark must be."""
 
     max_incidence_rad: float = parameter(
@@ -66,10 +66,6 @@ class ElectionConfig:
         0.75, 'share of the correlation between its own views that counts as found', minimum=0.3,
         maximum=1,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 def elect(

@@ -31,6 +31,7 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.parameters import Config
 from landmark_nav.types import (
     Candidate,
     Landmark,
@@ -59,7 +60,7 @@ _AS_EXPECTED = 1e9
 
 
 @dataclass(frozen=True)
-class LearningConfig:
+class LearningConfig(Config):
     """Parameters of the stages from panoramas to map."""
 
     attention: AttentionConfig = field(default_factory=AttentionConfig)

@@ -36,6 +36,7 @@ from landmark_nav.learning.reference_area import (
     SweepPlace,
 )
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, Panorama, Sweep
 
 __all__ = ['PanoramaStages', 'panorama_from_sweep', 'tenengrad']
@@ -49,7 +50,7 @@ _SAME_PX = 0.2
 
 
 @dataclass(frozen=True)
-class PanoramaStages:
+class PanoramaStages(Config):
     """Parameters of the stages from sweep to panorama."""
 
     panorama: PanoramaConfig = field(default_factory=PanoramaConfig)

@@ -19,7 +19,7 @@ from landmark_nav.localization.triangulation import TriangulationConfig
 from landmark_nav.localization.triangulation.gathering import SightingGatherer
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -39,7 +39,7 @@ _AGREE = 3
 
 
 @dataclass(frozen=True)
-class ObservationConfig:
+class ObservationConfig(Config):
     """Parameters of the stages that look at a picture."""
 
     triplet: TripletConfig = field(default_factory=TripletConfig)
@@ -68,10 +68,6 @@ class ObservationConfig:
         minimum=0.0,
         maximum=60.0,
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.localization.triplet import Gaze
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -39,7 +39,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class LocalizationConfig:
+class LocalizationConfig(Config):
     """Parameters of all stages."""
 
     observation: ObservationConfig = field(default_factory=ObservationConfig)
@@ -50,10 +50,6 @@ class LocalizationConfig:
     choice_period_s: float = parameter(
         0.5, 'time between two choices of the triplet, s', minimum=0.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -27,7 +27,7 @@ _LAST_WORDS_S = 2.0
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(Config):
     """Of the node ``bag_player``."""
 
     bag: str = parameter('', 'rosbag2 folder or .mcap file')
@@ -36,10 +36,6 @@ class Parameters:
         2.0, 'time for subscribers to find the topics before the first message, s', minimum=0.0
     )
     clock: bool = parameter(True, 'publish /clock, for nodes with use_sim_time')
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class BagPlayerNode(LandmarkNode):

@@ -11,7 +11,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.messages import decode, encode
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -33,10 +33,6 @@ class Parameters(LearningConfig):
     room_file: str = parameter('', 'room.yaml: the walls that carry landmarks')
     map_folder: str = parameter('map', 'folder that save_map writes and load_map reads')
     load_on_start: bool = parameter(False, 'load the map as soon as the node starts')
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class LandmarkLearnerNode(LandmarkNode):

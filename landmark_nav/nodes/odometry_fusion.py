@@ -15,7 +15,7 @@ from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -46,7 +46,7 @@ class LiveFusionConfig(FusionConfig):
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(Config):
     """Of the node ``odometry_fusion``."""
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
@@ -67,10 +67,6 @@ class Parameters:
     fusion: LiveFusionConfig = field(default_factory=LiveFusionConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class OdometryFusionNode(LandmarkNode):

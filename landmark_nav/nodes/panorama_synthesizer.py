@@ -16,7 +16,7 @@ from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.sweep import assemble_sweep, missing_frames
 from landmark_nav.messages import decode, encode
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import parameter
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -41,10 +41,6 @@ class Parameters(PanoramaStages):
     late_frames_s: float = parameter(
         3.0, 'how long to wait for frames that arrive after their trajectory, s', minimum=0.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class PanoramaSynthesizerNode(LandmarkNode):

@@ -11,7 +11,7 @@ from typing import Any
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -33,7 +33,7 @@ _OPTICAL_FRAME = 'camera_optical_frame'
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(Config):
     """Of the node ``room_simulator``."""
 
     seed: int = parameter(1, 'draws the room and all noise', minimum=0)
@@ -50,10 +50,6 @@ class Parameters:
         'JointTrajectory', 'message type of pan_tilt/command', choices=COMMAND_TYPES
     )
     world: WorldConfig = field(default_factory=WorldConfig)
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class RoomSimulatorNode(LandmarkNode):

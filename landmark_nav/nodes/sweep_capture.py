@@ -14,7 +14,7 @@ from landmark_nav.learning.capture import CaptureConfig, describe_sweep
 from landmark_nav.messages import decode
 from landmark_nav.nodes.sweep_output import SweepOutput
 from landmark_nav.nodes.sweep_runner import SweepRunner
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import ImageSource, TRANSPORTS
 from landmark_nav.ros.node import LandmarkNode
@@ -28,17 +28,13 @@ _POLL_S = 0.1
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(Config):
     """Of the node ``sweep_capture``."""
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
     image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
     capture: CaptureConfig = field(default_factory=CaptureConfig)
     command: PanCommandParameters = field(default_factory=PanCommandParameters)
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class SweepCaptureNode(LandmarkNode):

@@ -15,7 +15,7 @@ from landmark_nav.localization.observation import Observation, ObservationConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -65,10 +65,6 @@ class Parameters(ObservationConfig):
     )
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     relocalization: PlaceSearchConfig = field(default_factory=PlaceSearchConfig)
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class TriangulationLocalizerNode(LandmarkNode):

@@ -15,7 +15,7 @@ from landmark_nav.localization.triplet.look_around import LookAround, LookAround
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.parameters import check_order, check_parameters, parameter
+from landmark_nav.parameters import check_order, Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -38,7 +38,7 @@ _ECHOES = 8
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(Config):
     """Of the node ``triplet_selector``."""
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
@@ -61,7 +61,7 @@ class Parameters:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        check_parameters(self)
+        super().__post_init__()
         check_order(self, 'pan_min_rad', 'pan_max_rad')
 
 

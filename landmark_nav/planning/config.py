@@ -11,13 +11,13 @@ from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.localization.triplet.visibility import TripletConfig
-from landmark_nav.parameters import check_order, check_parameters, parameter
+from landmark_nav.parameters import check_order, Config, parameter
 
 __all__ = ['PlanConfig']
 
 
 @dataclass(frozen=True)
-class PlanConfig:
+class PlanConfig(Config):
     """
     Camera, texture to be expected, and how finely the room is looked at.
 
@@ -90,7 +90,7 @@ class PlanConfig:
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        check_parameters(self)
+        super().__post_init__()
         check_order(self, 'pan_min_rad', 'pan_max_rad')
 
     @property

@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.topics import RELIABLE
 
 __all__ = ['COMMAND_TYPES', 'PanCommandParameters', 'PanCommander', 'listen_for_pan']
@@ -29,7 +29,7 @@ COMMAND_TYPES = tuple(_CLASSES)
 
 
 @dataclass(frozen=True)
-class PanCommandParameters:
+class PanCommandParameters(Config):
     """How the pan-tilt unit is commanded."""
 
     type: str = parameter(
@@ -42,10 +42,6 @@ class PanCommandParameters:
     min_duration_s: float = parameter(
         0.1, 'least time that a JointTrajectory gives a move, s', minimum=0.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class PanCommander:

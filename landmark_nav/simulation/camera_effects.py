@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 
 __all__ = ['CameraEffects', 'CameraEffectsConfig']
 
@@ -17,7 +17,7 @@ ImageArray = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class CameraEffectsConfig:
+class CameraEffectsConfig(Config):
     """How good the camera is; brightness in grey levels of 255."""
 
     vignetting: float = parameter(
@@ -42,10 +42,6 @@ class CameraEffectsConfig:
     shot_noise: float = parameter(
         0.06, 'Growth of the variance with brightness, grey levels', minimum=0.0, maximum=5.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 class CameraEffects:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 
 __all__ = ['DifferentialDrive', 'DriveConfig']
 
@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DriveConfig:
+class DriveConfig(Config):
     """What the base can do, and how wrong its odometry is."""
 
     max_speed_m_s: float = parameter(0.8, 'Largest speed', minimum=0.0, maximum=10.0)
@@ -39,10 +39,6 @@ class DriveConfig:
     encoder_step_m: float = parameter(
         0.00002, 'Way of a wheel for one count', minimum=0.0, maximum=0.1
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 class DifferentialDrive:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 
 __all__ = ['PanTiltConfig', 'PanTiltUnit']
 
@@ -18,7 +18,7 @@ _SPRING_STEP_S = 1.0 / 400.0
 
 
 @dataclass(frozen=True)
-class PanTiltConfig:
+class PanTiltConfig(Config):
     """How quickly and how exactly the unit turns."""
 
     max_rate_rad_s: float = parameter(2.1, 'Largest rate of an axis', minimum=0.01, maximum=20.0)
@@ -38,10 +38,6 @@ class PanTiltConfig:
     encoder_step_rad: float = parameter(
         0.0002, 'Step of the measured angles', minimum=0.0, maximum=0.1
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 class PanTiltUnit:

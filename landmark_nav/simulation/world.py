@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.simulation.camera_effects import CameraEffects, CameraEffectsConfig
 from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
@@ -31,7 +31,7 @@ DEFAULT_MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 
 
 @dataclass(frozen=True)
-class WorldConfig:
+class WorldConfig(Config):
     """The robot's parts, and who else is there."""
 
     pan_tilt: PanTiltConfig = field(default_factory=PanTiltConfig)
@@ -41,10 +41,6 @@ class WorldConfig:
         0.22, 'The base keeps this far from walls and furniture', minimum=0.01, maximum=2.0
     )
     people: int = parameter(0, 'How many people walk about', minimum=0, maximum=50)
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 class RobotWorld:

@@ -20,7 +20,7 @@ import yaml
 from landmark_nav.demo.graph import config_folder
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.nodes.describe import parameter_file
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.parameters import misspelt
@@ -38,22 +38,19 @@ NODES = [
 
 
 @dataclasses.dataclass(frozen=True)
-class Section:
+class Section(Config):
     rate_hz: float = parameter(5.0, 'how often', minimum=1.0, maximum=10.0)
     names: tuple[str, ...] = parameter(('a', 'b'), 'which')
 
-    def __post_init__(self) -> None:
-        check_parameters(self)
-
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Whole(Config):
     count: int = parameter(3, 'how many', minimum=1)
     kind: str = parameter('fast', 'how', choices=('fast', 'slow'))
     section: Section = dataclasses.field(default_factory=Section)
 
     def __post_init__(self) -> None:
-        check_parameters(self)
+        super().__post_init__()
         if self.kind == 'slow' and self.section.rate_hz > 8.0:
             raise LandmarkNavError('slow and rate_hz above 8 contradict each other')
 
@@ -76,8 +73,8 @@ def context(domain_id: int) -> Iterator[Context]:
 
 
 def test_description_range_and_default(context: Context) -> None:
-    node = ConfiguredNode(Config, context=context)
-    assert node.config == Config()
+    node = ConfiguredNode(Whole, context=context)
+    assert node.config == Whole()
     rate = node.describe_parameter('section.rate_hz')
     assert (rate.description, rate.read_only) == ('how often', True)
     limits = rate.floating_point_range[0]
@@ -93,8 +90,8 @@ def test_values_come_from_a_file(context: Context, tmp_path: Path) -> None:
     values = {'count': 7, 'section': {'rate_hz': 2.5, 'names': ['x']}}
     path.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
     arguments = ['--ros-args', '--params-file', str(path)]
-    node = ConfiguredNode(Config, context=context, cli_args=arguments)
-    assert node.config == Config(count=7, section=Section(2.5, ('x',)))
+    node = ConfiguredNode(Whole, context=context, cli_args=arguments)
+    assert node.config == Whole(count=7, section=Section(2.5, ('x',)))
 
 
 @pytest.mark.parametrize(
@@ -109,7 +106,7 @@ def test_values_come_from_a_file(context: Context, tmp_path: Path) -> None:
 def test_a_bad_value_is_named(context: Context, name: str, value: Any, words: str) -> None:
     overrides = [Parameter(name, value=value)]
     with pytest.raises(LandmarkNavError, match=words):
-        ConfiguredNode(Config, context=context, parameter_overrides=overrides)
+        ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
 
 
 def test_a_name_that_nothing_has_is_told_with_what_it_looks_like(context: Context) -> None:
@@ -121,14 +118,14 @@ def test_a_name_that_nothing_has_is_told_with_what_it_looks_like(context: Contex
         'kinds': 'x',
     }
     overrides = [Parameter(name, value=value) for name, value in given.items()]
-    node = ConfiguredNode(Config, context=context, parameter_overrides=overrides)
+    node = ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
     assert misspelt(node) == {'countt': 'count', 'section.rat_hz': 'section.rate_hz'}
 
 
 def test_values_that_contradict_each_other(context: Context) -> None:
     overrides = [Parameter('kind', value='slow'), Parameter('section.rate_hz', value=9.0)]
     with pytest.raises(LandmarkNavError, match='contradict'):
-        ConfiguredNode(Config, context=context, parameter_overrides=overrides)
+        ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
 
 
 @pytest.mark.parametrize('name', NODES)

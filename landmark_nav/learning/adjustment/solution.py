@@ -18,7 +18,7 @@ from scipy.special import chdtri
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
 from landmark_nav.learning.stereo.wall_patch import Sighting
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['Adjustment', 'AdjustmentConfig', 'adjust']
@@ -41,7 +41,7 @@ _PLACES = np.array([3, 4])
 
 
 @dataclass(frozen=True)
-class AdjustmentConfig:
+class AdjustmentConfig(Config):
     """What is expected before there are sightings; they tell more."""
 
     azimuth_sigma_rad: float = parameter(
@@ -95,10 +95,6 @@ class AdjustmentConfig:
         minimum=1e-3,
         maximum=1e9,
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

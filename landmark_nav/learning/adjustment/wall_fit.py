@@ -20,7 +20,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.problem import wall_stretches
 from landmark_nav.learning.adjustment.solution import Adjustment, AdjustmentConfig
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
 __all__ = ['WallFitConfig', 'WallResidual', 'check_walls', 'doubtful_walls', 'wall_residuals']
@@ -37,7 +37,7 @@ _LEAST_THINGS = 3
 
 
 @dataclass(frozen=True)
-class WallFitConfig:
+class WallFitConfig(Config):
     """When a wall of the map is called wrong."""
 
     max_before_m: float = parameter(
@@ -67,10 +67,6 @@ class WallFitConfig:
     max_sigma_m: float = parameter(
         0.02, 'least certain patch that counts, standard deviation', minimum=1e-4, maximum=1
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 def check_walls(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import check_order, Config, parameter
 
 __all__ = ['FEATURES', 'AttentionConfig']
 
@@ -22,7 +22,7 @@ FEATURES = (
 
 
 @dataclass(frozen=True)
-class AttentionConfig:
+class AttentionConfig(Config):
     """
     What attracts attention, what size is cut out, and what is refused.
 
@@ -93,19 +93,12 @@ class AttentionConfig:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        check_parameters(self)
+        super().__post_init__()
         if not any(self.weights.values()):
             raise LandmarkNavError('all weights of AttentionConfig are 0: raise at least one')
-        for low, high in (
-            ('edge_low', 'edge_high'),
-            ('center_sigma_px', 'surround_sigma_px'),
-            ('size_min_px', 'size_max_px'),
-        ):
-            if getattr(self, low) > getattr(self, high):
-                raise LandmarkNavError(
-                    f'parameter {low} of AttentionConfig is {getattr(self, low):g}, above {high} '
-                    f'{getattr(self, high):g}: swap them'
-                )
+        check_order(self, 'edge_low', 'edge_high')
+        check_order(self, 'center_sigma_px', 'surround_sigma_px')
+        check_order(self, 'size_min_px', 'size_max_px')
 
     @property
     def weights(self) -> dict[str, float]:

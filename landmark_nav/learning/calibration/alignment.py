@@ -14,7 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.calibration.overlap import track_overlaps
 from landmark_nav.learning.calibration.overlap_fit import COMMON, corrected, OverlapProblem
 from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, fit_significant
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import Sweep
 
@@ -25,7 +25,7 @@ _LEAST_PER_FRAME = 6
 
 
 @dataclass(frozen=True)
-class AlignmentConfig:
+class AlignmentConfig(Config):
     """How far the angles and the focal length may be off."""
 
     pan_sigma_rad: float = parameter(
@@ -34,10 +34,6 @@ class AlignmentConfig:
     tilt_sigma_rad: float = parameter(
         0.01, 'standard deviation of tilt and roll', minimum=1e-6, maximum=1
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

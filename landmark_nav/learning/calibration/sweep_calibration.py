@@ -29,7 +29,7 @@ from landmark_nav.learning.calibration.overlap_fit import (
     OverlapProblem,
     RangeOfRay,
 )
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import FloatArray, Sweep
 
@@ -57,7 +57,7 @@ _UNIT_SIGMA_RAD = (5e-4, 2e-4, 2e-4)
 
 
 @dataclass(frozen=True)
-class CalibrationConfig:
+class CalibrationConfig(Config):
     """How camera and mount are calibrated out of a sweep."""
 
     enabled: bool = parameter(True, 'whether what is found is used')
@@ -67,10 +67,6 @@ class CalibrationConfig:
     worth_px: float = parameter(
         0.3, 'a term that moves nothing by more pixels than this is not used', minimum=0.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

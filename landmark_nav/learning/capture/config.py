@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import check_order, check_parameters, parameter
+from landmark_nav.parameters import check_order, Config, parameter
 from landmark_nav.types import FloatArray
 
 __all__ = ['CaptureConfig']
 
 
 @dataclass(frozen=True)
-class CaptureConfig:
+class CaptureConfig(Config):
     """How a sweep is taken."""
 
     start_rad: float = parameter(
@@ -83,7 +83,7 @@ class CaptureConfig:
 
     def __post_init__(self) -> None:
         """Check that the joint can reach any of the angles."""
-        check_parameters(self)
+        super().__post_init__()
         check_order(self, 'pan_min_rad', 'pan_max_rad')
         if np.isnan(self.targets(self.pan_min_rad, self.pan_max_rad)).all():
             last = self.start_rad + (self.frames - 1) * self.step_rad

@@ -18,7 +18,7 @@ from landmark_nav.learning.panorama.projection import (
     RangeOfAzimuth,
     sweep_cylinder,
 )
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Sweep
 
 __all__ = ['BLENDS', 'CylinderImage', 'PanoramaConfig', 'synthesize_cylinder']
@@ -33,7 +33,7 @@ _LEAST_FOR_MEDIAN = 3
 
 
 @dataclass(frozen=True)
-class PanoramaConfig:
+class PanoramaConfig(Config):
     """How frames become a panorama."""
 
     blend: str = parameter(
@@ -54,10 +54,6 @@ class PanoramaConfig:
     px_per_rad: float = parameter(
         0.0, "columns per radian; 0 takes the camera's focal length", minimum=0.0, maximum=8192.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 
 __all__ = ['ReferenceAreaConfig']
 
 
 @dataclass(frozen=True)
-class ReferenceAreaConfig:
+class ReferenceAreaConfig(Config):
     """Standard deviations of what is told of papers, camera and joints."""
 
     paper_sigma_m: float = parameter(
@@ -31,7 +31,3 @@ class ReferenceAreaConfig:
     pan_sigma_rad: float = parameter(
         2e-4, 'standard deviation of the joint angles of a frame', minimum=0, maximum=0.1
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)

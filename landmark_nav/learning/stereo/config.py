@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 
 __all__ = ['StereoConfig']
 
 
 @dataclass(frozen=True)
-class StereoConfig:
+class StereoConfig(Config):
     """What counts as the same patch seen from two places."""
 
     min_score: float = parameter(
@@ -55,7 +55,3 @@ class StereoConfig:
         minimum=0.005,
         maximum=0.5,
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)

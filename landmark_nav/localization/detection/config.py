@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from landmark_nav.localization.detection.appearance import APPEARANCES
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 
 __all__ = ['DetectionConfig']
 
 
 @dataclass(frozen=True)
-class DetectionConfig:
+class DetectionConfig(Config):
     """How landmarks are searched and what counts as found."""
 
     min_size_px: int = parameter(
@@ -41,7 +41,3 @@ class DetectionConfig:
     lens_sigma_px: float = parameter(
         0.03, 'what the lens model leaves, pixels', minimum=0, maximum=5
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 
 __all__ = ['FusionConfig']
 
 
 @dataclass(frozen=True)
-class FusionConfig:
+class FusionConfig(Config):
     """What the filter takes and how strictly."""
 
     mode: str = parameter(
@@ -85,7 +85,3 @@ class FusionConfig:
     astray_limit_m: float = parameter(
         2.0, 'Position sigma at which that ends, m.', minimum=0.0, maximum=100.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from landmark_nav.localization.fusion.update import FusionUpdate
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Health', 'HealthConfig', 'Status']
@@ -20,7 +20,7 @@ Status = Literal['tracking', 'coasting', 'lost']
 
 
 @dataclass(frozen=True)
-class HealthConfig:
+class HealthConfig(Config):
     """When the filter calls itself coasting or lost."""
 
     coasting_after_s: float = parameter(
@@ -83,10 +83,6 @@ class HealthConfig:
     nis_probability: float = parameter(
         0.999, 'Chi-square level of that window.', minimum=0.5, maximum=1.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 class _View(NamedTuple):

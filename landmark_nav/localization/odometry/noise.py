@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
 __all__ = [
@@ -55,7 +55,7 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True)
-class OdometryNoiseConfig:
+class OdometryNoiseConfig(Config):
     """How far wheel odometry is to be trusted."""
 
     along_m_per_sqrt_m: float = parameter(
@@ -151,10 +151,6 @@ class OdometryNoiseConfig:
     turn_acceleration_rad_s2: float = parameter(
         2.0, 'Sigma of the angular acceleration meanwhile, rad/s^2.', minimum=0.0, maximum=1000.0
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
     def scaled(self, noise: float, slip: float) -> OdometryNoiseConfig:
         """Same with white noise and side slip of other sigmas, which are not to be learned."""

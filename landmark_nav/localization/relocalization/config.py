@@ -9,13 +9,13 @@ from landmark_nav.localization.relocalization.hypotheses import HypothesisConfig
 from landmark_nav.localization.relocalization.sightings import SightingConfig
 from landmark_nav.localization.triangulation import TriangulationConfig
 from landmark_nav.localization.triplet.visibility import TripletConfig
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 
 __all__ = ['RelocalizationConfig']
 
 
 @dataclass(frozen=True)
-class RelocalizationConfig:
+class RelocalizationConfig(Config):
     """How one's place is found, and when it is believed."""
 
     when_lost: bool = parameter(
@@ -59,7 +59,3 @@ class RelocalizationConfig:
     visibility: TripletConfig = field(default_factory=TripletConfig)
     detection: DetectionConfig = field(default_factory=DetectionConfig)
     triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.relocalization.sightings import Sightings
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap
 
 __all__ = ['Hypotheses', 'HypothesisConfig', 'propose']
@@ -25,7 +25,7 @@ _BLOCK = 2048
 
 
 @dataclass(frozen=True)
-class HypothesisConfig:
+class HypothesisConfig(Config):
     """How poses are made of sightings."""
 
     per_landmark: int = parameter(
@@ -48,10 +48,6 @@ class HypothesisConfig:
     )
     distinct_rad: float = parameter(0.2, 'and turned by less than this', minimum=0.01, maximum=3.0)
     places: int = parameter(60, 'places followed up', minimum=2, maximum=10000)
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from landmark_nav.localization.relocalization.looks import (
     RANGE_SIGMA,
 )
 from landmark_nav.localization.relocalization.strip import Strip
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -39,7 +39,7 @@ __all__ = ['SightingConfig', 'Sightings', 'find_sightings']
 
 
 @dataclass(frozen=True)
-class SightingConfig:
+class SightingConfig(Config):
     """How landmarks are looked for without a prior."""
 
     resolution: float = parameter(
@@ -53,10 +53,6 @@ class SightingConfig:
     tangent_sigma: float = parameter(
         0.004, 'error of the tangent of elevation', minimum=1e-5, maximum=0.5
     )
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

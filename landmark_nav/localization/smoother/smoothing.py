@@ -22,7 +22,7 @@ from landmark_nav.localization.fusion import FusionConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.smoother.motion import motions_between
 from landmark_nav.localization.smoother.problem import Bearings, Problem
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import (
     Detections,
     FloatArray,
@@ -40,7 +40,7 @@ _COLUMNS = 256
 
 
 @dataclass(frozen=True)
-class SmootherConfig:
+class SmootherConfig(Config):
     """How the smoother works."""
 
     robust_sigmas: float = parameter(
@@ -50,10 +50,6 @@ class SmootherConfig:
     tolerance: float = parameter(
         1e-4, 'Largest step, in metres and radians, that ends it.', minimum=0.0, maximum=0.1
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

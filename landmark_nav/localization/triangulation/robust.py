@@ -23,14 +23,14 @@ from landmark_nav.localization.triangulation.least_squares import (
 )
 from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
 from landmark_nav.localization.triangulation.three import triangulate_three
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Fix', 'TriangulationConfig', 'triangulate', 'triangulate_three']
 
 
 @dataclass(frozen=True)
-class TriangulationConfig:
+class TriangulationConfig(Config):
     """When a fix is believed."""
 
     fit_probability: float = parameter(
@@ -52,10 +52,6 @@ class TriangulationConfig:
         minimum=0.0,
         maximum=1.0,
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 @dataclass(frozen=True, eq=False)

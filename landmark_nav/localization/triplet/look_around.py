@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import PoseEstimate
 
 __all__ = ['LookAround', 'LookAroundConfig', 'views_around']
@@ -20,7 +20,7 @@ _PATIENCE_S = 5.0
 
 
 @dataclass(frozen=True)
-class LookAroundConfig:
+class LookAroundConfig(Config):
     """When the camera looks around for the place, and how long at each view."""
 
     enabled: bool = parameter(
@@ -38,10 +38,6 @@ class LookAroundConfig:
     lost_sigma_rad: float = parameter(
         0.5, 'heading sigma from which a pose is not known, rad', minimum=0.01
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
     def knows(self, pose: PoseEstimate) -> bool:
         """Whether a pose is known well enough to tell where to look."""

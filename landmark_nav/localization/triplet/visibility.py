@@ -13,7 +13,7 @@ from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.se2 import compose, rotation
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.localization.triplet.ranking import Standing
-from landmark_nav.parameters import check_parameters, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = [
@@ -28,7 +28,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class TripletConfig:
+class TripletConfig(Config):
     """Which landmarks count as visible, and what a triplet promises."""
 
     bearing_sigma_rad: float = parameter(
@@ -74,10 +74,6 @@ class TripletConfig:
         minimum=0.0,
         maximum=100.0,
     )
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_parameters(self)
 
 
 def visible_landmarks(
