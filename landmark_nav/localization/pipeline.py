@@ -16,7 +16,7 @@ from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.localization.relocalization.stream import Relocalizer
+from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 from landmark_nav.localization.triplet import Gaze
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.parameters import Config, parameter
@@ -59,7 +59,7 @@ class LocalizationUpdate:
 
     `triplet` is what the camera would best be turned to, as last chosen; `fused` is the filter's
     estimate at the picture's stamp, after it; `with_landmarks` (3, 2 n) is its covariance with
-    their places; `search` is what came of looking for the place, if it was lost.
+    their places; `search` is what came of looking for the place, if that was done.
     """
 
     stamp_ns: int
@@ -77,7 +77,8 @@ class Localizer:
     """
     The nodes of the navigation phase in one: for bags, and for use without ROS.
 
-    Without `initialize`, and when lost, it gathers pictures until they fit one place only.
+    Without `initialize`, and when lost or without a landmark in sight, it gathers pictures until
+    they fit one place only.
 
     Parameters
     ----------
@@ -112,6 +113,7 @@ class Localizer:
         self._triplet: Triplet | Refusal = Refusal('no picture')
         self._odometry: OdometrySample | None = None
         self._relocalizer: Relocalizer | None = self._new_search()
+        self._unseen = Unseen(config.relocalization.unseen_s)
 
     def _new_search(self) -> Relocalizer:
         config = self._config
@@ -124,6 +126,7 @@ class Localizer:
         """Start anew at a pose of the base."""
         self._filter.initialize(start)
         self._relocalizer = None
+        self._unseen.restart()
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; why the sample was left out, if it was."""
@@ -165,8 +168,10 @@ class Localizer:
         seen = self._observer.look(frame, prior, self._triplet)
         self._camera.saw(seen.detections)
         update = self._fused(frame.stamp_ns, self._triplet, seen)
-        lost = update.status == 'lost' and self._config.relocalization.when_lost
-        if not lost or not self._map.landmarks:
+        self._unseen.note(frame.stamp_ns, len(seen.detections))
+        unsure = update.status == 'lost' or self._unseen.lasts
+        search = self._config.relocalization.when_lost and self._map.landmarks
+        if not (unsure and search):
             self._relocalizer = None
             return update
         self._relocalizer = self._relocalizer or self._new_search()

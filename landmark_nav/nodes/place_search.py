@@ -20,7 +20,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.localization.relocalization.stream import Relocalizer
+from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 from landmark_nav.messages import encode
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
@@ -91,6 +91,7 @@ class PlaceSearch:
         self.landmarks = LandmarkMap(())
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._relocalizer: Relocalizer | None = None
+        self._unseen = Unseen(config.unseen_s)
         self._asked = False
         self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
         self._found = Event()
@@ -116,13 +117,14 @@ class PlaceSearch:
         """
         Begin by itself where the fused pose is not known at a time, end that where it is again.
 
-        Without odometry nothing follows from a place: the fusion waits for it.
+        A pose from which nothing is seen of the map counts as not known. Without odometry nothing
+        follows from a place: the fusion waits for it.
         """
         wanted = self._config.when_lost and self._moves and self.landmarks.landmarks
         if self._asked or not wanted:
             return
         fused = self._fused(stamp_ns)
-        if fused is not None and self._is_known(fused):
+        if fused is not None and self._is_known(fused) and not self._unseen.lasts:
             self._relocalizer = None
         elif self._relocalizer is None:
             self._odometry.clear()
@@ -138,6 +140,10 @@ class PlaceSearch:
         self._moves = True
         if self.active:
             self._odometry.append(sample)
+
+    def note(self, stamp_ns: int, found: int) -> None:
+        """Take note of how many landmarks a picture showed."""
+        self._unseen.note(stamp_ns, found)
 
     def look(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Go on with a picture; what is known of the place by now."""
@@ -155,6 +161,7 @@ class PlaceSearch:
                 relocalizer.add_odometry(self._odometry.popleft())
             place = relocalizer.moved_on(outcome)
             self._relocalizer, self._asked = None, False
+            self._unseen.restart()
             self._start.publish(encode.pose(ros_factory, place, self._map_frame))
             self._found.set()
         return outcome

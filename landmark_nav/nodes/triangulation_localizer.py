@@ -170,6 +170,7 @@ class TriangulationLocalizerNode(LandmarkNode):
                 return
         start = time.monotonic()
         seen = self._observe(message)
+        self._search.note(stamp, len(seen.detections))
         self._detections.publish(
             encode.detections(ros_factory, seen.detections, self._mount.base_frame)
         )

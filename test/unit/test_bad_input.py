@@ -74,6 +74,21 @@ def test_a_wrong_start_is_lost_until_what_is_claimed_holds_the_truth(
     check_honest([m for m in moments if m.after_s >= lost[0].after_s])
 
 
+def test_a_pose_that_expects_nothing_is_put_right_all_the_same(sensed: list[Sensed]) -> None:
+    """Behind the walls no landmark is to be seen, so that no picture contradicts it."""
+    moments = list(run(sensed, untouched, start=START + np.array([-30.0, 0.0, 0.0])))
+    assert not any(m.update.observation.refused for m in moments[:5])
+    told = next(m for m in moments if m.status != 'tracking')
+    assert told.after_s + FAULT_S <= 2.0
+    assert 'nothing accepted for' in told.reason
+    found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
+    assert found.after_s + FAULT_S <= 6.0
+    later = [m for m in moments if found.after_s <= m.after_s < 6.0]
+    assert {m.status for m in later} == {'tracking'}
+    assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
+    check_honest(later)
+
+
 def test_a_kidnapped_robot_finds_its_place(sensed: list[Sensed]) -> None:
     """From one picture to the next it is where it comes seconds later; the wheels know nothing."""
     begin, back = round(FAULT_S * 20), 64

@@ -21,6 +21,13 @@ class RelocalizationConfig(Config):
     when_lost: bool = parameter(
         True, 'look for the place without being asked, when it is not known any more'
     )
+    unseen_s: float = parameter(
+        2.0,
+        'seconds in which pictures show nothing of the map until the place is looked for, too: '
+        'where nothing is expected, nothing contradicts a wrong pose; s',
+        minimum=0.0,
+        maximum=3600.0,
+    )
     min_landmarks: int = parameter(
         6, 'least landmarks that must speak for a place', minimum=4, maximum=1000
     )

@@ -28,7 +28,7 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['Relocalizer']
+__all__ = ['Relocalizer', 'Unseen']
 
 
 # Odometry older by this is not late: the clock was set back.
@@ -41,6 +41,25 @@ class _Glimpse(NamedTuple):
     frame: CameraFrame
     direction: FloatArray
     sightings: Sightings
+
+
+class Unseen:
+    """Whether pictures have shown nothing of the map for a while, `after_s` or longer."""
+
+    def __init__(self, after_s: float) -> None:
+        self._after_ns = round(1e9 * after_s)
+        self._since_ns: int | None = None
+        self.lasts = False
+
+    def note(self, stamp_ns: int, found: int) -> None:
+        """Take note of how many landmarks a picture showed."""
+        if found or self._since_ns is None or stamp_ns < self._since_ns:
+            self._since_ns = stamp_ns
+        self.lasts = not found and stamp_ns - self._since_ns >= self._after_ns
+
+    def restart(self) -> None:
+        """Begin anew with the next picture."""
+        self._since_ns, self.lasts = None, False
 
 
 class Relocalizer:
