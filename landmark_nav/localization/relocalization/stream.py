@@ -117,6 +117,8 @@ class Relocalizer:
             same as long as pictures show nothing new.
 
         """
+        if not np.isfinite([frame.pan_rad, frame.tilt_rad]).all():
+            return self._outcome
         direction = view_direction(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
         # What odometry has carried too far helps no more, nor does what is from another clock.
