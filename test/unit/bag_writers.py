@@ -44,24 +44,41 @@ def full_turn(count=24):
     return -np.pi + 2 * np.pi / count * np.arange(count)
 
 
-def write_drive(path, *, frames=10, damaged=(), info=True, bad_odometry=None, late_joints=False):
-    """Pan turns at 0.3 rad/s; joint states at 20 Hz, pictures at 5 Hz between two of them."""
+def write_drive(
+    path,
+    *,
+    frames=10,
+    damaged=(),
+    info=True,
+    bad=lambda topic, k: False,
+    late_joints=False,
+    set_back=lambda k: 0,
+):
+    """
+    Pan turns at 0.3 rad/s; joint states at 20 Hz, pictures at 5 Hz between two of them.
+
+    `bad` tells which messages hold no number, `set_back` by how much the clock is behind.
+    """
     with BagWriter(path) as bag:
         for k in range(frames * 4):
-            stamp = START + k * 50_000_000
-            x = np.nan if k == bad_odometry else 0.01 * k
-            bag.write('odom', odometry(stamp, [x, 0.0, 0.0]), stamp)
+            log = START + k * 50_000_000
+            stamp = log - set_back(k)
+            x = np.nan if bad('odom', k) else 0.01 * k
+            bag.write('odom', odometry(stamp, [x, 0.0, 0.0]), log)
             joints_stamp = stamp + (9 * SECOND if late_joints else 0)
-            sample = JointSample(joints_stamp, 0.3 * k * 0.05)
-            bag.write('joint_states', encode.joint_state(FACTORY, sample, MOUNT), stamp)
-            bag.write('ground_truth/odom', odometry(stamp, [1.0, 2.0, 0.0], frame_id='map'), stamp)
+            pan = np.nan if bad('joint_states', k) else 0.3 * k * 0.05
+            sample = JointSample(joints_stamp, pan)
+            bag.write('joint_states', encode.joint_state(FACTORY, sample, MOUNT), log)
+            bag.write('ground_truth/odom', odometry(stamp, [1.0, 2.0, 0.0], frame_id='map'), log)
             if k % 4 == 0:
-                shot = stamp + 20_000_000
+                shot, log = stamp + 20_000_000, log + 20_000_000
                 message = encode.compressed_image(FACTORY, picture(k), shot, 'cam')
                 if k // 4 in damaged:
                     message.data = message.data[:30]
-                bag.write('camera/image_raw/compressed', message, shot)
+                bag.write('camera/image_raw/compressed', message, log)
                 if info:
                     calibration = encode.camera_info(FACTORY, CAMERA, shot, 'cam')
-                    bag.write('camera/camera_info', calibration, shot)
+                    if bad('camera/camera_info', k):
+                        calibration.k[:] = np.nan
+                    bag.write('camera/camera_info', calibration, log)
     return path

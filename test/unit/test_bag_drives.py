@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from bag_writers import CAMERA, FACTORY, MOUNT, picture, SECOND, START, write_drive
 import numpy as np
 import pytest
@@ -76,12 +78,35 @@ def test_a_damaged_picture_is_left_out_and_told(tmp_path):
     assert 'does not decode' in warnings[0]
 
 
+@pytest.mark.parametrize('topic', ['odom', 'joint_states', 'camera/camera_info'])
+def test_what_is_not_a_number_is_left_out_and_told(tmp_path, topic):
+    warnings = []
+    drive = write_drive(tmp_path / 'drive', bad=lambda name, k: (name, k) == (topic, 8))
+    events = list(sensor_events(Bag(drive, warnings.append), MOUNT))
+    assert sum(isinstance(e, OdometrySample) for e in events) == (39 if topic == 'odom' else 40)
+    frames = [e for e in events if isinstance(e, CameraFrame)]
+    np.testing.assert_allclose([f.pan_rad for f in frames], 0.3 * (0.2 * np.arange(10) + 0.02))
+    (warning,) = warnings
+    assert re.search(rf'1 of [14]0 messages left out: .*/{topic}: .*nan', warning)
+
+
+def test_a_clock_that_is_set_back_leaves_pictures_the_pan_of_their_time(tmp_path):
+    drive = write_drive(tmp_path / 'drive', set_back=lambda k: SECOND if k >= 21 else 0)
+    frames = [e for e in sensor_events(Bag(drive), MOUNT) if isinstance(e, CameraFrame)]
+    known = np.delete(0.3 * (0.2 * np.arange(10) + 0.02), 5)
+    # At the moment itself no joint state comes after the picture.
+    np.testing.assert_allclose([f.pan_rad for f in frames], known)
+
+
 @pytest.mark.parametrize(
     ('drive', 'match'),
     [
         ({'damaged': range(10)}, 'does not decode'),
         ({'info': False}, 'camera/camera_info is missing'),
-        ({'bad_odometry': 7}, r'/odom: odometry position at 1000\.350 s .*nan'),
+        (
+            {'bad': lambda topic, k: topic == 'odom'},
+            r'/odom: odometry position at .*nan',
+        ),
         ({'late_joints': True}, 'no joint state near it'),
     ],
 )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.reader import Bag, BagMessage
-from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory, naming
+from landmark_nav.storage.bags.sieve import Sieve
+from landmark_nav.storage.bags.timelines import CameraInfos, JointLog
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -33,14 +33,14 @@ def sensor_events(
 
     Of one moment the pictures come last, as nodes wait for what belongs to them. They are grey,
     with pan and tilt interpolated at their stamps; those of joint states are late by
-    `joint_delay_s`. Ground truth, if there is any, comes as `PoseEstimate`. Pictures that cannot
-    be used are left out and reported through ``bag.warn``. A bag without pictures may bring
-    ``detections`` instead, of this package or another sensor.
+    `joint_delay_s`. Ground truth, if there is any, comes as `PoseEstimate`. What cannot be used,
+    such as a value that is not a number, is left out and told through ``bag.warn``. A bag
+    without pictures may bring ``detections`` instead, of this package or another sensor.
 
     Raises
     ------
     LandmarkNavError
-        A topic is missing, a value is not a number, or no picture can be used.
+        A topic is missing, or nothing of it can be used.
 
     """
     if not any(bag.find(name) for name in _PICTURES) and bag.find('detections'):
@@ -49,30 +49,33 @@ def sensor_events(
     images = bag.require(*_PICTURES)
     odometry = bag.require('odom')
     cameras = CameraInfos.read(bag, 'camera/camera_info')
-    joints = JointHistory.read(bag, mount)
+    joints = JointLog.read(bag, mount)
     truth = bag.find('ground_truth/odom')
-    topics = [t for t in (images, odometry, truth) if t is not None]
-    complaints: list[str] = []
-    used = 0
-    for entry in _pictures_last(bag.messages(topics), images):
-        if entry.topic == images:
-            try:
-                yield _frame(bag, entry, cameras, joints, round(joint_delay_s * 1e9))
-                used += 1
-            except _UnusableFrameError as error:
-                complaints.append(str(error))
-            continue
-        with naming(bag, entry.topic):
-            if entry.topic == odometry:
-                yield decode.odometry(entry.message)
-            else:
-                yield decode.pose_estimate(entry.message)
-    if complaints and not used:
-        raise LandmarkNavError(complaints[0])
-    if complaints:
-        bag.warn(
-            f'{len(complaints)} of {used + len(complaints)} pictures left out: {complaints[0]}'
-        )
+    delay_ns = round(joint_delay_s * 1e9)
+    decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
+        images: lambda entry: _frame(bag, entry, cameras, joints, delay_ns),
+        odometry: lambda entry: decode.odometry(entry.message),
+    }
+    if truth is not None:
+        decoders[truth] = lambda entry: decode.pose_estimate(entry.message)
+    messages = _pictures_last(bag.messages(decoders), images)
+    yield from _usable(bag, messages, decoders, {images: 'pictures'})
+
+
+def _usable(
+    bag: Bag,
+    messages: Iterable[BagMessage],
+    decoders: Mapping[str, Callable[[BagMessage], SensorEvent]],
+    names: Mapping[str, str],
+) -> Iterator[SensorEvent]:
+    """What messages hold, those left out that are bad input; told by the `names` of topics."""
+    sieves = {topic: Sieve(bag, topic, names.get(topic, 'messages')) for topic in decoders}
+    for entry in messages:
+        event = sieves[entry.topic].take(decoders[entry.topic], entry)
+        if event is not None:
+            yield event
+    for sieve in sieves.values():
+        sieve.tell()
 
 
 def _pictures_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMessage]:
@@ -91,42 +94,30 @@ def _pictures_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagM
 
 def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
     """Bearings that somebody else found in pictures that are not kept."""
-    decoders: dict[str, Callable[[Any], SensorEvent]] = {
-        bag.require('detections'): decode.detections,
-        bag.require('odom'): decode.odometry,
+    decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
+        bag.require('detections'): lambda entry: decode.detections(entry.message),
+        bag.require('odom'): lambda entry: decode.odometry(entry.message),
     }
     if truth := bag.find('ground_truth/odom'):
-        decoders[truth] = decode.pose_estimate
-    for entry in bag.messages(decoders):
-        with naming(bag, entry.topic):
-            yield decoders[entry.topic](entry.message)
-
-
-class _UnusableFrameError(Exception):
-    """One picture that has to be left out."""
+        decoders[truth] = lambda entry: decode.pose_estimate(entry.message)
+    yield from _usable(bag, bag.messages(decoders), decoders, {})
 
 
 def _frame(
-    bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointHistory, delay_ns: int
+    bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointLog, delay_ns: int
 ) -> CameraFrame:
     stamp = decode.stamp_ns(entry.message.header)
-    try:
-        with naming(bag, entry.topic):
-            picture = decode.image(entry.message, grey=True)
-    except LandmarkNavError as error:
-        raise _UnusableFrameError(str(error)) from error
-    sample = joints.at(stamp + delay_ns)
+    picture = decode.image(entry.message, grey=True)
+    sample = joints.at(stamp + delay_ns, entry.stamp_ns)
     if isinstance(sample, Refusal):
-        raise _UnusableFrameError(
+        raise LandmarkNavError(
             f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it '
             f'({sample}): record joint_states at 10 Hz at least, on the same clock'
         )
-    with naming(bag, entry.topic):
-        camera = cameras.for_picture(stamp, picture.shape)
     return CameraFrame(
         stamp,
         picture,
-        camera,
+        cameras.for_picture(stamp, picture.shape),
         sample.pan_rad,
         sample.tilt_rad,
         pan_rate_rad_s=sample.pan_rate_rad_s,

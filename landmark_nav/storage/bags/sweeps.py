@@ -12,7 +12,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.coverage import check_coverage
 from landmark_nav.storage.bags.reader import Bag, BagMessage
-from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory, naming
+from landmark_nav.storage.bags.sieve import naming
+from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
 
 __all__ = ['read_sweeps']

@@ -3,40 +3,26 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags.reader import Bag
+from landmark_nav.storage.bags.reader import Bag, BagMessage
+from landmark_nav.storage.bags.sieve import Sieve
 from landmark_nav.types import JointSample, Refusal
 
-__all__ = ['CameraInfos', 'JointHistory', 'naming']
+__all__ = ['CameraInfos', 'JointHistory', 'JointLog']
 
 # Pan between two joint states is known if they are this close.
 _MAX_JOINT_GAP_NS = 500_000_000
 # So far beyond them the last rate tells it: a joint may start or stop at any moment.
 _SAME_TIME_NS = 2_000_000
-
-
-@contextmanager
-def naming(bag: Bag, topic: str) -> Iterator[None]:
-    """Complaints from inside name the bag and the topic."""
-    try:
-        yield
-    except LandmarkNavError as error:
-        if str(error).startswith(str(bag.path)):
-            raise
-        raise LandmarkNavError(f'{bag.path}: {topic}: {error}') from error
-    except AttributeError as error:
-        # The bag brings its own definitions: fields may be called otherwise, or be damaged.
-        raise LandmarkNavError(
-            f'{bag.path}: {topic}: its definition in the bag differs from the one of ROS 2 '
-            f'({error}): record it again'
-        ) from error
+# Joint states older by this are not late: the clock was set back.
+_CLOCK_STEP_NS = 500_000_000
 
 
 class JointHistory:
@@ -104,20 +90,70 @@ class JointHistory:
 
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:
-        """Read all angles of a bag; `LandmarkNavError` if it has none for `mount`."""
-        topic = bag.require('joint_states')
-        samples = []
-        for entry in bag.messages([topic]):
-            with naming(bag, topic):
-                sample = decode.joint_sample(entry.message, mount)
-            if sample is not None:
-                samples.append(sample)
-        if not samples:
-            raise LandmarkNavError(
-                f'{bag.path}: {topic} never tells of {mount.pan_joint}: '
-                'set pan_joint in robot.yaml'
+        """Read all angles of a bag of one clock; see `JointLog.read`."""
+        return cls(sample for _, sample in _logged_joints(bag, mount))
+
+
+class JointLog:
+    """
+    Pan and tilt at any time of a recording, whose clock may have been set back meanwhile.
+
+    Parameters
+    ----------
+    logged : iterable of (int, JointSample)
+        When each was recorded, in that order.
+
+    """
+
+    def __init__(self, logged: Iterable[tuple[int, JointSample]]) -> None:
+        parts: list[list[tuple[int, JointSample]]] = []
+        for log_ns, sample in logged:
+            if not parts or sample.stamp_ns < parts[-1][-1][1].stamp_ns - _CLOCK_STEP_NS:
+                parts.append([])
+            parts[-1].append((log_ns, sample))
+        self._parts = [
+            (
+                JointHistory(sample for _, sample in part),
+                np.array(sorted((sample.stamp_ns, log_ns) for log_ns, sample in part)).T,
             )
-        return cls(samples)
+            for part in parts
+        ]
+
+    def at(self, stamp_ns: int, log_ns: int) -> JointSample | Refusal:
+        """Angles at a stamp, by the clock of those that were recorded about `log_ns`."""
+
+        def away_ns(times: npt.NDArray[np.int64]) -> int:
+            stamps, logged = times
+            near = min(int(np.searchsorted(stamps, stamp_ns)), len(stamps) - 1)
+            return abs(int(logged[near]) - log_ns)
+
+        history, _ = min(self._parts, key=lambda part: away_ns(part[1]))
+        return history.at(stamp_ns)
+
+    @classmethod
+    def read(cls, bag: Bag, mount: PanTiltMount) -> JointLog:
+        """Read all angles of a bag; `LandmarkNavError` if it has none for `mount`."""
+        return cls(_logged_joints(bag, mount))
+
+
+def _logged_joints(bag: Bag, mount: PanTiltMount) -> list[tuple[int, JointSample]]:
+    """Angles of a bag and when they were recorded."""
+    topic = bag.require('joint_states')
+
+    def angles(entry: BagMessage) -> JointSample | None:
+        return decode.joint_sample(entry.message, mount)
+
+    sieve, logged = Sieve(bag, topic), []
+    for entry in bag.messages([topic]):
+        sample = sieve.take(angles, entry)
+        if sample is not None:
+            logged.append((entry.stamp_ns, sample))
+    sieve.tell()
+    if not logged:
+        raise LandmarkNavError(
+            f'{bag.path}: {topic} never tells of {mount.pan_joint}: set pan_joint in robot.yaml'
+        )
+    return logged
 
 
 class CameraInfos:
@@ -151,9 +187,14 @@ class CameraInfos:
     def read(cls, bag: Bag, *names: str) -> CameraInfos:
         """Read them from the first topic of `names` that `bag` has."""
         topic = bag.require(*names)
-        stamped = []
+
+        def model(entry: BagMessage) -> CameraModel:
+            return decode.camera_model(entry.message)
+
+        sieve, stamped = Sieve(bag, topic), []
         for entry in bag.messages([topic]):
-            with naming(bag, topic):
-                camera = decode.camera_model(entry.message)
-            stamped.append((decode.stamp_ns(entry.message.header), camera))
+            camera = sieve.take(model, entry)
+            if camera is not None:
+                stamped.append((decode.stamp_ns(entry.message.header), camera))
+        sieve.tell()
         return cls(stamped)
