@@ -19,7 +19,7 @@ from landmark_nav.cli.bench_learning import learning_comparisons
 from landmark_nav.cli.bench_localization import localization_comparisons
 from landmark_nav.cli.bench_world import Comparison, World
 from landmark_nav.cli.progress import progress
-from landmark_nav.storage.whole import write_whole
+from landmark_nav.storage.whole import check_writable, write_whole
 
 __all__ = ['add_arguments', 'run']
 
@@ -76,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Time, print and write."""
+    check_writable(args.json)
     cv2.setNumThreads(1)
     world = World(args.seed)
     comparisons = chain(learning_comparisons(world), localization_comparisons(world))

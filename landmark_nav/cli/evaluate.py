@@ -28,7 +28,7 @@ from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.storage.whole import write_whole
+from landmark_nav.storage.whole import check_writable, write_whole
 from landmark_nav.types import LandmarkMap
 
 __all__ = ['add_arguments', 'run']
@@ -104,6 +104,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay, measure, draw; nothing is written unless all went well."""
+    folder = args.out or (args.json or args.report or Path('x')).parent
+    figures = [folder / name for name in _FIGURES.values()]
+    check_writable(*figures, args.json, args.report, args.tum and args.tum / 'fused.tum')
     mount, landmarks = load_robot(args.robot), load_map(args.map)
     start, covariance = _start(args, landmarks)
     if not landmarks.landmarks:
@@ -140,7 +143,6 @@ def run(args: argparse.Namespace) -> int:
     smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)
-    folder = args.out or (args.json or args.report or Path('x')).parent
     with tempfile.TemporaryDirectory() as drawn:
         paths = {caption: Path(drawn) / name for caption, name in _FIGURES.items()}
         draw_trajectory(done, landmarks, paths['Trajectory'], smoothed)

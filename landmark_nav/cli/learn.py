@@ -32,7 +32,7 @@ from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.storage.whole import whole_folder, write_whole
+from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
 from landmark_nav.types import Panorama
 
 __all__ = ['add_arguments', 'run']
@@ -75,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Learn, draw, write; nothing is written unless all went well."""
     begin = time.perf_counter()
+    check_writable(args.json)
     room, mount = load_room(args.room), load_robot(args.robot)
     config = load_config(args.config, _Stages()) if args.config else _Stages()
     bag = Bag(args.bag)

@@ -21,7 +21,7 @@ from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import Bag, read_sweep_folder, read_sweeps
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.storage.whole import write_whole
+from landmark_nav.storage.whole import check_writable, write_whole
 from landmark_nav.types import Sweep
 
 __all__ = ['add_arguments', 'run']
@@ -86,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
     """Read the sweep, make the panorama, write it."""
     if args.out.suffix.lower() != '.png':
         raise LandmarkNavError(f'--out {args.out}: panoramas are written as .png')
+    check_writable(args.out)
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
     config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
     pictures = (args.sweep / 'frames.csv').is_file()

@@ -17,7 +17,7 @@ from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, Plan, plan_positions
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.storage.whole import write_whole
+from landmark_nav.storage.whole import check_writable, write_whole
 
 __all__ = ['add_arguments', 'run']
 
@@ -72,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
             f'--out {args.out}: the plan is YAML, and its picture gets this name: take '
             f'{args.out.with_suffix(".yaml").name}'
         )
+    check_writable(args.out, picture)
     config = PlanConfig(
         focal_px=args.focal,
         width_px=args.size[0],

@@ -11,7 +11,7 @@ import shutil
 
 from landmark_nav.errors import LandmarkNavError, why
 
-__all__ = ['left_over', 'whole_folder', 'write_whole']
+__all__ = ['check_writable', 'left_over', 'whole_folder', 'write_whole']
 
 
 @contextmanager
@@ -48,6 +48,7 @@ def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
     target = folder.resolve()
     growing = target.with_name(f'.{target.name}.part-{os.getpid()}')
     try:
+        _clear_dead(target)
         growing.mkdir(parents=True)
         yield growing
         _swap(growing, target, own)
@@ -81,11 +82,47 @@ def write_whole(path: Path, content: str | bytes) -> None:
         raise LandmarkNavError(f'{path}: cannot be written: {why(error)}') from error
 
 
+def check_writable(*files: Path | None) -> None:
+    """
+    Refuse at the start what could not be written in the end; None stands for what is not wanted.
+
+    Raises
+    ------
+    LandmarkNavError
+        One of them cannot be written.
+
+    """
+    for path in files:
+        if path is None:
+            continue
+        if path.is_dir():
+            raise LandmarkNavError(f'{path}: is a folder: take another name')
+        there = next(folder for folder in path.absolute().parents if folder.exists())
+        if not there.is_dir():
+            raise LandmarkNavError(f'{there}: is a file: take another name')
+        if not os.access(there, os.W_OK):
+            raise LandmarkNavError(f'{path}: cannot be written: no permission to write in {there}')
+
+
 def left_over(folder: Path) -> Path | None:
     """What `whole_folder` moved aside for a new one that never came: it was killed in between."""
     target = folder.resolve()
     aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
     return aside[-1] if aside else None
+
+
+def _clear_dead(target: Path) -> None:
+    """Remove what processes that are gone had begun to write."""
+    for begun in target.parent.glob(f'.{target.name}.part-*'):
+        number = begun.name.rpartition('-')[2]
+        if not number.isdecimal():
+            continue
+        try:
+            os.kill(int(number), 0)
+        except ProcessLookupError:
+            shutil.rmtree(begun, ignore_errors=True)
+        except OSError:
+            continue
 
 
 def _swap(growing: Path, target: Path, own: Sequence[str]) -> None:
