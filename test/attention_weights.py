@@ -98,8 +98,7 @@ def simulate(seed: int) -> Study:
     k = int(rng.integers(len(lamps)))
     lamps[k] = replace(lamps[k], power=DIMMED * lamps[k].power)
     later = replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
-    corners = np.array([wall.start for wall in scene.room.walls])
-    places = rng.uniform(corners.min(axis=0), corners.max(axis=0), (100 * PLACES, 2))
+    places = rng.uniform(*scene.room.bounds, (100 * PLACES, 2))
     places = places[scene.room.contains(places)]
     places = places[later.distance_to_obstacles(places) > CLEARANCE_M][:PLACES]
     world = RobotWorld(later, np.append(places[0], 0.0), seed + 1)

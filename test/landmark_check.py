@@ -157,8 +157,7 @@ def check_area(room: Room) -> npt.NDArray[np.int64]:
     looker = Looker(room)
     config = TripletConfig()
     scene = looker.world.scene
-    corners = np.array([wall.start for wall in scene.room.walls])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = scene.room.bounds
     axes = [np.arange(a + _GRID_M / 2, b, _GRID_M) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
     free = scene.room.contains(grid) & (scene.distance_to_obstacles(grid) > _CLEARANCE_M)

@@ -88,8 +88,7 @@ def draw_scene(seed: int, rng: np.random.Generator) -> Scene | None:
 
 def places_of(scene: Scene, count: int, rng: np.random.Generator) -> FloatArray:
     """Poses (n, 3) that see three papers or more."""
-    corners = np.array([wall.start for wall in scene.room.walls])
-    xy = rng.uniform(corners.min(axis=0), corners.max(axis=0), (400, 2))
+    xy = rng.uniform(*scene.room.bounds, (400, 2))
     xy = xy[scene.room.contains(xy)]
     xy = xy[scene.distance_to_obstacles(xy) > 0.5]
     points = np.array([p.center for p in scene.room.papers])

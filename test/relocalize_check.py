@@ -103,9 +103,8 @@ def changed(scene: Scene, rng: np.random.Generator) -> Scene:
 
 def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Poses (3,) where the robot can stand."""
-    corners = np.array([wall.start for wall in scene.room.walls])
     while count:
-        place = rng.uniform(corners.min(axis=0), corners.max(axis=0))
+        place = rng.uniform(*scene.room.bounds)
         free = scene.room.contains(place) and scene.distance_to_obstacles(place) > _CLEARANCE_M
         if free:
             count -= 1

@@ -136,8 +136,7 @@ class FiguresWorld:
 
 def _floor(scene: Scene) -> FloatArray:
     """Grid of free places (n, 2)."""
-    corners = np.array([wall.start for wall in scene.room.walls])
-    low, high = corners.min(axis=0) + _CLEARANCE_M, corners.max(axis=0) - _CLEARANCE_M
+    low, high = scene.room.bounds[0] + _CLEARANCE_M, scene.room.bounds[1] - _CLEARANCE_M
     x, y = (np.arange(a, b, _GRID_M) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     grid = grid[scene.room.contains(grid)]

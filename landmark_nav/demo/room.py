@@ -66,7 +66,7 @@ def prepare_room(folder: Path, seed: int, tour_m: float) -> DemoRoom:
     room_file, robot_file = folder / 'room.yaml', folder / 'robot.yaml'
     room_file.write_text(room_document(scene.room), encoding='utf-8')
     robot_file.write_text(robot_document(DEFAULT_MOUNT), encoding='utf-8')
-    extent = np.ptp([wall.start for wall in scene.room.walls], axis=0)
+    extent = np.ptp(scene.room.bounds, axis=0)
     return DemoRoom(
         seed,
         room_file,

@@ -15,6 +15,9 @@ __all__ = ['Paper', 'Room', 'Wall']
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
+# A point on a wall is seen past that wall: what hangs on it may be so far off.
+_SLACK_M = 0.08
+
 
 @dataclass(frozen=True)
 class Wall:
@@ -121,6 +124,11 @@ class Room:
         return np.array([w.end for w in self.walls], dtype=np.float64)
 
     @cached_property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest x and y of the outline, each (2,)."""
+        return self._starts.min(axis=0), self._starts.max(axis=0)
+
+    @cached_property
     def normals(self) -> FloatArray:
         """Unit normals into the room, (walls, 3)."""
         return np.array([w.normal for w in self.walls])
@@ -163,13 +171,11 @@ class Room:
         nearest = np.take_along_axis(distance, wall[..., None], -1)[..., 0]
         return nearest, np.where(np.isfinite(nearest), wall, -1)
 
-    def visible(
-        self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike, slack_m: float = 0.08
-    ) -> npt.NDArray[np.bool_]:
+    def visible(self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether no wall stands between origins (..., 2) and points (..., 2)."""
         delta = np.asarray(points_xy, dtype=np.float64) - np.asarray(origin_xy, dtype=np.float64)
         distance, _ = self.raycast(origin_xy, np.arctan2(delta[..., 1], delta[..., 0]))
-        return np.asarray(distance > np.hypot(delta[..., 0], delta[..., 1]) - slack_m)
+        return np.asarray(distance > np.hypot(delta[..., 0], delta[..., 1]) - _SLACK_M)
 
     def contains(self, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether points (..., 2) lie inside the outline (even-odd rule)."""

@@ -41,7 +41,7 @@ def left_right_layout(room: Room, count: int, share: float, config: PlanConfig) 
 
     """
     corners = np.array([wall.start for wall in room.walls])
-    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    middle = 0.5 * (room.bounds[0] + room.bounds[1])
     papers = np.mean([paper.center[:2] for paper in room.papers], axis=0)
     ahead = room.normals[int(room.nearest_wall(papers)), :2]
     aside = np.array([-ahead[1], ahead[0]])

@@ -44,8 +44,7 @@ def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> F
         Row by row; empty in a room that is too narrow.
 
     """
-    corners = np.array([wall.start for wall in room.walls])
-    low, high = corners.min(axis=0) + clearance_m, corners.max(axis=0) - clearance_m
+    low, high = room.bounds[0] + clearance_m, room.bounds[1] - clearance_m
     if np.any(high < low):
         return np.zeros((0, 2))
     spacing = max(spacing_m, float(np.sqrt(np.prod(high - low) / most)))
@@ -61,12 +60,8 @@ def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> F
 
 def is_free(room: Room, clearance_m: float, xy: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether points (n, 2) lie inside, and `clearance_m` off the walls."""
-    start = np.array([wall.start for wall in room.walls])
-    side = np.array([wall.end for wall in room.walls]) - start
-    offset = xy[:, None] - start
-    share = np.clip(np.sum(offset * side, -1) / np.sum(side**2, -1), 0.0, 1.0)
-    distance = np.linalg.norm(offset - share[..., None] * side, axis=-1)
-    return np.asarray(room.contains(xy) & (distance.min(axis=1) >= clearance_m - 1e-9))
+    clear = room.wall_distances(xy).min(axis=1) >= clearance_m - 1e-9
+    return np.asarray(room.contains(xy) & clear)
 
 
 def sample_walls(room: Room, spacing_m: float, most: int) -> WallSamples:

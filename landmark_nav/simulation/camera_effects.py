@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.parameters import Config, parameter
+from landmark_nav.types import ImageArray
 
 __all__ = ['CameraEffects', 'CameraEffectsConfig']
-
-ImageArray = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.parameters import Config, parameter
+from landmark_nav.types import FloatArray
 
 __all__ = ['DifferentialDrive', 'DriveConfig']
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

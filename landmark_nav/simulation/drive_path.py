@@ -10,10 +10,10 @@ from scipy.sparse.csgraph import dijkstra
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.simulation.scene import Scene
+from landmark_nav.types import FloatArray
 
 __all__ = ['PathFollower', 'plan_tour', 'plan_way']
 
-FloatArray = npt.NDArray[np.float64]
 
 _CELL_M = 0.1
 _CLEARANCE_M = 0.42
@@ -34,8 +34,7 @@ class _FreeGrid:
     """Places where the robot may drive, and shortest ways between them."""
 
     def __init__(self, scene: Scene) -> None:
-        corners = np.array([wall.start for wall in scene.room.walls])
-        low, high = corners.min(axis=0), corners.max(axis=0)
+        low, high = scene.room.bounds
         axes = [np.arange(a + _CELL_M / 2, b, _CELL_M) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing='ij'), -1)
         clearance = scene.distance_to_obstacles(grid)

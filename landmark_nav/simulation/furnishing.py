@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 
 __all__ = ['exchange_pictures', 'furnish', 'move_one_box']
 
-FloatArray = npt.NDArray[np.float64]
 Generator = np.random.Generator
 
 _TARGET_SIZE_M = 0.5
@@ -198,8 +196,7 @@ def _place_at_wall(
 
 def _place_free(boxes: list[Box], room: Room, rng: Generator) -> None:
     """A low piece that stands in the room, with space to pass."""
-    corners = np.array([wall.start for wall in room.walls])
-    for center in rng.uniform(corners.min(axis=0), corners.max(axis=0), (40, 2)):
+    for center in rng.uniform(*room.bounds, (40, 2)):
         size = (float(rng.uniform(0.35, 0.6)), float(rng.uniform(0.35, 0.6)))
         box = Box(
             (float(center[0]), float(center[1])),

@@ -10,10 +10,10 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import transform_points
 from landmark_nav.simulation.places import item_points, view_quality
 from landmark_nav.simulation.scene import Scene
+from landmark_nav.types import FloatArray
 
 __all__ = ['Gaze']
 
-FloatArray = npt.NDArray[np.float64]
 
 # The camera stays this far inside its limits, so that it can follow while the base turns.
 _RESERVE_RAD = 0.4

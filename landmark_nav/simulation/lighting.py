@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.simulation.scene import Lamp
+from landmark_nav.types import FloatArray
 
 __all__ = ['irradiance']
 
-FloatArray = npt.NDArray[np.float64]
 
 # Light that walls and ceiling throw back on everything, relative to the albedo shown as it is.
 _AMBIENT = 0.55

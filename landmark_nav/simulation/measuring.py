@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.types import FloatArray
 
 __all__ = ['as_measured']
 
-FloatArray = npt.NDArray[np.float64]
 
 # Standard deviations, metres: of a tape through a room, of a ruler along a wall, of the height of
 # a camera above the floor.

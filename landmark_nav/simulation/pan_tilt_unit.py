@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.parameters import Config, parameter
+from landmark_nav.types import FloatArray
 
 __all__ = ['PanTiltConfig', 'PanTiltUnit']
 
-FloatArray = npt.NDArray[np.float64]
 
 # The spring is integrated in steps no longer than this.
 _SPRING_STEP_S = 1.0 / 400.0

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.solids import Solid
-from landmark_nav.simulation.surfaces import ImageArray, Surface
+from landmark_nav.simulation.surfaces import Surface
 from landmark_nav.simulation.textures import fractal_noise, random_color, to_uint8
+from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['Person', 'WalkingPeople']
 
-FloatArray = npt.NDArray[np.float64]
 
 _HEIGHT_M = 1.75
 _WIDTH_M = 0.62
@@ -73,8 +72,7 @@ class Person:
         return Solid(np.array([left_end + _WIDTH_M * right, left_end]), (surface,))
 
     def _free_place(self) -> FloatArray:
-        corners = np.array([wall.start for wall in self._scene.room.walls])
-        places = self._rng.uniform(corners.min(axis=0), corners.max(axis=0), (200, 2))
+        places = self._rng.uniform(*self._scene.room.bounds, (200, 2))
         free = self._scene.room.contains(places)
         free &= self._scene.distance_to_obstacles(places) > _CLEARANCE_M
         return np.asarray(places[np.argmax(free)])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from landmark_nav.simulation.textures import fractal_noise, ImageArray, random_color, to_uint8
+from landmark_nav.simulation.textures import fractal_noise, random_color, to_uint8
+from landmark_nav.types import ImageArray
 
 __all__ = ['draw_photo']
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.simulation.scene import Scene
+from landmark_nav.types import FloatArray
 
 __all__ = [
     'EYE_HEIGHT_M',
@@ -18,7 +19,6 @@ __all__ = [
     'view_quality',
 ]
 
-FloatArray = npt.NDArray[np.float64]
 
 # Height of the camera that decides what low furniture hides.
 EYE_HEIGHT_M = 1.1
@@ -61,8 +61,7 @@ def choose_sweep_places(scene: Scene) -> SweepPlaces | None:
 
     """
     rng = np.random.default_rng([scene.seed, 10])
-    corners = np.array([wall.start for wall in scene.room.walls])
-    places = rng.uniform(corners.min(axis=0), corners.max(axis=0), (_CANDIDATES * 4, 2))
+    places = rng.uniform(*scene.room.bounds, (_CANDIDATES * 4, 2))
     places = places[scene.room.contains(places)]
     places = places[scene.distance_to_obstacles(places) > _CLEARANCE_M][:_CANDIDATES]
     if len(places) < 2:

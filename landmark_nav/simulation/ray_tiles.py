@@ -6,12 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['TILE_PX', 'RayTiles', 'coverage', 'edge_forms']
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
-ImageArray = npt.NDArray[np.uint8]
 
 # Pixels are worked on in square tiles: what a tile does not show is skipped.
 TILE_PX = 32

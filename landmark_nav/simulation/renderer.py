@@ -12,13 +12,13 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.simulation.ray_tiles import coverage, RayTiles, TILE_PX
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.solids import background_surfaces, box_solid, Solid, wall_solids
-from landmark_nav.simulation.surfaces import ImageArray, Pyramid, Surface
+from landmark_nav.simulation.surfaces import Pyramid, Surface
 from landmark_nav.simulation.texture_sampling import sample_texture
 from landmark_nav.simulation.visibility import PainterOrder
+from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['Renderer']
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.furnishing import furnish
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.scene import Scene
+from landmark_nav.types import FloatArray
 
 __all__ = ['generate_room', 'generate_scene']
 
-FloatArray = npt.NDArray[np.float64]
 
 _ATTEMPTS = 25
 

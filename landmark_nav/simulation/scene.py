@@ -14,10 +14,9 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.se2 import transform_points
 from landmark_nav.geometry.walls import Room
+from landmark_nav.types import FloatArray
 
 __all__ = ['Box', 'Lamp', 'Scene', 'WallItem']
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,18 +7,17 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
-from landmark_nav.simulation.surfaces import ImageArray, Surface
+from landmark_nav.simulation.surfaces import Surface
 from landmark_nav.simulation.textures import plaster, random_color, wood
 from landmark_nav.simulation.wall_items import draw_item
+from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['Solid', 'background_surfaces', 'box_solid', 'wall_solids']
 
-FloatArray = npt.NDArray[np.float64]
 
 _WALL_TEXEL_M = 0.002
 _BOX_TEXEL_M = 0.0025
@@ -165,8 +164,7 @@ def _box_texture(
 
 def background_surfaces(scene: Scene) -> list[Surface]:
     """Floor and ceiling: the outline's bounding box with a margin, all walls stand before it."""
-    outline = np.array([wall.start for wall in scene.room.walls])
-    low, high = outline.min(axis=0) - 0.5, outline.max(axis=0) + 0.5
+    low, high = scene.room.bounds[0] - 0.5, scene.room.bounds[1] + 0.5
     width, depth = (float(size) for size in high - low)
     height = max(wall.height for wall in scene.room.walls)
     rng = np.random.default_rng([scene.seed, 5])

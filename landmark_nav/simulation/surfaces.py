@@ -11,11 +11,10 @@ import numpy.typing as npt
 
 from landmark_nav.simulation.lighting import irradiance
 from landmark_nav.simulation.scene import Lamp
+from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['Pyramid', 'Surface']
 
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.uint8]
 
 # Border around each level, so that interpolation at its edge does not meet the next level.
 _BORDER_PX = 3

@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.simulation.ray_tiles import TILE_PX
-from landmark_nav.simulation.surfaces import ImageArray, Pyramid
+from landmark_nav.simulation.surfaces import Pyramid
+from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['sample_texture']
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 

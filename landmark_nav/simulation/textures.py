@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.types import ImageArray
+
 __all__ = ['fractal_noise', 'plaster', 'random_color', 'to_uint8', 'wood']
 
-ImageArray = npt.NDArray[np.uint8]
 FloatImage = npt.NDArray[np.float32]
 Color = tuple[float, float, float]
 

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.types import FloatArray
 
 __all__ = ['PainterOrder']
 
-FloatArray = npt.NDArray[np.float64]
 
 _WIDEST_VIEW_RAD = np.radians(80.0)
 

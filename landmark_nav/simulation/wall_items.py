@@ -13,11 +13,11 @@ from landmark_nav.simulation.photos import draw_photo
 from landmark_nav.simulation.textures import (
     Color,
     fractal_noise,
-    ImageArray,
     random_color,
     to_uint8,
     wood,
 )
+from landmark_nav.types import ImageArray
 
 __all__ = ['draw_item']
 

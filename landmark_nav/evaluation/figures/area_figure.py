@@ -81,8 +81,7 @@ def draw_observation_areas(
     """
     chosen = typical_landmarks(landmarks)
     tried = {test.landmark: test for test in tests}
-    corners = np.array([wall.start for wall in room.walls])
-    width, height = np.ptp(corners, axis=0) + 2.0 * _margin_m(room)
+    width, height = np.ptp(room.bounds, axis=0) + 2.0 * _margin_m(room)
     # Higher than needed: the layout leaves no room for labels below plans that fill their cells.
     figure = new_figure(15.0, 2.0 * (5.9 * height / width + 1.1) + 1.2)
     top, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[0.04, 1.0])))
@@ -123,16 +122,14 @@ def draw_observation_areas(
 
 
 def _margin_m(room: Room) -> float:
-    return _MARGIN * float(np.ptp([wall.start for wall in room.walls], axis=0).max())
+    return _MARGIN * float(np.ptp(room.bounds, axis=0).max())
 
 
 def _draw_area(
     axes: Axes, landmark: Landmark, room: Room, test: AreaTest | None
 ) -> tuple[int, int]:
     """One landmark; at how many places prediction and test agree, of how many."""
-    corners = np.array([wall.start for wall in room.walls])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    x, y = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(low, high, strict=True))
+    x, y = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(*room.bounds, strict=True))
     cells = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     area = _predicted(landmark, room, cells).reshape(len(y), len(x)).astype(float)
     axes.contourf(x, y, area, _LEVELS, colors=FIX, alpha=0.45, zorder=1)

@@ -43,8 +43,7 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
         PNG to write.
 
     """
-    corners = np.array([wall.start for wall in room.walls])
-    width, height = np.ptp(corners, axis=0) + 2.0 * _MARGIN_M
+    width, height = np.ptp(room.bounds, axis=0) + 2.0 * _MARGIN_M
     scale = 7.0 / max(width, height)
     figure = new_figure(scale * width + 1.5, scale * height + 1.5)
     axes = figure.add_subplot()

@@ -197,10 +197,8 @@ def _draw_rays(
 def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
     """Heat map of standard deviations; the least one, millimetres."""
     pair = result.panoramas[0], result.panoramas[1]
-    corners = np.array([wall.start for wall in room.walls])
     x, y = (
-        np.arange(low, high + _CELL_M, _CELL_M)
-        for low, high in zip(corners.min(axis=0), corners.max(axis=0), strict=True)
+        np.arange(low, high + _CELL_M, _CELL_M) for low, high in zip(*room.bounds, strict=True)
     )
     cells = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     sigma = 1e3 * ray_sigma_m(pair, cells)
