@@ -152,6 +152,12 @@ class Panorama:
     covariance: FloatArray
     quality: PanoramaQuality | None = None
 
+    @property
+    def axis(self) -> PoseEstimate:
+        """Pose of the pan axis in map, with the orientation of the base."""
+        pose = np.array([*self.center_map[:2], self.heading_rad])
+        return PoseEstimate(self.stamp_ns, pose, self.covariance[np.ix_([0, 1, 3], [0, 1, 3])])
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -280,9 +286,7 @@ class LandmarkMap:
     def joint_covariance_xy(self) -> FloatArray:
         """Joint covariance of all (x, y), (2n, 2n), with the part that landmarks share."""
         n = len(self.landmarks)
-        if n == 0:
-            return np.zeros((0, 0))
-        loading = self.shared_loadings[:, :2].reshape(2 * n, -1)
+        loading = self.shared_loadings[:, :2].reshape(2 * n, self.shared_loadings.shape[2])
         joint = loading @ loading.T
         for k in range(n):
             joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = self.covariances[k, :2, :2]
@@ -337,11 +341,5 @@ class Detections:
 
     def chosen(self, which: npt.NDArray[np.bool_]) -> Detections:
         """Some of them: `which` (n,) says whether to keep each."""
-        return replace(
-            self,
-            ids=self.ids[which],
-            bearing_rad=self.bearing_rad[which],
-            variance_rad2=self.variance_rad2[which],
-            score=self.score[which],
-            uv_px=self.uv_px[which],
-        )
+        names = ('ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px')
+        return replace(self, **{name: getattr(self, name)[which] for name in names})

@@ -25,7 +25,7 @@ from landmark_truth import TrueWalls
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.attention import attend, AttentionConfig, FEATURES
+from landmark_nav.learning.attention import attend, AttentionConfig, AttentionMaps, FEATURES
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.stereo import hypothesize, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import wall_texture, WallPatch
@@ -241,11 +241,11 @@ def measure(seed: int, named: Mapping[str, AttentionConfig]) -> dict[str, FloatA
     rows = {name: shares(found_again(study, config)) for name, config in named.items()}
     rng = np.random.default_rng([seed, 60])
 
-    def noise(image: FloatArray, *_: object, **__: object) -> FloatArray:
+    def noise(image: FloatArray, *_: object) -> AttentionMaps:
         coarse = cv2.GaussianBlur(rng.random(image.shape, np.float32), (0, 0), 8.0)
-        return np.asarray((coarse - coarse.min()) / np.ptp(coarse))
+        return AttentionMaps({}, {}, np.asarray((coarse - coarse.min()) / np.ptp(coarse)), 0)
 
-    with patched('landmark_nav.learning.attention.attend.saliency_map', noise):
+    with patched('landmark_nav.learning.attention.attend.attention_maps', noise):
         rows['chance'] = shares(found_again(study, AttentionConfig()))
     return rows
 

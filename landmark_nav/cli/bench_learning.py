@@ -11,7 +11,7 @@ import numpy as np
 
 from landmark_nav.cli.bench_world import Comparison, MOUNT, STEP_RAD, World
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
-from landmark_nav.learning.attention import AttentionConfig, select_candidates
+from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
@@ -140,7 +140,7 @@ def _attention(world: World) -> Comparison:
     panorama, grey = world.panoramas[0], world.greys[0].astype(np.uint8)
     return Comparison(
         'attention in a panorama',
-        lambda: select_candidates(panorama, AttentionConfig()),
+        lambda: attend(panorama, AttentionConfig()),
         'SIFT key points of the same panorama',
         lambda: cv2.SIFT.create().detect(grey),
     )

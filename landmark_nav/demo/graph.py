@@ -7,11 +7,10 @@ import os
 from pathlib import Path
 import sys
 
-import landmark_nav
 from landmark_nav.demo.room import DemoRoom
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.config_files import shipped_config
 
-__all__ = ['config_folder', 'node_commands', 'node_environment']
+__all__ = ['node_commands', 'node_environment']
 
 
 def node_commands(room: DemoRoom, map_folder: Path) -> dict[str, list[str]]:
@@ -47,30 +46,11 @@ def node_environment(domain_id: int) -> dict[str, str]:
     }
 
 
-def config_folder() -> Path:
-    """
-    Where the nodes' parameter files are: in the source tree, or in the installed prefix.
-
-    Raises
-    ------
-    LandmarkNavError
-        Neither has them.
-
-    """
-    source = Path(landmark_nav.__file__).resolve().parents[1]
-    prefixes = [Path(sys.prefix), *map(Path, os.environ.get('AMENT_PREFIX_PATH', '').split(':'))]
-    places = [source / 'config', *(p / 'share' / 'landmark_nav' / 'config' for p in prefixes)]
-    for place in places:
-        if (place / 'odometry_fusion.yaml').is_file():
-            return place
-    raise LandmarkNavError(f'no parameter files in {", ".join(map(str, places))}: install again')
-
-
 def _command(name: str, parameters: dict[str, object]) -> list[str]:
     # JSON is YAML, which is how ROS reads values: names stay names.
     settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
     return [
         *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
-        *('--params-file', str(config_folder() / f'{name}.yaml')),
+        *('--params-file', str(shipped_config(f'{name}.yaml'))),
         *(word for setting in settings for word in ('-p', setting)),
     ]

@@ -128,10 +128,7 @@ def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> Pose
         return min(len(robot.panoramas), learner_has) > before
 
     robot.wait(made, 90.0, 'the panorama')
-    view = robot.panoramas[-1]
-    plane = np.ix_([0, 1, 3], [0, 1, 3])
-    axis = np.array([*view.center_map[:2], view.heading_rad])
-    place = base_from_axis(PoseEstimate(view.stamp_ns, axis, view.covariance[plane]), room.mount)
+    place = base_from_axis(robot.panoramas[-1].axis, room.mount)
     x, y, heading = place.pose
     sigma_mm = 1e3 * float(np.sqrt(np.trace(place.covariance[:2, :2])))
     narrator.say(

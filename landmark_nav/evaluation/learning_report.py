@@ -10,25 +10,16 @@ import numpy as np
 
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.tracks import PoseTrack
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.quality import PanoramaQuality
-from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
+from landmark_nav.types import Landmark, Panorama, Refusal
 
-__all__ = ['base_pose', 'learning_report', 'quality_report']
+__all__ = ['learning_report', 'quality_report']
 
 SCHEMA = 1
-
-
-def base_pose(panorama: Panorama, mount: PanTiltMount) -> tuple[FloatArray, FloatArray]:
-    """Pose (3,) of ``base_link`` in map at a panorama, and its covariance (3, 3)."""
-    lever = np.array([*mount.axis_xyz[:2], 0.0])
-    axis = np.array([*panorama.center_map[:2], panorama.heading_rad])
-    plane = np.ix_([0, 1, 3], [0, 1, 3])
-    by_axis, _ = se2.compose_jacobians(axis, -lever)
-    return se2.compose(axis, -lever), by_axis @ panorama.covariance[plane] @ by_axis.T
 
 
 def learning_report(
@@ -137,7 +128,8 @@ def _sweep(
 
 def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[str, Any]:
     """X [m], y [m] and heading [rad] of the base, and their errors."""
-    pose, covariance = base_pose(panorama, mount)
+    base = base_from_axis(panorama.axis, mount)
+    pose, covariance = base.pose, base.covariance
     told: dict[str, Any] = {'pose': pose.tolist(), 'sigma': np.sqrt(np.diag(covariance)).tolist()}
     error = pose_errors(pose[None], truth.at([panorama.stamp_ns]))[0]
     if np.all(np.isfinite(error)):

@@ -37,7 +37,6 @@ from landmark_nav.types import (
     Landmark,
     LandmarkMap,
     Panorama,
-    PoseEstimate,
     Refusal,
 )
 
@@ -192,18 +191,9 @@ def learn_from_panoramas(
             len(landmarks),
             _reasons(outcomes),
         )
-    plane = np.ix_([0, 1, 3], [0, 1, 3])
     return LearningResult(
         LandmarkMap(
-            tuple(landmarks),
-            room.frame_id,
-            room.walls,
-            tuple(
-                PoseEstimate(
-                    p.stamp_ns, np.array([*p.center_map[:2], p.heading_rad]), p.covariance[plane]
-                )
-                for p in adjusted
-            ),
+            tuple(landmarks), room.frame_id, room.walls, tuple(view.axis for view in adjusted)
         ),
         adjusted,
         candidates,

@@ -14,8 +14,9 @@ from typing import Any, TYPE_CHECKING
 import pytest
 
 from landmark_nav.cli.main import main
-from landmark_nav.demo.graph import config_folder, node_environment
+from landmark_nav.demo.graph import node_environment
 from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.storage.config_files import shipped_config
 
 if TYPE_CHECKING:
     from landmark_nav.ros.robot_client import RobotClient
@@ -42,7 +43,7 @@ def start(supervisor: Supervisor) -> Callable[..., None]:
     def start_node(name: str, **parameters: Any) -> None:
         settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
         command = [sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args']
-        command += ['--params-file', str(config_folder() / f'{name}.yaml')]
+        command += ['--params-file', str(shipped_config(f'{name}.yaml'))]
         supervisor.start(name, [*command, *(w for s in settings for w in ('-p', s))])
 
     return start_node

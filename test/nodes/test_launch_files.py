@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from landmark_nav.demo.graph import config_folder
+from landmark_nav.storage.config_files import shipped_config
 
 LAUNCH = Path(__file__).resolve().parents[2] / 'landmark_nav' / 'launch'
 
@@ -53,7 +53,7 @@ def test_bringup_gives_nodes_parameters_that_they_have() -> None:
     for name, taken in nodes.items():
         known = {f.name for f in dataclasses.fields(module_parameters(name))}
         assert set(taken) <= known & arguments
-        assert (config_folder() / f'{name}.yaml').is_file()
+        assert shipped_config(f'{name}.yaml').is_file()
 
 
 def test_simulation_gives_the_simulator_parameters_that_it_has() -> None:

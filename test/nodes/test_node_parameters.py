@@ -17,13 +17,13 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 import yaml
 
-from landmark_nav.demo.graph import config_folder
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.nodes.describe import parameter_file
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.parameters import misspelt
+from landmark_nav.storage.config_files import shipped_config
 
 NODES = [
     'bag_player',
@@ -131,13 +131,13 @@ def test_values_that_contradict_each_other(context: Context) -> None:
 @pytest.mark.parametrize('name', NODES)
 class TestNode:
     def test_file_holds_all_parameters(self, name: str) -> None:
-        text = (config_folder() / f'{name}.yaml').read_text()
+        text = shipped_config(f'{name}.yaml').read_text()
         renew = f'python -m landmark_nav.nodes.describe {name} > config/{name}.yaml'
         assert text == parameter_file(name), renew
 
     def test_file_gives_the_defaults(self, name: str, context: Context) -> None:
         config = import_module(f'landmark_nav.nodes.{name}').Parameters
-        arguments = ['--ros-args', '--params-file', str(config_folder() / f'{name}.yaml')]
+        arguments = ['--ros-args', '--params-file', str(shipped_config(f'{name}.yaml'))]
         node = ConfiguredNode(config, context=context, cli_args=arguments)
         assert node.config == config()
 

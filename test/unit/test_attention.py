@@ -10,10 +10,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.attention import (
     attend,
+    attention_maps,
     AttentionConfig,
     FEATURES,
-    saliency_map,
-    select_candidates,
 )
 from landmark_nav.types import Candidate, Panorama
 
@@ -99,7 +98,7 @@ def test_concentric_target_is_always_selected(diameter, slant_deg, rings):
     paste(gray, board, column, row)
     gray = cv2.GaussianBlur(gray, (0, 0), 0.7) + rng.normal(0.0, 2.0, gray.shape)
     center = column + (board.shape[1] - 1) / 2, row + (board.shape[0] - 1) / 2
-    found = select_candidates(panorama(gray), AttentionConfig())
+    found = attend(panorama(gray), AttentionConfig()).candidates
     rank = int(np.argmin([away_px(c, *center) for c in found]))
     assert away_px(found[rank], *center) <= 6.0
     assert rank < 12
@@ -110,7 +109,7 @@ def test_each_of_several_equal_targets_is_selected():
     places = [(100, 40), (600, 150), (1200, 200)]
     for place in places:
         paste(gray, target(50), *place)
-    found = select_candidates(panorama(gray), AttentionConfig())
+    found = attend(panorama(gray), AttentionConfig()).candidates
     for column, row in places:
         assert min(away_px(c, column + 28, row + 28) for c in found) <= 8.0
 
@@ -118,7 +117,7 @@ def test_each_of_several_equal_targets_is_selected():
 @pytest.mark.parametrize('noise', [0.0, 2.0, 6.0])
 def test_bare_wall_yields_nothing(noise):
     gray = plaster(np.random.default_rng(1), noise)
-    assert select_candidates(panorama(gray), AttentionConfig()) == ()
+    assert attend(panorama(gray), AttentionConfig()).candidates == ()
 
 
 @pytest.mark.parametrize('value', [0, 255])
@@ -157,7 +156,7 @@ def test_repeated_patterns_are_refused_with_their_reason(kind):
 def test_patch_across_the_seam_is_found_exactly_once():
     gray = plaster(np.random.default_rng(4))
     paste(gray, target(40), WIDTH - 23, 100)
-    found = select_candidates(panorama(gray), AttentionConfig())
+    found = attend(panorama(gray), AttentionConfig()).candidates
     assert found
     near = [c for c in found if away_px(c, WIDTH, 123) <= 8.0]
     assert len(near) == 1
@@ -167,8 +166,8 @@ def test_patch_across_the_seam_is_found_exactly_once():
 def test_turning_the_panorama_turns_the_candidates():
     gray = np.clip(np.rint(clutter(np.random.default_rng(6))), 0, 255)[:, :1600]
     config = AttentionConfig(candidates=20, candidates_per_sector=20)
-    there = select_candidates(panorama(gray), config)
-    turned = select_candidates(panorama(np.roll(gray, 800, axis=1)), config)
+    there = attend(panorama(gray), config).candidates
+    turned = attend(panorama(np.roll(gray, 800, axis=1)), config).candidates
     for c in there:
         assert min(away_px(d, c.column + 800, c.row, 1600) for d in turned) <= 2.0
 
@@ -191,12 +190,12 @@ def test_patches_stay_on_covered_pixels_and_ignore_the_rim():
         assert mask[np.ix_(rows, columns)].all()
 
     bare = panorama(np.where(mask, plaster(rng), 0.0), mask)
-    assert select_candidates(bare, AttentionConfig()) == ()
+    assert attend(bare, AttentionConfig()).candidates == ()
 
 
 def test_nothing_is_selected_where_nothing_is_covered():
     gray = clutter(np.random.default_rng(8))
-    assert select_candidates(panorama(gray, np.zeros(gray.shape, bool)), AttentionConfig()) == ()
+    assert attend(panorama(gray, np.zeros(gray.shape, bool)), AttentionConfig()).candidates == ()
 
 
 def test_directions_are_kept_varied():
@@ -206,7 +205,7 @@ def test_directions_are_kept_varied():
     for column in range(600, 1500, 150):
         paste(gray, 150 + 0.4 * (poster(rng, 60, 60) - 128), column, 100)
     config = AttentionConfig(candidates=60, candidates_per_sector=6)
-    found = select_candidates(panorama(gray), config)
+    found = attend(panorama(gray), config).candidates
     sectors = np.array([(c.column + 0.5) / WIDTH * 18 for c in found]).astype(int)
     assert np.bincount(sectors).max() <= 6
     for column in range(600, 1500, 150):
@@ -216,7 +215,7 @@ def test_directions_are_kept_varied():
 def test_saliency_falls_and_sizes_are_as_asked():
     gray = clutter(np.random.default_rng(10))
     config = AttentionConfig(size_min_px=36, size_max_px=48, size_step_px=4, candidates=25)
-    found = select_candidates(panorama(gray), config)
+    found = attend(panorama(gray), config).candidates
     assert 10 < len(found) <= 25
     assert found[0].saliency == max(c.saliency for c in found) == 1.0
     assert min(c.saliency for c in found) > 0.0
@@ -225,8 +224,8 @@ def test_saliency_falls_and_sizes_are_as_asked():
 
 def test_least_response_ends_the_selection():
     picture = panorama(clutter(np.random.default_rng(11)))
-    few = select_candidates(picture, AttentionConfig(least_response=0.6))
-    many = select_candidates(picture, AttentionConfig(least_response=0.05))
+    few = attend(picture, AttentionConfig(least_response=0.6)).candidates
+    many = attend(picture, AttentionConfig(least_response=0.05)).candidates
     assert 0 < len(few) < len(many)
 
 
@@ -237,20 +236,19 @@ def test_every_feature_runs_alone():
     off = {f'weight_{name}': 0.0 for name in FEATURES}
     for name in FEATURES:
         alone = AttentionConfig(**{**off, f'weight_{name}': 1.0})
-        saliency = saliency_map(gray, alone)
+        saliency = attention_maps(gray, alone).saliency
         assert saliency.shape == gray.shape
         assert saliency.dtype == np.float32
         assert 0.0 <= saliency.min() < saliency.max() <= 1.0
-        np.testing.assert_array_equal(
-            saliency, saliency_map(gray, AttentionConfig(), feature=name)
-        )
-        assert select_candidates(picture, alone)
+        assert AttentionConfig().alone(name) == alone
+        assert attend(picture, alone).candidates
 
 
 def test_the_same_panorama_gives_the_same_candidates():
     picture = panorama(clutter(np.random.default_rng(13)))
-    assert select_candidates(picture, AttentionConfig()) == select_candidates(
-        picture, AttentionConfig()
+    assert (
+        attend(picture, AttentionConfig()).candidates
+        == attend(picture, AttentionConfig()).candidates
     )
 
 
@@ -270,8 +268,7 @@ def test_wrong_parameters_are_named(values, message):
 
 
 def test_unknown_feature_and_too_small_a_panorama_are_refused():
-    gray = np.zeros((HEIGHT, WIDTH), np.uint8)
     with pytest.raises(LandmarkNavError, match='colour'):
-        saliency_map(gray, AttentionConfig(), feature='colour')
+        AttentionConfig().alone('colour')
     with pytest.raises(LandmarkNavError, match='too small'):
-        select_candidates(panorama(np.zeros((20, 400))), AttentionConfig())
+        attend(panorama(np.zeros((20, 400))), AttentionConfig())

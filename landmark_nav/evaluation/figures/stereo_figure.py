@@ -102,8 +102,7 @@ def ray_sigma_m(panoramas: tuple[Panorama, Panorama], xy: FloatArray) -> FloatAr
         reach = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-3)
         across = np.stack([-away[:, 1], away[:, 0]], -1) / reach[:, None]
         lever = np.concatenate([across, reach[:, None]], axis=1)
-        plane = panorama.covariance[np.ix_([0, 1, 3], [0, 1, 3])]
-        square += np.einsum('ni,ij,nj->n', lever, plane, lever)
+        square += np.einsum('ni,ij,nj->n', lever, panorama.axis.covariance, lever)
         square += (reach * _MATCH_PX / panorama.cylinder.fx) ** 2
     sine = np.sin(_angle(panoramas, xy))
     return np.asarray(np.sqrt(square) / np.maximum(np.abs(sine), 1e-6))

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from landmark_nav.learning.attention.attend import (
-    attend,
-    Attention,
-    select_candidates,
-)
+from landmark_nav.learning.attention.attend import attend, Attention
 from landmark_nav.learning.attention.config import AttentionConfig, FEATURES
-from landmark_nav.learning.attention.maps import attention_maps, AttentionMaps, saliency_map
+from landmark_nav.learning.attention.maps import attention_maps, AttentionMaps
 
 __all__ = [
     'FEATURES',
@@ -17,6 +13,4 @@ __all__ = [
     'AttentionMaps',
     'attend',
     'attention_maps',
-    'saliency_map',
-    'select_candidates',
 ]

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.attention.config import AttentionConfig
 from landmark_nav.learning.attention.discriminability import refusal
-from landmark_nav.learning.attention.maps import saliency_map
+from landmark_nav.learning.attention.maps import attention_maps
 from landmark_nav.learning.attention.selection import select
 from landmark_nav.types import Candidate, ImageArray, Panorama, Refusal
 
-__all__ = ['Attention', 'attend', 'select_candidates']
+__all__ = ['Attention', 'attend']
 
 # A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
 _MARGIN_PX = 2
@@ -40,11 +40,6 @@ class Attention:
     refused: tuple[tuple[Candidate, Refusal], ...]
 
 
-def select_candidates(panorama: Panorama, config: AttentionConfig) -> tuple[Candidate, ...]:
-    """Patches of a panorama that are worth being reconstructed, strongest first."""
-    return attend(panorama, config).candidates
-
-
 def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
     """
     Select candidates and say why others were refused.
@@ -62,7 +57,7 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
             f'{config.size_max_px} px: lower size_max_px or raise its resolution'
         )
     gray = _fill_uncovered(_to_gray(panorama.image), panorama.mask)
-    saliency = saliency_map(gray, config)
+    saliency = attention_maps(gray, config).saliency
     examine = partial(refusal, gray=gray, config=config)
     accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
     first = max((c.saliency for c in accepted), default=1.0)

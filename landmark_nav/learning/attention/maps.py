@@ -26,7 +26,7 @@ from landmark_nav.learning.attention.symmetry import (
 )
 from landmark_nav.types import ImageArray
 
-__all__ = ['AttentionMaps', 'attention_maps', 'saliency_map']
+__all__ = ['AttentionMaps', 'attention_maps']
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,35 +69,6 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     full = cv2.resize(fused, padded.shape[::-1], interpolation=cv2.INTER_LINEAR)
     saliency = np.asarray(full[:height, side : side + width], np.float32, order='C')
     return AttentionMaps(features, conspicuities, saliency, side // 2)
-
-
-def saliency_map(
-    panorama_gray: ImageArray, config: AttentionConfig, feature: str | None = None
-) -> FloatMap:
-    """
-    Saliency of a grey panorama, or the conspicuity of one feature alone.
-
-    Parameters
-    ----------
-    panorama_gray : ndarray of uint8, shape (height, width)
-        Of a full turn: the last column borders on the first.
-    config : AttentionConfig
-    feature : str, optional
-        One of `FEATURES`; all of them with their weights if not given.
-
-    Returns
-    -------
-    ndarray of float32, shape (height, width)
-        In [0, 1].
-
-    Raises
-    ------
-    LandmarkNavError
-        Unknown feature.
-
-    """
-    chosen = config if feature is None else config.alone(feature)
-    return attention_maps(panorama_gray, chosen).saliency
 
 
 def _feature_maps(
