@@ -95,7 +95,8 @@ class CameraModel:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @cached_property
-    def _coefficients(self) -> FloatArray:
+    def coefficients(self) -> FloatArray:
+        """Distortion coefficients, as many as the model has, with zeros behind."""
         padded = np.zeros(_COEFFICIENTS[self.model])
         padded[: len(self.distortion)] = self.distortion
         return padded
@@ -103,7 +104,7 @@ class CameraModel:
     @cached_property
     def _polynomial(self) -> list[float]:
         """Eight coefficients, those of `plumb_bob` with zeros behind."""
-        return [*self._coefficients.tolist(), 0.0, 0.0, 0.0][:8]
+        return [*self.coefficients.tolist(), 0.0, 0.0, 0.0][:8]
 
     @cached_property
     def _max_radius(self) -> float:
@@ -143,9 +144,9 @@ class CameraModel:
         if not len(flat):
             return np.empty((*uv.shape[:-1], 3))  # OpenCV takes no empty arrays
         if self.model == 'equidistant':
-            start = cv2.fisheye.undistortPoints(flat, self.matrix, self._coefficients)
+            start = cv2.fisheye.undistortPoints(flat, self.matrix, self.coefficients)
         else:
-            start = cv2.undistortPoints(flat, self.matrix, self._coefficients)
+            start = cv2.undistortPoints(flat, self.matrix, self.coefficients)
         rays = np.ones((len(flat), 3))
         rays[:, :2] = np.asarray(start, dtype=np.float64).reshape(-1, 2)
         # OpenCV stops after five iterations, up to 0.1 px away, and how to ask for more differs
@@ -162,7 +163,7 @@ class CameraModel:
         if self.model == 'equidistant':
             zero = np.zeros(3)
             inside = np.ascontiguousarray(points).reshape(-1, 1, 3)
-            found = cv2.fisheye.projectPoints(inside, zero, zero, self.matrix, self._coefficients)
+            found = cv2.fisheye.projectPoints(inside, zero, zero, self.matrix, self.coefficients)
             return np.asarray(found[0], dtype=np.float64).reshape(-1, 2)
         # cv2.projectPoints computes derivatives too, and takes three times as long.
         k1, k2, p1, p2, k3, k4, k5, k6 = self._polynomial

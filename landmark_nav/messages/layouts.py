@@ -1,10 +1,14 @@
-"""Point layouts on the wire: what each PointCloud2 topic carries."""
+"""Layouts on the wire: what each PointCloud2 topic carries, where covariances keep what."""
 
 from __future__ import annotations
 
 import numpy as np
 
-__all__ = ['DETECTION', 'LANDMARK_FIELDS', 'TRIPLET', 'landmark_layout']
+__all__ = ['DETECTION', 'LANDMARK_FIELDS', 'PLANAR', 'TRIPLET', 'UPRIGHT', 'landmark_layout']
+
+# Of x, y, heading and of x, y, z, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
+PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 
 DETECTION = np.dtype(
     [

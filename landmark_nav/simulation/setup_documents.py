@@ -10,6 +10,7 @@ import yaml
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.simulation.scene import Scene
+from landmark_nav.storage.setup_files import wall_entry
 from landmark_nav.types import FloatArray
 
 __all__ = ['robot_document', 'room_document', 'scene_document', 'start_document']
@@ -19,15 +20,7 @@ def room_document(room: Room) -> str:
     """Text of ``room.yaml``: walls and papers."""
     document = {
         'frame_id': room.frame_id,
-        'walls': [
-            {
-                'id': wall.id,
-                'start': list(wall.start),
-                'end': list(wall.end),
-                'height': wall.height,
-            }
-            for wall in room.walls
-        ],
+        'walls': [wall_entry(wall) for wall in room.walls],
         'reference_area': {
             'papers': [
                 {

@@ -1,4 +1,4 @@
-"""Landmarks and walls as entries of ``map.yaml``."""
+"""Landmarks as entries of ``map.yaml``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.patches import PatchView
-from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.fields import (
     array_field,
     covariance_field,
@@ -20,7 +19,7 @@ from landmark_nav.storage.fields import (
 )
 from landmark_nav.types import FloatArray, ImageArray, Landmark
 
-__all__ = ['described', 'landmark_of', 'listed', 'patch_name', 'view_name', 'wall_of']
+__all__ = ['described', 'landmark_of', 'listed', 'patch_name', 'view_name']
 
 # Of a landmark of size 0 x 0: a point that has a bearing but no texture.
 _NO_PATCH: ImageArray = np.zeros((0, 0), dtype=np.uint8)
@@ -103,18 +102,3 @@ def _patch(path: Path, where: str) -> ImageArray:
     if patch is None:
         raise LandmarkNavError(f'{where}: {path} is not there or is no picture')
     return np.asarray(patch, dtype=np.uint8)
-
-
-def wall_of(entry: Any, where: str) -> Wall:
-    """Wall of an entry."""
-
-    def point(key: str) -> tuple[float, float]:
-        values: FloatArray = array_field(entry, key, (2,), where)
-        return float(values[0]), float(values[1])
-
-    return Wall(
-        str(field(entry, 'id', where)),
-        point('start'),
-        point('end'),
-        number_field(entry, 'height', where),
-    )

@@ -28,9 +28,8 @@ from landmark_nav.storage.map_entries import (
     listed,
     patch_name,
     view_name,
-    wall_of,
 )
-from landmark_nav.storage.setup_files import read_yaml_mapping
+from landmark_nav.storage.setup_files import read_yaml_mapping, wall_entry, wall_of
 from landmark_nav.storage.whole import left_over, whole_folder
 from landmark_nav.types import LandmarkMap, PoseEstimate
 
@@ -75,15 +74,7 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
         'schema_version': SCHEMA_VERSION,
         'frame_id': landmarks.frame_id,
         'provenance': dict(landmarks.provenance),
-        'walls': [
-            {
-                'id': wall.id,
-                'start': listed(wall.start),
-                'end': listed(wall.end),
-                'height': float(wall.height),
-            }
-            for wall in landmarks.walls
-        ],
+        'walls': [wall_entry(wall) for wall in landmarks.walls],
         'panorama_poses': [
             {
                 'stamp_ns': int(place.stamp_ns),

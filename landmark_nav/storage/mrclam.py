@@ -9,8 +9,8 @@ fifteen posts; velocities are the ones commanded; truth is motion capture.
 from __future__ import annotations
 
 from dataclasses import dataclass
-import gzip
 from pathlib import Path
+import warnings
 
 import numpy as np
 import numpy.typing as npt
@@ -120,10 +120,9 @@ def _table(folder: Path, name: str, columns: int) -> FloatArray:
     if not path.is_file():
         raise LandmarkNavError(f'{plain}: not there, nor {packed.name}: unpack the data set here')
     try:
-        data = path.read_bytes()
-        text = (gzip.decompress(data) if path == packed else data).decode('ascii')
-        rows = [line.split() for line in text.splitlines() if line.split('#')[0].strip()]
-        table = np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', UserWarning)  # an empty file is told below
+            table = np.loadtxt(path, ndmin=2)
     except (OSError, EOFError, UnicodeDecodeError, ValueError) as error:
         raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
     if not len(table):

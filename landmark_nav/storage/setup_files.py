@@ -21,7 +21,7 @@ from landmark_nav.storage.fields import (
     number_field,
 )
 
-__all__ = ['load_camera', 'load_robot', 'load_room', 'read_yaml_mapping']
+__all__ = ['load_camera', 'load_robot', 'load_room', 'read_yaml_mapping', 'wall_entry', 'wall_of']
 
 # libyaml, where PyYAML has it, reads a map ten times as fast.
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
@@ -75,12 +75,7 @@ def load_room(path: Path | str) -> Room:
     try:
         check_spelling(document, ('frame_id', 'walls', 'reference_area'), 'room')
         walls = tuple(
-            Wall(
-                str(field(wall, 'id', f'walls[{i}]')),
-                _point(wall, 'start', 2, f'walls[{i}]'),
-                _point(wall, 'end', 2, f'walls[{i}]'),
-                number_field(wall, 'height', f'walls[{i}]'),
-            )
+            wall_of(wall, f'walls[{i}]')
             for i, wall in enumerate(list_field(document, 'walls', 'room'))
         )
         area = document.get('reference_area') or {}
@@ -99,6 +94,22 @@ def load_room(path: Path | str) -> Room:
         return room
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
+
+
+def wall_of(entry: Any, where: str) -> Wall:
+    """Wall of an entry of a room or a map."""
+    return Wall(
+        str(field(entry, 'id', where)),
+        _point(entry, 'start', 2, where),
+        _point(entry, 'end', 2, where),
+        number_field(entry, 'height', where),
+    )
+
+
+def wall_entry(wall: Wall) -> dict[str, Any]:
+    """Entry of a wall in a room or a map."""
+    start, end = ([float(value) for value in point] for point in (wall.start, wall.end))
+    return {'id': wall.id, 'start': start, 'end': end, 'height': float(wall.height)}
 
 
 def _paper(document: Any, where: str) -> Paper:

@@ -10,12 +10,10 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages.decode.headers import finite, stamp_ns, yaw_rad
 from landmark_nav.messages.decode.images import image_bgra
+from landmark_nav.messages.layouts import UPRIGHT
 from landmark_nav.types import Panorama
 
 __all__ = ['panorama']
-
-# Of x, y, z, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
-_UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 
 
 def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
@@ -62,5 +60,5 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
         cylinder,
         finite(position, 'panorama position', stamp),
         yaw_rad(pose.orientation, 'panorama orientation', stamp),
-        covariance[_UPRIGHT],
+        covariance[UPRIGHT],
     )

@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.messages.decode.headers import finite, stamp_ns, yaw_rad
+from landmark_nav.messages.layouts import PLANAR
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 __all__ = ['odometry', 'pose_estimate']
-
-# Of x, y, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
-_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 
 
 def odometry(msg: Any) -> OdometrySample:
@@ -45,7 +43,7 @@ def pose_estimate(msg: Any) -> PoseEstimate:
     """
     stamp = stamp_ns(msg.header)
     full = finite(msg.pose.covariance, 'pose covariance', stamp).reshape(6, 6)
-    return PoseEstimate(stamp, _planar(msg.pose.pose, 'pose', stamp), full[_PLANAR])
+    return PoseEstimate(stamp, _planar(msg.pose.pose, 'pose', stamp), full[PLANAR])
 
 
 def _planar(pose: Any, what: str, stamp: int) -> FloatArray:

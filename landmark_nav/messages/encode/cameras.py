@@ -12,21 +12,16 @@ from landmark_nav.messages.factory import MessageFactory
 
 __all__ = ['camera_info']
 
-# How many coefficients ROS tools expect of each model.
-_COEFFICIENTS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4}
-
 
 def camera_info(factory: MessageFactory, camera: CameraModel, stamp_ns: int, frame_id: str) -> Any:
     """Build a sensor_msgs/CameraInfo."""
-    distortion = np.zeros(_COEFFICIENTS[camera.model])
-    distortion[: len(camera.distortion)] = camera.distortion
     return factory(
         'sensor_msgs/msg/CameraInfo',
         header=header(factory, stamp_ns, frame_id),
         width=camera.width,
         height=camera.height,
         distortion_model=camera.model,
-        d=distortion,
+        d=camera.coefficients,
         k=camera.matrix.reshape(-1),
         r=np.eye(3).reshape(-1),
         p=np.hstack([camera.matrix, np.zeros((3, 1))]).reshape(-1),

@@ -1,4 +1,4 @@
-"""Stamps and quaternions."""
+"""Stamps, vectors and poses, which many messages hold."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.types import FloatArray
 
-__all__ = ['duration', 'header', 'upright', 'vector']
+__all__ = ['duration', 'header', 'pose_with_covariance', 'upright', 'vector']
 
 _SECOND_NS = 1_000_000_000
 
@@ -37,4 +38,20 @@ def upright(factory: MessageFactory, x: float, y: float, z: float, yaw_rad: floa
     turn = factory('geometry_msgs/msg/Quaternion', z=float(np.sin(half)), w=float(np.cos(half)))
     return factory(
         'geometry_msgs/msg/Pose', position=vector(factory, 'Point', x, y, z), orientation=turn
+    )
+
+
+def pose_with_covariance(
+    factory: MessageFactory,
+    x_y_z_yaw: tuple[float, float, float, float],
+    covariance: FloatArray,
+    axes: tuple[Any, ...],
+) -> Any:
+    """Build a geometry_msgs/PoseWithCovariance; `axes` are those of `covariance`, as a layout."""
+    full = np.zeros((6, 6))
+    full[axes] = covariance
+    return factory(
+        'geometry_msgs/msg/PoseWithCovariance',
+        pose=upright(factory, *x_y_z_yaw),
+        covariance=full.reshape(-1),
     )

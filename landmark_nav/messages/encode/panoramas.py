@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.messages.encode.headers import header, upright
+from landmark_nav.messages.encode.headers import header, pose_with_covariance
 from landmark_nav.messages.encode.images import image
 from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.messages.layouts import UPRIGHT
 from landmark_nav.types import Panorama
 
 __all__ = ['panorama']
-
-# Of x, y, z, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
-_UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 
 
 def panorama(
@@ -37,16 +35,10 @@ def panorama(
         k=np.array([cylinder.fx, 0.0, cylinder.cx, 0.0, cylinder.fy, cylinder.cy, 0.0, 0.0, 1.0]),
     )
     x, y, z = view.center_map
-    covariance = np.zeros((6, 6))
-    covariance[_UPRIGHT] = view.covariance
     place = factory(
         'geometry_msgs/msg/PoseWithCovarianceStamped',
         header=stamp,
-        pose=factory(
-            'geometry_msgs/msg/PoseWithCovariance',
-            pose=upright(factory, x, y, z, view.heading_rad),
-            covariance=covariance.reshape(-1),
-        ),
+        pose=pose_with_covariance(factory, (x, y, z, view.heading_rad), view.covariance, UPRIGHT),
     )
     pixels = np.dstack([view.image, alpha])
     return image(factory, pixels, view.stamp_ns, frame_id), info, place

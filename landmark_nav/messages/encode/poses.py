@@ -6,20 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.messages.encode.headers import header, upright, vector
+from landmark_nav.messages.encode.headers import header, pose_with_covariance, vector
 from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.messages.layouts import PLANAR
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 __all__ = ['odometry', 'pose']
 
-# Of x, y, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
-_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+_UNKNOWN: FloatArray = np.zeros((3, 3))
 
 
 def odometry(
     factory: MessageFactory,
     sample: OdometrySample,
-    covariance: FloatArray | None = None,
+    covariance: FloatArray = _UNKNOWN,
     *,
     frame_id: str = 'odom',
     child_frame_id: str = 'base_link',
@@ -49,11 +49,7 @@ def odometry(
         'nav_msgs/msg/Odometry',
         header=header(factory, sample.stamp_ns, frame_id),
         child_frame_id=child_frame_id,
-        pose=factory(
-            'geometry_msgs/msg/PoseWithCovariance',
-            pose=upright(factory, x, y, 0.0, yaw),
-            covariance=_spread(covariance),
-        ),
+        pose=pose_with_covariance(factory, (x, y, 0.0, yaw), covariance, PLANAR),
         twist=factory('geometry_msgs/msg/TwistWithCovariance', twist=twist),
     )
 
@@ -64,17 +60,5 @@ def pose(factory: MessageFactory, estimate: PoseEstimate, frame_id: str = 'map')
     return factory(
         'geometry_msgs/msg/PoseWithCovarianceStamped',
         header=header(factory, estimate.stamp_ns, frame_id),
-        pose=factory(
-            'geometry_msgs/msg/PoseWithCovariance',
-            pose=upright(factory, x, y, 0.0, yaw),
-            covariance=_spread(estimate.covariance),
-        ),
+        pose=pose_with_covariance(factory, (x, y, 0.0, yaw), estimate.covariance, PLANAR),
     )
-
-
-def _spread(covariance: FloatArray | None) -> FloatArray:
-    """Covariance (36,) of all six degrees of freedom out of the planar one."""
-    full = np.zeros((6, 6))
-    if covariance is not None:
-        full[_PLANAR] = covariance
-    return full.reshape(-1)
