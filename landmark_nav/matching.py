@@ -36,6 +36,8 @@ _BLUR_PX = 0.8
 # same, pixels.
 _FLOOR = np.diag([0.02**2, 0.02**2])
 _ITERATIONS = 12
+# Standard deviation of a template, grey levels.
+_LEAST_CONTRAST = 4.0
 _CONVERGED_PX = 2e-3
 # Blur that a pixel stands for, as a share of its width (Gaussian sigma).
 _BLUR_SHARE = 0.5
@@ -68,7 +70,6 @@ def match_template(
     *,
     min_score: float = 0.7,
     max_second_ratio: float = 0.9,
-    min_contrast: float = 4.0,
     search_blur: Pair = (0.0, 0.0),
 ) -> Match | Refusal:
     """
@@ -84,8 +85,6 @@ def match_template(
         Least correlation that counts as found.
     max_second_ratio : float
         Greatest share of the peak that another place may reach.
-    min_contrast : float
-        Least standard deviation of the template, grey levels.
     search_blur : tuple of float
         By how much the search image was blurred already, across and down: Gaussian sigmas in
         pixels. Its noise is correlated as far.
@@ -104,7 +103,7 @@ def match_template(
 
     """
     contrast = float(cv2.meanStdDev(template)[1][0, 0])
-    if contrast < min_contrast:
+    if contrast < _LEAST_CONTRAST:
         return Refusal('blank template', f'contrast {contrast:.1f}')
     search, template = _smooth(search), _smooth(template)
     scores = np.asarray(

@@ -49,6 +49,7 @@ from landmark_nav.localization.triplet.visibility import (
 )
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, forecast, plan_positions
+from landmark_nav.planning.prediction import CAP_M
 from landmark_nav.planning.room_grid import free_floor
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
@@ -146,7 +147,7 @@ def compare(
     claimed = np.sqrt(np.mean(np.trace(learned.covariances[:, :2, :2], axis1=1, axis2=2)))
     fixes = np.array([localize(cell, result, truth, rng) for cell in cells])
     # As the planner counts them: what is far off is no farther than that.
-    cap = PlanConfig().cap_m
+    cap = CAP_M
     foretold, fixes = np.minimum(expected.sigma_m, cap), np.minimum(fixes, cap)
     return {
         'n_pred': expected.landmarks,

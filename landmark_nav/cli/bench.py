@@ -18,6 +18,7 @@ import numpy as np
 from landmark_nav.cli.bench_learning import learning_comparisons
 from landmark_nav.cli.bench_localization import localization_comparisons
 from landmark_nav.cli.bench_world import Comparison, World
+from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.storage.whole import check_writable, write_whole
 
@@ -63,11 +64,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--json', type=Path, metavar='F', help='write the times to F')
     parser.add_argument(
-        '--seed', type=_whole(0), default=0, metavar='N', help='of the simulated data (default 0)'
+        '--seed',
+        type=within(int, 0),
+        default=0,
+        metavar='N',
+        help='of the simulated data (default 0)',
     )
     parser.add_argument(
         '--repeats',
-        type=_whole(1),
+        type=within(int, 1),
         default=7,
         metavar='N',
         help='how often, of which the median is taken (default 7)',
@@ -124,15 +129,3 @@ def _seconds(work: Callable[[], object]) -> float:
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
-
-
-def _whole(least: int) -> Callable[[str], int]:
-    """Reader of whole numbers from `least` on."""
-
-    def number(text: str) -> int:
-        value = int(text)
-        if value < least:
-            raise argparse.ArgumentTypeError(f'{value} is less than {least}')
-        return value
-
-    return number

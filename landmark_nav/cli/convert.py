@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.tracks import PoseTrack
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mrclam.add_argument('--out', required=True, type=Path, metavar='BAG', help='bag to write')
     mrclam.add_argument(
         '--bearing-sigma',
-        type=_positive,
+        type=within(float, 1e-6),
         default=0.5,
         metavar='DEG',
         help='of every bearing in degrees, which the data do not tell (default %(default)s: their '
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     mrclam.add_argument(
         '--landmark-sigma',
-        type=_positive,
+        type=within(float, 1e-6),
         default=0.02,
         metavar='M',
         help='how far a post may be from where it seems, again and again: it has a width, the '
@@ -128,10 +129,3 @@ def _write_bag(log: MrclamLog, odometry: tuple[OdometrySample, ...], path: Path)
 
 def _listed(pose: FloatArray) -> str:
     return ' '.join(f'{value:.4f}' for value in pose)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < np.inf:
-        raise argparse.ArgumentTypeError(f'{text} is not positive')
-    return value

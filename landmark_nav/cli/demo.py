@@ -9,13 +9,15 @@ from pathlib import Path
 import shutil
 import signal
 
+from landmark_nav.cli.numbers import within
+from landmark_nav.cli.run_summary import error_table
 from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.narrator import Narrator
 from landmark_nav.demo.recorded_run import recorded_run
 from landmark_nav.demo.room import prepare_room
 from landmark_nav.demo.story import tell
 from landmark_nav.demo.supervisor import Supervisor
-from landmark_nav.demo.verdict import Check, figures, judge, table
+from landmark_nav.demo.verdict import Check, figures, judge
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
@@ -46,10 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'that. Exit status 0 only if the map and the error are as they should be.'
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
-    parser.add_argument('--seed', type=int, default=1, metavar='N', help='of the room (default 1)')
+    parser.add_argument(
+        '--seed', type=within(int, 0), default=1, metavar='N', help='of the room (default 1)'
+    )
     parser.add_argument(
         '--domain-id',
-        type=int,
+        type=within(int, 0, 232),
         default=10 + os.getpid() % 90,
         metavar='N',
         help='ROS domain of the nodes, to look at them meanwhile (default: one for itself)',
@@ -59,10 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Conduct the demo, then measure what it recorded."""
     require_ros('landmark-nav demo')
-    if args.seed < 0:
-        raise LandmarkNavError(f'--seed {args.seed}: take 0 or more')
-    if not 0 <= args.domain_id <= 232:
-        raise LandmarkNavError(f'--domain-id {args.domain_id}: take 0 to 232')
     folder = _emptied(args.out)
     # A supervisor that is told to end must end its nodes too.
     signal.signal(signal.SIGTERM, _interrupt)
@@ -127,7 +127,7 @@ def _report(
     pictures |= {'Map': folder / 'map.png', 'Panorama 1': folder / 'panorama_1.png'}
     (folder / 'report.html').write_text(html_report('Demo', measured, pictures), encoding='utf-8')
     (folder / 'demo.json').write_text(json.dumps(measured, indent=2) + '\n', encoding='utf-8')
-    for line in table(measured):
+    for line in error_table(measured):
         narrator.say(line)
     checks = judge(measured)
     if unclean:

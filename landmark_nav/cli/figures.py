@@ -12,6 +12,7 @@ import numpy as np
 
 from landmark_nav.cli.figures_world import FiguresWorld
 from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures.area_figure import (
@@ -72,7 +73,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--map', metavar='MAP', help='a map of your own for Figure 6, which needs nothing else'
     )
     parser.add_argument(
-        '--seed', type=int, default=7, metavar='N', help='of the simulated room (default 7)'
+        '--seed',
+        type=within(int, 0),
+        default=7,
+        metavar='N',
+        help='of the simulated room (default 7)',
     )
     parser.add_argument(
         '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N',
@@ -99,8 +104,6 @@ class _Data:
 
 def run(args: argparse.Namespace) -> int:
     """Gather the data, draw, print the captions."""
-    if args.seed < 0:
-        raise LandmarkNavError(f'--seed {args.seed}: 0 or more')
     attention = _attention(args.feature)
     wanted = set(args.figure or ([6] if args.map and not args.bag else _NAMES))
     args.out.mkdir(parents=True, exist_ok=True)

@@ -16,6 +16,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, Plan, plan_positions
+from landmark_nav.planning.prediction import CAP_M
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.storage.whole import check_writable, write_whole
 
@@ -139,7 +140,7 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
     }
     comment = (
         '# poses of base_link: x, y [m], heading [rad], sigma as the papers give it; means are\n'
-        f'# of localization errors over the floor, more than {config.cap_m:g} m counted as that\n'
+        f'# of localization errors over the floor, more than {CAP_M:g} m counted as that\n'
     )
     return comment + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
 

@@ -7,7 +7,7 @@ import json
 import os
 import sys
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.cli.numbers import within
 from landmark_nav.ros import require_ros
 
 __all__ = ['add_arguments', 'run']
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
     parser.add_argument(
-        '--rate', type=float, default=1.0, metavar='R',
+        '--rate', type=within(float, 0.01, 100), default=1.0, metavar='R',
         help='speed relative to the recording, 0.01 to 100 (default 1)',
     )  # fmt: skip
     parser.add_argument(
@@ -35,10 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Become the node ``bag_player``."""
     require_ros('landmark-nav play')
-    if not 0.01 <= args.rate <= 100.0:
-        raise LandmarkNavError(f'--rate {args.rate:g} is out of range: take 0.01 to 100')
     # Values are YAML to ROS: quoted, so that a folder called 12 stays a name.
-    parameters = ['-p', f'bag:={json.dumps(args.bag)}', '-p', f'rate:={float(args.rate)!r}']
+    parameters = ['-p', f'bag:={json.dumps(args.bag)}', '-p', f'rate:={args.rate!r}']
     command = ['-m', 'landmark_nav.nodes.bag_player', '--ros-args', *parameters, *args.ros_args]
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, *command])

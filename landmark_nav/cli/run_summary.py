@@ -9,7 +9,7 @@ import numpy as np
 
 from landmark_nav.cli.lines import wrapped
 
-__all__ = ['run_summary']
+__all__ = ['error_table', 'run_summary']
 
 # Stretches without tracking that are told; the others are in the JSON.
 _MOST_SPELLS = 6
@@ -20,7 +20,7 @@ _DELAY_TOLD_S = 0.02
 def run_summary(report: Mapping[str, Any]) -> str:
     """Tell how the run went, by the report of `run_report`."""
     known = report['fused']['position_rmse_m'] is not None
-    lines = _errors(report) if known else []
+    lines = error_table(report) if known else []
     if report['found'] is not None:
         x, y, heading = report['found']['pose']
         lines.append(
@@ -49,7 +49,8 @@ def run_summary(report: Mapping[str, Any]) -> str:
     return wrapped(lines)
 
 
-def _errors(report: Mapping[str, Any]) -> list[str]:
+def error_table(report: Mapping[str, Any]) -> list[str]:
+    """Lines of a table of the errors of each estimate."""
     lines = [
         f'{"error":<14}{"position [cm]":>36}{"heading [deg]":>20}',
         f'{"":<14}{"RMSE":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE":>11}{"95 %":>9}',

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import rosbag_factory
@@ -73,28 +74,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--seed',
-        type=_at_least(0, int),
+        type=within(int, 0),
         default=1,
         metavar='N',
         help='of all that is drawn at random (default 1)',
     )
     parser.add_argument(
         '--sweeps',
-        type=_at_least(1, int),
+        type=within(int, 1),
         default=2,
         metavar='N',
         help='how many sweeps (default 2)',
     )
     parser.add_argument(
         '--frames',
-        type=_at_least(8, int),
+        type=within(int, 8),
         default=72,
         metavar='N',
         help='frames of each sweep (default 72)',
     )
     parser.add_argument(
         '--drive-seconds',
-        type=_at_least(0.5, float),
+        type=within(float, 0.5),
         default=40.0,
         metavar='S',
         help='length of the drive in seconds (default 40)',
@@ -108,22 +109,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--speed',
-        type=_at_least(0.05, float),
+        type=within(float, 0.05),
         default=0.35,
         metavar='M/S',
         help='of the robot in the drive (default 0.35)',
     )
     parser.add_argument(
         '--jpeg-quality',
-        type=int,
-        choices=range(1, 101),
+        type=within(int, 1, 100),
         default=90,
         metavar='Q',
         help='of the pictures, 1 to 100 (default 90)',
     )
     parser.add_argument(
         '--people',
-        type=_at_least(0, int),
+        type=within(int, 0),
         default=0,
         metavar='N',
         help='who walk about (default 0)',
@@ -135,7 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--exchange',
-        type=_share,
+        type=within(float, 0, 1),
         default=0.0,
         metavar='SHARE',
         help='share of the pictures on the walls, 0 to 1, that are replaced by others between '
@@ -210,29 +210,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _at_least(lowest: float, kind: type[int] | type[float]) -> Any:
-    """Argument type: a number that is not below `lowest`."""
-
-    def number(text: str) -> float:
-        value = kind(text)
-        if not lowest <= value < 1e9:
-            raise argparse.ArgumentTypeError(f'{text} is not {lowest} or more')
-        return value
-
-    return number
-
-
-def _share(text: str) -> float:
-    """Argument type: a number from 0 to 1."""
-    value = float(text)
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f'{text} is not from 0 to 1')
-    return value
-
-
 def _camera_rate(text: str) -> float:
     """Argument type: pictures come with every so many samples of the odometry."""
-    rate = float(_at_least(0.5, float)(text))
+    rate = within(float, 0.5)(text)
     every = max(1, round(STATE_RATE_HZ / rate))
     if abs(every * rate - STATE_RATE_HZ) > 1e-3 * STATE_RATE_HZ:
         near = STATE_RATE_HZ / every

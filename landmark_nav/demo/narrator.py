@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TextIO
 
 __all__ = ['Narrator']
 
@@ -18,8 +17,8 @@ class Narrator:
     That line is drawn on terminals only.
     """
 
-    def __init__(self, stream: TextIO = sys.stdout) -> None:
-        self._stream = stream
+    def __init__(self) -> None:
+        self._stream = sys.stdout
         self._begin = time.monotonic()
         self._shown = 0.0
         self._drawn = False

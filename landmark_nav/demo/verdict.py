@@ -9,7 +9,7 @@ from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import pose_report, run_errors
 from landmark_nav.types import LandmarkMap
 
-__all__ = ['Check', 'figures', 'judge', 'table']
+__all__ = ['Check', 'figures', 'judge']
 
 _MIN_LANDMARKS = 20
 _MIN_WALLS = 3
@@ -60,18 +60,3 @@ def judge(measured: dict[str, Any]) -> list[Check]:
             f'better than odometry alone, which is off by {100 * alone:.1f} cm',
         ),
     ]
-
-
-def table(measured: dict[str, Any]) -> list[str]:
-    """Lines of a short table of errors."""
-    lines = [f'{"error against the truth":<24}{"RMSE":>9}{"largest":>11}{"heading RMSE":>16}']
-    for name in ('odometry', 'triangulation', 'fused'):
-        row = measured[name]
-        if row['position_rmse_m'] is None:
-            lines.append(f'{name:<24}{"none":>9}')
-            continue
-        lines.append(
-            f'{name:<24}{100 * row["position_rmse_m"]:6.2f} cm'
-            f'{100 * row["position_max_m"]:8.1f} cm{row["heading_rmse_deg"]:12.2f} deg'
-        )
-    return lines

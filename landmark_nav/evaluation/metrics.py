@@ -29,6 +29,8 @@ __all__ = [
 # Of the errors x, y and heading.
 _DEGREES_OF_FREEDOM = 3
 _FIVE_SIGMA = 5.0
+# Metres and radians that `result_hash` tells apart.
+_RESOLUTION = 1e-6
 
 
 class Consistency(NamedTuple):
@@ -196,12 +198,7 @@ def crlb_ratio(errors: FloatArray, bound: FloatArray) -> float | None:
     return float(np.sqrt(mean_square / least))
 
 
-def result_hash(
-    stamps_ns: npt.NDArray[np.int64],
-    fused: FloatArray,
-    fixes: FloatArray,
-    resolution: float = 1e-6,
-) -> str:
+def result_hash(stamps_ns: npt.NDArray[np.int64], fused: FloatArray, fixes: FloatArray) -> str:
     """
     SHA-256 of what a run gave, rounded, so that it is the same run after run.
 
@@ -211,12 +208,10 @@ def result_hash(
         Stamps of the pictures.
     fused, fixes : ndarray, shape (n, 3)
         Fused and triangulated poses; NaN where there is none.
-    resolution : float
-        Metres and radians that are told apart.
 
     """
     digest = hashlib.sha256(np.ascontiguousarray(stamps_ns, dtype='<i8').tobytes())
     for poses in (fused, fixes):
-        steps = np.where(np.isfinite(poses), np.rint(poses / resolution), np.iinfo(np.int64).min)
+        steps = np.where(np.isfinite(poses), np.rint(poses / _RESOLUTION), np.iinfo(np.int64).min)
         digest.update(np.ascontiguousarray(steps.astype('<i8')).tobytes())
     return digest.hexdigest()

@@ -88,17 +88,11 @@ class Localizer:
         Where the camera turns.
     config : LocalizationConfig
         Parameters.
-    pan_limits_rad : tuple of float
-        How far the camera turns.
 
     """
 
     def __init__(
-        self,
-        landmark_map: LandmarkMap,
-        mount: PanTiltMount,
-        config: LocalizationConfig,
-        pan_limits_rad: tuple[float, float] = (-np.pi, np.pi),
+        self, landmark_map: LandmarkMap, mount: PanTiltMount, config: LocalizationConfig
     ) -> None:
         self._map, self._mount, self._config = landmark_map, mount, config
         self._filter = PoseFilter(
@@ -108,7 +102,7 @@ class Localizer:
         self._observer = Observer(
             landmark_map, mount, config.observation, config.odometry, config.fusion.pan_sigma_rad
         )
-        self._gaze = Gaze(limits_rad=pan_limits_rad)
+        self._gaze = Gaze()
         self._chosen_ns: int | None = None
         self._triplet: Triplet | Refusal = Refusal('no picture')
         self._odometry: OdometrySample | None = None

@@ -22,12 +22,6 @@ class PlanConfig(Config):
     Camera, texture to be expected, and how finely the room is looked at.
 
     The bounds of the stages that will learn and localize are taken from their own parameters.
-
-    Notes
-    -----
-    Fitted to seven simulated rooms (seeds 101 to 107, 1,356 patches): 97 % of the patches that a
-    second panorama could show were found there, without a fall up to 60 degrees of parallax, as
-    both views are resampled on the wall; where the fall lies beyond that is an assumption.
     """
 
     focal_px: float = parameter(
@@ -50,34 +44,11 @@ class PlanConfig(Config):
     candidates: int = parameter(
         120, 'patches that attention proposes in a panorama', minimum=3, maximum=5000
     )
-    kept_share: float = parameter(
-        0.65, 'share of the reconstructed patches that no stronger one covers', minimum=0.01,
-        maximum=1,
-    )  # fmt: skip
     texture_low_m: float = parameter(
         0.8, 'height from which on walls are taken as textured', minimum=0, maximum=10
     )
     texture_high_m: float = parameter(
         2.0, 'height up to which walls are taken as textured', minimum=0.1, maximum=20
-    )
-    match_probability: float = parameter(
-        0.97, 'chance to find a patch again at small parallax', minimum=0.01, maximum=1
-    )
-    match_half_rad: float = parameter(
-        1.4, 'parallax at which that chance has fallen to a half', minimum=0.1, maximum=3
-    )
-    match_slope_rad: float = parameter(0.12, 'width of that fall', minimum=0.001, maximum=1)
-    match_sigma_px: float = parameter(
-        0.08, 'standard deviation of a patch found again', minimum=0.001, maximum=5
-    )
-    match_sigma_size: float = parameter(
-        3e-3,
-        'standard deviation of how much larger another view shows a patch, as a share',
-        minimum=1e-5,
-        maximum=1,
-    )
-    cap_m: float = parameter(
-        0.05, 'greater localization errors count as this much', minimum=0.001, maximum=10
     )
     random_sets: int = parameter(
         50, 'sets of random places to compare with', minimum=1, maximum=10000

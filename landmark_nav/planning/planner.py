@@ -228,7 +228,7 @@ def forecast(
                 prediction.landmark_sigma_m,
                 cells,
                 prediction.sigma_m,
-                prediction.cost_m(config.cap_m),
+                prediction.cost_m,
             )
         )
     return forecasts

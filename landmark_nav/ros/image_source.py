@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.subscription import Subscription
 
 from landmark_nav.ros.node import LandmarkNode
@@ -31,15 +30,12 @@ class ImageSource:
         transport: str = 'auto',
         *,
         depth: int | None = None,
-        group: CallbackGroup | None = None,
     ) -> None:
         self._node = node
         self._subscriptions: dict[str, Subscription[Any]] = {}
         wanted = {'raw': [topic], 'compressed': [f'{topic}/compressed']}
         for name in wanted.get(transport, [*wanted['raw'], *wanted['compressed']]):
-            self._subscriptions[name] = node.listen(
-                name, self._only(name, callback), depth=depth, group=group
-            )
+            self._subscriptions[name] = node.listen(name, self._only(name, callback), depth=depth)
 
     def close(self) -> None:
         """End the subscription."""

@@ -21,6 +21,7 @@ _BORDER_PX = 3
 
 # The light varies slowly: it is evaluated on a grid of this step and interpolated.
 _LIGHT_STEP_M = 0.15
+_LEVELS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +117,12 @@ class Surface:
         right, foot = self.width_m * self.across, self.height_m * self.down
         return np.asarray(self.corner + np.array([0 * right, right, right + foot, foot]))
 
-    def illuminated(self, lamps: Sequence[Lamp], levels: int = 5) -> Pyramid:
+    def illuminated(self, lamps: Sequence[Lamp]) -> Pyramid:
         """Pyramid of the texture in the light of `lamps`."""
         texture = self.albedo
         if self.lit:
             texture = _shade(texture, self._light(lamps))
-        return Pyramid.build(texture, self.slants, levels)
+        return Pyramid.build(texture, self.slants, _LEVELS)
 
     def _light(self, lamps: Sequence[Lamp]) -> npt.NDArray[np.float32]:
         """Light on a coarse grid of cells (rows, columns, 3)."""

@@ -145,5 +145,5 @@ def test_wrong_usage_is_told_in_a_line(tmp_path, capsys):
     assert main(['figures', '--out', str(tmp_path), '--bag', str(BAGS / 'learn')]) == 1
     assert '--bag needs --room and --robot' in capsys.readouterr().err
     assert main(['figures', '--out', str(tmp_path), '--feature', 'smell']) == 2
-    assert main(['figures', '--out', str(tmp_path), '--seed', '-1']) == 1
+    assert main(['figures', '--out', str(tmp_path), '--seed', '-1']) == 2
     assert '--seed' in capsys.readouterr().err

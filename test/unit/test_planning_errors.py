@@ -229,7 +229,7 @@ class TestPredictor:
         assert nothing.landmarks.sum() == 0.0
         assert nothing.landmark_sigma_m == np.inf
         assert np.isinf(nothing.sigma_m).all()
-        assert nothing.cost_m(0.05) == pytest.approx(0.05)
+        assert nothing.cost_m == pytest.approx(0.05)
 
     def test_order_does_not_matter(self) -> None:
         poses = np.array([[2.0, 2.0, 0.1], [4.0, 2.2, 0.4], [3.0, 3.0, -1.0]])
