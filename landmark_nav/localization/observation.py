@@ -146,9 +146,14 @@ class Observer:
         """`tilt_rad` where that takes a knock, else 0."""
         return self._detector.knocked_up_rad
 
+    @property
+    def leaning_rad(self) -> float:
+        """By how much a knock made the camera lean to its right."""
+        return self._detector.leaning_rad
+
     def levelled(self, frame: CameraFrame) -> CameraFrame:
-        """A picture with its tilt as that turned out to be."""
-        return replace(frame, tilt_rad=frame.tilt_rad + self.tilt_rad)
+        """A picture with its tilt and roll as they turned out to be."""
+        return self._detector.levelled(frame)
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.localization.detection.aim import degrees_aside
 from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -217,6 +218,10 @@ class TriangulationLocalizerNode(LandmarkNode):
             values['camera_higher_deg'] = f'{higher:+.2f}'
             side = 'above' if higher > 0.0 else 'below'
             knocked = f'; the camera looks {abs(higher):.2f} deg {side} where its joints say'
+        if self._observer is not None and self._observer.leaning_rad:
+            knocked += '; the camera leans {:.1f} deg {}'.format(
+                *degrees_aside(self._observer.leaning_rad)
+            )
         if self._triplet is not None:
             values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))
         if isinstance(seen.fix, Refusal):

@@ -70,13 +70,27 @@ def test_a_camera_bumped_against_the_base_goes_on(sensed: list[Sensed], angle_de
     check_honest(moments)
 
 
-@pytest.mark.parametrize('angle_deg', [1.0, -2.0])
-def test_a_camera_bumped_in_its_tilt_finds_all_as_before(
-    sensed: list[Sensed], angle_deg: float, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(
+    ('angle_deg', 'of', 'said'),
+    [
+        (1.0, 'tilt', r'looks ([\d.]+) deg below'),
+        (-2.0, 'tilt', r'looks ([\d.]+) deg above'),
+        (-2.0, 'roll', r'leans ([\d.]+) deg to the right'),
+        (3.0, 'roll', r'leans ([\d.]+) deg to the left'),
+    ],
+)
+def test_a_camera_bumped_in_its_tilt_or_roll_finds_all_as_before(
+    sensed: list[Sensed], angle_deg: float, of: str, said: str, caplog: pytest.LogCaptureFixture
 ) -> None:
+    """The joints say too much, so the camera looks lower, or leans to the left."""
+
     def tilted(step: Step, frame: CameraFrame | None) -> Sensed:
         if frame is not None:
-            frame = replace(frame, tilt_rad=frame.tilt_rad + np.radians(angle_deg))
+            angle = np.radians(angle_deg)
+            if of == 'tilt':
+                frame = replace(frame, tilt_rad=frame.tilt_rad + angle)
+            else:
+                frame = replace(frame, roll_rad=frame.roll_rad + angle)
         return step, frame
 
     short = sensed[: round(20 * (FAULT_S + 4.0))]
@@ -88,9 +102,7 @@ def test_a_camera_bumped_in_its_tilt_finds_all_as_before(
         sum(len(m.update.observation.detections) for m in ms) for ms in (moments, usual)
     )
     assert seen > 0.9 * without
-    # The joints say too much, so the camera looks lower.
-    ((told, side),) = re.findall(r'looks ([\d.]+) deg (above|below)', caplog.text)
-    assert side == ('below' if angle_deg > 0.0 else 'above')
+    (told,) = re.findall(said, caplog.text)
     assert float(told) == pytest.approx(abs(angle_deg), abs=0.2)
 
 

@@ -15,7 +15,7 @@ from landmark_nav.localization.detection.correlation import detect_landmarks, De
 from landmark_nav.localization.detection.expectation import camera_in_map
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['AimedDetector']
+__all__ = ['AimedDetector', 'degrees_aside']
 
 _LOG = logging.getLogger(__name__)
 
@@ -28,6 +28,12 @@ _LEAST = 3
 _LOOKS, _SAME_BLUR_PX2 = 3, 0.7
 # No picture is sharper or more blurred than this and still of use.
 _SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
+# What became of those that a camera which leans shows elsewhere.
+_BESIDE = ('wrong height', 'peak at the border of the search window')
+# Rays must lie so far aside of the view to tell a roll; it is found by so many rounds of least
+# squares with weights that make it a least sum of distances; from then on pictures adjust it so
+# much each.
+_ASIDE, _REWEIGHTED, _FINEST_RAD, _ROLL_SHARE = 0.1, 8, 2e-4, 0.2
 # A tilt that is told: more than a floor does, and than heights that are a centimetre off.
 _TILTED_RAD, _HEIGHT_M = 0.005, 0.01
 
@@ -38,7 +44,7 @@ class AimedDetector:
 
     What it finds there tells by how much the camera looks beside, and where to search from then
     on. Bearings stay as the joints have them: what is wrong with those is for the filter to tell
-    from a wrong heading. A wrong tilt concerns nobody else, and is put right here.
+    from a wrong heading. A wrong tilt or roll concerns nobody else, and is put right here.
 
     Parameters
     ----------
@@ -61,7 +67,8 @@ class AimedDetector:
         knock_rad: float,
     ) -> None:
         self._map, self._mount, self._config, self._knock = landmark_map, mount, config, knock_rad
-        self._aim, self._told_rad = np.zeros(2), 0.0
+        # Pan, tilt and roll.
+        self._aim, self._told_rad = np.zeros(3), 0.0
         self._blur = np.zeros(2)
 
     @property
@@ -74,9 +81,18 @@ class AimedDetector:
         """`tilt_rad` where that is more than a floor does, else 0."""
         return self.tilt_rad if abs(self.tilt_rad) > _TILTED_RAD else 0.0
 
+    @property
+    def leaning_rad(self) -> float:
+        """By how much the camera leans to its right, 0 unless a knock made it."""
+        return float(self._aim[2])
+
     def aimed(self, frame: CameraFrame) -> CameraFrame:
         """A picture with its joints as they turned out to be."""
         return _turned(frame, self._aim)
+
+    def levelled(self, frame: CameraFrame) -> CameraFrame:
+        """A picture with its tilt and roll as they turned out to be, the pan as it is measured."""
+        return _turned(frame, self._aim * [0.0, 1.0, 1.0])
 
     def detect(
         self,
@@ -92,7 +108,7 @@ class AimedDetector:
         """
         knock, config = self._knock if knocked else 0.0, self._config
         result = self._search(frame, prior, expected, config, self._aim)
-        few = len(result.detections) <= _HARDLY_ANY * len(expected)
+        few = len(result.detections) <= _HARDLY_ANY * len(expected) or _leans(result)
         if not few or len(expected) < _LEAST or not knock:
             if self._tells(result, expected):
                 self._follow(result, frame, prior)
@@ -100,17 +116,21 @@ class AimedDetector:
         wide = replace(prior, covariance=prior.covariance + np.diag([0.0, 0.0, knock**2]))
         height = np.hypot(config.vertical_sigma_px, knock * frame.camera.fy)
         tall = replace(config, vertical_sigma_px=min(50.0, float(height)))
-        beside = self._search(frame, wide, expected, tall, self._aim * [0.0, 1.0])
+        beside = self._search(frame, wide, expected, tall, self._aim * [0.0, 1.0, 1.0])
         if len(beside.detections) < _LEAST:
             return result
         # What is there by chance is not found again at one height.
-        aim = self._seen_aim(beside, frame, prior)
-        again = self._search(frame, wide, expected, config, aim)
-        if not self._tells(again, expected):
-            return result
-        self._aim = aim
-        self._follow(again, frame, prior)
-        return again
+        for roll in (float(self._aim[2]), self._seen_roll(beside, frame, prior)):
+            aim = self._seen_aim(beside, frame, prior, roll)
+            again = self._search(frame, wide, expected, config, aim)
+            more = len(again.detections) > len(result.detections)
+            if more and self._tells(again, expected) and not _leans(again):
+                if roll != self._aim[2]:
+                    _LOG.warning('camera leans %.1f deg %s', *degrees_aside(roll))
+                self._aim = aim
+                self._follow(again, frame, prior)
+                return again
+        return result
 
     @staticmethod
     def _tells(result: DetectionResult, expected: npt.NDArray[np.intp]) -> bool:
@@ -119,7 +139,10 @@ class AimedDetector:
 
     def _follow(self, result: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> None:
         """Aim where a picture was found to look, once that is beside."""
-        aim = self._seen_aim(result, frame, prior)
+        roll = float(self._aim[2])
+        if roll:
+            roll += _ROLL_SHARE * (self._seen_roll(result, frame, prior) - roll)
+        aim = self._seen_aim(result, frame, prior, roll)
         away = self._map.positions[self._map.indices(result.detections.ids), :2] - prior.pose[:2]
         doubt_rad = _HEIGHT_M / float(np.median(np.hypot(*away.T)))
         tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD + doubt_rad
@@ -155,22 +178,70 @@ class AimedDetector:
         return replace(result, detections=replace(result.detections, bearing_rad=bearing))
 
     def _seen_aim(
-        self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate
+        self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
     ) -> FloatArray:
         """
-        Pan and tilt (2,) by which a picture is off, in radians: the median over what was found.
+        Pan and tilt by which a picture is off with a roll, and that, (3,) in radians.
 
-        Pan holds the error of the expected heading as well.
+        They are medians over what was found; pan holds the error of the expected heading as well.
         """
-        rotation, center = camera_in_map(prior.pose, self._mount, frame.pan_rad, frame.tilt_rad)
-        expected = self._map.positions[self._map.indices(found.detections.ids)] - center
+        expected, rotation = self._expected(found, frame, prior, roll)
         seen = found.rays @ rotation.T
-        return np.asarray(np.median(wrap_rad(_angles(expected) - _angles(seen)), axis=1))
+        return np.array([*np.median(wrap_rad(_angles(expected) - _angles(seen)), axis=1), roll])
+
+    def _seen_roll(self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> float:
+        """
+        Roll by which a picture is off, radians; as before where little tells it.
+
+        The turn about all three axes that leaves the least sum of distances.
+        """
+        expected, rotation = self._expected(found, frame, prior, 0.0)
+        seen = found.rays / np.linalg.norm(found.rays, axis=1, keepdims=True)
+        away = expected @ rotation
+        away = away / np.linalg.norm(away, axis=1, keepdims=True) - seen
+        if len(seen) < _LEAST or np.mean(seen[:, :2] ** 2) < _ASIDE**2:
+            return float(self._aim[2])
+        by_turn = np.cross(np.eye(3), seen[:, None]).transpose(0, 2, 1)
+        turn = np.zeros(3)
+        for _ in range(_REWEIGHTED):
+            left = np.linalg.norm(away - by_turn @ turn, axis=1)
+            weighted = by_turn / np.maximum(left, _FINEST_RAD)[:, None, None]
+            turn = np.linalg.lstsq(
+                np.einsum('kij,kil->jl', weighted, by_turn),
+                np.einsum('kij,ki->j', weighted, away),
+                rcond=None,
+            )[0]
+        return float(turn[2])
+
+    def _expected(
+        self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Landmarks (n, 3) from the camera, in map, and the camera's rotation with a roll."""
+        rotation, center = camera_in_map(
+            prior.pose, self._mount, frame.pan_rad, frame.tilt_rad, frame.roll_rad + roll
+        )
+        return self._map.positions[self._map.indices(found.detections.ids)] - center, rotation
+
+
+def degrees_aside(roll_rad: float) -> tuple[float, str]:
+    """Degrees and side of a camera that leans, for a person."""
+    return float(np.degrees(abs(roll_rad))), 'to the right' if roll_rad > 0.0 else 'to the left'
 
 
 def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
-    pan, tilt = frame.pan_rad + float(aim[0]), frame.tilt_rad + float(aim[1])
-    return replace(frame, pan_rad=pan, tilt_rad=tilt)
+    pan, tilt, roll = aim.tolist()
+    return replace(
+        frame,
+        pan_rad=frame.pan_rad + pan,
+        tilt_rad=frame.tilt_rad + tilt,
+        roll_rad=frame.roll_rad + roll,
+    )
+
+
+def _leans(result: DetectionResult) -> bool:
+    """Whether many matches are above or below where the others have them."""
+    beside = sum(refusal.reason in _BESIDE for refusal in result.refused.values())
+    return beside >= max(_LEAST - 1, _HARDLY_ANY * (len(result.detections) + len(result.refused)))
 
 
 def _blur_of(result: DetectionResult) -> FloatArray:

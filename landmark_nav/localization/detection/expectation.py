@@ -21,10 +21,14 @@ _CORNERS = np.array([[0.0, 0.0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 def camera_in_map(
-    pose_map_base: FloatArray, mount: PanTiltMount, pan_rad: float, tilt_rad: float
+    pose_map_base: FloatArray,
+    mount: PanTiltMount,
+    pan_rad: float,
+    tilt_rad: float,
+    roll_rad: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Rotation (3, 3) optical -> map and optical centre (3,) in map."""
-    rotation, center = mount.camera_pose_base(pan_rad, tilt_rad)
+    rotation, center = mount.camera_pose_base(pan_rad, tilt_rad, roll_rad)
     turn = np.eye(3)
     turn[:2, :2] = se2.rotation(pose_map_base[2])
     return turn @ rotation, turn @ center + [pose_map_base[0], pose_map_base[1], 0.0]
@@ -40,7 +44,7 @@ class View:
         self.grey = np.asarray(grey, dtype=np.uint8)
         self.prior = prior
         self.rotation, self.center = camera_in_map(
-            prior.pose, mount, frame.pan_rad, frame.tilt_rad
+            prior.pose, mount, frame.pan_rad, frame.tilt_rad, frame.roll_rad
         )
         self.axis = se2.compose(prior.pose, [*mount.axis_xyz[:2], 0.0])[:2]
 
