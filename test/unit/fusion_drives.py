@@ -25,6 +25,7 @@ MOUNT = PanTiltMount(axis_xyz=(0.08, -0.02, 1.1))
 START = np.array([2.5, 1.2, 0.2])
 START_SIGMA = np.array([0.02, 0.02, 0.01])
 PERIOD_NS = 50_000_000
+SPEED_M_S = 0.4
 
 
 def landmark_map(n: int, shared: float = 0.004, own: float = 0.005, seed: int = 0) -> LandmarkMap:
@@ -119,7 +120,7 @@ def drive(
     slip = rng.normal(0.0, noise.slip_sigma) if rng is not None and noise is not None else 0.0
     yield Moment(OdometrySample(0, odometry), truth)
     for k in range(1, steps + 1):
-        speed, rate = 0.4, 0.35 + 0.5 * np.sin(0.05 * k)
+        speed, rate = SPEED_M_S, 0.35 + 0.5 * np.sin(0.05 * k)
         step = twist_motion(speed, rate, PERIOD_NS * 1e-9)
         scale, drift, turn_scale = biases
         moved = np.array(

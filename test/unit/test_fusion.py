@@ -98,25 +98,27 @@ class TestJacobians:
         columns = np.array([1, 4, 7])
         measured = bearings(MAP, START)[columns]
         # With unit covariances and no noise the products are the Jacobians themselves.
-        unit = replace(state, covariance=np.eye(len(state.mean)), landmark_covariance=np.eye(20))
-        model = bearing_model(unit, unit, columns, measured, np.zeros(3), 0.0, lever)
+        unit = replace(state, covariance=np.eye(len(state.mean)), landmark_covariance=np.eye(30))
+        quiet, repeated = np.zeros(3), np.array([1e-3, 2e-3, 3e-3])
+        model = bearing_model(unit, unit, columns, measured, quiet, repeated, 0.0, lever)
         step = 1e-6
 
-        def expected(mean: FloatArray, landmarks: FloatArray) -> FloatArray:
-            at = replace(unit, mean=mean, landmarks=landmarks)
-            return -bearing_model(at, at, columns, measured, np.zeros(3), 0.0, lever).innovation
+        def expected(mean: FloatArray, considered: FloatArray) -> FloatArray:
+            landmarks = state.landmarks + considered[:20].reshape(-1, 2)
+            at = replace(unit, mean=mean, landmarks=landmarks, repeated=considered[20:])
+            model = bearing_model(at, at, columns, measured, quiet, repeated, 0.0, lever)
+            return -model.innovation
 
         for k in range(len(state.mean)):
             offset = np.zeros(len(state.mean))
             offset[k] = step
-            change = expected(state.mean + offset, state.landmarks)
-            change -= expected(state.mean - offset, state.landmarks)
+            change = expected(state.mean + offset, np.zeros(30))
+            change -= expected(state.mean - offset, np.zeros(30))
             np.testing.assert_allclose(model.state_covariance[k], change / (2 * step), atol=1e-8)
-        for k in range(20):
-            offset = np.zeros(20)
+        for k in range(30):
+            offset = np.zeros(30)
             offset[k] = step
-            change = expected(state.mean, state.landmarks + offset.reshape(-1, 2))
-            change -= expected(state.mean, state.landmarks - offset.reshape(-1, 2))
+            change = expected(state.mean, offset) - expected(state.mean, -offset)
             np.testing.assert_allclose(model.map_covariance[k], change / (2 * step), atol=1e-8)
 
     def test_of_motion(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from fusion_drives import (
     as_surveyed,
     detections,
@@ -9,6 +11,8 @@ from fusion_drives import (
     error_of,
     landmark_map,
     MOUNT,
+    PERIOD_NS,
+    SPEED_M_S,
     start_estimate,
     START_SIGMA,
 )
@@ -29,23 +33,34 @@ SIGMA = 1e-3
 RUNS = 40
 
 
-def one_run(seed: int, config: FusionConfig, steps: int = 100) -> tuple[float, float, float]:
-    """NEES at the end, mean squared position error and mean NIS per degree of freedom."""
+def one_run(
+    seed: int, config: FusionConfig, steps: int = 100, repeated: float = 0.0, stays: bool = False
+) -> tuple[float, float, float]:
+    """
+    NEES at the end, mean squared position error and mean NIS per degree of freedom.
+
+    Sightings of a landmark repeat so much of their variance; if the view stays, all pictures show
+    the same four, and the map is exact.
+    """
     rng = np.random.default_rng(seed)
-    true_map = landmark_map(14, seed=seed)
+    true_map = landmark_map(14, 1e-5, 1e-5, seed) if stays else landmark_map(14, seed=seed)
     surveyed = as_surveyed(true_map, rng)
     fused = PoseFilter(surveyed, MOUNT, config, NOISE)
     fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
     biases = tuple(float(b) for b in rng.normal(0.0, NOISE.bias_sigmas))
     squares, nis, degrees = [], 0.0, 0
-    truth = np.zeros(3)
+    truth, lasting = np.zeros(3), rng.normal(0.0, np.sqrt(repeated) * SIGMA, 14)
+    kept = np.exp(-4 * SPEED_M_S * PERIOD_NS * 1e-9 / config.repeat_length_m)
     for k, moment in enumerate(drive(steps, rng, NOISE, (biases[0], biases[1], biases[2]))):
         fused.add_odometry(moment.odometry)
         truth = moment.pose
         if k % 4 == 0:
-            first = int(rng.integers(14))
+            fresh = rng.normal(0.0, np.sqrt(repeated * (1.0 - kept**2)) * SIGMA, 14)
+            lasting = kept * lasting + fresh
+            first = 0 if stays else int(rng.integers(14))
             places = (first + np.arange(4)) % 14
-            noise = rng.normal(0.0, SIGMA, 4) + rng.normal(0.0, config.pan_sigma_rad)
+            noise = rng.normal(0.0, config.pan_sigma_rad) + lasting[places]
+            noise += rng.normal(0.0, np.sqrt(1.0 - repeated) * SIGMA, 4)
             update = fused.add_detections(
                 detections(true_map, truth, moment.odometry.stamp_ns, places, SIGMA, noise)
             )
@@ -60,11 +75,27 @@ def one_run(seed: int, config: FusionConfig, steps: int = 100) -> tuple[float, f
 
 @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
 def test_nees_lies_in_its_interval(landmarks: str) -> None:
-    config = FusionConfig(landmarks=landmarks, pan_sigma_rad=5e-4, bearing_probability=0.99999)
+    config = FusionConfig(
+        landmarks=landmarks,
+        pan_sigma_rad=5e-4,
+        bearing_probability=0.99999,
+        repeated_share=0.0,
+    )
     results = np.array([one_run(seed, config) for seed in range(RUNS)])
     low, high = chi2.ppf([0.025, 0.975], 3 * RUNS) / RUNS
     assert low < results[:, 0].mean() < high
     assert results[:, 2].mean() == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize('landmarks', ['consider', 'refine'])
+def test_what_sightings_repeat_is_counted_once(landmarks: str) -> None:
+    """Told so, NEES and NIS are as they should be; taken as independent, the pose is too sure."""
+    told = FusionConfig(landmarks=landmarks, repeated_share=0.9, bearing_probability=0.99999)
+    runs = np.array([one_run(k, told, 80, 0.9, True) for k in range(100)])
+    check_honest(runs[:, 0].tolist())
+    assert runs[:, 2].mean() == pytest.approx(1.0, abs=0.2)
+    independent = replace(told, repeated_share=0.0)
+    assert np.mean([one_run(k, independent, 80, 0.9, True)[0] for k in range(20)]) > 4.5
 
 
 def learning_run(

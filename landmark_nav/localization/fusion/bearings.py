@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.localization.fusion.config import FusionConfig
 from landmark_nav.types import Detections, FloatArray, Refusal
 
 __all__ = ['BearingFrame', 'IndexArray', 'bearing_frame']
@@ -27,8 +28,9 @@ class BearingFrame:
 
     `columns` (m,) are places of the landmarks in the map, `variance` (m,) what each bearing claims
     of itself and `common_variance` what all of them share, `scores` (m,) their correlations,
-    `unusable` what was sorted out before. What linearising them leaves out counts as if so many
-    pictures, `curvature_repeats`, repeated it.
+    `unusable` what was sorted out before. Of the variance a landmark's sightings repeat a share,
+    `repeated_share`, over `repeat_length_m` of way. What linearising them leaves out counts as if
+    so many pictures, `curvature_repeats`, repeated it.
     """
 
     columns: IndexArray
@@ -40,14 +42,15 @@ class BearingFrame:
     pan_rate: float = 0.0
     pan: float = 0.0
     curvature_repeats: float = 0.0
+    repeated_share: float = 0.0
+    repeat_length_m: float = 1.0
 
 
 def bearing_frame(
     detections: Detections,
     columns: Mapping[int, int],
-    common_sigma: float,
+    config: FusionConfig,
     scores_before: npt.ArrayLike = (),
-    curvature_repeats: float = 0.0,
 ) -> BearingFrame:
     """
     Sort out what no filter can use.
@@ -58,12 +61,10 @@ def bearing_frame(
         Of one picture.
     columns : mapping of int to int
         Landmark id to place in the map.
-    common_sigma : float
-        Error that all bearings of any picture share, radians.
+    config : FusionConfig
+        What bearings share and repeat.
     scores_before : array_like, shape (k,)
         Correlations in the pictures before: what is to be expected where few are found.
-    curvature_repeats : float
-        How many pictures repeat what linearising leaves out; 0 takes bearings as linear.
 
     """
     variance = detections.variance_rad2
@@ -89,12 +90,14 @@ def bearing_frame(
         np.array([columns[k] for k in chosen], dtype=np.intp),
         detections.bearing_rad[rows],
         variance[rows],
-        common_sigma**2 + detections.pan_sigma_rad**2,
+        config.pan_sigma_rad**2 + detections.pan_sigma_rad**2,
         unusable,
         detections.score[rows],
         detections.pan_rate_rad_s,
         detections.pan_rad,
-        curvature_repeats,
+        config.curvature_repeats,
+        config.repeated_share,
+        config.repeat_length_m,
     )
 
 

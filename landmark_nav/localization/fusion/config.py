@@ -33,6 +33,16 @@ class FusionConfig(Config):
     pan_sigma_rad: float = parameter(
         2e-4, 'Error of the pan angle, common to one picture, rad.', minimum=0.0, maximum=1.0
     )
+    repeated_share: float = parameter(
+        0.35,
+        "Share of a sighting's variance that those of the same landmark repeat until the robot "
+        'has moved on.',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    repeat_length_m: float = parameter(
+        0.5, 'Way over which they cease to, m.', minimum=0.001, maximum=1000.0
+    )
     boresight_sigma_rad: float = parameter(
         0.0,
         'Sigma of a constant offset of all bearings that is estimated; 0 takes it as known.',

@@ -83,7 +83,7 @@ def _pose_model(
     covariance is all that is known.
     """
     nothing = np.zeros(len(columns))
-    seen = bearing_model(prior, prior, columns, nothing, nothing, 0.0, lever)
+    seen = bearing_model(prior, prior, columns, nothing, nothing, nothing, 0.0, lever)
     fix = np.linalg.pinv(seen.jacobian[:, :3])
     jacobian = fix @ seen.jacobian
     jacobian[:, :3] = np.eye(3)

@@ -26,7 +26,7 @@ class MeasurementModel(NamedTuple):
 
     `innovation` (m,) is measured minus expected at the prior, `jacobian` (m, STATES) what is
     measured differentiated by the state, `state_covariance` (STATES, m) the covariance of the
-    state with it, `map_covariance` (2n, m) that of the landmarks, `covariance` (m, m) its own;
+    state with it, `map_covariance` (3n, m) that of the landmarks, `covariance` (m, m) its own;
     `by_noise` (LEARNED, m, m) is what of that each noise adds in this measurement.
     """
 
@@ -52,12 +52,14 @@ def expected_bearings(
     linearised, unless the frame says that they are to be taken as linear.
     """
     at = at or prior
+    variance = prior.scales.factors[SIGHTING] * frame.variance[chosen]
     model = bearing_model(
         prior,
         at,
         frame.columns[chosen],
         frame.bearing_rad[chosen],
-        prior.scales.factors[SIGHTING] * frame.variance[chosen],
+        (1.0 - frame.repeated_share) * variance,
+        np.sqrt(frame.repeated_share * variance),
         frame.common_variance,
         lever,
         frame.pan_rate,
@@ -79,6 +81,7 @@ def bearing_model(
     columns: IndexArray,
     bearings: FloatArray,
     variance: FloatArray,
+    repeated_sigma: FloatArray,
     common_variance: float,
     lever: FloatArray,
     pan_rate: float = 0.0,
@@ -99,6 +102,8 @@ def bearing_model(
         What was measured, radians.
     variance : ndarray, shape (m,)
         Of the noise that each has alone, rad^2.
+    repeated_sigma : ndarray, shape (m,)
+        Of the error that sightings of its landmark repeat, radians.
     common_variance : float
         Of what they share, rad^2.
     lever : ndarray, shape (2,)
@@ -127,10 +132,12 @@ def bearing_model(
     jacobian[:, LENS] = -by_lens
 
     # The derivative by a landmark's x and y is minus the one by the axis'.
-    places = np.stack([2 * columns, 2 * columns + 1], -1).reshape(-1)
-    row = np.arange(len(columns))
-    by_places = np.zeros((len(columns), len(places)))
-    by_places[row, 2 * row], by_places[row, 2 * row + 1] = gradient.T
+    m, n = len(columns), len(prior.landmarks)
+    places = np.concatenate([2 * columns, 2 * columns + 1, 2 * n + columns])
+    row = np.arange(m)
+    by_places = np.zeros((m, 3 * m))
+    by_places[row, row], by_places[row, m + row] = gradient.T
+    by_places[row, 2 * m + row] = -repeated_sigma
     state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
     map_covariance = prior.cross.T @ jacobian.T
     map_covariance -= prior.landmark_covariance[:, places] @ by_places.T
@@ -143,6 +150,7 @@ def bearing_model(
     offset[2] = wrap_rad(offset[2])
     innovation = residual - jacobian @ offset
     innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
+    innovation -= repeated_sigma * prior.repeated[columns]
     return MeasurementModel(
         innovation, jacobian, state_covariance, map_covariance, covariance, by_noise
     )
@@ -170,9 +178,11 @@ def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> Filter
         return state
     map_gain = np.linalg.solve(model.covariance, model.map_covariance.T).T
     map_covariance = prior.landmark_covariance - map_gain @ model.map_covariance.T
+    step, n = map_gain @ model.innovation, len(prior.landmarks)
     return replace(
         state,
-        landmarks=prior.landmarks + (map_gain @ model.innovation).reshape(-1, 2),
+        landmarks=prior.landmarks + step[: 2 * n].reshape(-1, 2),
+        repeated=prior.repeated + step[2 * n :],
         landmark_covariance=0.5 * (map_covariance + map_covariance.T),
     )
 

@@ -160,13 +160,7 @@ class PoseFilter:
     def add_detections(self, detections: Detections) -> FusionUpdate:
         """Correct by the bearings of one picture, at its time."""
         stamp = detections.stamp_ns
-        frame = bearing_frame(
-            detections,
-            self._columns,
-            self._config.pan_sigma_rad,
-            self._scores,
-            self._config.curvature_repeats,
-        )
+        frame = bearing_frame(detections, self._columns, self._config, self._scores)
         if (refusal := self._untimely(stamp)) is not None:
             self._health.note(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
@@ -267,7 +261,7 @@ class PoseFilter:
 
     def with_landmarks(self, stamp_ns: int) -> FloatArray:
         """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
-        return self._history.at(stamp_ns).cross[:3]
+        return self._history.at(stamp_ns).cross[:3, : 2 * len(self._map.landmarks)]
 
     @property
     def _doubt(self) -> FloatArray:

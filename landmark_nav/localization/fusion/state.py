@@ -3,8 +3,10 @@ The Schmidt-Kalman state, and how it moves on, as pure functions.
 
 Schmidt, Application of State-Space Methods to Navigation Problems, 1966: landmarks are consider
 states. Their errors and their correlations with the pose are carried along, but their places are
-not estimated, so repeated sightings never claim more than the map knows. On request they are
-estimated too (`measurement.correct` with `refine`), which is EKF-SLAM with the map as its prior.
+not estimated, so repeated sightings never claim more than the map knows. So is what the sightings
+of one landmark repeat from picture to picture: seen from nearly the same place, a patch is found
+off by nearly the same fraction of a pixel. On request both are estimated too
+(`measurement.correct` with `refine`), which is EKF-SLAM with the map as its prior.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
@@ -34,6 +37,7 @@ __all__ = [
     'FilterState',
     'among',
     'initial_state',
+    'looking_again',
     'moved_to',
     'propagate',
 ]
@@ -59,16 +63,20 @@ class FilterState:
         Pose of the base in map and the systematic errors.
     covariance : ndarray, shape (STATES, STATES)
         Of `mean`.
-    cross : ndarray, shape (STATES, 2n)
-        Covariance of `mean` with the landmarks' (x, y).
+    cross : ndarray, shape (STATES, 3n)
+        Covariance of `mean` with the landmarks' (x, y), then with what sightings of each repeat.
     landmarks : ndarray, shape (n, 2)
         Their places in map, metres.
-    landmark_covariance : ndarray, shape (2n, 2n)
-        Their joint covariance.
+    repeated : ndarray, shape (n,)
+        Error that the sightings of each repeat, over its sigma.
+    landmark_covariance : ndarray, shape (3n, 3n)
+        Joint covariance of both, in the order of `cross`.
     scales : NoiseScales
         How noisy odometry and sightings turned out to be.
     by_noise : ndarray, shape (LEARNED, STATES, STATES)
         What of `covariance` comes from each of those noises.
+    way_m : float
+        Way since the last picture.
 
     """
 
@@ -77,9 +85,11 @@ class FilterState:
     covariance: FloatArray
     cross: FloatArray
     landmarks: FloatArray
+    repeated: FloatArray
     landmark_covariance: FloatArray
     scales: NoiseScales
     by_noise: FloatArray
+    way_m: float = 0.0
 
     def estimate(self) -> PoseEstimate:
         """Return the pose alone."""
@@ -107,11 +117,9 @@ def initial_state(
         start.stamp_ns,
         np.array([*start.pose, *np.zeros(STATES - 3)]),
         covariance,
-        np.zeros((STATES, 2 * len(landmark_map.landmarks))),
-        landmark_map.positions[:, :2],
-        landmark_map.joint_covariance_xy,
-        NoiseScales.unknown(odometry),
-        by_noise,
+        **_independent_of(landmark_map),
+        scales=NoiseScales.unknown(odometry),
+        by_noise=by_noise,
     )
 
 
@@ -145,11 +153,42 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
 
 def among(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
     """Return the state among other landmarks, independent of them."""
+    return replace(state, **_independent_of(landmark_map))
+
+
+def _independent_of(landmark_map: LandmarkMap) -> dict[str, FloatArray]:
+    """What a state has of a map that it has not seen anything of yet."""
+    n = len(landmark_map.landmarks)
+    return {
+        'cross': np.zeros((STATES, 3 * n)),
+        'landmarks': landmark_map.positions[:, :2],
+        'repeated': np.zeros(n),
+        'landmark_covariance': block_diag(landmark_map.joint_covariance_xy, np.eye(n)),
+    }
+
+
+def looking_again(state: FilterState, length_m: float) -> FilterState:
+    """
+    Return the state as a picture finds it: sightings repeat less of their errors after some way.
+
+    A first-order Gauss-Markov process of the way, over `length_m`.
+    """
+    if state.way_m == 0.0:
+        return state
+    kept, repeats = np.exp(-state.way_m / length_m), slice(2 * len(state.landmarks), None)
+    cross, covariance = state.cross.copy(), state.landmark_covariance
+    cross[:, repeats] *= kept
+    if state.repeated.any():
+        covariance = covariance.copy()
+        covariance[repeats] *= kept
+        covariance[:, repeats] *= kept
+        covariance[repeats, repeats] += (1.0 - kept**2) * np.eye(len(state.landmarks))
     return replace(
         state,
-        cross=np.zeros((STATES, 2 * len(landmark_map.landmarks))),
-        landmarks=landmark_map.positions[:, :2],
-        landmark_covariance=landmark_map.joint_covariance_xy,
+        cross=cross,
+        repeated=kept * state.repeated,
+        landmark_covariance=covariance,
+        way_m=0.0,
     )
 
 
@@ -202,4 +241,5 @@ def propagate(
         cross=step @ state.cross,
         scales=scales,
         by_noise=by_noise,
+        way_m=state.way_m + way,
     )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.measurement import expected_bearings, MeasurementModel
-from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING
+from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING, looking_again
 from landmark_nav.localization.fusion.update import FusionUpdate, update_bearings
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
@@ -43,6 +43,7 @@ def update_turning(
     which the robot drives on, tell them apart. An angle that is only too large for the gates of
     single bearings is laid to the odometry.
     """
+    prior = looking_again(prior, frame.repeat_length_m)
     expected = expected_bearings(prior, frame, lever)
     state, update = update_bearings(
         prior, frame, ids, lever, probability, odometry, least, refine, expected
