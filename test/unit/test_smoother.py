@@ -34,7 +34,7 @@ BEGIN_NS = 7_000_000_000_000
 STEP_NS = 50_000_000
 MOUNT = PanTiltMount(axis_xyz=(0.1, 0.02, 1.0))
 NOISE = OdometryNoiseConfig(slip_sigma=0.0, floor_m_per_sqrt_s=0.002, floor_rad_per_sqrt_s=0.002)
-FUSION = FusionConfig(pan_sigma_rad=2e-3, boresight_sigma_rad=0.02)
+FUSION = FusionConfig(pan_sigma_rad=2e-3, boresight_sigma_rad=0.02, repeated_share=0.6)
 SIGMA = 2e-3
 START = np.diag([0.05, 0.05, 0.03]) ** 2
 MAP_SIGMA = 0.01
@@ -75,6 +75,7 @@ class Drive:
         self.start = PoseEstimate(
             BEGIN_NS, truth[0] + noise * np.sqrt(np.diag(START)) * rng.normal(size=3), START
         )
+        self._repeated = rng.normal(size=6)
         self.sightings = [
             self._seen(10 * (k + 1), pose, rng, noise) for k, pose in enumerate(self.truth)
         ]
@@ -86,7 +87,10 @@ class Drive:
     ) -> Detections:
         axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
         bearing = bearings(axis, self.real) + self.boresight
-        bearing += noise * (rng.normal() * FUSION.pan_sigma_rad + SIGMA * rng.normal(size=6))
+        kept, share = np.exp(-0.2 / FUSION.repeat_length_m), FUSION.repeated_share
+        self._repeated = kept * self._repeated + np.sqrt(1.0 - kept**2) * rng.normal(size=6)
+        alone = np.sqrt(share) * self._repeated + np.sqrt(1.0 - share) * rng.normal(size=6)
+        bearing += noise * (rng.normal() * FUSION.pan_sigma_rad + SIGMA * alone)
         view = rng.permutation(6)[:3]
         return Detections(
             BEGIN_NS + k * STEP_NS,
@@ -193,6 +197,8 @@ def test_derivatives_agree_with_differences() -> None:
         np.array(MOUNT.axis_xyz[:2]),
         np.array([*NOISE.bias_sigmas, 0.1, 0.02, 0.05]),
         2e-3,
+        0.35,
+        0.5,
         1e9,  # weights that do not change
     )
     unknowns = problem.at(np.vstack([drive.start.pose, drive.initial[:4]]))

@@ -113,14 +113,12 @@ def initial_state(
     covariance[range(3, STATES), range(3, STATES)] = sigmas**2
     by_noise = np.zeros((LEARNED, STATES, STATES))
     by_noise[SLIP, _SLIP, _SLIP] = odometry.slip_sigma**2
-    return FilterState(
-        start.stamp_ns,
-        np.array([*start.pose, *np.zeros(STATES - 3)]),
-        covariance,
-        **_independent_of(landmark_map),
-        scales=NoiseScales.unknown(odometry),
-        by_noise=by_noise,
+    mean, nothing = np.array([*start.pose, *np.zeros(STATES - 3)]), np.empty(0)
+    scales = NoiseScales.unknown(odometry)
+    alone = FilterState(
+        start.stamp_ns, mean, covariance, nothing, nothing, nothing, nothing, scales, by_noise
     )
+    return among(alone, landmark_map)
 
 
 def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
@@ -153,18 +151,14 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
 
 def among(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
     """Return the state among other landmarks, independent of them."""
-    return replace(state, **_independent_of(landmark_map))
-
-
-def _independent_of(landmark_map: LandmarkMap) -> dict[str, FloatArray]:
-    """What a state has of a map that it has not seen anything of yet."""
     n = len(landmark_map.landmarks)
-    return {
-        'cross': np.zeros((STATES, 3 * n)),
-        'landmarks': landmark_map.positions[:, :2],
-        'repeated': np.zeros(n),
-        'landmark_covariance': block_diag(landmark_map.joint_covariance_xy, np.eye(n)),
-    }
+    return replace(
+        state,
+        cross=np.zeros((STATES, 3 * n)),
+        landmarks=landmark_map.positions[:, :2],
+        repeated=np.zeros(n),
+        landmark_covariance=block_diag(landmark_map.joint_covariance_xy, np.eye(n)),
+    )
 
 
 def looking_again(state: FilterState, length_m: float) -> FilterState:

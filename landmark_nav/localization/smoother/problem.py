@@ -31,13 +31,18 @@ _LEAST_SIGMA = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Bearings:
-    """All bearings (m,): of which pose, to which landmark, what and how sure, with which pan."""
+    """
+    All bearings (m,): of which pose, to which landmark, what and how sure, with which pan.
+
+    `before` (m,) is the bearing of the same landmark before, -1 for the first.
+    """
 
     pose: IndexArray
     landmark: IndexArray
     bearing_rad: FloatArray
     sigma_rad: FloatArray
     pan_rad: FloatArray
+    before: IndexArray
 
     @classmethod
     def of(cls, sightings: Sequence[Detections], landmark_map: LandmarkMap) -> Bearings:
@@ -45,13 +50,24 @@ class Bearings:
         known = [np.isin(seen.ids, landmark_map.ids) for seen in sightings]
         kept = [seen.chosen(which) for seen, which in zip(sightings, known, strict=True)]
         counts = [len(seen) for seen in kept]
+        landmark = landmark_map.indices(np.concatenate([seen.ids for seen in kept]))
         return cls(
             np.repeat(np.arange(1, len(kept) + 1), counts),
-            landmark_map.indices(np.concatenate([seen.ids for seen in kept])),
+            landmark,
             np.concatenate([seen.bearing_rad for seen in kept]),
             np.sqrt(np.concatenate([seen.variance_rad2 for seen in kept])),
             np.repeat([seen.pan_rad for seen in kept], counts),
+            _same_before(landmark),
         )
+
+
+def _same_before(values: IndexArray) -> IndexArray:
+    """Where each value stood before, -1 where it is the first of its kind, (m,)."""
+    order = np.argsort(values, kind='stable')
+    before = np.full(len(values), -1)
+    same = values[order[1:]] == values[order[:-1]]
+    before[order[1:][same]] = order[:-1][same]
+    return before
 
 
 class _Rows:
@@ -89,6 +105,8 @@ class Problem:
 
     `common_sigmas` (6,) are those of the odometry's scale, drift, turn scale and way lost in
     turns, of the boresight and of the principal point; `lever` (2,) is the pan axis in the base.
+    Sightings of a landmark repeat `repeated_share` of their variance over `repeat_length_m` of
+    way; what each repeats is unknown, too.
     """
 
     start: PoseEstimate
@@ -98,6 +116,8 @@ class Problem:
     lever: FloatArray
     common_sigmas: FloatArray
     pan_sigma: float
+    repeated_share: float
+    repeat_length_m: float
     robust_sigmas: float
 
     @property
@@ -110,11 +130,16 @@ class Problem:
     def _common(self) -> int:
         return _PER_POSE * (len(self.motions.increment) + 1)
 
+    @property
+    def _repeated(self) -> int:
+        return self._common + _COMMON + 2 * len(self.landmark_map.landmarks)
+
     def at(self, poses: FloatArray) -> FloatArray:
         """Unknowns at poses (n, 3), all errors zero."""
         per_pose = np.column_stack([poses, np.zeros(len(poses))])
         surveyed = self.landmark_map.positions[:, :2]
-        return np.concatenate([per_pose.ravel(), np.zeros(_COMMON), surveyed.ravel()])
+        nothing = np.zeros(len(self.bearings.pose))
+        return np.concatenate([per_pose.ravel(), np.zeros(_COMMON), surveyed.ravel(), nothing])
 
     def poses(self, unknowns: FloatArray) -> FloatArray:
         """Poses (n, 3)."""
@@ -122,7 +147,7 @@ class Problem:
 
     def landmarks(self, unknowns: FloatArray) -> FloatArray:
         """Places of the landmarks (l, 2)."""
-        return unknowns[self._common + _COMMON :].reshape(-1, 2)
+        return unknowns[self._common + _COMMON : self._repeated].reshape(-1, 2)
 
     def camera(self, unknowns: FloatArray) -> tuple[float, float]:
         """Boresight: constant offset of all bearings, radians; principal point, see `lens`."""
@@ -142,6 +167,7 @@ class Problem:
         rows = _Rows()
         self._add_priors(rows, unknowns)
         self._add_motions(rows, unknowns)
+        self._add_repeated(rows, unknowns)
         self._add_bearings(rows, unknowns)
         return rows.matrix(len(unknowns))
 
@@ -160,7 +186,7 @@ class Problem:
 
         whiten = _whitening(self.landmark_map.joint_covariance_xy[None])
         moved = (self.landmarks(unknowns) - self.landmark_map.positions[:, :2]).reshape(1, -1)
-        places = np.arange(self._common + _COMMON, len(unknowns))[None]
+        places = np.arange(self._common + _COMMON, self._repeated)[None]
         rows.add(np.einsum('mij,mj->mi', whiten, moved), (places, whiten))
 
     def _add_motions(self, rows: _Rows, unknowns: FloatArray) -> None:
@@ -183,6 +209,18 @@ class Problem:
             (np.tile(common, (len(moved), 1)), -whiten @ self.motions.by_bias),
         )
 
+    def _add_repeated(self, rows: _Rows, unknowns: FloatArray) -> None:
+        """What sightings repeat, over its sigma: a Gauss-Markov process of the way."""
+        seen = self.bearings
+        way = np.cumsum([0.0, *np.hypot(*self.motions.increment[:, :2].T)])[seen.pose]
+        again = seen.before >= 0
+        kept = again * np.exp(-np.abs(way - way[seen.before]) / self.repeat_length_m)
+        weight = 1.0 / np.sqrt(np.maximum(1.0 - kept**2, _LEAST_SIGMA**2))
+        columns = self._repeated + np.column_stack([np.arange(len(way)), seen.before * again])
+        by_both = weight[:, None] * np.column_stack([np.ones(len(way)), -kept])
+        residual = np.sum(by_both * unknowns[columns], axis=1)
+        rows.add(residual[:, None], (columns, by_both[:, None]))
+
     def _add_bearings(self, rows: _Rows, unknowns: FloatArray) -> None:
         """Measured minus expected bearings, the doubtful ones with less weight."""
         seen = self.bearings
@@ -196,10 +234,13 @@ class Problem:
         expected = np.arctan2(dy, dx) - heading
         boresight, lens = self.camera(unknowns)
         bearing, by_lens = straightened(seen.bearing_rad, seen.pan_rad, lens)
-        offset = boresight + self.pan_sigma * unknowns[pan]
-        residual = wrap_rad(bearing - offset - expected) / seen.sigma_rad
+        repeated = self._repeated + np.arange(len(dx))
+        by_repeated = np.sqrt(self.repeated_share) * seen.sigma_rad
+        sigma = np.maximum(np.sqrt(1.0 - self.repeated_share) * seen.sigma_rad, _LEAST_SIGMA)
+        offset = boresight + self.pan_sigma * unknowns[pan] + by_repeated * unknowns[repeated]
+        residual = wrap_rad(bearing - offset - expected) / sigma
         # Cauchy's weight, as of where we are.
-        weight = 1.0 / (seen.sigma_rad * np.hypot(1.0, residual / self.robust_sigmas))
+        weight = 1.0 / (sigma * np.hypot(1.0, residual / self.robust_sigmas))
         by_place = np.stack([dy, -dx], -1) / (dx * dx + dy * dy)[:, None]
         by_heading = 1.0 + by_place[:, 0] * arm_y - by_place[:, 1] * arm_x
         by_pose = np.column_stack([-by_place, by_heading, np.full(len(dx), -self.pan_sigma)])
@@ -207,10 +248,11 @@ class Problem:
         camera = np.tile(self._common + np.array([_BORESIGHT, _LENS]), (len(dx), 1))
         by_camera = np.column_stack([-np.ones(len(dx)), by_lens])
         rows.add(
-            (weight * seen.sigma_rad * residual)[:, None],
+            (weight * sigma * residual)[:, None],
             (columns, (weight[:, None] * by_pose)[:, None]),
             (places, (weight[:, None] * by_place)[:, None]),
             (camera, (weight[:, None] * by_camera)[:, None]),
+            (repeated[:, None], (-weight * by_repeated)[:, None, None]),
         )
 
 

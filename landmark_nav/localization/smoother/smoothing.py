@@ -136,6 +136,8 @@ def smooth(
         np.asarray(mount.axis_xyz[:2], dtype=np.float64),
         np.array([*wheels, fusion.boresight_sigma_rad, fusion.principal_point_sigma]),
         fusion.pan_sigma_rad,
+        fusion.repeated_share,
+        fusion.repeat_length_m,
         config.robust_sigmas,
     )
     unknowns = problem.at(np.vstack([start.pose, initial]))
