@@ -84,7 +84,7 @@ class SiftLocator:
     def _placed(self, frame: CameraFrame, pose: FloatArray, room: Room) -> tuple[Any, Any]:
         """Points (n, 3) on the walls and descriptors of the features of a sweep's frame."""
         pixels, descriptors = self._features(frame)
-        from_camera, center = _camera_in_map(pose, self._mount, frame)
+        from_camera, center = self._mount.camera_pose_map(pose, frame.pan_rad, frame.tilt_rad)
         rays = frame.camera.unproject(pixels) @ from_camera.T
         away, _ = room.raycast(center[:2], np.arctan2(rays[:, 1], rays[:, 0]))
         flat = np.hypot(rays[:, 0], rays[:, 1])
@@ -146,15 +146,6 @@ class SiftLocator:
         base_in_map = to_camera.T @ from_base.T
         x, y, _ = center - base_in_map @ center_base
         return np.array([x, y, np.arctan2(base_in_map[1, 0], base_in_map[0, 0])])
-
-
-def _camera_in_map(
-    pose: FloatArray, mount: PanTiltMount, frame: CameraFrame
-) -> tuple[FloatArray, FloatArray]:
-    from_camera, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return turn @ from_camera, turn @ center + [pose[0], pose[1], 0.0]
 
 
 def sift_runs(

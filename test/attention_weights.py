@@ -36,7 +36,7 @@ from landmark_nav.localization.triplet.visibility import (
     TripletConfig,
     visible_landmarks,
 )
-from landmark_nav.simulation.furnishing import move_one_box
+from landmark_nav.simulation.furnishing import another_day
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
@@ -58,7 +58,6 @@ FRAMES = 72
 PLACES = 8
 VIEWS = 9
 CLEARANCE_M = 0.5
-DIMMED = 0.35
 THRESHOLD = 0.7
 RIGHT_PX = 1.0
 PRIOR = np.diag([0.05, 0.05, np.radians(1.0)]) ** 2
@@ -94,10 +93,7 @@ def simulate(seed: int) -> Study:
         known = PoseEstimate(0, pose, 1e-10 * np.eye(3))
         sweep = Sweep(0, turn(world, pose, FRAMES), known)
         panoramas.append(panorama_from_sweep(sweep, scene.room, DEFAULT_MOUNT, PanoramaStages()))
-    lamps = list(scene.lamps)
-    k = int(rng.integers(len(lamps)))
-    lamps[k] = replace(lamps[k], power=DIMMED * lamps[k].power)
-    later = replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
+    later = another_day(scene, rng)
     places = rng.uniform(*scene.room.bounds, (100 * PLACES, 2))
     places = places[scene.room.contains(places)]
     places = places[later.distance_to_obstacles(places) > CLEARANCE_M][:PLACES]
@@ -111,12 +107,8 @@ def simulate(seed: int) -> Study:
 
 def turn(world: RobotWorld, pose: FloatArray, count: int) -> tuple[CameraFrame, ...]:
     """Pictures all round."""
-    frames = []
-    for k in range(count):
-        world.place(pose, -np.pi + 2.0 * np.pi * k / count)
-        world.advance(1.0 / 60.0)
-        frames.append(world.camera_frame())
-    return tuple(frames)
+    pans = -np.pi + 2.0 * np.pi * np.arange(count) / count
+    return tuple(world.standing(pose, float(pan)) for pan in pans)
 
 
 def found_again(study: Study, config: AttentionConfig) -> FloatArray:

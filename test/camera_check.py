@@ -13,14 +13,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 import sys
-import tempfile
 from typing import NamedTuple
 
+from as_a_user import learned_room
 import numpy as np
 
-from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour
@@ -56,7 +54,7 @@ def main() -> int:
     arguments = parser.parse_args()
     runs: dict[str, list[Run]] = {}
     for seed in arguments.seeds:
-        scene, landmark_map = generate_scene(seed), _map(seed, arguments.maps)
+        scene, landmark_map = generate_scene(seed), learned(seed, arguments.maps)
         for name, run in compare(seed, scene, landmark_map, arguments.seconds).items():
             runs.setdefault(name, []).append(run)
             print(_row(f'{seed} {name}', [run]), flush=True)
@@ -66,21 +64,9 @@ def main() -> int:
     return 0
 
 
-def _map(seed: int, maps: str | None) -> LandmarkMap:
-    """What is learned in a room, by the commands that a user would give."""
-    if maps is not None:
-        return load_map(maps.format(seed=seed))
-    with tempfile.TemporaryDirectory() as scratch:
-        folder, out = Path(scratch) / 'room', Path(scratch) / 'map'
-        _command('simulate', '--out', folder, '--seed', seed, '--drive-seconds', 1)
-        files = ('--room', folder / 'room.yaml', '--robot', folder / 'robot.yaml')
-        _command('learn', folder / 'learn', *files, '--out', out)
-        return load_map(out)
-
-
-def _command(*words: object) -> None:
-    if landmark_nav([str(word) for word in words]) != 0:
-        raise SystemExit(f'landmark-nav {" ".join(map(str, words))} failed')
+def learned(seed: int, maps: str | None) -> LandmarkMap:
+    """What is learned in a room, or was before."""
+    return learned_room(seed) if maps is None else load_map(maps.format(seed=seed))
 
 
 def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) -> dict[str, Run]:

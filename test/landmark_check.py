@@ -27,14 +27,13 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 import sys
-import tempfile
 
+from as_a_user import learned_room
 from landmark_truth import TrueWalls
 import numpy as np
 import numpy.typing as npt
-from relocalize_check import changed, free_poses, picture
+from relocalize_check import free_poses, picture
 
-from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
@@ -43,6 +42,7 @@ from landmark_nav.localization.triplet.visibility import (
     TripletConfig,
     whole_in_view,
 )
+from landmark_nav.simulation.furnishing import another_day
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.storage.maps import load_map
@@ -92,7 +92,7 @@ class Looker:
     def __init__(self, room: Room) -> None:
         """Change the light and one piece of furniture."""
         self.rng = np.random.default_rng([room.seed, 50])
-        scene = changed(room.walls.scene, self.rng)
+        scene = another_day(room.walls.scene, self.rng)
         self.room, self.walls = room, TrueWalls(scene)
         self.world = RobotWorld(scene, next(free_poses(scene, 1, self.rng)), room.seed + 3)
         self.corners = patch_corners(room.learned)
@@ -128,7 +128,7 @@ class Looker:
         found = detect_landmarks(
             frame, prior, learned, world.mount, DetectionConfig(), np.flatnonzero(which)
         ).detections
-        turn, center = world.camera_pose_map(frame.pan_rad, frame.tilt_rad)
+        turn, center = world.mount.camera_pose_map(pose, frame.pan_rad, frame.tilt_rad)
         index = learned.indices(found.ids)
         at = world.camera.project((self.room.truth[index] - center) @ turn)
         near = np.linalg.norm(found.uv_px - at, axis=-1) <= _WITHIN_PX
@@ -179,27 +179,12 @@ def check_area(room: Room) -> npt.NDArray[np.int64]:
     return counts
 
 
-def learned_map(seed: int, rooms: Path | None, exact: bool) -> LandmarkMap:
-    """Learn a room as a user would."""
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = (rooms or Path(scratch)) / str(seed)
-        if rooms is None:
-            told = ('--exact',) if exact else ()
-            _run(
-                'simulate', '--out', str(folder), '--seed', str(seed), '--drive-seconds', '1',
-                *told,
-            )  # fmt: skip
-        _run(
-            'learn', str(folder / 'learn'), '--room', str(folder / 'room.yaml'),
-            '--robot', str(folder / 'robot.yaml'), '--out', f'{scratch}/map',
-        )  # fmt: skip
-        return load_map(f'{scratch}/map')
-
-
-def _run(*arguments: str) -> None:
-    status = landmark_nav(list(arguments))
-    if status != 0:
-        raise SystemExit(f'landmark-nav {" ".join(arguments)}: exit status {status}')
+def learned_map(seed: int, arguments: argparse.Namespace) -> LandmarkMap:
+    """Map of a room: kept, or learned as a user would, in a room that was kept or is simulated."""
+    if arguments.maps:
+        return load_map(arguments.maps / str(seed))
+    kept = arguments.rooms / str(seed) if arguments.rooms else None
+    return learned_room(seed, *(['--exact'] if arguments.exact else []), kept=kept)
 
 
 def line_of(rooms: list[Room], seen: FloatArray, area: FloatArray) -> dict[str, float]:
@@ -245,12 +230,7 @@ def main() -> int:
     arguments = parser.parse_args()
     rooms, seen, area = [], [], []
     for k, seed in enumerate(arguments.seeds):
-        learned = (
-            load_map(arguments.maps / str(seed))
-            if arguments.maps
-            else learned_map(seed, arguments.rooms, arguments.exact)
-        )
-        rooms.append(check_places(seed, learned))
+        rooms.append(check_places(seed, learned_map(seed, arguments)))
         seen.append(check_sightings(rooms[-1], arguments.poses))
         area.append(check_area(rooms[-1]) if arguments.area else np.zeros(4, np.int64))
         row = line_of(rooms[-1:], seen[-1], area[-1])

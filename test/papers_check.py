@@ -13,6 +13,7 @@ import argparse
 from dataclasses import replace
 import sys
 
+from as_a_user import as_jpeg
 import cv2
 import numpy as np
 
@@ -107,12 +108,8 @@ def take_sweep(world: RobotWorld, pose: FloatArray, gamma: float) -> Sweep:
     for pan in PANS:
         if np.abs(wrap_rad(pan - azimuth)).min() > np.radians(26.0):
             continue
-        world.place(pose, pan)
-        world.advance(1.0 / 60.0)
-        frame = world.camera_frame()
-        jpeg = cv2.imencode('.jpg', table[frame.image], [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
-        image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
-        frames.append(replace(frame, image=image))
+        frame = world.standing(pose, float(pan))
+        frames.append(replace(frame, image=as_jpeg(table[frame.image])))
     return Sweep(0, tuple(frames))
 
 

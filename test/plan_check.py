@@ -24,6 +24,7 @@ from dataclasses import replace
 from itertools import combinations
 import sys
 
+from as_a_user import as_jpeg
 import cv2
 from landmark_truth import TrueWalls
 import numpy as np
@@ -54,7 +55,7 @@ from landmark_nav.planning.room_grid import free_floor
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
-from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate, Refusal, Sweep
+from landmark_nav.types import FloatArray, PoseEstimate, Refusal, Sweep
 
 FRAMES = 72
 PLACES = 200
@@ -109,20 +110,9 @@ def learn(world: RobotWorld, room: Room, poses: FloatArray) -> LearningResult:
     """Sweep at each pose and learn."""
     panoramas = []
     for pose in poses:
-        frames = []
-        for k in range(FRAMES):
-            world.place(pose, -np.pi + 2.0 * np.pi * k / FRAMES)
-            world.advance(1.0 / 60.0)
-            frame = world.camera_frame()
-            jpeg = cv2.imencode('.jpg', frame.image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
-            frames.append(
-                CameraFrame(
-                    frame.stamp_ns,
-                    np.asarray(cv2.imdecode(jpeg, 1), np.uint8),
-                    frame.camera,
-                    frame.pan_rad,
-                )
-            )
+        pans = -np.pi + 2.0 * np.pi * np.arange(FRAMES) / FRAMES
+        frames = [world.standing(pose, float(pan)) for pan in pans]
+        frames = [replace(frame, image=as_jpeg(frame.image)) for frame in frames]
         sweep = Sweep(frames[0].stamp_ns, tuple(frames))
         panoramas.append(panorama_from_sweep(sweep, room, world.mount, PanoramaStages()))
     return learn_from_panoramas(panoramas, room, LearningConfig())
@@ -147,8 +137,7 @@ def compare(
     claimed = np.sqrt(np.mean(np.trace(learned.covariances[:, :2, :2], axis1=1, axis2=2)))
     fixes = np.array([localize(cell, result, truth, rng) for cell in cells])
     # As the planner counts them: what is far off is no farther than that.
-    cap = CAP_M
-    foretold, fixes = np.minimum(expected.sigma_m, cap), np.minimum(fixes, cap)
+    foretold, fixes = np.minimum(expected.sigma_m, CAP_M), np.minimum(fixes, CAP_M)
     return {
         'n_pred': expected.landmarks,
         'n': len(error),
@@ -161,7 +150,7 @@ def compare(
         'loc_err': 1e3 * rms(fixes[:, 0]),
         'median_pred': 1e3 * float(np.median(foretold)),
         'median_err': 1e3 * float(np.median(fixes[:, 0])),
-        'no_fix': float(np.mean(fixes[:, 0] >= cap)),
+        'no_fix': float(np.mean(fixes[:, 0] >= CAP_M)),
     }
 
 

@@ -14,16 +14,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 import sys
-import tempfile
 import time
 
-import cv2
+from as_a_user import as_jpeg, learned_room
 import numpy as np
 
-from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.relocalization import relocalize
-from landmark_nav.simulation.furnishing import move_one_box
+from landmark_nav.simulation.furnishing import another_day
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import RobotWorld
@@ -35,7 +33,6 @@ MAX_ERROR_DEG = 1.0
 MIN_RIGHT = 0.98
 
 _CLEARANCE_M = 0.4
-_JPEG_QUALITY = 90
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Row:
 def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> Row:
     """Place the robot at random, let it look around once, ask where it is."""
     rng = np.random.default_rng([seed, 40])
-    scene = changed(generate_scene(seed), rng)
+    scene = another_day(generate_scene(seed), rng)
     pans = -np.pi + 2.0 * np.pi * np.arange(frames) / frames
     world: RobotWorld | None = None
     errors, seconds, refused, wrong = [], [], 0, 0
@@ -93,14 +90,6 @@ def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> Row:
     )
 
 
-def changed(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Another day: one lamp is dim, one piece of furniture stands elsewhere."""
-    lamps = list(scene.lamps)
-    dim = int(rng.integers(len(lamps)))
-    lamps[dim] = replace(lamps[dim], power=0.35 * lamps[dim].power)
-    return replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
-
-
 def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Poses (3,) where the robot can stand."""
     while count:
@@ -113,29 +102,13 @@ def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[F
 
 def picture(world: RobotWorld, pose: FloatArray, pan_rad: float) -> CameraFrame:
     """One picture of a standing robot, as a bag would hold it."""
-    world.place(pose, pan_rad)
-    world.advance(1.0 / 60.0)
-    frame = world.camera_frame()
-    _, jpeg = cv2.imencode('.jpg', frame.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return replace(frame, image=np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8))
+    frame = world.standing(pose, pan_rad)
+    return replace(frame, image=as_jpeg(frame.image))
 
 
 def learned_map(seed: int, rooms: Path | None) -> LandmarkMap:
     """Map of a room: kept, or made as a user would."""
-    if rooms is not None:
-        return load_map(rooms / f'room_{seed}' / 'map')
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        _run('simulate', '--out', str(folder), '--seed', str(seed), '--drive-seconds', '1')
-        setup = ['--room', str(folder / 'room.yaml'), '--robot', str(folder / 'robot.yaml')]
-        _run('learn', str(folder / 'learn'), *setup, '--out', str(folder / 'map'))
-        return load_map(folder / 'map')
-
-
-def _run(*arguments: str) -> None:
-    status = landmark_nav(list(arguments))
-    if status != 0:
-        raise SystemExit(f'landmark-nav {" ".join(arguments)}: exit status {status}')
+    return learned_room(seed) if rooms is None else load_map(rooms / f'room_{seed}' / 'map')
 
 
 def main() -> int:

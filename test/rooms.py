@@ -15,10 +15,9 @@ from pathlib import Path
 import sys
 import tempfile
 
+from as_a_user import command
 import numpy as np
 import yaml
-
-from landmark_nav.cli.main import main as landmark_nav
 
 MAX_POSITION_RMSE_M = 0.008
 MAX_HEADING_RMSE_DEG = 0.4
@@ -35,19 +34,19 @@ def run_room(
     seed: int, folder: Path, *options: str, exact: bool = False
 ) -> dict[str, float | bool]:
     """Take the commands that a user would, in `folder`; what came of it."""
-    changes = ['--light-change', '--exchange', str(EXCHANGED)]
+    changes: list[object] = ['--light-change', '--exchange', EXCHANGED]
     if exact:
         changes.append('--exact')
-    _run('simulate', '--out', str(folder), '--seed', str(seed), *changes, *options)
-    room, robot = str(folder / 'room.yaml'), str(folder / 'robot.yaml')
+    command('simulate', '--out', folder, '--seed', seed, *changes, *options)
+    room, robot = folder / 'room.yaml', folder / 'robot.yaml'
     start = json.loads((folder / 'start.json').read_text())['pose']
-    _run(
-        'learn', str(folder / 'learn'), '--room', room, '--robot', robot,
-        '--out', str(folder / 'map'), '--json', str(folder / 'learn.json'),
+    command(
+        'learn', folder / 'learn', '--room', room, '--robot', robot,
+        '--out', folder / 'map', '--json', folder / 'learn.json',
     )  # fmt: skip
-    _run(
-        'evaluate', str(folder / 'drive'), '--map', str(folder / 'map'), '--robot', robot,
-        '--start', *map(str, start), '--json', str(folder / 'evaluate.json'),
+    command(
+        'evaluate', folder / 'drive', '--map', folder / 'map', '--robot', robot,
+        '--start', *start, '--json', folder / 'evaluate.json',
     )  # fmt: skip
     learned = json.loads((folder / 'learn.json').read_text())
     driven = json.loads((folder / 'evaluate.json').read_text())
@@ -85,12 +84,6 @@ def meets_bounds(row: dict[str, float | bool]) -> bool:
         and row['nees_low'] <= row['nees'] <= row['nees_high']
         and row['beyond_5s'] == 0
     )
-
-
-def _run(*arguments: str) -> None:
-    status = landmark_nav(list(arguments))
-    if status != 0:
-        raise SystemExit(f'landmark-nav {" ".join(arguments)}: exit status {status}')
 
 
 def _target_elected(folder: Path) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import logging
 import sys
 
+from as_a_user import as_jpeg
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -59,11 +60,7 @@ def bent(gamma: float) -> Spoil:
 
 
 def compressed(quality: int) -> Spoil:
-    def spoil(image: Picture, _: np.random.Generator) -> Picture:
-        jpeg = cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-        return np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED), np.uint8)
-
-    return spoil
+    return lambda image, _: as_jpeg(image, quality)
 
 
 def covered(share: float) -> Spoil:

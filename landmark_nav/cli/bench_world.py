@@ -21,7 +21,6 @@ from landmark_nav.learning.pipeline import (
     panorama_from_sweep,
     PanoramaStages,
 )
-from landmark_nav.localization.detection import camera_in_map
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer
@@ -72,7 +71,7 @@ class World:
 
     def frame(self, pose: FloatArray, pan_rad: float) -> CameraFrame:
         """Take a picture."""
-        rotation, center = camera_in_map(pose, MOUNT, pan_rad, 0.0)
+        rotation, center = MOUNT.camera_pose_map(pose, pan_rad)
         return CameraFrame(0, self.renderer.render(rotation, center), CAMERA, pan_rad)
 
     @cached_property

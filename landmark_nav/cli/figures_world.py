@@ -11,11 +11,10 @@ from landmark_nav.evaluation.figures.area_figure import AreaTest
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.detection import (
-    camera_in_map,
     detect_landmarks,
     DetectionConfig,
 )
-from landmark_nav.simulation.furnishing import move_one_box
+from landmark_nav.simulation.furnishing import another_day
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.room_generator import generate_scene
@@ -35,7 +34,6 @@ __all__ = ['FiguresWorld']
 _FRAMES = 72
 _GRID_M = 0.45
 _CLEARANCE_M = 0.25
-_DIMMED = 0.35
 _RIGHT_PX = 1.0
 # Of what a robot knows of its pose while it looks.
 _PRIOR = np.diag([0.03, 0.03, np.radians(0.5)]) ** 2
@@ -85,17 +83,13 @@ class FiguresWorld:
         world = RobotWorld(self.scene, self.poses[number], self.scene.seed, mount=self.mount)
         frames = []
         for pan in -np.pi + 2.0 * np.pi * np.arange(_FRAMES) / _FRAMES:
-            world.place(self.poses[number], float(pan))
-            world.advance(1.0 / 60.0)
-            frames.append(world.camera_frame())
+            frames.append(world.standing(self.poses[number], float(pan)))
         return Sweep(frames[0].stamp_ns, tuple(frames))
 
     def look_for(self, landmark: Landmark, seed: int) -> AreaTest:
         """Look for a landmark from all over the floor on another day."""
         rng = np.random.default_rng([seed, 70])
-        lamps = tuple(replace(lamp, power=_DIMMED * lamp.power) for lamp in self.scene.lamps[:1])
-        boxes = move_one_box(self.scene, rng)
-        later = replace(self.scene, lamps=lamps + self.scene.lamps[1:], boxes=boxes)
+        later = another_day(self.scene, rng)
         camera = replace(
             DEFAULT_CAMERA, width=_NARROW_PX, cx=DEFAULT_CAMERA.cx - (512 - _NARROW_PX) / 2
         )
@@ -117,7 +111,7 @@ class FiguresWorld:
         pose = np.append(place, rng.uniform(-np.pi, np.pi))
         away = landmark.position[:2] - place
         pan = float(np.arctan2(away[1], away[0]) - pose[2])
-        rotation, center = camera_in_map(pose, self.mount, pan, 0.0)
+        rotation, center = self.mount.camera_pose_map(pose, pan)
         noise = rng.normal(0.0, 2.0, (camera.height, camera.width, 1))
         image = np.clip(renderer.render(rotation, center) + noise, 0, 255).astype(np.uint8)
         result = detect_landmarks(

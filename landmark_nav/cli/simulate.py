@@ -15,7 +15,7 @@ from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.furnishing import exchange_pictures, move_one_box
+from landmark_nav.simulation.furnishing import another_day, exchange_pictures
 from landmark_nav.simulation.gaze import Gaze
 from landmark_nav.simulation.measuring import as_measured
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
@@ -157,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
     scene = generate_scene(args.seed, room)
     rng = np.random.default_rng([args.seed, 30])
     poses = _sweep_poses(scene, args.sweeps, rng)
-    later = _changed(scene, rng) if args.light_change else scene
+    later = another_day(scene, rng) if args.light_change else scene
     if args.exchange:
         other = np.random.default_rng([args.seed, 31])
         later = replace(later, items=exchange_pictures(scene, args.exchange, other))
@@ -239,15 +239,6 @@ def _sweep_poses(
         raise LandmarkNavError(f'the room has space for {len(poses) + len(others)} sweeps only')
     poses += [np.array([*xy, rng.uniform(-np.pi, np.pi)]) for xy in others[:missing]]
     return poses
-
-
-def _changed(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The room on another day."""
-    lamps = list(scene.lamps)
-    if lamps:
-        k = int(rng.integers(len(lamps)))
-        lamps[k] = replace(lamps[k], power=0.35 * lamps[k].power)
-    return replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
 
 
 def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Iterator[Recorded]:

@@ -9,7 +9,7 @@ import numpy as np
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 
-__all__ = ['exchange_pictures', 'furnish', 'move_one_box']
+__all__ = ['another_day', 'exchange_pictures', 'furnish', 'move_one_box']
 
 Generator = np.random.Generator
 
@@ -20,6 +20,8 @@ _GAP_M = 0.1
 _CORNER_M = 0.12
 
 _PICTURES = ('photo', 'poster')
+# Light that is left of a lamp on another day.
+_DIMMED = 0.35
 
 # Chance of each kind, and the range of its width and height, metres.
 _KINDS: dict[str, tuple[float, tuple[float, float], tuple[float, float]]] = {
@@ -121,6 +123,15 @@ def move_one_box(scene: Scene, rng: Generator) -> tuple[Box, ...]:
         if np.linalg.norm(shift) > 0.3 and _fits(box, rest, scene.room, 0.0):
             return (*rest, box)
     return scene.boxes
+
+
+def another_day(scene: Scene, rng: Generator) -> Scene:
+    """Scene with one lamp dimmed and one piece of furniture moved."""
+    lamps = list(scene.lamps)
+    if lamps:
+        k = int(rng.integers(len(lamps)))
+        lamps[k] = replace(lamps[k], power=_DIMMED * lamps[k].power)
+    return replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
 
 
 def exchange_pictures(scene: Scene, share: float, rng: Generator) -> tuple[WallItem, ...]:

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.se2 import rotation
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.simulation.camera_effects import CameraEffects, CameraEffectsConfig
 from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
@@ -148,6 +147,12 @@ class RobotWorld:
         self._drive.place(pose_map_base)
         self._unit.jump(pan_rad, tilt_rad)
 
+    def standing(self, pose_map_base: npt.ArrayLike, pan_rad: float) -> CameraFrame:
+        """Carry the robot to a pose (3,) and take a picture there."""
+        self.place(pose_map_base, pan_rad)
+        self.advance(1.0 / _RATE_HZ)
+        return self.camera_frame()
+
     def joint_sample(self) -> JointSample:
         """Pan and tilt as the encoders measure them now."""
         pan, tilt = self._unit.measured_rad
@@ -167,7 +172,7 @@ class RobotWorld:
     def camera_frame(self) -> CameraFrame:
         """Take a picture now."""
         pan, tilt = self._unit.angles_rad
-        turn, center = self.camera_pose_map(float(pan), float(tilt))
+        turn, center = self.mount.camera_pose_map(self.true_pose, float(pan), float(tilt))
         image = self.renderer.render(turn, center, self._people.solids(center[:2]))
         sample = self.joint_sample()
         return CameraFrame(
@@ -177,14 +182,6 @@ class RobotWorld:
             sample.pan_rad,
             sample.tilt_rad,
         )
-
-    def camera_pose_map(self, pan_rad: float, tilt_rad: float) -> tuple[FloatArray, FloatArray]:
-        """Rotation (3, 3) optical frame -> map and optical centre (3,), at the present pose."""
-        turn, center = self.mount.camera_pose_base(pan_rad, tilt_rad)
-        x, y, heading = self._drive.pose_map_base
-        upright = np.eye(3)
-        upright[:2, :2] = rotation(heading)
-        return upright @ turn, upright @ center + [x, y, 0.0]
 
     def _free(self, position_xy: FloatArray) -> bool:
         """Whether the base may stand there: inside, and off walls and furniture."""

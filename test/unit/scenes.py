@@ -16,7 +16,6 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.localization.detection import camera_in_map
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -253,7 +252,7 @@ def draw_frame(
     sigma: float = 3.0,
 ) -> CameraFrame:
     """Picture of the scene through a lens, with noise if there is `rng`."""
-    rotation, center = camera_in_map(pose_map_base, mount, pan_rad, tilt_rad)
+    rotation, center = mount.camera_pose_map(pose_map_base, pan_rad, tilt_rad)
 
     def rays_of(pixels: FloatArray) -> FloatArray:
         column, row = np.moveaxis(pixels.astype(np.float32), -1, 0)

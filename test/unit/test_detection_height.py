@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection import camera_in_map
 from landmark_nav.localization.detection.height import RowModel, wrong_heights
 from landmark_nav.types import FloatArray
 
@@ -18,7 +17,7 @@ POSE, PAN, TILT = np.array([1.0, 2.0, 0.3]), 0.4, 0.1
 
 def model_of(camera: CameraModel, spread: float) -> tuple[RowModel, FloatArray]:
     """Rows of eight points about 3 m away."""
-    rotation, center = camera_in_map(POSE, MOUNT, PAN, TILT)
+    rotation, center = MOUNT.camera_pose_map(POSE, PAN, TILT)
     offset = np.random.default_rng(0).uniform(-spread, spread, (8, 3))
     offset[:, 2] += 3.0
     points = center + offset @ rotation.T
@@ -31,7 +30,7 @@ def test_derivatives_are_those_of_the_camera(camera: CameraModel, spread: float)
 
     def rows(pose: FloatArray, tilt_rad: float, roll_rad: float, higher_m: float) -> FloatArray:
         turn, _ = MOUNT.camera_pose_base(PAN, tilt_rad, roll_rad)
-        _, center = camera_in_map(pose, MOUNT, PAN, tilt_rad)
+        _, center = MOUNT.camera_pose_map(pose, PAN, tilt_rad)
         heading = np.eye(3)
         heading[:2, :2] = [
             [np.cos(pose[2]), -np.sin(pose[2])],

@@ -153,3 +153,16 @@ def test_many_angles_at_once_equal_one_by_one() -> None:
         rotation, center = mount.camera_pose_base(pans[k], tilts[k])
         np.testing.assert_allclose(rotations[k], rotation)
         np.testing.assert_allclose(centers[k], center)
+
+
+def test_camera_pose_in_map_is_that_in_the_base_moved_with_it():
+    mount, pose = (
+        PanTiltMount((0.1, 0.02, 1.1), (0.0, 0.05, 0.3), (0.03, 0.0, 0.02)),
+        [1.0, 2.0, 0.6],
+    )
+    base_turn, base_center = mount.camera_pose_base(0.7, 0.1)
+    turn, center = mount.camera_pose_map(np.array(pose), 0.7, 0.1)
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    heading = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    assert turn == pytest.approx(heading @ base_turn)
+    assert center == pytest.approx(heading @ base_center + [*pose[:2], 0.0])

@@ -4,6 +4,5 @@ from __future__ import annotations
 
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
-from landmark_nav.localization.detection.expectation import camera_in_map
 
-__all__ = ['DetectionConfig', 'DetectionResult', 'camera_in_map', 'detect_landmarks']
+__all__ = ['DetectionConfig', 'DetectionResult', 'detect_landmarks']

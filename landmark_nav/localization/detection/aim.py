@@ -12,7 +12,6 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
-from landmark_nav.localization.detection.expectation import camera_in_map
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['AimedDetector', 'degrees_aside']
@@ -217,8 +216,8 @@ class AimedDetector:
         self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
     ) -> tuple[FloatArray, FloatArray]:
         """Landmarks (n, 3) from the camera, in map, and the camera's rotation with a roll."""
-        rotation, center = camera_in_map(
-            prior.pose, self._mount, frame.pan_rad, frame.tilt_rad, frame.roll_rad + roll
+        rotation, center = self._mount.camera_pose_map(
+            prior.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad + roll
         )
         return self._map.positions[self._map.indices(found.detections.ids)] - center, rotation
 

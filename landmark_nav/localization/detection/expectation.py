@@ -14,24 +14,10 @@ from landmark_nav.geometry.patches import patch_axes, rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['Expectation', 'View', 'camera_in_map', 'expect', 'quadratic']
+__all__ = ['Expectation', 'View', 'expect', 'quadratic']
 
 # The centre of a patch and its corners, clockwise from the upper left.
 _CORNERS = np.array([[0.0, 0.0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
-
-
-def camera_in_map(
-    pose_map_base: FloatArray,
-    mount: PanTiltMount,
-    pan_rad: float,
-    tilt_rad: float,
-    roll_rad: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) optical -> map and optical centre (3,) in map."""
-    rotation, center = mount.camera_pose_base(pan_rad, tilt_rad, roll_rad)
-    turn = np.eye(3)
-    turn[:2, :2] = se2.rotation(pose_map_base[2])
-    return turn @ rotation, turn @ center + [pose_map_base[0], pose_map_base[1], 0.0]
 
 
 class View:
@@ -43,8 +29,8 @@ class View:
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
         self.grey = np.asarray(grey, dtype=np.uint8)
         self.prior = prior
-        self.rotation, self.center = camera_in_map(
-            prior.pose, mount, frame.pan_rad, frame.tilt_rad, frame.roll_rad
+        self.rotation, self.center = mount.camera_pose_map(
+            prior.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad
         )
         self.axis = se2.compose(prior.pose, [*mount.axis_xyz[:2], 0.0])[:2]
 
