@@ -13,7 +13,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.relocalization import RelocalizationConfig, relocalize
-from landmark_nav.localization.relocalization.sightings import find_sightings, SightingConfig
+from landmark_nav.localization.relocalization.sightings import find_sightings
 from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.types import (
     CameraFrame,
@@ -211,9 +211,7 @@ def test_arguments_that_do_not_match_are_named() -> None:
 
 def test_sightings_tell_bearing_and_range() -> None:
     pose = np.array([2.4, 1.9, 0.4])
-    seen = find_sightings(
-        sweep(SCENE, pose.tolist(), np.zeros(1))[0], MAP, MOUNT, SightingConfig()
-    )
+    seen = find_sightings(sweep(SCENE, pose.tolist(), np.zeros(1))[0], MAP, MOUNT)
     # The landmarks of the east wall that are in view from there.
     place = se2.transform_points(se2.inverse(pose), MAP.positions[:, :2]) - seen.center[0]
     azimuth = np.arctan2(place[:, 1], place[:, 0])[seen.landmark]

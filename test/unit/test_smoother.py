@@ -19,7 +19,7 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
     twist_motion,
 )
-from landmark_nav.localization.smoother import smooth, SmootherConfig
+from landmark_nav.localization.smoother import smooth
 from landmark_nav.localization.smoother.motion import motions_between
 from landmark_nav.localization.smoother.problem import Bearings, Problem
 from landmark_nav.types import (
@@ -112,7 +112,7 @@ class Drive:
             MOUNT,
             given['fusion'],
             NOISE,
-            SmootherConfig(tolerance=1e-7),
+            tolerance=1e-7,
         )
 
 

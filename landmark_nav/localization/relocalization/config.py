@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from landmark_nav.localization.detection import DetectionConfig
-from landmark_nav.localization.relocalization.hypotheses import HypothesisConfig
-from landmark_nav.localization.relocalization.sightings import SightingConfig
 from landmark_nav.localization.triangulation import TriangulationConfig
 from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.parameters import Config, parameter
@@ -61,8 +59,6 @@ class RelocalizationConfig(Config):
     pan_sigma_rad: float = parameter(
         2e-4, 'error of the measured pan, rad', minimum=0.0, maximum=0.1
     )
-    sighting: SightingConfig = field(default_factory=SightingConfig)
-    hypothesis: HypothesisConfig = field(default_factory=HypothesisConfig)
     visibility: TripletConfig = field(default_factory=TripletConfig)
     detection: DetectionConfig = field(default_factory=DetectionConfig)
     triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)

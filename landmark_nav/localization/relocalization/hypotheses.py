@@ -15,39 +15,21 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.relocalization.sightings import Sightings
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['Hypotheses', 'HypothesisConfig', 'propose']
+__all__ = ['DISTINCT_M', 'DISTINCT_RAD', 'Hypotheses', 'propose']
 
 # Poses judged at a time: their residuals stay small in memory.
 _BLOCK = 2048
-
-
-@dataclass(frozen=True)
-class HypothesisConfig(Config):
-    """How poses are made of sightings."""
-
-    per_landmark: int = parameter(
-        4, 'sightings of a landmark that may be right', minimum=1, maximum=50
-    )
-    rough_rad: float = parameter(
-        0.07, 'bearing error that a pose of two sightings is allowed', minimum=1e-3, maximum=0.5
-    )
-    fine_rad: float = parameter(
-        0.02,
-        'bearing error that a pose of all its sightings is allowed',
-        minimum=1e-4,
-        maximum=0.5,
-    )
-    min_support: int = parameter(
-        4, 'least landmarks that a pose explains', minimum=3, maximum=1000
-    )
-    distinct_m: float = parameter(
-        0.4, 'poses nearer than this are one place', minimum=0.01, maximum=10.0
-    )
-    distinct_rad: float = parameter(0.2, 'and turned by less than this', minimum=0.01, maximum=3.0)
-    places: int = parameter(60, 'places followed up', minimum=2, maximum=10000)
+# Sightings of a landmark that may be right.
+_PER_LANDMARK = 4
+# Bearing errors that a pose is allowed: one of two sightings, one of all that speak for it.
+_ROUGH_RAD, _FINE_RAD = 0.07, 0.02
+# Least landmarks that a pose explains, and places followed up.
+_MIN_SUPPORT = 4
+_PLACES = 60
+# Poses nearer to each other than this, and turned by less, are one place.
+DISTINCT_M, DISTINCT_RAD = 0.4, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +40,7 @@ class Hypotheses:
     support: npt.NDArray[np.intp]
 
 
-def propose(
-    sightings: Sightings, landmark_map: LandmarkMap, config: HypothesisConfig
-) -> Hypotheses:
+def propose(sightings: Sightings, landmark_map: LandmarkMap) -> Hypotheses:
     """
     Find the places that sightings speak for.
 
@@ -70,40 +50,36 @@ def propose(
         All in one base frame.
     landmark_map : LandmarkMap
         What was learned.
-    config : HypothesisConfig
-        Parameters.
 
     Returns
     -------
     Hypotheses
-        Distinct places with at least ``min_support``; may be empty.
+        Distinct places; may be empty.
 
     """
-    votes = _Votes(sightings, landmark_map, config)
+    votes = _Votes(sightings, landmark_map)
     poses = votes.of_pairs()
     if landmark_map.walls:
         poses = poses[Room(landmark_map.walls).contains(poses[:, :2])]
-    support = votes.support(poses, config.rough_rad)
-    kept = _distinct(poses, support, config)
+    support = votes.support(poses, _ROUGH_RAD)
+    kept = _distinct(poses, support)
     # Half way, a pose of two becomes one of all that agree with it roughly.
-    poses = votes.refined(poses[kept], config.rough_rad)
-    poses = votes.refined(poses, 0.5 * (config.rough_rad + config.fine_rad))
-    poses = votes.refined(poses, config.fine_rad)
-    support = votes.support(poses, config.fine_rad)
-    kept = _distinct(poses, support, config)
+    poses = votes.refined(poses[kept], _ROUGH_RAD)
+    poses = votes.refined(poses, 0.5 * (_ROUGH_RAD + _FINE_RAD))
+    poses = votes.refined(poses, _FINE_RAD)
+    support = votes.support(poses, _FINE_RAD)
+    kept = _distinct(poses, support)
     return Hypotheses(poses[kept], support[kept])
 
 
 class _Votes:
     """The best sightings of each landmark, sorted by landmark, as arrays."""
 
-    def __init__(
-        self, sightings: Sightings, landmark_map: LandmarkMap, config: HypothesisConfig
-    ) -> None:
+    def __init__(self, sightings: Sightings, landmark_map: LandmarkMap) -> None:
         order = np.lexsort((-sightings.score, sightings.landmark))
         landmark = sightings.landmark[order]
         first = np.searchsorted(landmark, landmark)
-        order = order[np.arange(len(order)) - first < config.per_landmark]
+        order = order[np.arange(len(order)) - first < _PER_LANDMARK]
         self.landmark = sightings.landmark[order]
         self.azimuth = sightings.azimuth_rad[order]
         self.range = sightings.range_m[order]
@@ -208,20 +184,18 @@ class _Votes:
         return np.asarray(poses + np.stack([moved_x, moved_y, step[:, 2]], -1))
 
 
-def _distinct(
-    poses: FloatArray, support: npt.NDArray[np.intp], config: HypothesisConfig
-) -> npt.NDArray[np.intp]:
+def _distinct(poses: FloatArray, support: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
     """Best first, without those near a better one."""
     left = support.astype(np.float64)
-    left[support < config.min_support] = -1.0
+    left[support < _MIN_SUPPORT] = -1.0
     kept: list[int] = []
-    while len(kept) < config.places and len(left):
+    while len(kept) < _PLACES and len(left):
         best = int(np.argmax(left))
         if left[best] < 0.0:
             break
         kept.append(best)
         offset = poses - poses[best]
-        near = np.hypot(offset[:, 0], offset[:, 1]) < config.distinct_m
-        near &= np.abs(wrap_rad(offset[:, 2])) < config.distinct_rad
+        near = np.hypot(offset[:, 0], offset[:, 1]) < DISTINCT_M
+        near &= np.abs(wrap_rad(offset[:, 2])) < DISTINCT_RAD
         left[near] = -1.0
     return np.array(kept, dtype=np.intp)

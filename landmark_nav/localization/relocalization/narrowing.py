@@ -61,8 +61,8 @@ def narrowed(
     """
     covariance = prior.covariance + np.diag(np.square(_LEAST_SIGMA))
     prior = replace(prior, covariance=covariance)
-    sightings = find_sightings(frame, landmark_map, mount, config.sighting, prior)
-    poses = propose(sightings, landmark_map, config.hypothesis).poses
+    sightings = find_sightings(frame, landmark_map, mount, prior)
+    poses = propose(sightings, landmark_map).poses
     offset = poses - prior.pose
     offset[:, 2] = wrap_rad(offset[:, 2])
     distance = np.sum(offset * np.linalg.solve(covariance, offset.T).T, axis=1)

@@ -17,7 +17,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import transform_points
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
-from landmark_nav.localization.relocalization.hypotheses import HypothesisConfig, propose
+from landmark_nav.localization.relocalization.hypotheses import DISTINCT_M, DISTINCT_RAD, propose
 from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import (
     CarriedFrames,
@@ -91,7 +91,7 @@ def relocalize(
         if shows_new(frame, directions[k], poses[k], directions[telling], poses[telling]):
             telling.append(k)
     chosen = [frames[k] for k in telling]
-    sightings = [find_sightings(f, landmark_map, mount, config.sighting) for f in chosen]
+    sightings = [find_sightings(f, landmark_map, mount) for f in chosen]
     carried = CarriedFrames(frames[-1].stamp_ns, chosen, poses[telling], drift[telling])
     return locate(carried, sightings, landmark_map, mount, config)
 
@@ -112,7 +112,7 @@ def locate(
         )
         for seen, pose in zip(sightings, carried.poses_last_base, strict=True)
     ]
-    proposed = propose(Sightings.joined(moved), landmark_map, config.hypothesis)
+    proposed = propose(Sightings.joined(moved), landmark_map)
     if not len(proposed.poses):
         return Refusal('nothing recognised', 'no two sightings agree on a place')
     places = verified_places(
@@ -141,17 +141,16 @@ def verified_places(
             config.triangulation,
             config.pan_sigma_rad,
         )
-        if isinstance(outcome, Verification) and not _known(outcome, places, config.hypothesis):
+        if isinstance(outcome, Verification) and not _known(outcome, places):
             places.append(outcome)
     return sorted(places, key=lambda place: -len(place.ids))
 
 
-def _known(place: Verification, others: Sequence[Verification], config: HypothesisConfig) -> bool:
+def _known(place: Verification, others: Sequence[Verification]) -> bool:
     """Whether another hypothesis led to the same place."""
     offsets = [place.estimate.pose - other.estimate.pose for other in others]
     return any(
-        np.hypot(*offset[:2]) < 0.5 * config.distinct_m
-        and abs(wrap_rad(offset[2])) < 0.5 * config.distinct_rad
+        np.hypot(*offset[:2]) < 0.5 * DISTINCT_M and abs(wrap_rad(offset[2])) < 0.5 * DISTINCT_RAD
         for offset in offsets
     )
 

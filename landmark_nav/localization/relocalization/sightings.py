@@ -26,7 +26,6 @@ from landmark_nav.localization.relocalization.looks import (
     RANGE_SIGMA,
 )
 from landmark_nav.localization.relocalization.strip import Strip
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -35,24 +34,17 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-__all__ = ['SightingConfig', 'Sightings', 'find_sightings']
+__all__ = ['Sightings', 'find_sightings']
 
 
-@dataclass(frozen=True)
-class SightingConfig(Config):
-    """How landmarks are looked for without a prior."""
-
-    resolution: float = parameter(
-        0.5, "share of the pictures' resolution to work at", minimum=0.1, maximum=1.0
-    )
-    min_score: float = parameter(0.72, 'least correlation of a sighting', minimum=0.3, maximum=1.0)
-    min_size_px: int = parameter(8, 'least template there, pixels', minimum=5, maximum=100)
-    per_view: int = parameter(
-        2, 'sightings of a landmark kept in a picture', minimum=1, maximum=20
-    )
-    tangent_sigma: float = parameter(
-        0.004, 'error of the tangent of elevation', minimum=1e-5, maximum=0.5
-    )
+# Share of the pictures' resolution to work at, and the least template there, pixels.
+_RESOLUTION = 0.5
+_MIN_SIZE_PX = 8
+# Least correlation of a sighting, and how many of a landmark are kept in a picture.
+_MIN_SCORE = 0.72
+_PER_VIEW = 2
+# Error of the tangent of elevation.
+_TANGENT_SIGMA = 0.004
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +82,6 @@ def find_sightings(
     frame: CameraFrame,
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
-    config: SightingConfig,
     prior: PoseEstimate | None = None,
 ) -> Sightings:
     """
@@ -104,8 +95,6 @@ def find_sightings(
         What was learned.
     mount : PanTiltMount
         Where the camera turns.
-    config : SightingConfig
-        Parameters.
     prior : PoseEstimate, optional
         Of the base at that time: only what can be seen from where it allows is looked for, where
         and as it may appear.
@@ -116,15 +105,15 @@ def find_sightings(
         In the base frame of the picture's time; most of them are wrong.
 
     """
-    strip, landmarks = Strip(frame, mount, config.resolution), landmark_map.landmarks
+    strip, landmarks = Strip(frame, mount, _RESOLUTION), landmark_map.landmarks
     if prior is None:
         looks = {k: any_look(landmark, strip) for k, landmark in enumerate(landmarks)}
     else:
         looks = open_looks(prior, landmark_map, strip)
     found = []
     for k, look in looks.items():
-        profile = _search(landmarks[k], look, strip, config)
-        found.append(_measured(k, landmarks[k], profile, strip, config))
+        profile = _search(landmarks[k], look, strip)
+        found.append(_measured(k, landmarks[k], profile, strip))
     return Sightings.joined(found)
 
 
@@ -138,7 +127,7 @@ class _Profile:
     half_width: FloatArray
 
 
-def _search(landmark: Landmark, look: Look, strip: Strip, config: SightingConfig) -> _Profile:
+def _search(landmark: Landmark, look: Look, strip: Strip) -> _Profile:
     columns = len(strip.azimuth)
     best = np.full(columns, -1.0, np.float32)
     tangent, reach, half_width = np.zeros(columns), np.ones(columns), np.ones(columns)
@@ -148,16 +137,16 @@ def _search(landmark: Landmark, look: Look, strip: Strip, config: SightingConfig
         height = round(landmark.height_m / distance * strip.px_per_rad)
         # The rows where its centre can be, for ranges up to half a step to the next one.
         steepness = rise / distance * np.exp([-1.5 * RANGE_SIGMA, 1.5 * RANGE_SIGMA])
-        spread = 2.0 * config.tangent_sigma
+        spread = 2.0 * _TANGENT_SIGMA
         top = int(strip.row_of(steepness.max() + spread) - (height - 1) / 2.0)
         bottom = int(np.ceil(strip.row_of(steepness.min() - spread) + (height - 1) / 2.0))
         top, bottom = max(top, 0), min(bottom, len(strip.tangent) - 1)
-        if height < config.min_size_px or bottom - top + 1 < height:
+        if height < _MIN_SIZE_PX or bottom - top + 1 < height:
             continue
         band = strip.image[top : bottom + 1, first:end]
         for narrowing in look.narrowings:
             width = round(landmark.width_m * narrowing / distance * strip.px_per_rad)
-            if not config.min_size_px <= width <= end - first:
+            if not _MIN_SIZE_PX <= width <= end - first:
                 continue
             template = cv2.resize(landmark.patch, (width, height), interpolation=cv2.INTER_AREA)
             scores = cv2.matchTemplate(band, template, cv2.TM_CCOEFF_NORMED)
@@ -174,17 +163,15 @@ def _search(landmark: Landmark, look: Look, strip: Strip, config: SightingConfig
     return _Profile(best, tangent, reach, half_width)
 
 
-def _measured(
-    index: int, landmark: Landmark, profile: _Profile, strip: Strip, config: SightingConfig
-) -> Sightings:
+def _measured(index: int, landmark: Landmark, profile: _Profile, strip: Strip) -> Sightings:
     """The best peaks of a landmark's profile, with the range that they tell."""
-    columns = _peaks(profile, config)
+    columns = _peaks(profile)
     tangent, reach = profile.tangent[columns], profile.reach[columns]
     rise = landmark.position[2] - strip.center[2]
     # Range by height, where the landmark hangs above or below the camera, and by scale.
     with np.errstate(divide='ignore', invalid='ignore'):
         by_height = rise / tangent
-        sigma = np.hypot(config.tangent_sigma, landmark.covariance[2, 2] ** 0.5 / reach)
+        sigma = np.hypot(_TANGENT_SIGMA, landmark.covariance[2, 2] ** 0.5 / reach)
         sigma = sigma / np.abs(tangent)
     usable = (by_height > 0.0) & (sigma < 0.5)
     weight = np.where(usable, 1.0 / np.where(usable, sigma, 1.0) ** 2, 0.0)
@@ -201,13 +188,13 @@ def _measured(
     )
 
 
-def _peaks(profile: _Profile, config: SightingConfig) -> npt.NDArray[np.intp]:
+def _peaks(profile: _Profile) -> npt.NDArray[np.intp]:
     """Columns of the best peaks, apart by more than half their template's width."""
     score = profile.score.copy()
     columns: list[int] = []
-    for _ in range(config.per_view):
+    for _ in range(_PER_VIEW):
         column = int(np.argmax(score))
-        if score[column] < config.min_score:
+        if score[column] < _MIN_SCORE:
             break
         columns.append(column)
         reach = int(np.ceil(profile.half_width[column]))

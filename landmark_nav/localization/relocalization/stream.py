@@ -134,7 +134,7 @@ class Relocalizer:
         looked = np.array([glimpse.direction for glimpse in self._kept])
         if not shows_new(frame, direction, np.zeros(3), looked, poses):
             return self._outcome
-        sightings = find_sightings(frame, self._map, self._mount, config.sighting)
+        sightings = find_sightings(frame, self._map, self._mount)
         self._kept.append(_Glimpse(frame, direction, sightings))
         recent = slice(-config.max_frames, None)
         self._kept = self._kept[recent]

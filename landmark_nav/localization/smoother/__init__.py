@@ -5,7 +5,6 @@ from __future__ import annotations
 from landmark_nav.localization.smoother.smoothing import (
     smooth,
     Smoothed,
-    SmootherConfig,
 )
 
-__all__ = ['Smoothed', 'SmootherConfig', 'smooth']
+__all__ = ['Smoothed', 'smooth']

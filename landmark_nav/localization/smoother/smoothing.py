@@ -22,7 +22,6 @@ from landmark_nav.localization.fusion import FusionConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.smoother.motion import motions_between
 from landmark_nav.localization.smoother.problem import Bearings, Problem
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import (
     Detections,
     FloatArray,
@@ -31,7 +30,7 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-__all__ = ['Smoothed', 'SmootherConfig', 'smooth']
+__all__ = ['Smoothed', 'smooth']
 
 IntArray = npt.NDArray[np.int64]
 
@@ -39,17 +38,11 @@ IntArray = npt.NDArray[np.int64]
 _COLUMNS = 256
 
 
-@dataclass(frozen=True)
-class SmootherConfig(Config):
-    """How the smoother works."""
-
-    robust_sigmas: float = parameter(
-        3.0, 'Residual, in sigmas, at which a bearing has half its weight.', minimum=0.1
-    )
-    max_iterations: int = parameter(100, 'Steps until it gives up.', minimum=1, maximum=1000)
-    tolerance: float = parameter(
-        1e-4, 'Largest step, in metres and radians, that ends it.', minimum=0.0, maximum=0.1
-    )
+# Residual, in sigmas, at which a bearing has half its weight.
+_ROBUST_SIGMAS = 3.0
+_MAX_ITERATIONS = 100
+# Largest step, metres and radians, that ends it.
+_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +87,7 @@ def smooth(
     mount: PanTiltMount,
     fusion: FusionConfig | None = None,
     noise: OdometryNoiseConfig | None = None,
-    config: SmootherConfig | None = None,
+    tolerance: float = _TOLERANCE,
 ) -> Smoothed:
     """
     Gauss-Newton over the poses of all sightings, with the noise models of the filter.
@@ -113,8 +106,10 @@ def smooth(
         Landmarks and their joint covariance.
     mount : PanTiltMount
         Where the pan axis is.
-    fusion, noise, config : optional
+    fusion, noise : optional
         Parameters.
+    tolerance : float
+        Largest step, metres and radians, that ends it.
 
     Raises
     ------
@@ -122,7 +117,6 @@ def smooth(
         No sighting, times out of order, or no convergence.
 
     """
-    config = config or SmootherConfig()
     stamps = np.array([start.stamp_ns, *(seen.stamp_ns for seen in sightings)], dtype=np.int64)
     if len(stamps) < 2 or np.any(np.diff(stamps) < 0):
         raise LandmarkNavError('smoother: needs sightings in the order of time after the start')
@@ -138,12 +132,12 @@ def smooth(
         fusion.pan_sigma_rad,
         fusion.repeated_share,
         fusion.repeat_length_m,
-        config.robust_sigmas,
+        _ROBUST_SIGMAS,
     )
     unknowns = problem.at(np.vstack([start.pose, initial]))
     iteration, moved = 0, np.inf
-    while moved > config.tolerance:
-        if iteration == config.max_iterations:
+    while moved > tolerance:
+        if iteration == _MAX_ITERATIONS:
             raise LandmarkNavError(
                 f'smoother: still moves by {moved:.1e} after {iteration} steps: '
                 'look at the odometry and the start'
