@@ -14,7 +14,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.coverage import unseen_arcs
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
-from landmark_nav.learning.calibration.alignment import align_sweep, AlignmentConfig
+from landmark_nav.learning.calibration.alignment import align_sweep
 from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.sweep_pipeline import tenengrad
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args.sweep, args.number, mount)
     quality = PanoramaQuality(0.0)
     if args.align and pictures:
-        aligned = align_sweep(sweep, mount, AlignmentConfig())
+        aligned = align_sweep(sweep, mount)
         sweep = aligned.sweep
         print(
             f'focal length {aligned.focal_px:.2f} +- {aligned.focal_sigma_px:.2f} px '

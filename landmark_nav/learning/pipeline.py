@@ -153,7 +153,7 @@ def learn_from_panoramas(
         free = adjust(sightings, walls, start, panoramas, places, room, without_walls)
         check_walls(free, walls, room, config.adjustment, config.wall_fit)
         adjustment = adjust(sightings, walls, start, panoramas, places, room, config.adjustment)
-        residuals = wall_residuals(adjustment, walls, room, config.adjustment, config.wall_fit)
+        residuals = wall_residuals(adjustment, walls, room, config.adjustment)
         adjustment, free = told_by_sizes(
             adjustment,
             free,

@@ -10,7 +10,7 @@ from turning_camera import turn_sweep
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.calibration.alignment import align_sweep, AlignmentConfig
+from landmark_nav.learning.calibration.alignment import align_sweep
 from landmark_nav.learning.calibration.overlap import track_overlaps
 from landmark_nav.learning.calibration.overlap_fit import COMMON, OverlapProblem
 from landmark_nav.types import CameraFrame, Sweep
@@ -40,7 +40,7 @@ def test_wrong_angles_and_focal_length_are_mended() -> None:
             for frame in true.frames
         ),
     )
-    aligned = align_sweep(wrong, MOUNT, AlignmentConfig())
+    aligned = align_sweep(wrong, MOUNT)
     assert aligned.residual_px < 0.1 < 1.0 < aligned.before_px
     # The turn closes, so the focal length is absolute; where pan 0 points is not.
     focal = aligned.sweep.frames[0].camera.fx
@@ -59,7 +59,7 @@ def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
     told = replace(TRUE, fx=1.02 * TRUE.fx, fy=1.02 * TRUE.fx, distortion=())
     frames = turn_sweep(true, MOUNT, PANS).frames
     sweep = Sweep(0, tuple(replace(frame, camera=told) for frame in frames))
-    aligned = align_sweep(sweep, MOUNT, AlignmentConfig())
+    aligned = align_sweep(sweep, MOUNT)
     lens = aligned.sweep.frames[0].camera
     assert lens.fx == pytest.approx(TRUE.fx, rel=2e-3)
     found = lens.distortion[0] if lens.distortion else 0.0
@@ -73,7 +73,7 @@ def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
 
 def test_right_angles_stay() -> None:
     sweep = turn_sweep(TRUE, MOUNT, PANS)
-    aligned = align_sweep(sweep, MOUNT, AlignmentConfig())
+    aligned = align_sweep(sweep, MOUNT)
     assert aligned.residual_px < 0.05
     assert aligned.focal_scale == pytest.approx(1.0, abs=1e-3)
     for before, after in zip(sweep.frames, aligned.sweep.frames, strict=True):
@@ -84,8 +84,8 @@ def test_right_angles_stay() -> None:
 def test_too_few_frames_or_no_texture_is_told() -> None:
     sweep = turn_sweep(TRUE, MOUNT, PANS[:2])
     with pytest.raises(LandmarkNavError, match='2 frames are too few to align'):
-        align_sweep(sweep, MOUNT, AlignmentConfig())
+        align_sweep(sweep, MOUNT)
     blank = np.full((TRUE.height, TRUE.width, 3), 128, np.uint8)
     plain = Sweep(0, tuple(CameraFrame(k, blank, TRUE, pan) for k, pan in enumerate(PANS)))
     with pytest.raises(LandmarkNavError, match='0 matches between neighbouring frames'):
-        align_sweep(plain, MOUNT, AlignmentConfig())
+        align_sweep(plain, MOUNT)

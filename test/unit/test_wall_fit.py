@@ -137,7 +137,7 @@ def test_walls_with_few_patches_are_told_too() -> None:
     few = placed(np.array([0.14, 0.15, 0.145]), np.array([0.6, 3.0, 5.0]))
     walls = [0, 0, 0, *[2] * 8]
     check_walls(few, walls, ROOM, AdjustmentConfig(), WallFitConfig())
-    residuals = wall_residuals(few, walls, ROOM, AdjustmentConfig(), WallFitConfig())
+    residuals = wall_residuals(few, walls, ROOM, AdjustmentConfig())
     assert {r.wall_id: r.patches for r in residuals} == {'south': 3, 'north': 8}
     told = doubtful_walls(residuals, 0.01, AdjustmentConfig(), WallFitConfig())
     assert '14.5 cm before south' in told

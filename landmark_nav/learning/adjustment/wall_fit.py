@@ -34,6 +34,14 @@ _FEW = 2
 _SURE = 3.0
 # Of fewer things none can be told to be the odd one.
 _LEAST_THINGS = 3
+# Patches that it takes to refuse a wall, and how far along it they must spread, metres.
+_MIN_PATCHES = 6
+_MIN_EXTENT_M = 1.0
+# What stands farther before or behind a wall, or is less certain, says nothing about it.
+_MAX_DISTANCE_M = 0.2
+_MAX_SIGMA_M = 0.02
+# Distance from one plane that three quarters of the things on a wall keep.
+_MAX_SPREAD_M = 0.025
 
 
 @dataclass(frozen=True)
@@ -48,24 +56,6 @@ class WallFitConfig(Config):
     )
     max_turn_rad: float = parameter(
         0.03, 'greatest angle between patches and their wall', minimum=0, maximum=1
-    )
-    min_patches: int = parameter(
-        6, 'patches that it takes to refuse a wall', minimum=3, maximum=1000
-    )
-    min_extent_m: float = parameter(
-        1.0, 'how far along a wall they must spread, metres', minimum=0, maximum=100
-    )
-    max_distance_m: float = parameter(
-        0.2, 'what stands farther before or behind says nothing', minimum=0, maximum=1
-    )
-    max_spread_m: float = parameter(
-        0.025,
-        'distance from one plane that three quarters of the things on a wall keep',
-        minimum=0,
-        maximum=1,
-    )
-    max_sigma_m: float = parameter(
-        0.02, 'least certain patch that counts, standard deviation', minimum=1e-4, maximum=1
     )
 
 
@@ -99,7 +89,7 @@ def check_walls(
 
     """
     complaints = []
-    for k, on in _judged(free, walls, room, config, config.min_patches):
+    for k, on in _judged(free, walls, room, _MIN_PATCHES):
         things = _things(free, room, k, on, expected.hanging_length_m)
         sigma = float(np.linalg.norm(_shared(free, room, k, on)))
         complaint = _complaint(things, sigma, expected.hanging_sigma_m, int(on.sum()), config)
@@ -137,11 +127,10 @@ def wall_residuals(
     walls: Sequence[int],
     room: Room,
     expected: AdjustmentConfig,
-    config: WallFitConfig,
 ) -> tuple[WallResidual, ...]:
     """Tell how far before their walls patches lie, by all that is known; arguments as above."""
     residuals = []
-    for k, on in _judged(adjustment, walls, room, config, _FEW):
+    for k, on in _judged(adjustment, walls, room, _FEW):
         off = _things(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
         shared = _shared(adjustment, room, k, on)
         residuals.append(
@@ -202,18 +191,18 @@ def doubtful_walls(
 
 
 def _judged(
-    adjustment: Adjustment, walls: Sequence[int], room: Room, config: WallFitConfig, least: int
+    adjustment: Adjustment, walls: Sequence[int], room: Room, least: int
 ) -> Iterator[tuple[int, BoolArray]]:
     """Walls with `least` patches that are far enough apart, and which (n,) these are."""
     index = np.asarray(walls, dtype=np.intp)
     normal = room.normals[index]
     sigma = np.sqrt(np.einsum('ni,nij,nj->n', normal, adjustment.own_covariance, normal))
     # What stands well before the wall is furniture and says nothing about it.
-    tells = (sigma < config.max_sigma_m) & (np.abs(adjustment.off_wall_m) < config.max_distance_m)
+    tells = (sigma < _MAX_SIGMA_M) & (np.abs(adjustment.off_wall_m) < _MAX_DISTANCE_M)
     for k, wall in enumerate(room.walls):
         on = (index == k) & tells
         along = adjustment.positions[on, :2] @ np.subtract(wall.end, wall.start) / wall.length
-        if on.sum() >= least and np.ptp(along) >= config.min_extent_m:
+        if on.sum() >= least and np.ptp(along) >= _MIN_EXTENT_M:
             yield k, on
 
 
@@ -247,7 +236,7 @@ def _complaint(
     slope = _slope(along, off)
     straightened = off - slope * along
     spread = float(np.quantile(np.abs(straightened - np.median(straightened)), 0.75))
-    if spread > config.max_spread_m:
+    if spread > _MAX_SPREAD_M:
         return ''
     apart = np.sqrt(np.sum((along - along.mean()) ** 2))
     turned = np.hypot(hanging_sigma_m / apart, sigma_m / np.ptp(along))

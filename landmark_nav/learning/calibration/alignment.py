@@ -14,26 +14,17 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.calibration.overlap import track_overlaps
 from landmark_nav.learning.calibration.overlap_fit import COMMON, corrected, OverlapProblem
 from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, fit_significant
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import Sweep
 
-__all__ = ['AlignmentConfig', 'SweepAlignment', 'align_sweep']
+__all__ = ['SweepAlignment', 'align_sweep']
 
 _ROUNDS = 2
 _LEAST_PER_FRAME = 6
 
 
-@dataclass(frozen=True)
-class AlignmentConfig(Config):
-    """How far the angles and the focal length may be off."""
-
-    pan_sigma_rad: float = parameter(
-        0.03, 'standard deviation of the given pan angles', minimum=1e-6, maximum=1
-    )
-    tilt_sigma_rad: float = parameter(
-        0.01, 'standard deviation of tilt and roll', minimum=1e-6, maximum=1
-    )
+# How far given angles may be off: of pan, which are estimates, and of tilt and roll.
+_PAN_SIGMA_RAD, _TILT_SIGMA_RAD = 0.03, 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +62,7 @@ class SweepAlignment:
         )
 
 
-def align_sweep(sweep: Sweep, mount: PanTiltMount, config: AlignmentConfig) -> SweepAlignment:
+def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
     """
     Mend pan, tilt and roll of each frame and the common camera.
 
@@ -81,8 +72,6 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount, config: AlignmentConfig) -> S
         Frames that overlap their neighbours.
     mount : PanTiltMount
         Where the camera turns.
-    config : AlignmentConfig
-        Prior standard deviations.
 
     Returns
     -------
@@ -98,7 +87,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount, config: AlignmentConfig) -> S
         raise LandmarkNavError(f'{len(sweep.frames)} frames are too few to align: take a sweep')
     told = sweep = _with_one_camera(sweep)
     camera = told.frames[0].camera
-    sigma = [config.pan_sigma_rad, config.tilt_sigma_rad, config.tilt_sigma_rad]
+    sigma = [_PAN_SIGMA_RAD, _TILT_SIGMA_RAD, _TILT_SIGMA_RAD]
     free = [COMMON.index('focal_length')]
     if camera.model != 'equidistant':
         free.append(COMMON.index('distortion'))
