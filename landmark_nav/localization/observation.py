@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import logging
 
 import numpy as np
@@ -12,14 +12,14 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.worth import most_telling
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization.narrowing import narrowed
-from landmark_nav.localization.triangulation import TriangulationConfig
 from landmark_nav.localization.triangulation.gathering import SightingGatherer
 from landmark_nav.localization.triangulation.model import axis_from_base
-from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.localization.triplet import visible_landmarks
+from landmark_nav.parameters import parameter
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -39,12 +39,9 @@ _AGREE = 3
 
 
 @dataclass(frozen=True)
-class ObservationConfig(Config):
+class ObservationConfig(LookingConfig):
     """Parameters of the stages that look at a picture."""
 
-    triplet: TripletConfig = field(default_factory=TripletConfig)
-    detection: DetectionConfig = field(default_factory=DetectionConfig)
-    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
     turned_sigma_rad: float = parameter(
         0.035,
         'How far a camera may be turned against the base, or tilted, by a knock: where hardly '
@@ -118,12 +115,7 @@ class Observer:
         self._detector = AimedDetector(
             landmark_map, mount, config.detection, config.turned_sigma_rad
         )
-        self._search = RelocalizationConfig(
-            visibility=config.triplet,
-            detection=config.detection,
-            triangulation=config.triangulation,
-            pan_sigma_rad=pan_sigma_rad,
-        )
+        self._search = RelocalizationConfig(pan_sigma_rad=pan_sigma_rad)
         _warn_without_views(landmark_map, config.detection)
         window_s = config.gather_s if config.triplet.views == 'several' else 0.0
         self._window_ns = int(1e9 * window_s)
@@ -231,7 +223,7 @@ class Observer:
     def _narrowed(self, frame: CameraFrame, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """The place near the expected one that a picture shows."""
         aimed = self._detector.aimed(frame)
-        return narrowed(aimed, prior, self._map, self._mount, self._search)
+        return narrowed(aimed, prior, self._map, self._mount, self._search, self._config)
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:
         """Triangulate landmarks that were found elsewhere; what the map lacks is refused."""

@@ -111,7 +111,9 @@ class Localizer:
 
     def _new_search(self) -> Relocalizer:
         config = self._config
-        search = Relocalizer(self._map, self._mount, config.relocalization, config.odometry)
+        search = Relocalizer(
+            self._map, self._mount, config.relocalization, config.odometry, config.observation
+        )
         if self._odometry is not None:
             search.add_odometry(self._odometry)
         return search

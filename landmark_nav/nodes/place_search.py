@@ -18,6 +18,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
@@ -73,6 +74,8 @@ class PlaceSearch:
         Gives the newest fused pose, None where that is too far from a time to tell of it.
     odometry : OdometryNoiseConfig
         How far the odometry is to be trusted.
+    looking : LookingConfig
+        How landmarks are looked for where they are to be expected.
 
     """
 
@@ -84,9 +87,10 @@ class PlaceSearch:
         map_frame: str,
         fused: Callable[[int], PoseEstimate | None],
         odometry: OdometryNoiseConfig,
+        looking: LookingConfig,
     ) -> None:
         self._mount, self._config, self._map_frame = mount, config, map_frame
-        self._fused, self._noise = fused, odometry
+        self._fused, self._noise, self._looking = fused, odometry, looking
         self._moves = False
         self.landmarks = LandmarkMap(())
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
@@ -167,7 +171,7 @@ class PlaceSearch:
         return outcome
 
     def _new_relocalizer(self) -> Relocalizer:
-        return Relocalizer(self.landmarks, self._mount, self._config, self._noise)
+        return Relocalizer(self.landmarks, self._mount, self._config, self._noise, self._looking)
 
     async def _search(self) -> str:
         if not self.landmarks.landmarks:

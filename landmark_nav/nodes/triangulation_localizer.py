@@ -87,6 +87,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._config.map_frame,
             self._prior.recent,
             self._config.odometry,
+            self._config,
         )
         self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)

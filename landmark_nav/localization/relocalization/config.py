@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from landmark_nav.localization.detection import DetectionConfig
-from landmark_nav.localization.triangulation import TriangulationConfig
-from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.parameters import Config, parameter
 
 __all__ = ['RelocalizationConfig']
@@ -59,6 +56,3 @@ class RelocalizationConfig(Config):
     pan_sigma_rad: float = parameter(
         2e-4, 'error of the measured pan, rad', minimum=0.0, maximum=0.1
     )
-    visibility: TripletConfig = field(default_factory=TripletConfig)
-    detection: DetectionConfig = field(default_factory=DetectionConfig)
-    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)

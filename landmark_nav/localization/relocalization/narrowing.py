@@ -15,6 +15,7 @@ from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.hypotheses import propose
 from landmark_nav.localization.relocalization.search import best_place, verified_places
@@ -36,6 +37,7 @@ def narrowed(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: RelocalizationConfig,
+    looking: LookingConfig,
 ) -> PoseEstimate | Refusal:
     """
     Find the one place, of those that a prior allows, which a picture speaks for.
@@ -50,7 +52,7 @@ def narrowed(
         What was learned.
     mount : PanTiltMount
         Where the camera turns.
-    config : RelocalizationConfig
+    config, looking : RelocalizationConfig, LookingConfig
         Parameters.
 
     Returns
@@ -68,6 +70,6 @@ def narrowed(
     distance = np.sum(offset * np.linalg.solve(covariance, offset.T).T, axis=1)
     allowed = poses[distance < chdtri(3, _EXCLUDED)][: config.candidates]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
-    places = verified_places(allowed, still, landmark_map, mount, config)
+    places = verified_places(allowed, still, landmark_map, mount, config, looking)
     best = best_place(places, len(allowed), config)
     return best if isinstance(best, Refusal) else best.estimate

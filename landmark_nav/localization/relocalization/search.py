@@ -16,6 +16,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import transform_points
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.hypotheses import DISTINCT_M, DISTINCT_RAD, propose
 from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
@@ -93,7 +94,7 @@ def relocalize(
     chosen = [frames[k] for k in telling]
     sightings = [find_sightings(f, landmark_map, mount) for f in chosen]
     carried = CarriedFrames(frames[-1].stamp_ns, chosen, poses[telling], drift[telling])
-    return locate(carried, sightings, landmark_map, mount, config)
+    return locate(carried, sightings, landmark_map, mount, config, LookingConfig())
 
 
 def locate(
@@ -102,6 +103,7 @@ def locate(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: RelocalizationConfig,
+    looking: LookingConfig,
 ) -> PoseEstimate | Refusal:
     """Return what `relocalize` does, with the sightings of each frame already at hand."""
     moved = [
@@ -116,7 +118,7 @@ def locate(
     if not len(proposed.poses):
         return Refusal('nothing recognised', 'no two sightings agree on a place')
     places = verified_places(
-        proposed.poses[: config.candidates], carried, landmark_map, mount, config
+        proposed.poses[: config.candidates], carried, landmark_map, mount, config, looking
     )
     return _judged(best_place(places, len(proposed.poses), config), config)
 
@@ -127,6 +129,7 @@ def verified_places(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: RelocalizationConfig,
+    looking: LookingConfig,
 ) -> list[Verification]:
     """Different places that hold of those proposed, (n, 3), the one with most landmarks first."""
     places: list[Verification] = []
@@ -136,9 +139,7 @@ def verified_places(
             carried,
             landmark_map,
             mount,
-            config.visibility,
-            config.detection,
-            config.triangulation,
+            looking,
             config.pan_sigma_rad,
         )
         if isinstance(outcome, Verification) and not _known(outcome, places):

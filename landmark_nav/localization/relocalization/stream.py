@@ -8,6 +8,7 @@ import numpy as np
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import (
     Motion,
     motion_variances,
@@ -76,6 +77,8 @@ class Relocalizer:
         Parameters.
     odometry : OdometryNoiseConfig, optional
         How far the odometry is to be trusted.
+    looking : LookingConfig, optional
+        How landmarks are looked for where they are to be expected.
 
     """
 
@@ -85,10 +88,12 @@ class Relocalizer:
         mount: PanTiltMount,
         config: RelocalizationConfig | None = None,
         odometry: OdometryNoiseConfig | None = None,
+        looking: LookingConfig | None = None,
     ) -> None:
         self._map, self._mount = landmark_map, mount
         self._config = config or RelocalizationConfig()
         self._odometry = odometry or OdometryNoiseConfig()
+        self._looking = looking or LookingConfig()
         self._track = OdometryTrack(self._odometry)
         self._kept: list[_Glimpse] = []
         self._outcome = Refusal('nothing seen yet', 'no picture came')
@@ -145,7 +150,7 @@ class Relocalizer:
             np.vstack([variances, np.zeros(3)])[recent],
         )
         seen = [glimpse.sightings for glimpse in self._kept]
-        outcome = locate(carried, seen, self._map, self._mount, config)
+        outcome = locate(carried, seen, self._map, self._mount, config, self._looking)
         if isinstance(outcome, Refusal):
             self._outcome = outcome
         return outcome

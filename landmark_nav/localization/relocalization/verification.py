@@ -11,10 +11,11 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.detection import detect_landmarks
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
-from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
+from landmark_nav.localization.triplet.visibility import visible_landmarks
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = ['CarriedFrames', 'Verification', 'verify']
@@ -71,9 +72,7 @@ def verify(
     carried: CarriedFrames,
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
-    visibility: TripletConfig,
-    detection: DetectionConfig,
-    triangulation: TriangulationConfig,
+    looking: LookingConfig,
     pan_sigma_rad: float,
 ) -> Verification | Refusal:
     """
@@ -87,7 +86,7 @@ def verify(
         The pictures.
     landmark_map, mount : LandmarkMap, PanTiltMount
         What was learned, where the camera turns.
-    visibility, detection, triangulation : TripletConfig, DetectionConfig, TriangulationConfig
+    looking : LookingConfig
         Parameters of the stages.
     pan_sigma_rad : float
         Error of the measured pan.
@@ -100,8 +99,10 @@ def verify(
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
     for sigmas in _SIGMAS:
         prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
-        found, expected = _look(prior, carried, landmark_map, mount, visibility, detection)
-        fix = _solve(found, prior, carried, landmark_map, mount, triangulation, pan_sigma_rad)
+        found, expected = _look(prior, carried, landmark_map, mount, looking)
+        fix = _solve(
+            found, prior, carried, landmark_map, mount, looking.triangulation, pan_sigma_rad
+        )
         if isinstance(fix, Refusal):
             return fix
         estimate = base_from_axis(fix.at(carried.stamp_ns), mount)
@@ -117,8 +118,7 @@ def _look(
     carried: CarriedFrames,
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
-    visibility: TripletConfig,
-    detection: DetectionConfig,
+    looking: LookingConfig,
 ) -> tuple[_Bearings, int]:
     """Bearings found, and how many landmarks were to be expected."""
     priors = [
@@ -133,7 +133,7 @@ def _look(
     landmarks, frames, asides = [], [], []
     for k, (frame, here) in enumerate(zip(carried.frames, priors, strict=True)):
         index = visible_landmarks(
-            here, landmark_map, frame.camera, mount, frame.pan_rad, frame.tilt_rad, visibility
+            here, landmark_map, frame.camera, mount, frame.pan_rad, frame.tilt_rad, looking.triplet
         )
         axis = axis_from_base(here, mount).pose
         turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
@@ -151,7 +151,9 @@ def _look(
     parts = []
     for k, (frame, here) in enumerate(zip(carried.frames, priors, strict=True)):
         index = landmark[best & (of_frame == k)]
-        seen = detect_landmarks(frame, here, landmark_map, mount, detection, index).detections
+        seen = detect_landmarks(
+            frame, here, landmark_map, mount, looking.detection, index
+        ).detections
         where = landmark_map.indices(seen.ids)
         parts.append(_Bearings(where, np.full(len(seen), k), seen.bearing_rad, seen.variance_rad2))
     return (
