@@ -26,32 +26,15 @@ class RelocalizationConfig(Config):
     min_landmarks: int = parameter(
         6, 'least landmarks that must speak for a place', minimum=4, maximum=1000
     )
-    min_found_share: float = parameter(
-        0.4, 'least share of the landmarks to be expected there', minimum=0.0, maximum=1.0
-    )
-    min_spread_rad: float = parameter(0.6, 'least angle that they span', minimum=0.0, maximum=6.28)
     max_sigma_m: float = parameter(
         0.03, 'largest predicted position sigma (root of the trace), m', minimum=0.0, maximum=10.0
     )
     max_sigma_rad: float = parameter(
         0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
     )
-    max_rival_share: float = parameter(
-        0.5,
-        'most that another place may have, of the landmarks of the best',
-        minimum=0.0,
-        maximum=1.0,
-    )
-    max_drift_m: float = parameter(
-        0.1, 'odometry sigma of a picture that still counts, m', minimum=0.001, maximum=10.0
-    )
-    max_drift_rad: float = parameter(
-        0.1, 'odometry sigma of a picture that still counts, rad', minimum=1e-4, maximum=1.0
-    )
     slip: float = parameter(
         0.04, 'share of way and turn that odometry may be wrong by', minimum=0.0, maximum=1.0
     )
-    max_frames: int = parameter(30, 'pictures that count at a time', minimum=2, maximum=1000)
     candidates: int = parameter(4, 'places that are looked at closely', minimum=2, maximum=100)
     pan_sigma_rad: float = parameter(
         2e-4, 'error of the measured pan, rad', minimum=0.0, maximum=0.1

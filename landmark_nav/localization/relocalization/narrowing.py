@@ -71,5 +71,5 @@ def narrowed(
     allowed = poses[distance < chdtri(3, _EXCLUDED)][: config.candidates]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
     places = verified_places(allowed, still, landmark_map, mount, config, looking)
-    best = best_place(places, len(allowed), config)
+    best = best_place(places, len(allowed))
     return best if isinstance(best, Refusal) else best.estimate

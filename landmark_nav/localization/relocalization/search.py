@@ -35,14 +35,19 @@ __all__ = [
     'verified_places',
 ]
 
+# Least share of the landmarks to be expected at a place that must be found there.
+_MIN_FOUND_SHARE = 0.4
+# Most that another place may have, of the landmarks of the best.
+_MAX_RIVAL_SHARE = 0.5
+# Least angle that the landmarks found span.
+_MIN_SPREAD_RAD = 0.6
+
 
 def relocalize(
     frames: Sequence[CameraFrame],
     poses_last_base: FloatArray,
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
-    config: RelocalizationConfig | None = None,
-    variances: FloatArray | None = None,
 ) -> PoseEstimate | Refusal:
     """
     Find the robot's place without any prior.
@@ -53,15 +58,11 @@ def relocalize(
         Pictures in the order they were taken. What shows nothing new is left aside.
     poses_last_base : ndarray, shape (n, 3)
         By odometry: the base at each picture in the base frame at the last one; zeros for a
-        sweep of a standing robot.
+        sweep of a standing robot. Taken for exact.
     landmark_map : LandmarkMap
         What was learned.
     mount : PanTiltMount
         Where the camera turns.
-    config : RelocalizationConfig, optional
-        Parameters.
-    variances : ndarray, shape (n, 3), optional
-        Of `poses_last_base`, along, across and turning; by default it is exact.
 
     Returns
     -------
@@ -76,16 +77,14 @@ def relocalize(
         No frames, or poses that do not match them.
 
     """
-    config = config or RelocalizationConfig()
     poses = np.asarray(poses_last_base, dtype=np.float64)
-    drift = np.zeros_like(poses) if variances is None else np.asarray(variances, np.float64)
-    if not len(frames) or poses.shape != (len(frames), 3) or drift.shape != poses.shape:
+    if not len(frames) or poses.shape != (len(frames), 3):
         raise LandmarkNavError(
-            f'relocalization: {len(frames)} frames, poses {poses.shape}, variances '
-            f'{drift.shape}: give at least one frame and (n, 3) of each'
+            f'relocalization: {len(frames)} frames, poses {poses.shape}: give at least one '
+            'frame and a pose (3,) of each'
         )
-    if not (np.isfinite(poses).all() and np.isfinite(drift).all()):
-        raise LandmarkNavError('relocalization: a pose or variance is not a number')
+    if not np.isfinite(poses).all():
+        raise LandmarkNavError('relocalization: a pose is not a number')
     directions = np.array([view_direction(frame, mount) for frame in frames])
     telling: list[int] = []
     for k, frame in enumerate(frames):
@@ -93,8 +92,10 @@ def relocalize(
             telling.append(k)
     chosen = [frames[k] for k in telling]
     sightings = [find_sightings(f, landmark_map, mount) for f in chosen]
-    carried = CarriedFrames(frames[-1].stamp_ns, chosen, poses[telling], drift[telling])
-    return locate(carried, sightings, landmark_map, mount, config, LookingConfig())
+    carried = CarriedFrames(
+        frames[-1].stamp_ns, chosen, poses[telling], np.zeros((len(telling), 3))
+    )
+    return locate(carried, sightings, landmark_map, mount, RelocalizationConfig(), LookingConfig())
 
 
 def locate(
@@ -120,7 +121,7 @@ def locate(
     places = verified_places(
         proposed.poses[: config.candidates], carried, landmark_map, mount, config, looking
     )
-    return _judged(best_place(places, len(proposed.poses), config), config)
+    return _judged(best_place(places, len(proposed.poses)), config)
 
 
 def verified_places(
@@ -134,14 +135,7 @@ def verified_places(
     """Different places that hold of those proposed, (n, 3), the one with most landmarks first."""
     places: list[Verification] = []
     for pose in poses:
-        outcome = verify(
-            pose,
-            carried,
-            landmark_map,
-            mount,
-            looking,
-            config.pan_sigma_rad,
-        )
+        outcome = verify(pose, carried, landmark_map, mount, looking, config.pan_sigma_rad)
         if isinstance(outcome, Verification) and not _known(outcome, places):
             places.append(outcome)
     return sorted(places, key=lambda place: -len(place.ids))
@@ -156,9 +150,7 @@ def _known(place: Verification, others: Sequence[Verification]) -> bool:
     )
 
 
-def best_place(
-    places: Sequence[Verification], proposed: int, config: RelocalizationConfig
-) -> Verification | Refusal:
+def best_place(places: Sequence[Verification], proposed: int) -> Verification | Refusal:
     """
     Take the first place if no other comes near it and most of what it should show is found.
 
@@ -168,8 +160,6 @@ def best_place(
         Different places, the one with most landmarks first.
     proposed : int
         How many they were chosen from.
-    config : RelocalizationConfig
-        Parameters.
 
     Returns
     -------
@@ -183,12 +173,12 @@ def best_place(
     best, *others = places
     found = len(best.ids)
     rival = max((len(other.ids) for other in others), default=0)
-    if rival > config.max_rival_share * found:
+    if rival > _MAX_RIVAL_SHARE * found:
         return Refusal(
             'not unique',
             f'{found} landmarks speak for {_where(best)}, {rival} for {_where(others[0])}',
         )
-    if found < config.min_found_share * best.expected:
+    if found < _MIN_FOUND_SHARE * best.expected:
         return Refusal(
             'nothing recognised',
             f'at {_where(best)} only {found} of {best.expected} landmarks are found',
@@ -209,7 +199,7 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> PoseE
     if found < config.min_landmarks:
         return Refusal('too little seen', f'{found} landmarks speak for {where}')
     spread = _span(best.bearing_rad)
-    if spread < config.min_spread_rad:
+    if spread < _MIN_SPREAD_RAD:
         return Refusal(
             'too little seen',
             f'all {found} landmarks lie within {np.degrees(spread):.0f} deg: look around',

@@ -31,7 +31,11 @@ from landmark_nav.types import (
 
 __all__ = ['Relocalizer', 'Unseen']
 
-
+# Odometry sigma of a picture that still counts.
+_MAX_DRIFT_M = 0.1
+_MAX_DRIFT_RAD = 0.1
+# Pictures that count at a time.
+_MAX_FRAMES = 30
 # Odometry older by this is not late: the clock was set back.
 _CLOCK_STEP_NS = 2 * 10**9
 
@@ -127,11 +131,10 @@ class Relocalizer:
         direction = view_direction(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
         # What odometry has carried too far helps no more, nor does what is from another clock.
-        config = self._config
         sure = [
             glimpse.frame.stamp_ns < frame.stamp_ns
-            and max(variance[:2]) < config.max_drift_m**2
-            and variance[2] < config.max_drift_rad**2
+            and max(variance[:2]) < _MAX_DRIFT_M**2
+            and variance[2] < _MAX_DRIFT_RAD**2
             for glimpse, variance in zip(self._kept, variances, strict=True)
         ]
         self._kept = [glimpse for glimpse, keep in zip(self._kept, sure, strict=True) if keep]
@@ -141,7 +144,7 @@ class Relocalizer:
             return self._outcome
         sightings = find_sightings(frame, self._map, self._mount)
         self._kept.append(_Glimpse(frame, direction, sightings))
-        recent = slice(-config.max_frames, None)
+        recent = slice(-_MAX_FRAMES, None)
         self._kept = self._kept[recent]
         carried = CarriedFrames(
             frame.stamp_ns,
@@ -150,7 +153,7 @@ class Relocalizer:
             np.vstack([variances, np.zeros(3)])[recent],
         )
         seen = [glimpse.sightings for glimpse in self._kept]
-        outcome = locate(carried, seen, self._map, self._mount, config, self._looking)
+        outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
         if isinstance(outcome, Refusal):
             self._outcome = outcome
         return outcome
