@@ -34,6 +34,21 @@ def test_a_blurred_picture_shows_landmarks_where_a_sharp_one_does(
     assert np.abs(again.blur_px2.mean(axis=0)).max() < 0.5
 
 
+def test_bearings_in_blurred_pictures_claim_what_they_are_worth() -> None:
+    """What lies around a patch is blurred into it, and moves it more than noise does."""
+    rng = np.random.default_rng(0)
+    squares = []
+    for _ in range(12):
+        pose = HERE + rng.normal(0.0, [0.2, 0.2, 0.05])
+        sharp = draw_frame(SCENE, LENS, MOUNT, pose, 0.05)
+        blurred = replace(sharp, image=cv2.GaussianBlur(sharp.image, (0, 0), 2.5))
+        detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
+        found = detector.detect(blurred, PoseEstimate(0, pose, PRIOR), np.arange(4))
+        squares += (errors_of(found, pose) ** 2 / found.detections.variance_rad2).tolist()
+    assert len(squares) > 36
+    assert 0.1 < np.mean(squares) < 1.0
+
+
 def test_a_blur_that_was_mistaken_hides_nothing_for_long() -> None:
     frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
     detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)

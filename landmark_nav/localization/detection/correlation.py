@@ -47,6 +47,9 @@ from landmark_nav.types import (
 __all__ = ['DetectionResult', 'detect_landmarks']
 
 _SHARP = np.zeros(2)
+# A blur brings in what is around a patch: by so much of its sigma matches are off, beside noise.
+# 0.03 to 0.04 in the study and in simulated rooms, at 1.5 and 3 pixels.
+_BLURRED_IN = 0.04
 _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
 
@@ -121,7 +124,8 @@ def detect_landmarks(
     uv = np.array([f.uv for f in found]).reshape(-1, 2)
     covariance = np.array([f.match.covariance for f in found]).reshape(-1, 2, 2)
     rays = view.camera.unproject(uv[:, None] + _HALF_PIXEL)
-    bearing, variance = _bearings([f.landmark for f in found], rays, covariance, view, config)
+    covariance += np.diag(config.lens_sigma_px**2 + _BLURRED_IN**2 * np.maximum(blur_px2, 0.0))
+    bearing, variance = _bearings([f.landmark for f in found], rays, covariance, view)
     return DetectionResult(
         Detections(
             frame.stamp_ns,
@@ -212,7 +216,6 @@ def _bearings(
     rays: FloatArray,
     covariance: FloatArray,
     view: View,
-    config: DetectionConfig,
 ) -> tuple[FloatArray, FloatArray]:
     """
     Bearings (n,) at the pan axis in the base frame, and their variances (n,).
@@ -230,4 +233,4 @@ def _bearings(
     toward = np.stack([np.cos(azimuth[:, 0]), np.sin(azimuth[:, 0])], -1)
     at_axis = view.center[:2] + reach[:, None] * toward - view.axis
     bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - view.prior.pose[2])
-    return bearing, quadratic(by_uv, covariance + np.eye(2) * config.lens_sigma_px**2)
+    return bearing, quadratic(by_uv, covariance)
