@@ -23,6 +23,11 @@ from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refus
 
 __all__ = ['ElectionConfig', 'elect']
 
+# Greatest misfit of two sightings and a wall, squared; more views may add to it.
+_MAX_CHI_SQUARE = 13.8
+# Share of the correlation between its own views that counts as found.
+_THRESHOLD_SHARE = 0.75
+
 
 @dataclass(frozen=True)
 class ElectionConfig(Config):
@@ -52,20 +57,10 @@ class ElectionConfig(Config):
         minimum=1e-4,
         maximum=1,
     )
-    max_chi_square: float = parameter(
-        13.8,
-        'greatest misfit of two sightings and a wall, squared; more views may add to it',
-        minimum=1,
-        maximum=1000,
-    )
     max_overlap: float = parameter(
         0.4, 'greatest share of a patch that another may cover', minimum=0, maximum=1
     )
     max_count: int = parameter(150, 'most landmarks of a map', minimum=3, maximum=5000)
-    threshold_share: float = parameter(
-        0.75, 'share of the correlation between its own views that counts as found', minimum=0.3,
-        maximum=1,
-    )  # fmt: skip
 
 
 def elect(
@@ -135,7 +130,7 @@ def elect(
             greys[patch.source], room,
             covariance=covariance[k],
             shared_loading=adjustment.shared_loading[k],
-            threshold=float(np.clip(config.threshold_share * score, 0.55, 0.85)),
+            threshold=float(np.clip(_THRESHOLD_SHARE * score, 0.55, 0.85)),
         )  # fmt: skip
         if landmark is None:
             outcomes[k] = Refusal('runs out of its panorama')
@@ -158,7 +153,7 @@ def _refuse(
     config: ElectionConfig,
 ) -> Refusal | None:
     # Two views and a wall leave two numbers more than a place takes; each other view adds two.
-    likelihood = chdtrc(2, config.max_chi_square)
+    likelihood = chdtrc(2, _MAX_CHI_SQUARE)
     most = float(chdtri(2 * len(others), likelihood))
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
     if abs(off_wall) > config.max_off_wall_m or misfit > most:

@@ -22,6 +22,7 @@ from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
+from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import encode
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
@@ -47,12 +48,6 @@ class _Nap:
 class PlaceSearchConfig(RelocalizationConfig):
     """How the place is found, when unasked, and how long a call may take."""
 
-    lost_sigma_m: float = parameter(
-        0.5, 'position sigma (root of the trace) from which the place is searched, m', minimum=0.01
-    )
-    lost_sigma_rad: float = parameter(
-        0.5, 'heading sigma from which the place is searched, rad', minimum=0.01
-    )
     search_s: float = parameter(15.0, 'how long relocalize may look around, s', minimum=0.1)
 
 
@@ -128,16 +123,11 @@ class PlaceSearch:
         if self._asked or not wanted:
             return
         fused = self._fused(stamp_ns)
-        if fused is not None and self._is_known(fused) and not self._unseen.lasts:
+        if fused is not None and is_known(fused) and not self._unseen.lasts:
             self._relocalizer = None
         elif self._relocalizer is None:
             self._odometry.clear()
             self._relocalizer = self._new_relocalizer()
-
-    def _is_known(self, fused: PoseEstimate) -> bool:
-        variance, config = np.diag(fused.covariance), self._config
-        wide = variance[0] + variance[1] > config.lost_sigma_m**2
-        return not (wide or variance[2] > config.lost_sigma_rad**2)
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Keep odometry for the next picture, while one is wanted."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from landmark_nav.localization.triplet import Gaze, TripletConfig
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
-from landmark_nav.localization.triplet.look_around import LookAround, LookAroundConfig
+from landmark_nav.localization.triplet.look_around import is_known, LookAround, LookAroundConfig
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
@@ -176,7 +176,7 @@ class TripletSelectorNode(LandmarkNode):
     def _knows_pose(self, now_s: float) -> bool:
         if self._fused is None or now_s - self._fused_s > _SILENCE_S:
             return False
-        return self._config.look_around.knows(self._fused)
+        return is_known(self._fused)
 
     def _turn_to(self, chosen: Triplet) -> None:
         if self._looks_at is None and time.monotonic() >= self._yield_until:

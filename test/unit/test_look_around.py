@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.localization.triplet.look_around import (
+    is_known,
     LookAround,
     LookAroundConfig,
     views_around,
@@ -79,4 +80,4 @@ def test_the_wait_begins_anew_after_the_pose_was_known() -> None:
 )
 def test_what_counts_as_known(sigma: tuple[float, float, float], known: bool) -> None:
     pose = PoseEstimate(0, np.zeros(3), np.diag(np.square(sigma)))
-    assert LookAroundConfig().knows(pose) is known
+    assert is_known(pose) is known

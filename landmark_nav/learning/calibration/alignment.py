@@ -13,7 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.calibration.overlap import track_overlaps
 from landmark_nav.learning.calibration.overlap_fit import COMMON, corrected, OverlapProblem
-from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, fit_significant
+from landmark_nav.learning.calibration.sweep_calibration import fit_significant
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import Sweep
 
@@ -99,7 +99,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
                 'align them: they need to overlap and to show texture'
             )
         problem = OverlapProblem(overlaps, told, mount)
-        fit, terms = fit_significant(problem, free, sigma, camera, CalibrationConfig())
+        fit, terms = fit_significant(problem, free, sigma, camera)
         sweep, _ = corrected(told, mount, fit.common, fit.frames)
     focal = next(term for term in terms if term.name == 'focal_length')
     scale = 1.0 + focal.value if focal.used else 1.0

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from landmark_nav.geometry.camera import PanTiltMount, rotation_rpy
-from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig
+from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, SIGNIFICANT
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray
 
@@ -32,7 +32,7 @@ def levelled(
         What measurements say of small turns about x and y of the base, [rad], in information form:
         the lean is ``information^-1 score``.
     config : CalibrationConfig
-        What significant means.
+        Whether to use what is found.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def levelled(
         return mount, ()
     covariance = np.linalg.inv(information)
     lean = covariance @ score
-    significant = float(lean @ score) > config.significance**2 and config.enabled
+    significant = float(lean @ score) > SIGNIFICANT**2 and config.enabled
     terms = tuple(
         CalibrationTerm(name, float(value), float(sigma), significant)
         for name, value, sigma in zip(

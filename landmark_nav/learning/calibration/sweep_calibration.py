@@ -16,7 +16,7 @@ A term is used only if it is significant and moves something by a part of a pixe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import FloatArray, Sweep
 
 __all__ = [
+    'SIGNIFICANT',
     'CalibrationConfig',
     'SweepCalibration',
     'calibrate_sweep',
@@ -52,6 +53,12 @@ _ALIKE = 0.3
 # Walls of rooms are about so far away.
 _USUAL_RANGE_M = 3.0
 
+# Standard deviations from which on a term is used.
+SIGNIFICANT = 4.0
+
+# A term that moves nothing by more pixels than this is not used.
+_WORTH_PX = 0.3
+
 # Angles of a single frame of a pan-tilt unit stray so far: encoder steps, a springy head.
 _UNIT_SIGMA_RAD = (5e-4, 2e-4, 2e-4)
 
@@ -61,12 +68,6 @@ class CalibrationConfig(Config):
     """How camera and mount are calibrated out of a sweep."""
 
     enabled: bool = parameter(True, 'whether what is found is used')
-    significance: float = parameter(
-        4.0, 'standard deviations from which on a term is used', minimum=1.0, maximum=100.0
-    )
-    worth_px: float = parameter(
-        0.3, 'a term that moves nothing by more pixels than this is not used', minimum=0.0
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ def calibrate_sweep(
     mount : PanTiltMount
         As ``robot.yaml`` has it.
     config : CalibrationConfig
-        When to believe what is found.
+        Whether to use what is found.
     range_m : callable, optional
         Horizontal distance from the axis of what is seen at azimuths and tangents (n,). With it
         the optical centre's offset is calibrated; without, everything is taken to be as far as
@@ -148,8 +149,11 @@ def calibrate_sweep(
         free.append(_DISTORTION)
     if range_m is not None:
         free += [_FORWARD, _LEFT]
-    fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera, config)
-    common = fit.common if config.enabled else np.zeros(len(COMMON))
+    fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera)
+    common = fit.common
+    if not config.enabled:
+        common = np.zeros(len(COMMON))
+        terms = tuple(replace(term, used=False) for term in terms)
     return SweepCalibration(
         *corrected(sweep, mount, common),
         common,
@@ -172,7 +176,6 @@ def fit_significant(
     free: Sequence[int],
     frame_sigma: Sequence[float],
     camera: CameraModel,
-    config: CalibrationConfig,
 ) -> tuple[Fit, tuple[CalibrationTerm, ...]]:
     """
     Fit, and leave out the least significant term until all that are left are significant.
@@ -187,8 +190,6 @@ def fit_significant(
         How far pan, tilt and roll of a single frame stray, radians.
     camera : CameraModel
         As it is told to be.
-    config : CalibrationConfig
-        What significant means.
 
     """
     free = sorted(free)
@@ -199,8 +200,8 @@ def fit_significant(
         found |= {k: (float(fit.common[k]), float(fit.sigma[k])) for k in free}
         worth = {
             k: min(
-                abs(fit.common[k]) / fit.sigma[k] / config.significance,
-                abs(fit.common[k]) * shift_px[k] / max(config.worth_px, 1e-9),
+                abs(fit.common[k]) / fit.sigma[k] / SIGNIFICANT,
+                abs(fit.common[k]) * shift_px[k] / _WORTH_PX,
             )
             for k in free
         }
@@ -217,8 +218,7 @@ def fit_significant(
         free = [k for k in free if k not in gone]
     if _FOCAL in free and _DISTORTION in free:
         found[_FOCAL] = _effective_focal(fit)
-    used = set(free) if config.enabled else set()
-    return fit, tuple(CalibrationTerm(COMMON[k], *found[k], k in used) for k in sorted(found))
+    return fit, tuple(CalibrationTerm(COMMON[k], *found[k], k in free) for k in sorted(found))
 
 
 def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:

@@ -37,12 +37,6 @@ class StereoConfig(Config):
     before_wall_m: float = parameter(
         0.5, 'how far before the wall a match is searched', minimum=0, maximum=5
     )
-    max_return_px: float = parameter(
-        1.0,
-        'how near to where it came from a match must lead back, pixels',
-        minimum=0.05,
-        maximum=20,
-    )
     max_displaced_px: float = parameter(
         0.7,
         'how far a quarter of a patch may seem out of place between two views, pixels',

@@ -34,6 +34,8 @@ __all__ = ['compare', 'hypothesize', 'match_in']
 # How far places may be wrong, in their sigmas, and where a search on the wall ends.
 _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
+# How near to where it came from a match must lead back.
+_MAX_RETURN_PX = 1.0
 
 
 def hypothesize(
@@ -151,7 +153,7 @@ def compare(
     missed = (back_center + across * right + below * down - patch.position) / patch.texel_m
     # In pixels of the coarser view.
     off = float(np.hypot(missed @ right, missed @ down)) / coarser
-    if off > config.max_return_px:
+    if off > _MAX_RETURN_PX:
         return Refusal('no way back', f'leads {off:.1f} px away')
     displaced = displaced_quarter(template, found) / coarser
     if displaced > config.max_displaced_px:

@@ -28,6 +28,12 @@ from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Fix', 'TriangulationConfig', 'triangulate', 'triangulate_three']
 
+# Chi-square level of the distance from the prior.
+_START_PROBABILITY = 0.9999
+# Least distance of a three-bearing fix from the circle through its landmarks, relative to its
+# radius or to the range (0.075 is 0.15 of the squared radius as power).
+_DANGER_MARGIN = 0.075
+
 
 @dataclass(frozen=True)
 class TriangulationConfig(Config):
@@ -36,21 +42,11 @@ class TriangulationConfig(Config):
     fit_probability: float = parameter(
         0.999, 'Chi-square level up to which bearings count as meeting.', minimum=0.5, maximum=1.0
     )
-    start_probability: float = parameter(
-        0.9999, 'Chi-square level of the distance from the prior.', minimum=0.5, maximum=1.0
-    )
     max_sigma_m: float = parameter(
         0.3, 'Largest predicted position sigma (root of the trace), m.', minimum=0.0, maximum=100.0
     )
     min_range_m: float = parameter(
         0.5, 'Least distance from a landmark, m.', minimum=0.0, maximum=100.0
-    )
-    danger_margin: float = parameter(
-        0.075,
-        'Least distance of a three-bearing fix from the circle through its landmarks, relative to '
-        'its radius or to the range (0.075 is 0.15 of the squared radius as power).',
-        minimum=0.0,
-        maximum=1.0,
     )
 
 
@@ -218,7 +214,7 @@ def _doubt(
         return Refusal('too uncertain', f'position sigma {sigma:.2f} m')
     if len(position) == 3:
         distance, relative = danger_distance(fix.pose[:2], position)
-        if relative < config.danger_margin or distance < 3.0 * sigma:
+        if relative < _DANGER_MARGIN or distance < 3.0 * sigma:
             return Refusal(
                 'danger circle', f'{distance:.2f} m from the circle through the three landmarks'
             )
@@ -227,7 +223,7 @@ def _doubt(
         offset[2] = wrap_rad(offset[2])
         spread = start.covariance + fix.covariance
         distance_sq = float(offset @ np.linalg.solve(spread, offset))
-        if distance_sq > float(chdtri(3, 1.0 - config.start_probability)):
+        if distance_sq > float(chdtri(3, 1.0 - _START_PROBABILITY)):
             return Refusal(
                 'far from the expected place',
                 f'{np.hypot(offset[0], offset[1]):.2f} m and {np.degrees(offset[2]):.1f} deg away',

@@ -9,7 +9,7 @@ import numpy as np
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import PoseEstimate
 
-__all__ = ['LookAround', 'LookAroundConfig', 'views_around']
+__all__ = ['LookAround', 'LookAroundConfig', 'is_known', 'views_around']
 
 # What two views that follow each other share, of their width.
 _OVERLAP = 0.25
@@ -17,6 +17,10 @@ _OVERLAP = 0.25
 _ARRIVED_RAD = 0.03
 # A joint that has not arrived by then, s, is left where it is stuck.
 _PATIENCE_S = 5.0
+
+# Sigmas from which a pose is not known: of the position (root of the trace), of the heading.
+_LOST_SIGMA_M = 0.5
+_LOST_SIGMA_RAD = 0.5
 
 
 @dataclass(frozen=True)
@@ -32,18 +36,14 @@ class LookAroundConfig(Config):
     look_s: float = parameter(
         0.5, 'how long the camera rests at each view, s', minimum=0.0, maximum=60.0
     )
-    lost_sigma_m: float = parameter(
-        0.5, 'position sigma (root of the trace) from which a pose is not known, m', minimum=0.01
-    )
-    lost_sigma_rad: float = parameter(
-        0.5, 'heading sigma from which a pose is not known, rad', minimum=0.01
-    )
 
-    def knows(self, pose: PoseEstimate) -> bool:
-        """Whether a pose is known well enough to tell where to look."""
-        variance = np.diag(pose.covariance)
-        sure = variance[0] + variance[1] <= self.lost_sigma_m**2
-        return bool(sure and variance[2] <= self.lost_sigma_rad**2)
+
+def is_known(pose: PoseEstimate) -> bool:
+    """Whether a pose is known well enough to tell where to look."""
+    variance = np.diag(pose.covariance)
+    return bool(
+        variance[0] + variance[1] <= _LOST_SIGMA_M**2 and variance[2] <= _LOST_SIGMA_RAD**2
+    )
 
 
 def views_around(
