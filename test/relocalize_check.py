@@ -20,17 +20,25 @@ from as_a_user import as_jpeg, learned_room
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.relocalization import relocalize
+from landmark_nav.localization.relocalization import Relocalizer
 from landmark_nav.simulation.furnishing import another_day
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.storage.maps import load_map
-from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, Refusal
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
 
 MAX_ERROR_M = 0.05
 MAX_ERROR_DEG = 1.0
 MIN_RIGHT = 0.98
+PERIOD_NS = 10**8
 
 _CLEARANCE_M = 0.4
 
@@ -52,7 +60,7 @@ class Row:
 
 
 def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> Row:
-    """Place the robot at random, let it look around once, ask where it is."""
+    """Place the robot at random and let it look around, once at most, until it knows its place."""
     rng = np.random.default_rng([seed, 40])
     scene = another_day(generate_scene(seed), rng)
     pans = -np.pi + 2.0 * np.pi * np.arange(frames) / frames
@@ -60,10 +68,16 @@ def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> Row:
     errors, seconds, refused, wrong = [], [], 0, 0
     for pose in free_poses(scene, poses, rng):
         world = world or RobotWorld(scene, pose, seed + 2)
-        sweep = [picture(world, pose, float(pan)) for pan in pans]
-        begin = time.process_time()
-        found = relocalize(sweep, np.zeros((frames, 3)), learned, world.mount)
-        seconds.append(time.process_time() - begin)
+        relocalizer, spent_s = Relocalizer(learned, world.mount), 0.0
+        for k, pan in enumerate(pans):
+            frame = replace(picture(world, pose, float(pan)), stamp_ns=k * PERIOD_NS)
+            begin = time.process_time()
+            relocalizer.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
+            found = relocalizer.add_frame(frame)
+            spent_s += time.process_time() - begin
+            if isinstance(found, PoseEstimate):
+                break
+        seconds.append(spent_s)
         if isinstance(found, Refusal):
             refused += 1
             print(f'room {seed} at {np.round(pose, 2)}: {found}')

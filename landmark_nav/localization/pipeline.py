@@ -15,8 +15,7 @@ from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFil
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
+from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
 from landmark_nav.localization.triplet import Gaze
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.parameters import Config, parameter

@@ -20,8 +20,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
+from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import encode
 from landmark_nav.parameters import parameter

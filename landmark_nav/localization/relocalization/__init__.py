@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
-from landmark_nav.localization.relocalization.search import relocalize
+from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 
-__all__ = ['RelocalizationConfig', 'relocalize']
+__all__ = ['RelocalizationConfig', 'Relocalizer', 'Unseen']

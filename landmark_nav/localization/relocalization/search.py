@@ -12,26 +12,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import transform_points
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.hypotheses import DISTINCT_M, DISTINCT_RAD, propose
-from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
+from landmark_nav.localization.relocalization.sightings import Sightings
 from landmark_nav.localization.relocalization.verification import (
     CarriedFrames,
     Verification,
     verify,
 )
-from landmark_nav.localization.relocalization.views import shows_new, view_direction
-from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = [
     'best_place',
     'locate',
-    'relocalize',
     'verified_places',
 ]
 
@@ -43,61 +40,6 @@ _MAX_RIVAL_SHARE = 0.5
 _MIN_SPREAD_RAD = 0.6
 
 
-def relocalize(
-    frames: Sequence[CameraFrame],
-    poses_last_base: FloatArray,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-) -> PoseEstimate | Refusal:
-    """
-    Find the robot's place without any prior.
-
-    Parameters
-    ----------
-    frames : sequence of CameraFrame, length n
-        Pictures in the order they were taken. What shows nothing new is left aside.
-    poses_last_base : ndarray, shape (n, 3)
-        By odometry: the base at each picture in the base frame at the last one; zeros for a
-        sweep of a standing robot. Taken for exact.
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-
-    Returns
-    -------
-    PoseEstimate or Refusal
-        The base at the stamp of the last picture. ``not unique`` where another place explains
-        what was seen about as well, ``nothing recognised`` where none does, ``too little seen``
-        where the evidence is thin.
-
-    Raises
-    ------
-    LandmarkNavError
-        No frames, or poses that do not match them.
-
-    """
-    poses = np.asarray(poses_last_base, dtype=np.float64)
-    if not len(frames) or poses.shape != (len(frames), 3):
-        raise LandmarkNavError(
-            f'relocalization: {len(frames)} frames, poses {poses.shape}: give at least one '
-            'frame and a pose (3,) of each'
-        )
-    if not np.isfinite(poses).all():
-        raise LandmarkNavError('relocalization: a pose is not a number')
-    directions = np.array([view_direction(frame, mount) for frame in frames])
-    telling: list[int] = []
-    for k, frame in enumerate(frames):
-        if shows_new(frame, directions[k], poses[k], directions[telling], poses[telling]):
-            telling.append(k)
-    chosen = [frames[k] for k in telling]
-    sightings = [find_sightings(f, landmark_map, mount) for f in chosen]
-    carried = CarriedFrames(
-        frames[-1].stamp_ns, chosen, poses[telling], np.zeros((len(telling), 3))
-    )
-    return locate(carried, sightings, landmark_map, mount, RelocalizationConfig(), LookingConfig())
-
-
 def locate(
     carried: CarriedFrames,
     sightings: Sequence[Sightings],
@@ -106,7 +48,30 @@ def locate(
     config: RelocalizationConfig,
     looking: LookingConfig,
 ) -> PoseEstimate | Refusal:
-    """Return what `relocalize` does, with the sightings of each frame already at hand."""
+    """
+    Find the robot's place without any prior.
+
+    Parameters
+    ----------
+    carried : CarriedFrames
+        Pictures, and where odometry has the base at each.
+    sightings : sequence of Sightings
+        What each shows of the map, whatever the place.
+    landmark_map : LandmarkMap
+        What was learned.
+    mount : PanTiltMount
+        Where the camera turns.
+    config, looking : RelocalizationConfig, LookingConfig
+        Parameters.
+
+    Returns
+    -------
+    PoseEstimate or Refusal
+        The base at the stamp of the last picture. ``not unique`` where another place explains
+        what was seen about as well, ``nothing recognised`` where none does, ``too little seen``
+        where the evidence is thin.
+
+    """
     moved = [
         replace(
             seen,
