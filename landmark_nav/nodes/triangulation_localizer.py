@@ -56,7 +56,7 @@ class Parameters(ObservationConfig):
         maximum=1.0,
     )
     max_wait_s: float = parameter(
-        0.15, 'how long a picture waits for joint_states and odometry/fused, s', minimum=0.0
+        0.3, 'how long a picture waits for joint_states and odometry/fused, s', minimum=0.0
     )
     max_age_s: float = parameter(
         0.5, 'a picture that arrives later is not looked at, s', minimum=0.01

@@ -50,6 +50,19 @@ class TestDoubt:
         assert len(update.accepted_ids) == 3
         assert update.degrees == 3
 
+    @pytest.mark.parametrize(('score', 'used'), [(0.99, 3), (0.85, 0)])
+    def test_few_among_many_missing_are_used_where_they_cannot_be_mistaken(
+        self, score: float, used: int
+    ) -> None:
+        """Before a wall whose other pictures were exchanged."""
+        fused = started()
+        moment, _ = run(fused, 40)
+        stamp = moment.odometry.stamp_ns
+        seen = detections(MAP, moment.pose, stamp, [0, 1, 2], SIGMA)
+        missed = np.tile(MAP.ids[3:], 3)
+        update = fused.add_detections(replace(seen, score=np.full(3, score), missed=missed))
+        assert len(update.accepted_ids) == used
+
     def test_unusable_bearings(self) -> None:
         fused = started()
         moment = next(iter(drive(0)))

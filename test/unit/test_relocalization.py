@@ -239,6 +239,24 @@ def test_a_stream_gathers_views_until_they_suffice() -> None:
     assert_right(outcomes[-1], pose.tolist())
 
 
+def test_a_place_found_while_the_camera_turns_has_an_uncertain_heading() -> None:
+    """Joint states that are late make all pictures agree on a wrong one."""
+    relocalizer = Relocalizer(MAP, MOUNT)
+    pose = np.array([2.4, 1.9, 0.4])
+    relocalizer.add_odometry(OdometrySample(0, np.zeros(3)))
+    relocalizer.add_odometry(OdometrySample(10**9, np.zeros(3)))
+    rate, outcome = 1.5, Refusal('nothing seen yet')
+    for frame in sweep(SCENE, pose.tolist()):
+        outcome = relocalizer.add_frame(replace(frame, pan_rate_rad_s=rate))
+        if isinstance(outcome, PoseEstimate):
+            break
+    assert_right(outcome, pose.tolist())
+    assert isinstance(outcome, PoseEstimate)
+    sigma = np.sqrt(np.diag(outcome.covariance))
+    assert sigma[2] == pytest.approx(0.1 * rate, rel=0.01)
+    assert sigma[0] < 0.03
+
+
 def test_a_stream_that_shows_the_same_again_gives_the_same_answer() -> None:
     relocalizer = Relocalizer(MAP, MOUNT)
     dark = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)

@@ -174,7 +174,7 @@ class PoseFilter:
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         if not len(frame.columns):
             refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
-        elif self._health.too_few(len(frame.columns), expected):
+        elif self._health.too_few(frame.scores, expected):
             refusal = Refusal('too few found', f'{len(frame.columns)} of {expected} landmarks')
         if refusal is not None:
             self._health.note(refusal)

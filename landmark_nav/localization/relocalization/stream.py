@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,8 @@ _MAX_DRIFT_M = 0.1
 _MAX_DRIFT_RAD = 0.1
 # Pictures that count at a time.
 _MAX_FRAMES = 30
+# Sigma of a delay of the joints that nothing has measured yet.
+_DELAY_SIGMA_S = 0.1
 # Odometry older by this is not late: the clock was set back.
 _CLOCK_STEP_NS = 2 * 10**9
 
@@ -156,7 +159,12 @@ class Relocalizer:
         outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
         if isinstance(outcome, Refusal):
             self._outcome = outcome
-        return outcome
+            return outcome
+        # Pictures whose pan is late by the same time agree on a wrong heading.
+        squared = np.square([glimpse.frame.pan_rate_rad_s for glimpse in self._kept])
+        doubt = _DELAY_SIGMA_S**2 * float(max(squared[-1], squared.mean()))
+        covariance = outcome.covariance + np.diag([0.0, 0.0, doubt])
+        return replace(outcome, covariance=covariance)
 
     def moved_on(self, found: PoseEstimate) -> PoseEstimate:
         """Carry a place along to the time of the newest odometry."""
