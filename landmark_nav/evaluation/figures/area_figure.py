@@ -16,6 +16,7 @@ import numpy.typing as npt
 from landmark_nav.evaluation.figures.strips import caption, show
 from landmark_nav.evaluation.figures.style import (
     draw_papers,
+    draw_sweep_places,
     draw_walls,
     FIX,
     FUSED,
@@ -178,14 +179,7 @@ def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:
     axes.set_anchor('NE')
     draw_papers(axes, room.papers)
     axes.plot(*landmarks.positions[:, :2].T, '.', color=LANDMARK, markersize=6, zorder=4)
-    names = 'LR' if len(landmarks.panorama_poses) <= 2 else '123456789'
-    for name, place in zip(names, landmarks.panorama_poses, strict=False):
-        x, y = place.pose[:2]
-        axes.plot(x, y, '^', color=FUSED, markersize=13, zorder=6)
-        axes.annotate(
-            name, (x, y), (10, 6), textcoords='offset points', color=FUSED, weight='bold',
-            fontsize=15,
-        )  # fmt: skip
+    draw_sweep_places(axes, [place.pose[:2] for place in landmarks.panorama_poses])
     counts = Counter(k.wall_id for k in landmarks.landmarks)
     for wall, normal in zip(room.walls, room.normals, strict=True):
         x, y = 0.5 * np.add(wall.start, wall.end)

@@ -14,6 +14,7 @@ from landmark_nav.evaluation.figures.style import (
     add_ellipse,
     CANDIDATE,
     draw_papers,
+    draw_sweep_places,
     draw_walls,
     FUSED,
     LANDMARK,
@@ -120,13 +121,7 @@ def _draw_plan(
     draw_papers(axes, room.papers)
     landmarks = result.map
     axes.plot(*landmarks.positions[~shown, :2].T, '.', color=LANDMARK, alpha=0.35, zorder=4)
-    for name, panorama in zip('LR', result.panoramas, strict=False):
-        x, y = panorama.center_map[:2]
-        axes.plot(x, y, '^', color=FUSED, markersize=10, zorder=6)
-        axes.annotate(
-            name, (x, y), (9, 6), textcoords='offset points', color=FUSED, weight='bold',
-            fontsize=13,
-        )  # fmt: skip
+    draw_sweep_places(axes, [panorama.center_map[:2] for panorama in result.panoramas])
     eye = result.panoramas[0].center_map[:2]
     for k in np.flatnonzero(shown):
         landmark = landmarks.landmarks[k]

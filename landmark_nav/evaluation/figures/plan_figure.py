@@ -6,7 +6,6 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
 import numpy as np
 import numpy.typing as npt
 
@@ -14,6 +13,7 @@ from landmark_nav.evaluation.figures.style import (
     draw_papers,
     draw_walls,
     FUSED,
+    HALO,
     legend_beside,
     new_figure,
     ODOMETRY,
@@ -26,7 +26,6 @@ from landmark_nav.types import FloatArray
 __all__ = ['draw_plan']
 
 _MARGIN_M = 0.35
-_HALO = [withStroke(linewidth=2.5, foreground='white')]
 
 
 def draw_plan(plan: Plan, room: Room, path: Path) -> None:
@@ -116,11 +115,11 @@ def _draw_headings(axes: Axes, forecast: Forecast) -> None:
     """Where the base looks at each place, and the number of the place at its back."""
     for number, (x, y, heading) in enumerate(forecast.poses_map_base, 1):
         ahead = np.array([np.cos(heading), np.sin(heading)])
-        arrow = {'arrowstyle': '->', 'color': FUSED, 'path_effects': _HALO}
+        arrow = {'arrowstyle': '->', 'color': FUSED, 'path_effects': HALO}
         axes.annotate('', 0.45 * ahead + [x, y], (x, y), arrowprops=arrow, zorder=6)
         axes.annotate(
             str(number), (x, y), tuple(-13.0 * ahead), textcoords='offset points', ha='center',
-            va='center', color=FUSED, path_effects=_HALO, weight='bold', zorder=8,
+            va='center', color=FUSED, path_effects=HALO, weight='bold', zorder=8,
         )  # fmt: skip
 
 

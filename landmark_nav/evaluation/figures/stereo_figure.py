@@ -11,14 +11,15 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
-from matplotlib.patheffects import withStroke
 import numpy as np
 
 from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip
 from landmark_nav.evaluation.figures.style import (
     CANDIDATE,
+    draw_sweep_places,
     draw_walls,
     FUSED,
+    HALO,
     LANDMARK,
     new_figure,
     save,
@@ -38,7 +39,6 @@ _CELL_M = 0.02
 # Standard deviation of a match, a usual one, as a share of a column.
 _MATCH_PX = 0.1
 _LEVELS_MM = (2.0, 3.0, 5.0, 10.0, 20.0, 50.0)
-_HALO = [withStroke(linewidth=3.0, foreground='white')]
 
 
 def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
@@ -180,16 +180,14 @@ def _draw_rays(
         aside *= np.sign(aside @ (center - other)) or 1.0
         axes.annotate(
             f'd = {np.hypot(*(center - point)):.2f} m', tuple(0.5 * (center + point)),
-            tuple(5.0 * aside), textcoords='offset points', fontsize=9, path_effects=_HALO,
+            tuple(5.0 * aside), textcoords='offset points', fontsize=9, path_effects=HALO,
             ha=('right', 'center', 'left')[round(aside[0]) + 1],
             va=('top', 'center', 'bottom')[round(aside[1]) + 1],
         )  # fmt: skip
     axes.plot(*point, 'o', color=LANDMARK)
     inward = centers.mean(axis=0) - point
     at = point + 0.5 * inward / np.hypot(*inward)
-    axes.annotate(
-        'a', (at[0], at[1]), ha='center', va='center', style='italic', path_effects=_HALO
-    )
+    axes.annotate('a', (at[0], at[1]), ha='center', va='center', style='italic', path_effects=HALO)
     axes.plot(*centers.T, ':', color=FUSED)
 
 
@@ -220,12 +218,7 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
     bar.set_label('standard deviation of a landmark from two rays [mm]')
     centers = np.array([p.center_map[:2] for p in pair])
     axes.plot(*centers.T, '--', color='white', zorder=3)
-    for name, center in zip(_NAMES, centers, strict=True):
-        axes.plot(*center, '^', color=FUSED, markersize=11, markeredgecolor='white', zorder=5)
-        axes.annotate(
-            name, center, (9, 6), textcoords='offset points', color=FUSED, weight='bold',
-            path_effects=_HALO, zorder=6,
-        )  # fmt: skip
+    draw_sweep_places(axes, centers)
     along = centers[1] - centers[0]
     side = (cells - centers[0]) @ np.array([-along[1], along[0]])
     for letter, half in (('R', side > 0.0), ('S', side < 0.0)):
@@ -234,7 +227,7 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
             best = good & (sigma <= 1.3 * np.nanmin(sigma[good]))
             axes.annotate(
                 f'area {letter}', cells[best].mean(axis=0), ha='center', va='center', fontsize=16,
-                weight='bold', path_effects=_HALO, zorder=6,
+                weight='bold', path_effects=HALO, zorder=6,
             )  # fmt: skip
     axes.plot(*result.map.positions[:, :2].T, '.', color=LANDMARK, markersize=7, zorder=4)
     axes.set_title('areas R and S have the least uncertainty; dots: landmarks learned')

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from matplotlib.patheffects import withStroke
 import numpy as np
 
 from landmark_nav.geometry.paper_colors import paper_bgr
@@ -22,12 +23,14 @@ __all__ = [
     'DPI',
     'FIX',
     'FUSED',
+    'HALO',
     'LANDMARK',
     'ODOMETRY',
     'SMOOTHED',
     'TRUTH',
     'add_ellipse',
     'draw_papers',
+    'draw_sweep_places',
     'draw_walls',
     'legend_beside',
     'new_figure',
@@ -45,6 +48,8 @@ CANDIDATE = '#e69f00'
 SMOOTHED = '#cc79a7'
 WALL = '#555555'
 GRID = '#dddddd'
+# Around what is written over a drawing.
+HALO = (withStroke(linewidth=3.0, foreground='white'),)
 
 DPI = 130
 
@@ -117,6 +122,18 @@ def draw_papers(axes: Axes, papers: Iterable[Paper]) -> None:
     for paper in papers:
         blue, green, red = (part / 255.0 for part in paper_bgr(paper.color))
         axes.plot(*paper.center[:2], 's', color=(red, green, blue), markersize=7, zorder=5)
+
+
+def draw_sweep_places(axes: Axes, places_xy: Iterable[FloatArray]) -> None:
+    """Where sweeps were taken: left and right, as in stereo, or numbers where there are more."""
+    places = list(places_xy)
+    names = 'LR' if len(places) <= 2 else [str(number) for number in range(1, len(places) + 1)]
+    for name, (x, y) in zip(names, places, strict=False):
+        axes.plot(x, y, '^', color=FUSED, markersize=11, markeredgecolor='white', zorder=5)
+        axes.annotate(
+            name, (x, y), (9, 6), textcoords='offset points', color=FUSED, weight='bold',
+            fontsize=13, path_effects=HALO, zorder=6,
+        )  # fmt: skip
 
 
 def add_ellipse(
