@@ -36,6 +36,9 @@ _LOG = logging.getLogger(__name__)
 
 # So many landmarks have a say against a pose that is hardly known.
 _AGREE = 3
+# After so many pictures in a row that showed no place near the expected one each so many-th is
+# searched for it: that takes a tenth of a second.
+_EAGER, _PATIENT = 5, 3
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,7 @@ class Observer:
         self._search = RelocalizationConfig(pan_sigma_rad=pan_sigma_rad)
         _warn_without_views(landmark_map, config.detection)
         window_s = config.gather_s if config.triplet.views == 'several' else 0.0
+        self._vain = 0
         self._window_ns = int(1e9 * window_s)
         self._gatherer = SightingGatherer(
             landmark_map,
@@ -173,6 +177,7 @@ class Observer:
         if wide:
             place = self._narrowed(frame, prior)
             looked_from = prior if isinstance(place, Refusal) else place
+        self._vain = self._vain + 1 if wide and looked_from is prior else 0
         expected = visible_landmarks(
             looked_from,
             self._map,
@@ -221,7 +226,9 @@ class Observer:
         return bool(x + y > config.wide_sigma_m**2 or heading > config.wide_sigma_rad**2)
 
     def _narrowed(self, frame: CameraFrame, prior: PoseEstimate) -> PoseEstimate | Refusal:
-        """The place near the expected one that a picture shows."""
+        """The place near the expected one that a picture shows; now and then if it is in vain."""
+        if self._vain > _EAGER and self._vain % _PATIENT:
+            return Refusal('nothing recognised', 'neither in the pictures before')
         aimed = self._detector.aimed(frame)
         return narrowed(aimed, prior, self._map, self._mount, self._search, self._config)
 

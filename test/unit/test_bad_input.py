@@ -8,6 +8,7 @@ The start, the place, the map and what hangs on the walls; `test_bad_odometry` a
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import fusion_drives
 import numpy as np
@@ -24,11 +25,13 @@ from spoiled_drives import (
 )
 
 from landmark_nav.geometry import se2
+from landmark_nav.localization import observation
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.types import CameraFrame, PoseEstimate
+from landmark_nav.localization.relocalization.narrowing import narrowed
+from landmark_nav.types import CameraFrame, PoseEstimate, Refusal
 
 
 def test_without_faults_it_tracks(sensed: list[Sensed]) -> None:
@@ -131,7 +134,16 @@ def test_a_covered_lens_is_told_and_forgotten_when_free(sensed: list[Sensed]) ->
     check_honest(moments)
 
 
-def test_a_map_of_another_room_is_not_believed(sensed: list[Sensed]) -> None:
+def test_a_map_of_another_room_is_not_believed(
+    sensed: list[Sensed], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[PoseEstimate | Refusal] = []
+
+    def counted(*arguments: Any) -> PoseEstimate | Refusal:
+        tried.append(narrowed(*arguments))
+        return tried[-1]
+
+    monkeypatch.setattr(observation, 'narrowed', counted)
     rng = np.random.default_rng(0)
     patches = [np.ascontiguousarray(k.patch[::-1, ::-1]) for k in MAP.landmarks]
     landmarks = tuple(
@@ -141,6 +153,9 @@ def test_a_map_of_another_room_is_not_believed(sensed: list[Sensed]) -> None:
     moments = list(run(sensed, untouched, landmarks=replace(MAP, landmarks=landmarks)))
     assert all(m.status == 'lost' for m in moments if m.after_s + FAULT_S >= 2.0)
     assert not any(isinstance(m.update.search, PoseEstimate) for m in moments)
+    # What is in vain is not tried with each picture.
+    assert not any(isinstance(place, PoseEstimate) for place in tried)
+    assert 5 < len(tried) < 0.6 * sum(m.status == 'lost' for m in moments)
 
 
 def test_a_covered_and_an_exchanged_landmark_do_no_harm(sensed: list[Sensed]) -> None:
