@@ -16,7 +16,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import adjust, AdjustmentConfig, told_by_sizes
+from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig, told_by_sizes
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     doubtful_walls,
@@ -29,7 +29,7 @@ from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
-from landmark_nav.learning.stereo.found_again import find_again
+from landmark_nav.learning.stereo.found_again import find_again, Found
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
@@ -132,36 +132,15 @@ def learn_from_panoramas(
 
     with log.measure('stereo'):
         found = find_again(panoramas, candidates, greys, room, config.stereo)
-    patches, sightings, outcomes = found.patches, found.sightings, found.outcomes
-    if len(patches) < 3:
+    outcomes = found.outcomes
+    if len(found.patches) < 3:
         raise LandmarkNavError(
-            f'{len(patches)} of {sum(map(len, candidates))} candidates were found again from '
-            f'another place ({_reasons(outcomes)}): take panoramas 1 to 3 m apart that see the '
-            'same textured walls, and check room.yaml'
+            f'{len(found.patches)} of {sum(map(len, candidates))} candidates were found again '
+            f'from another place ({_reasons(outcomes)}): take panoramas 1 to 3 m apart that see '
+            'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        start = np.array([patch.position for patch in patches])
-        walls = [patch.wall for patch in patches]
-        without_walls = replace(
-            config.adjustment,
-            relief_sigma_m=_NO_WALL_M,
-            camera_weight=_AS_EXPECTED,
-            place_weight=_AS_EXPECTED,
-            room_weight=_AS_EXPECTED,
-        )
-        places = joint_covariance(panoramas, room, config.reference_area)
-        free = adjust(sightings, walls, start, panoramas, places, room, without_walls)
-        check_walls(free, walls, room, config.adjustment, config.wall_fit)
-        adjustment = adjust(sightings, walls, start, panoramas, places, room, config.adjustment)
-        residuals = wall_residuals(adjustment, walls, room, config.adjustment)
-        adjustment, free = told_by_sizes(
-            adjustment,
-            free,
-            sightings,
-            room.normals[walls],
-            config.adjustment,
-            config.election.max_depth_sigma_m,
-        )
+        adjustment, free, residuals = _adjusted(found, panoramas, room, config)
     doubt = doubtful_walls(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
     )
@@ -175,7 +154,14 @@ def learn_from_panoramas(
     )
     with log.measure('election'):
         elected = elect(
-            patches, sightings, adjustment, free, adjusted, greys, room, config.election
+            found.patches,
+            found.sightings,
+            adjustment,
+            free,
+            adjusted,
+            greys,
+            room,
+            config.election,
         )
     for (i, n), outcome in zip(found.origin, elected, strict=True):
         outcomes[i][n] = outcome
@@ -198,11 +184,40 @@ def learn_from_panoramas(
         adjusted,
         candidates,
         tuple(tuple(o) for o in outcomes),
-        len(patches),
+        len(found.patches),
         tuple(tuple(why for _, why in a.refused) for a in attended),
         residuals,
         doubt,
     )
+
+
+def _adjusted(
+    found: Found, panoramas: Sequence[Panorama], room: Room, config: LearningConfig
+) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...]]:
+    """Adjust with the walls and without; how far before each wall things lie."""
+    walls = [patch.wall for patch in found.patches]
+    start = np.array([patch.position for patch in found.patches])
+    places = joint_covariance(panoramas, room, config.reference_area)
+    without_walls = replace(
+        config.adjustment,
+        relief_sigma_m=_NO_WALL_M,
+        camera_weight=_AS_EXPECTED,
+        place_weight=_AS_EXPECTED,
+        room_weight=_AS_EXPECTED,
+    )
+    free = adjust(found.sightings, walls, start, panoramas, places, room, without_walls)
+    check_walls(free, walls, room, config.adjustment, config.wall_fit)
+    adjustment = adjust(found.sightings, walls, start, panoramas, places, room, config.adjustment)
+    residuals = wall_residuals(adjustment, walls, room, config.adjustment)
+    adjustment, free = told_by_sizes(
+        adjustment,
+        free,
+        found.sightings,
+        room.normals[walls],
+        config.adjustment,
+        config.election.max_depth_sigma_m,
+    )
+    return adjustment, free, residuals
 
 
 def _check(panoramas: Sequence[Panorama]) -> None:

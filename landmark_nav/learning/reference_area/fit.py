@@ -191,11 +191,12 @@ class PaperFitter:
                 )
         if not tried.any():
             return None
-        *known, by_gamma = (np.concatenate(c) for c in zip(*columns, strict=True))
+        paper, frame, edge, along, bright, points, normal, offset, sigma, by_gamma = (
+            np.concatenate(column) for column in zip(*columns, strict=True)
+        )
         # Noise moves an edge and its slope alike: each slope by itself would bend gamma.
-        _, group = np.unique(known[0] * 8 + known[2] * 2 + known[4], return_inverse=True)
+        _, group = np.unique(paper * 8 + edge * 2 + bright, return_inverse=True)
         by_gamma = (np.bincount(group, by_gamma) / np.bincount(group))[group]
-        paper, frame, edge, along, bright, points, normal, offset, sigma = known
         return _Measured(
             paper,
             frame,
@@ -269,30 +270,40 @@ class PaperFitter:
         usual[:3] = state[:3]
         chi = np.sum(weight * left**2) + np.sum(prior * (state - usual) ** 2)
         misfit = float(chi / max(1.0, np.sum(weight * m.sigma_px**2) - 3.0))
-        by_color = m.bright == 0
-        found = np.bincount(m.paper[by_color], minlength=model.papers)
-        agreed = by_color & (doubtful < _SURELY_WRONG)
-        order, tilt = [0, 1, 3, 2], slice(4, 6)
-        claimed = covariance * max(1.0, misfit)
-        fit = PaperFit(
-            state[:3].copy(),
-            float(state[RISE]),
-            claimed[np.ix_(order, order)],
-            found / np.maximum(m.tried, 1),
-            np.bincount(m.paper[agreed], minlength=model.papers) / np.maximum(found, 1),
-            model.hang(state).copy(),
-            state[tilt].copy(),
-            claimed[tilt, tilt],
-            float(state[SIZE]),
-            float(np.sqrt(claimed[SIZE, SIZE])),
-            misfit,
-        )
+        fit = self._agreement(m, doubtful, state, covariance * max(1.0, misfit), misfit)
         # The sweep itself tells how exact its joint angles are (expectation maximization).
         used = np.unique(m.frame)
         left_over = model.angles(state)[used] ** 2 + model.angles(np.diag(covariance))[used]
         trusted = _TRUSTED_FRAMES * self._config.pan_sigma_rad**2
         spread = (trusted + left_over.sum(axis=0)) / (_TRUSTED_FRAMES + len(used))
         return state, np.sqrt(spread), fit
+
+    def _agreement(
+        self,
+        m: _Measured,
+        doubtful: FloatArray,
+        state: FloatArray,
+        covariance: FloatArray,
+        misfit: float,
+    ) -> PaperFit:
+        """What a solution tells; `doubtful` (n,) are the squared deviations of the edges."""
+        model, by_color = self._model, m.bright == 0
+        found = np.bincount(m.paper[by_color], minlength=model.papers)
+        agreed = by_color & (doubtful < _SURELY_WRONG)
+        order, tilt = [0, 1, 3, 2], slice(4, 6)
+        return PaperFit(
+            state[:3].copy(),
+            float(state[RISE]),
+            covariance[np.ix_(order, order)],
+            found / np.maximum(m.tried, 1),
+            np.bincount(m.paper[agreed], minlength=model.papers) / np.maximum(found, 1),
+            model.hang(state).copy(),
+            state[tilt].copy(),
+            covariance[tilt, tilt],
+            float(state[SIZE]),
+            float(np.sqrt(covariance[SIZE, SIZE])),
+            misfit,
+        )
 
 
 def _off_the_corners(points: FloatArray, pixels: FloatArray) -> FloatArray:
