@@ -12,12 +12,11 @@ import math
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.types import FloatArray, Refusal
 
 __all__ = [
-    'Float32Image',
     'Match',
     'blur_by',
     'blur_sigmas',
@@ -26,7 +25,6 @@ __all__ = [
     'sigmas_of',
 ]
 
-Float32Image = npt.NDArray[np.float32]
 Pair = tuple[float, float] | FloatArray
 
 # Bilinear interpolation of raw pixels pulls the optimum towards whole pixels; this blur of both
@@ -65,8 +63,8 @@ class Match:
 
 
 def match_template(
-    search: Float32Image,
-    template: Float32Image,
+    search: Float32Array,
+    template: Float32Array,
     *,
     min_score: float = 0.7,
     max_second_ratio: float = 0.9,
@@ -124,7 +122,7 @@ def match_template(
     return Match(center, covariance, max(float(score), fine_score), second, blur_px2)
 
 
-def blur_to(image: Float32Image, step: Pair, own_step: Pair = (1.0, 1.0)) -> Float32Image:
+def blur_to(image: Float32Array, step: Pair, own_step: Pair = (1.0, 1.0)) -> Float32Array:
     """
     Blur an image that resolves `own_step` pixels to one that resolves `step`, across and down.
 
@@ -133,7 +131,7 @@ def blur_to(image: Float32Image, step: Pair, own_step: Pair = (1.0, 1.0)) -> Flo
     return blur_by(image, blur_sigmas(step, own_step))
 
 
-def blur_by(image: Float32Image, sigmas: Pair) -> Float32Image:
+def blur_by(image: Float32Array, sigmas: Pair) -> Float32Array:
     """Blur an image by Gaussian sigmas across and down, pixels; where both are 0, not at all."""
     across, down = sigmas
     if max(across, down) == 0.0:
@@ -156,11 +154,11 @@ def sigmas_of(across_px2: float, down_px2: float) -> tuple[float, float]:
     return (across, down) if max(across, down) >= _LEAST_BLUR_PX else (0.0, 0.0)
 
 
-def _smooth(image: Float32Image) -> Float32Image:
+def _smooth(image: Float32Array) -> Float32Array:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), dtype=np.float32)
 
 
-def _second_peak(scores: Float32Image, column: int, row: int, shape: tuple[int, ...]) -> float:
+def _second_peak(scores: Float32Array, column: int, row: int, shape: tuple[int, ...]) -> float:
     """Best score away from the peak by more than a fifth of the template."""
     away_x, away_y = max(3, shape[1] // 5), max(3, shape[0] // 5)
     rows, columns = scores.shape
@@ -175,7 +173,7 @@ def _second_peak(scores: Float32Image, column: int, row: int, shape: tuple[int, 
     return float(np.max(scores[inner], where=is_peak[inner], initial=-1.0))
 
 
-def _parabola_peak(scores: Float32Image, column: int, row: int) -> tuple[float, float]:
+def _parabola_peak(scores: Float32Array, column: int, row: int) -> tuple[float, float]:
     """Where parabolas through the peak of the scores and its neighbours are highest."""
     top = float(scores[row, column])
     left, right = float(scores[row, column - 1]), float(scores[row, column + 1])
@@ -188,7 +186,7 @@ def _parabola_peak(scores: Float32Image, column: int, row: int) -> tuple[float, 
 
 
 def _align(
-    search: Float32Image, template: Float32Image, column: float, row: float, search_blur: Pair
+    search: Float32Array, template: Float32Array, column: float, row: float, search_blur: Pair
 ) -> tuple[FloatArray, FloatArray, float, FloatArray] | None:
     """
     Centre (2,) of the template in the search image, its covariance, the correlation there.
@@ -273,7 +271,7 @@ def _further_blur(normal: list[list[float]], seen: list[float]) -> FloatArray:
     return np.array([(yy * x - xy * y) / half, (xx * y - xy * x) / half])
 
 
-def _noise_passed(gradients: Float32Image, center: Pair, search_blur: Pair) -> FloatArray:
+def _noise_passed(gradients: Float32Array, center: Pair, search_blur: Pair) -> FloatArray:
     """``G B B^T G^T`` (2, 2) over the sum of the squares of B's kernel; gradients (2, h, w)."""
     height, width = gradients.shape[1:]
     x, y = center[0] - 0.5 * (width - 1), center[1] - 0.5 * (height - 1)
@@ -290,7 +288,7 @@ def _noise_passed(gradients: Float32Image, center: Pair, search_blur: Pair) -> F
 
 
 @lru_cache(maxsize=1024)
-def _kernel(blur_px: float, fraction: float) -> tuple[Float32Image, float]:
+def _kernel(blur_px: float, fraction: float) -> tuple[Float32Array, float]:
     """
     Blur, here and before, and interpolation at a fraction of a pixel, one after the other.
 

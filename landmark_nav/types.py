@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import FloatArray, ImageArray
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import PatchView
@@ -34,9 +35,6 @@ __all__ = [
     'Sweep',
     'Triplet',
 ]
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

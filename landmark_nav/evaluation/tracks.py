@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.geometry import se2
 from landmark_nav.types import FloatArray
 
 __all__ = ['PoseTrack']
-
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

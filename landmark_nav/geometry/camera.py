@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 
 __all__ = ['CameraModel', 'PanTiltMount', 'rotation_rpy']
 
-FloatArray = npt.NDArray[np.float64]
 
 # How many distortion coefficients each ROS distortion model carries.
 _COEFFICIENTS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4}

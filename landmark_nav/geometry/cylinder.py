@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ['Cylinder']
+from landmark_nav.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
+__all__ = ['Cylinder']
 
 
 @dataclass(frozen=True)

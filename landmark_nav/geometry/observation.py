@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ['observed_well', 'relative_sampling']
+from landmark_nav.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
+__all__ = ['observed_well', 'relative_sampling']
 
 
 def relative_sampling(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ['PatchView', 'patch_axes', 'rays_to_patch']
+from landmark_nav.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
+__all__ = ['PatchView', 'patch_axes', 'rays_to_patch']
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.angles import wrap_rad
 
 __all__ = ['compose', 'compose_jacobians', 'inverse', 'relative', 'rotation', 'transform_points']
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def rotation(theta_rad: npt.ArrayLike) -> FloatArray:

@@ -8,12 +8,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.errors import LandmarkNavError
 
 __all__ = ['Paper', 'Room', 'Wall']
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.intp]
 
 # A point on a wall is seen past that wall: what hangs on it may be so far off.
 _SLACK_M = 0.08
@@ -135,7 +134,7 @@ class Room:
 
     def raycast(
         self, origin_xy: npt.ArrayLike, azimuth_rad: npt.ArrayLike
-    ) -> tuple[FloatArray, IntArray]:
+    ) -> tuple[FloatArray, IndexArray]:
         """
         Horizontal distance to the first wall along rays.
 
@@ -187,7 +186,7 @@ class Room:
         crosses = ((a[:, 1] > y) != (b[:, 1] > y)) & (x < x_cross)
         return np.asarray(np.sum(crosses, axis=-1) % 2 == 1)
 
-    def nearest_wall(self, points_xy: npt.ArrayLike) -> IntArray:
+    def nearest_wall(self, points_xy: npt.ArrayLike) -> IndexArray:
         """Index of the wall nearest to points (..., 2)."""
         return np.asarray(np.argmin(self.wall_distances(points_xy), -1))
 

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.observation import relative_sampling
 from landmark_nav.geometry.patches import patch_axes, PatchView
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
-from landmark_nav.learning.stereo.wall_patch import Float32Image, Sighting, wall_texture, WallPatch
+from landmark_nav.learning.stereo.wall_patch import Sighting, wall_texture, WallPatch
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
 
@@ -69,7 +70,7 @@ def elect(
     adjustment: Adjustment,
     free: Adjustment,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Image],
+    greys: Sequence[Float32Array],
     room: Room,
     config: ElectionConfig,
 ) -> list[Landmark | Refusal]:
@@ -198,7 +199,7 @@ def _landmark(
     patch: WallPatch,
     position: FloatArray,
     panorama: Panorama,
-    grey: Float32Image,
+    grey: Float32Array,
     room: Room,
     *,
     covariance: FloatArray,
@@ -224,7 +225,7 @@ def _landmark(
     )
 
 
-def _view(landmark: Landmark, panorama: Panorama, grey: Float32Image) -> PatchView | None:
+def _view(landmark: Landmark, panorama: Panorama, grey: Float32Array) -> PatchView | None:
     """What another panorama shows of it, as fine as it does."""
     reach = float(np.hypot(*(panorama.center_map - landmark.position)[:2]))
     columns = max(8, round(landmark.width_m * panorama.cylinder.fy / reach))
@@ -234,5 +235,5 @@ def _view(landmark: Landmark, panorama: Panorama, grey: Float32Image) -> PatchVi
     return None if texture is None else PatchView(panorama.center_map, _levels(texture))
 
 
-def _levels(texture: Float32Image) -> ImageArray:
+def _levels(texture: Float32Array) -> ImageArray:
     return np.clip(np.rint(texture), 0, 255).astype(np.uint8)

@@ -11,13 +11,12 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.types import FloatArray
 
 __all__ = ['Show', 'best_places', 'exchange', 'spread']
 
-IndexArray = npt.NDArray[np.intp]
 
 # Of a set of places (n,).
 Cost = Callable[[IndexArray], float]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['TILE_PX', 'RayTiles', 'coverage', 'edge_forms']
 
-Float32Array = npt.NDArray[np.float32]
 
 # Pixels are worked on in square tiles: what a tile does not show is skipped.
 TILE_PX = 32

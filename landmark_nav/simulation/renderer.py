@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.simulation.ray_tiles import coverage, RayTiles, TILE_PX
 from landmark_nav.simulation.scene import Scene
@@ -18,8 +18,6 @@ from landmark_nav.simulation.visibility import PainterOrder
 from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['Renderer']
-
-Float32Array = npt.NDArray[np.float32]
 
 
 class Renderer:

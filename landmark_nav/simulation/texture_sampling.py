@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array, IndexArray
 from landmark_nav.simulation.ray_tiles import TILE_PX
 from landmark_nav.simulation.surfaces import Pyramid
 from landmark_nav.types import FloatArray, ImageArray
 
 __all__ = ['sample_texture']
 
-Float32Array = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.intp]
 
 # The level of detail is chosen once for each cell of this many pixels a side.
 _CELL_PX = 4
@@ -50,7 +48,7 @@ def sample_texture(
 
 def _level_of_detail(
     pyramid: Pyramid, form: FloatArray, place: Float32Array, depth_per_px: Float32Array
-) -> tuple[IntArray, IntArray, Float32Array]:
+) -> tuple[IndexArray, IndexArray, Float32Array]:
     """
     Levels of the pyramid for cells, each (tiles, cells, cells), from how texels spread.
 
@@ -71,7 +69,7 @@ def _level_of_detail(
 
 
 def _look_up(
-    pyramid: Pyramid, place: Float32Array, slant: IntArray, level: IntArray
+    pyramid: Pyramid, place: Float32Array, slant: IndexArray, level: IndexArray
 ) -> ImageArray:
     """Texture at `place` (tiles, 2, cells, cell, cells, cell) in the levels of its cells."""
     scale = np.moveaxis(pyramid.scale[slant, level], -1, 1)[:, :, :, None, :, None]

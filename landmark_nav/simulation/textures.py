@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.types import ImageArray
 
 __all__ = ['fractal_noise', 'plaster', 'random_color', 'to_uint8', 'wood']
 
-FloatImage = npt.NDArray[np.float32]
 Color = tuple[float, float, float]
 
 
@@ -20,7 +20,7 @@ def fractal_noise(
     cell_px: tuple[float, float],
     octaves: int,
     persistence: float = 0.5,
-) -> FloatImage:
+) -> Float32Array:
     """
     Noise of several octaves, zero mean and unit standard deviation.
 

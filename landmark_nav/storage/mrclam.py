@@ -13,8 +13,8 @@ from pathlib import Path
 import warnings
 
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.types import (
     Detections,
@@ -26,7 +26,6 @@ from landmark_nav.types import (
 
 __all__ = ['MrclamLog', 'read_mrclam']
 
-IntArray = npt.NDArray[np.int64]
 
 # Subjects up to here are the robots themselves.
 _ROBOTS = 5

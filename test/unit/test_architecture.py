@@ -14,15 +14,16 @@ MAX_LINES = 350
 
 # Part of the package -> the parts below it. Learning and localization do not know each other, and
 # no stage knows files, ROS or the command line.
-GROUND = {'errors', 'parameters', 'geometry', 'quality', 'types'}
+GROUND = {'arrays', 'errors', 'parameters', 'geometry', 'quality', 'types'}
 STAGES = {*GROUND, 'matching', 'learning', 'localization'}
 FILES = {*GROUND, 'messages', 'storage'}
 BELOW = {
     'errors': set[str](),
     'parameters': {'errors'},
-    'geometry': {'errors'},
+    'arrays': set(),
+    'geometry': {'arrays', 'errors'},
     'quality': set(),
-    'types': {'errors', 'geometry', 'quality'},
+    'types': {'arrays', 'errors', 'geometry', 'quality'},
     'matching': GROUND,
     'learning': {*GROUND, 'matching'},
     'localization': {*GROUND, 'matching'},

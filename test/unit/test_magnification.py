@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from scenes import smooth_texture
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.magnification import log_magnification, MARGIN
-from landmark_nav.learning.stereo.wall_patch import Float32Image
 
 SIZE = 28 + 2 * MARGIN
 
 
 def two_views(
     rng: np.random.Generator, larger: float, *, blur: float = 0.0, feature: float = 0.04
-) -> tuple[Float32Image, Float32Image]:
+) -> tuple[Float32Array, Float32Array]:
     """A pattern, and the same a little beside and `larger`, darker and blurred."""
     texture = smooth_texture(rng, 1.0, 1.0, feature)
     # Finer than the views: OpenCV knows 32 steps a pixel.

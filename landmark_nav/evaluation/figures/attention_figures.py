@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.evaluation.figures.strips import caption, mark, patch_of, show, Strip, widest
 from landmark_nav.evaluation.figures.style import CANDIDATE, LANDMARK, new_figure, ODOMETRY, save
 from landmark_nav.learning.attention import (
@@ -23,7 +24,6 @@ from landmark_nav.learning.attention import (
     AttentionMaps,
     FEATURES,
 )
-from landmark_nav.learning.attention.features import FloatMap
 from landmark_nav.types import Candidate, Panorama, Refusal
 
 __all__ = ['draw_attention', 'draw_features_alone']
@@ -181,7 +181,7 @@ def _grey(panorama: Panorama) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
     return np.asarray(cv2.cvtColor(panorama.image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _part(maps: AttentionMaps, image: FloatMap, strip: Strip) -> FloatMap:
+def _part(maps: AttentionMaps, image: Float32Array, strip: Strip) -> Float32Array:
     """Cut a strip out of a map of half resolution, without the columns that it repeats."""
     turn = image[:, maps.side : image.shape[1] - maps.side]
     return np.asarray(strip.cut(turn, 0.5), np.float32)

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtrc
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.problem import wall_stretches
@@ -25,7 +25,6 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['WallFitConfig', 'WallResidual', 'check_walls', 'doubtful_walls', 'wall_residuals']
 
-BoolArray = npt.NDArray[np.bool_]
 
 # Chance that walls which a person measured are doubted, and patches that doubt takes.
 _FALSE_ALARM = 1e-3

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from landmark_nav.learning.attention.features import FloatMap
+from landmark_nav.arrays import Float32Array
 
 __all__ = ['conspicuity_map', 'fuse']
 
@@ -16,8 +16,8 @@ _LEAST_PEAK = 1e-3
 
 
 def conspicuity_map(
-    feature: FloatMap, center_sigma: float, surround_sigma: float, side: int = 0
-) -> FloatMap:
+    feature: Float32Array, center_sigma: float, surround_sigma: float, side: int = 0
+) -> Float32Array:
     """
     Where a feature stands out from its surround, in [0, 1].
 
@@ -50,7 +50,7 @@ def conspicuity_map(
     return np.asarray(stands_out * np.float32((1.0 - others) ** 2), dtype=np.float32)
 
 
-def fuse(conspicuities: Mapping[str, FloatMap], weights: Mapping[str, float]) -> FloatMap:
+def fuse(conspicuities: Mapping[str, Float32Array], weights: Mapping[str, float]) -> Float32Array:
     """Weighted mean of conspicuity maps of the same shape."""
     total = sum(weights[name] for name in conspicuities)
     fused = sum(np.float32(weights[name] / total) * m for name, m in conspicuities.items())

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.types import ImageArray
 
 __all__ = [
     'EdgeGradients',
-    'FloatMap',
     'corner_map',
     'edge_gradients',
     'edge_map',
@@ -24,7 +24,6 @@ __all__ = [
     'vertical_edge_map',
 ]
 
-FloatMap = npt.NDArray[np.float32]
 
 # A Sobel kernel adds up eight times the slope.
 _SOBEL_GAIN = 8.0
@@ -48,9 +47,9 @@ class EdgeGradients:
 
     """
 
-    dx: FloatMap
-    dy: FloatMap
-    magnitude: FloatMap
+    dx: Float32Array
+    dy: Float32Array
+    magnitude: Float32Array
     strong: float
 
 
@@ -78,17 +77,17 @@ def edge_gradients(gray: ImageArray, low: float, high: float, side: int = 0) -> 
     return EdgeGradients(dx, dy, magnitude, strong)
 
 
-def intensity_map(gray: ImageArray) -> FloatMap:
+def intensity_map(gray: ImageArray) -> Float32Array:
     """Brightness."""
     return np.asarray(gray.astype(np.float32) / np.float32(255.0))
 
 
-def edge_map(gradients: EdgeGradients) -> FloatMap:
+def edge_map(gradients: EdgeGradients) -> Float32Array:
     """Contrast of edges in any direction."""
     return _unit(gradients.magnitude / np.float32(gradients.strong))
 
 
-def vertical_edge_map(gradients: EdgeGradients) -> FloatMap:
+def vertical_edge_map(gradients: EdgeGradients) -> Float32Array:
     """
     Contrast of edges within 45 degrees of the vertical: |g| max(0, cos 2 angle).
 
@@ -99,7 +98,7 @@ def vertical_edge_map(gradients: EdgeGradients) -> FloatMap:
     return _unit(slope / np.float32(gradients.strong))
 
 
-def corner_map(gradients: EdgeGradients) -> FloatMap:
+def corner_map(gradients: EdgeGradients) -> Float32Array:
     """
     Corners by the covariance of the gradients on edge pixels: root of its smaller eigenvalue.
 
@@ -117,5 +116,5 @@ def corner_map(gradients: EdgeGradients) -> FloatMap:
     return _unit(np.sqrt(np.maximum(smaller, 0.0)) / np.float32(full))
 
 
-def _unit(values: npt.NDArray[np.floating]) -> FloatMap:
+def _unit(values: npt.NDArray[np.floating]) -> Float32Array:
     return np.asarray(np.clip(values, 0.0, 1.0), dtype=np.float32)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.attention.config import AttentionConfig
 from landmark_nav.learning.attention.conspicuity import conspicuity_map, fuse
 from landmark_nav.learning.attention.features import (
     corner_map,
     edge_gradients,
     edge_map,
-    FloatMap,
     intensity_map,
     vertical_edge_map,
 )
@@ -38,9 +38,9 @@ class AttentionMaps:
     `side` columns of the turn repeated on either side; `saliency` is as large as the panorama.
     """
 
-    features: dict[str, FloatMap]
-    conspicuities: dict[str, FloatMap]
-    saliency: FloatMap
+    features: dict[str, Float32Array]
+    conspicuities: dict[str, Float32Array]
+    saliency: Float32Array
     side: int
 
 
@@ -73,11 +73,11 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
 
 def _feature_maps(
     gray: ImageArray, config: AttentionConfig, names: list[str], side: int
-) -> dict[str, FloatMap]:
+) -> dict[str, Float32Array]:
     """Feature maps at half resolution, what they share computed once."""
     gradients = edge_gradients(gray, config.edge_low, config.edge_high, side)
     intensity = intensity_map(gray)
-    compute: dict[str, Callable[[], FloatMap]] = {
+    compute: dict[str, Callable[[], Float32Array]] = {
         'intensity': lambda: halve(intensity),
         'edges': lambda: halve(edge_map(gradients)),
         'vertical_edges': lambda: halve(vertical_edge_map(gradients)),

@@ -13,16 +13,14 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
 from landmark_nav.learning.attention.config import AttentionConfig
-from landmark_nav.learning.attention.features import FloatMap
-from landmark_nav.types import Candidate, Refusal
+from landmark_nav.types import Candidate, FloatArray, Refusal
 
 __all__ = ['Examine', 'select']
 
 Examine = Callable[[Candidate], 'Refusal | None']
-_Index = npt.NDArray[np.intp]
 
 # Distance between units in the layers of the pyramid, top first, px.
 _PITCHES_PX = (4, 2, 1)
@@ -33,8 +31,8 @@ _SIZE_EXPONENT = 0.25
 
 
 def select(
-    saliency: FloatMap,
-    covered: npt.NDArray[np.bool_],
+    saliency: Float32Array,
+    covered: BoolArray,
     config: AttentionConfig,
     examine: Examine,
 ) -> tuple[tuple[Candidate, ...], tuple[tuple[Candidate, Refusal], ...]]:
@@ -89,7 +87,7 @@ class _Units:
     """The units that compete, over what is left of the saliency map."""
 
     def __init__(
-        self, saliency: FloatMap, covered: npt.NDArray[np.bool_], config: AttentionConfig
+        self, saliency: Float32Array, covered: BoolArray, config: AttentionConfig
     ) -> None:
         sizes = config.sizes_px
         self._fields = [(w, h) for w in sizes for h in sizes]
@@ -105,8 +103,8 @@ class _Units:
             ((self._border, self._border), (0, 0)),
             constant_values=_FORBIDDEN,
         )
-        self._rows: _Index = np.arange(0, self._height, _PITCHES_PX[0])
-        self._columns: _Index = np.arange(0, self._width, _PITCHES_PX[0])
+        self._rows: IndexArray = np.arange(0, self._height, _PITCHES_PX[0])
+        self._columns: IndexArray = np.arange(0, self._width, _PITCHES_PX[0])
         self._open = np.ones(len(self._columns), dtype=bool)
         self._top = self._respond(self._rows, self._columns)[0]
 
@@ -161,13 +159,11 @@ class _Units:
         self._open &= (share < begin) | (share >= end)
         self._top[:, ~self._open] = -np.inf
 
-    def _columns_away(self, columns: _Index, center: float) -> npt.NDArray[np.float64]:
+    def _columns_away(self, columns: IndexArray, center: float) -> FloatArray:
         half = 0.5 * self._width
         return np.asarray((columns - center + half) % self._width - half)
 
-    def _respond(
-        self, rows: _Index, columns: _Index
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+    def _respond(self, rows: IndexArray, columns: IndexArray) -> tuple[FloatArray, IndexArray]:
         """
         Largest response over the sizes of units at rows x columns, and which size it was.
 
@@ -193,7 +189,7 @@ class _Units:
         return best, field
 
 
-def _sums(band: npt.NDArray[np.float64], columns: _Index, width: int) -> npt.NDArray[np.float64]:
+def _sums(band: FloatArray, columns: IndexArray, width: int) -> FloatArray:
     """Sums over fields of a width centred at columns."""
     before = columns - width // 2
     return np.asarray(band[:, before + width] - band[:, before])

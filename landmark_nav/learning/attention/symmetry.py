@@ -9,7 +9,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from landmark_nav.learning.attention.features import EdgeGradients, FloatMap
+from landmark_nav.arrays import Float32Array
+from landmark_nav.learning.attention.features import EdgeGradients
 
 __all__ = ['halve', 'line_symmetry_map', 'point_symmetry_map', 'radial_symmetry_map']
 
@@ -29,7 +30,7 @@ _HALF_WIDTH_PX = 16
 _HALF_HEIGHT_PX = 16
 
 
-def point_symmetry_map(gradients: EdgeGradients) -> FloatMap:
+def point_symmetry_map(gradients: EdgeGradients) -> Float32Array:
     """
     Symmetry about a point at half resolution: edges that lie on circles around it.
 
@@ -54,15 +55,15 @@ def point_symmetry_map(gradients: EdgeGradients) -> FloatMap:
 
 
 def _ring_symmetry(
-    real: FloatMap, imaginary: FloatMap, strength: FloatMap, sigma: float
-) -> FloatMap:
+    real: Float32Array, imaginary: Float32Array, strength: Float32Array, sigma: float
+) -> Float32Array:
     reach = int(np.ceil(3.5 * sigma))
     x = np.arange(-reach, reach + 1, dtype=np.float32)
     bell = np.exp(-0.5 * (x / sigma) ** 2)
     bell /= bell.sum()
     first, second = x / sigma * bell, (x / sigma) ** 2 * bell
 
-    def ring(image: FloatMap, sign: float) -> FloatMap:
+    def ring(image: Float32Array, sign: float) -> Float32Array:
         """Weight w (sign 1) or w cos 2 phi (sign -1), normalised to the sum of w."""
         wide = cv2.sepFilter2D(image, -1, second, bell)
         high = cv2.sepFilter2D(image, -1, bell, second)
@@ -78,7 +79,7 @@ def _ring_symmetry(
     return np.asarray(symmetry * certainty, dtype=np.float32)
 
 
-def radial_symmetry_map(gradients: EdgeGradients) -> FloatMap:
+def radial_symmetry_map(gradients: EdgeGradients) -> Float32Array:
     """
     Symmetry about a point at half resolution: edges vote for what they lie on a circle around.
 
@@ -112,7 +113,7 @@ def radial_symmetry_map(gradients: EdgeGradients) -> FloatMap:
     return best
 
 
-def line_symmetry_map(intensity: FloatMap, contrast: float) -> FloatMap:
+def line_symmetry_map(intensity: Float32Array, contrast: float) -> Float32Array:
     """
     Symmetry about vertical lines at half resolution: correlation of both sides, one mirrored.
 
@@ -144,7 +145,7 @@ def line_symmetry_map(intensity: FloatMap, contrast: float) -> FloatMap:
     return np.asarray(np.clip(2.0 * product / (energy + floor), 0.0, 1.0), dtype=np.float32)
 
 
-def halve(image: FloatMap) -> FloatMap:
+def halve(image: Float32Array) -> Float32Array:
     """Mean over 2 x 2 pixels; height and width are even."""
     size = (image.shape[1] // 2, image.shape[0] // 2)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)

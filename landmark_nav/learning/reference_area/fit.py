@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import hue_direction
@@ -16,7 +17,6 @@ from landmark_nav.learning.reference_area.model import (
     edge_sigma_px,
     EDGES,
     GAMMA,
-    IntArray,
     PaperModel,
     RISE,
     SHIFT,
@@ -84,17 +84,17 @@ class _Measured:
     `gamma`.
     """
 
-    paper: IntArray
-    frame: IntArray
-    edge: IntArray
+    paper: IndexArray
+    frame: IndexArray
+    edge: IndexArray
     along: FloatArray
-    bright: IntArray
+    bright: IndexArray
     points: FloatArray
     normal: FloatArray
     offset_px: FloatArray
     sigma_px: FloatArray
     by_gamma: FloatArray
-    tried: IntArray
+    tried: IndexArray
     gamma: float
 
 

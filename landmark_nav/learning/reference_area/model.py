@@ -10,8 +10,8 @@ holds their share.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
@@ -24,12 +24,10 @@ __all__ = [
     'RISE',
     'SHIFT',
     'SIZE',
-    'IntArray',
     'PaperModel',
     'edge_sigma_px',
 ]
 
-IntArray = npt.NDArray[np.intp]
 
 # Right, left, top and bottom as seen along the wall.
 EDGES = 4
@@ -101,7 +99,7 @@ class PaperModel:
         """Corrections of pan and tilt, (frames, 2)."""
         return state[self._frame :].reshape(-1, 2)
 
-    def edge_index(self, paper: IntArray, edge: IntArray, bright: IntArray) -> IntArray:
+    def edge_index(self, paper: IndexArray, edge: IndexArray, bright: IndexArray) -> IndexArray:
         """
         Indices (2, n) of what shifts an edge as a whole, and of what turns it.
 
@@ -117,7 +115,7 @@ class PaperModel:
         return np.array([state[0] + cos * x - sin * y, state[1] + sin * x + cos * y])
 
     def project(
-        self, state: FloatArray, frame: IntArray, paper: IntArray, points: FloatArray
+        self, state: FloatArray, frame: IndexArray, paper: IndexArray, points: FloatArray
     ) -> FloatArray:
         """Pixels (n, 2) of points (n, 3) of papers (n,) in frames (n,)."""
         used = np.unique(frame)
@@ -144,8 +142,8 @@ class PaperModel:
     def jacobian(
         self,
         state: FloatArray,
-        frame: IntArray,
-        paper: IntArray,
+        frame: IndexArray,
+        paper: IndexArray,
         points: FloatArray,
         normal: FloatArray,
     ) -> FloatArray:
@@ -181,7 +179,7 @@ class PaperModel:
         return np.asarray(information)
 
 
-def edge_sigma_px(config: ReferenceAreaConfig, bright: IntArray) -> FloatArray:
+def edge_sigma_px(config: ReferenceAreaConfig, bright: IndexArray) -> FloatArray:
     """Standard deviations (2, n) of what shifts edges (n,) as a whole, and their ends apart."""
     shift = np.hypot(config.edge_sigma_px, np.where(bright > 0, _BRIGHT_SIGMA_PX, 0.0))
     return np.stack([shift, np.full(len(bright), _TURN_SHARE * config.edge_sigma_px)])

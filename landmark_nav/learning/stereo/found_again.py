@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
 from landmark_nav.learning.stereo.free_stereo import explain
-from landmark_nav.learning.stereo.wall_patch import (
-    Float32Image,
-    own_sighting,
-    Sighting,
-    WallPatch,
-)
+from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
@@ -38,7 +34,7 @@ class Found:
 def find_again(
     panoramas: Sequence[Panorama],
     candidates: Sequence[Sequence[Candidate]],
-    greys: Sequence[Float32Image],
+    greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
 ) -> Found:

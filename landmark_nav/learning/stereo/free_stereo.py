@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.config import StereoConfig
-from landmark_nav.learning.stereo.wall_patch import Float32Image, Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import Sighting, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
@@ -42,7 +43,7 @@ def match_freely(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Image],
+    greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> FreeMatch | None:
     """
@@ -95,7 +96,7 @@ def match_freely(
 def explain(
     patch: WallPatch,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Image],
+    greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> Refusal | None:
     """Say where before its wall a patch stands, if another panorama shows that."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from landmark_nav.learning.stereo.wall_patch import Float32Image
+from landmark_nav.arrays import Float32Array
 from landmark_nav.types import FloatArray
 
 __all__ = ['displaced_quarter']
@@ -22,7 +22,7 @@ _BLUR_PX = 0.8
 _BLANK = 0.02
 
 
-def displaced_quarter(first: Float32Image, second: Float32Image) -> float:
+def displaced_quarter(first: Float32Array, second: Float32Array) -> float:
     """
     How far a quarter of a patch would have to be out of place for two views to differ as they do.
 
@@ -49,7 +49,7 @@ def displaced_quarter(first: Float32Image, second: Float32Image) -> float:
     return float(np.sqrt(np.max((unlike - unlike.min()) / power)))
 
 
-def _quarters(image: Float32Image) -> FloatArray:
+def _quarters(image: Float32Array) -> FloatArray:
     """Four rows of the pixels of the quarters; middle rows and columns of odd sizes left out."""
     rows, columns = image.shape[0] // 2, image.shape[1] // 2
     return np.array(

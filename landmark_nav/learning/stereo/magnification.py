@@ -11,12 +11,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from landmark_nav.learning.stereo.wall_patch import (
-    Float32Image,
-    texels_per_pixel,
-    wall_texture,
-    WallPatch,
-)
+from landmark_nav.arrays import Float32Array
+from landmark_nav.learning.stereo.wall_patch import texels_per_pixel, wall_texture, WallPatch
 from landmark_nav.matching import blur_to
 from landmark_nav.types import FloatArray, Panorama
 
@@ -40,7 +36,7 @@ def log_nearer(
     patch: WallPatch,
     point: FloatArray,
     panoramas: tuple[Panorama, Panorama],
-    greys: tuple[Float32Image, Float32Image],
+    greys: tuple[Float32Array, Float32Array],
 ) -> tuple[float, float]:
     """
     How much nearer one panorama is to what it shows at `point` (3,) than that of a patch.
@@ -81,7 +77,7 @@ def log_nearer(
 
 
 def log_magnification(
-    template: Float32Image, found: Float32Image, pixel: float
+    template: Float32Array, found: Float32Array, pixel: float
 ) -> tuple[float, float] | None:
     """
     Natural logarithm of how many times larger `found` shows what `template` does, and its sigma.
@@ -151,7 +147,7 @@ def log_magnification(
     return (grown, sigma) if sigma < _LARGEST_SIGMA else None
 
 
-def _rows(view: Float32Image, right: Float32Image, down: Float32Image) -> Float32Image:
+def _rows(view: Float32Array, right: Float32Array, down: Float32Array) -> Float32Array:
     """How a view (h, w) changes by size, shift, gain, offset, blur across and down: (7, n)."""
     by_y, by_x = np.gradient(view)
     grown = right * by_x + down[:, None] * by_y
@@ -161,7 +157,7 @@ def _rows(view: Float32Image, right: Float32Image, down: Float32Image) -> Float3
     return np.asarray(inner.reshape(len(rows), -1), np.float32)
 
 
-def _cubic(count: int, places: Float32Image) -> Float32Image:
+def _cubic(count: int, places: Float32Array) -> Float32Array:
     """Weights (n, count) of `count` samples at places (n,) between them (Keys, 1981)."""
     away = np.abs(places[:, None] - np.arange(count))
     near = (1.5 * away - 2.5) * away**2 + 1.0

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.types import Candidate, FloatArray, Panorama
 
 __all__ = [
-    'Float32Image',
     'Sighting',
     'WallPatch',
     'covered_rows',
@@ -24,8 +23,6 @@ __all__ = [
     'texels_per_pixel',
     'wall_texture',
 ]
-
-Float32Image = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +77,12 @@ def own_sighting(patch: WallPatch, panorama: Panorama) -> Sighting:
 
 def wall_texture(
     panorama: Panorama,
-    grey: Float32Image,
+    grey: Float32Array,
     position: FloatArray,
     normal: FloatArray,
     shape: tuple[int, int],
     texel_m: float,
-) -> Float32Image | None:
+) -> Float32Array | None:
     """
     What a panorama shows of a patch of wall.
 

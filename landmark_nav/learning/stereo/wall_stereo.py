@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
@@ -20,7 +21,6 @@ from landmark_nav.learning.stereo.likeness import displaced_quarter
 from landmark_nav.learning.stereo.magnification import log_nearer
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
-    Float32Image,
     Sighting,
     texels_per_pixel,
     wall_texture,
@@ -74,7 +74,7 @@ def match_in(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Image],
+    greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
 ) -> Sighting | Refusal:
@@ -105,7 +105,7 @@ def compare(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Image],
+    greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> Sighting | Refusal:
     """
@@ -176,11 +176,11 @@ def compare(
 
 def _window(
     panorama: Panorama,
-    grey: Float32Image,
+    grey: Float32Array,
     center: FloatArray,
     shape: tuple[int, int],
     patch: WallPatch,
-) -> tuple[FloatArray, Float32Image | None]:
+) -> tuple[FloatArray, Float32Array | None]:
     """Centre (3,) and view of the rows of a window on the patch's plane that are covered."""
     rows = covered_rows(panorama, center, patch.normal, shape, patch.texel_m)
     count = rows.stop - rows.start

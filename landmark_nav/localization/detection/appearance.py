@@ -15,8 +15,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import PatchView
-from landmark_nav.matching import blur_to, Float32Image
+from landmark_nav.matching import blur_to
 from landmark_nav.types import FloatArray, ImageArray, Landmark
 
 __all__ = ['APPEARANCES', 'Texture', 'draw', 'textures']
@@ -40,10 +41,10 @@ class Texture(NamedTuple):
 def draw(
     landmark: Landmark,
     viewer: FloatArray,
-    rays: Float32Image,
+    rays: Float32Array,
     ray_to_patch: FloatArray,
     appearance: str,
-) -> tuple[Float32Image, tuple[float, float]]:
+) -> tuple[Float32Array, tuple[float, float]]:
     """
     Draw a landmark as it should look in a rectangle of the picture.
 

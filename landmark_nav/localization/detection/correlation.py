@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.appearance import draw
@@ -26,14 +27,7 @@ from landmark_nav.localization.detection.expectation import (
     View,
 )
 from landmark_nav.localization.detection.height import LEAST_HEIGHTS, RowModel, wrong_heights
-from landmark_nav.matching import (
-    blur_by,
-    blur_sigmas,
-    Float32Image,
-    Match,
-    match_template,
-    sigmas_of,
-)
+from landmark_nav.matching import blur_by, blur_sigmas, Match, match_template, sigmas_of
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -186,7 +180,7 @@ def _detect(
     return _Found(landmark, expected.uv + shift, match, float(shift[1]))
 
 
-def _inner(template: Float32Image, blur: tuple[float, float]) -> Float32Image:
+def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
     """A blurred template but for its border, into which the picture blurs what is around it."""
     height, width = template.shape
     u, v = min(round(blur[0]), width // 5), min(round(blur[1]), height // 5)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.localization.fusion.config import FusionConfig
 from landmark_nav.types import Detections, FloatArray, Refusal
 
-__all__ = ['BearingFrame', 'IndexArray', 'bearing_frame']
+__all__ = ['BearingFrame', 'bearing_frame']
 
-IndexArray = npt.NDArray[np.intp]
 
 # Matches of a picture that tell what correlation is to be expected in it.
 _FEW = 4

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.fusion.bearings import IndexArray
 from landmark_nav.localization.fusion.measurement import bearing_model, correct, MeasurementModel
 from landmark_nav.localization.fusion.noise import LEARNED
 from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING

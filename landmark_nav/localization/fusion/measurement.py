@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.fusion.bearings import BearingFrame, IndexArray
+from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.lens import straightened
 from landmark_nav.localization.fusion.noise import LEARNED, SIGHTING
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, FilterState, LENS, STATES

@@ -13,9 +13,10 @@ from functools import partial
 
 import numpy as np
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.fusion.bearings import bearing_frame, IndexArray
+from landmark_nav.localization.fusion.bearings import bearing_frame
 from landmark_nav.localization.fusion.config import FusionConfig
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from landmark_nav.localization.fusion.bearings import BearingFrame, IndexArray
+from landmark_nav.arrays import IndexArray
+from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.measurement import (
     correct,
     expected_bearings,

@@ -10,15 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.types import Detections, FloatArray, OdometrySample
 
 __all__ = ['command_delay_s', 'integrate_commands']
 
-IntArray = npt.NDArray[np.int64]
 
 _DELAYS_S = np.arange(0.0, 0.601, 0.01)
 # Sightings of one landmark that are compared are at most this far apart, seconds.

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_matrix, csr_matrix
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import relative, rotation
 from landmark_nav.localization.fusion.lens import straightened
@@ -17,7 +17,6 @@ from landmark_nav.types import Detections, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['Bearings', 'Problem']
 
-IndexArray = npt.NDArray[np.intp]
 
 # Unknowns of each time: x, y, heading, and the error of the pan in its own sigmas.
 _PER_POSE = 4

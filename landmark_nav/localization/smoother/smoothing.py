@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu, SuperLU
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig
@@ -32,7 +33,6 @@ from landmark_nav.types import (
 
 __all__ = ['Smoothed', 'smooth']
 
-IntArray = npt.NDArray[np.int64]
 
 # Columns of the inverse that are computed at a time.
 _COLUMNS = 256

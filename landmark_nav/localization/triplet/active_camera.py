@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.localization.triplet.selection import Gaze, rank_triplets, TripletConfig
@@ -14,7 +14,6 @@ from landmark_nav.types import Detections, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['ActiveCamera', 'FoundRecord']
 
-BoolArray = npt.NDArray[np.bool_]
 
 # A landmark begins as if it had been found so often, and in so many looks.
 _FOUND_BEFORE = 4.0

@@ -14,14 +14,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.types import FloatArray, LandmarkMap
 
 __all__ = ['PairTables', 'fix_covariances', 'pair_tables', 'position_variance']
-
-IndexArray = npt.NDArray[np.intp]
 
 
 class PairTables(NamedTuple):

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_gradients
@@ -24,7 +25,6 @@ from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['Gaze', 'Outlook']
 
-IndexArray = npt.NDArray[np.intp]
 
 # Greatest share of half the view that a wide prior may claim as margin.
 _MAX_MARGIN = 0.25

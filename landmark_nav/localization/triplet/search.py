@@ -15,7 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.localization.triplet.geometry import IndexArray, PairTables, position_variance
+from landmark_nav.arrays import IndexArray
+from landmark_nav.localization.triplet.geometry import PairTables, position_variance
 from landmark_nav.types import FloatArray
 
 __all__ = ['best_triplets', 'first_of_each', 'mean_variance']

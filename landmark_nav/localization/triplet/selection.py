@@ -17,14 +17,10 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.triangulation.model import base_from_axis
-from landmark_nav.localization.triplet.geometry import (
-    fix_covariances,
-    IndexArray,
-    pair_tables,
-    PairTables,
-)
+from landmark_nav.localization.triplet.geometry import fix_covariances, pair_tables, PairTables
 from landmark_nav.localization.triplet.outlook import Gaze, Outlook
 from landmark_nav.localization.triplet.ranking import Ranking, Standing
 from landmark_nav.localization.triplet.search import best_triplets, first_of_each, mean_variance

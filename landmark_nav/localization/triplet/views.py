@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.types import FloatArray
 
 __all__ = ['PanWindows', 'Tours', 'travel_s']
 
-IndexArray = npt.NDArray[np.intp]
 
 _TURN = 2.0 * np.pi
 
