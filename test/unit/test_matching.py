@@ -70,6 +70,28 @@ def test_noise_moves_matches_as_far_as_their_covariance_says(
     assert 0.75 < np.mean(nees) / 2.0 < 1.25
 
 
+@pytest.mark.parametrize('out_of_place_px', [0.3, 0.8])
+def test_parts_of_a_patch_that_are_out_of_place_count_as_far_as_they_are(
+    out_of_place_px: float,
+) -> None:
+    # As those of a picture and its frame are, which do not hang equally far from the wall.
+    squares = []
+    for seed in range(150):
+        rng = np.random.default_rng([seed, 3])
+        texture = Texture(seed)
+        search = texture.sample(56, 52)
+        search += 2.0 * rng.standard_normal(search.shape).astype(np.float32)
+        for row in range(12, 40, 7):
+            for column in range(12, 44, 8):
+                x = column + out_of_place_px * rng.standard_normal()
+                search[row : row + 7, column : column + 8] = texture.sample(8, 7, x, row)
+        found = match_template(search, texture.sample(32, 28, 12.0, 12.0), min_score=0.5)
+        assert isinstance(found, Match)
+        squares.append((found.xy[0] - 27.5) ** 2 / found.covariance[0, 0])
+    # 8 and 12, were it white noise.
+    assert 0.6 < np.mean(squares) < 1.5
+
+
 @pytest.mark.parametrize('sigmas', [(0.0, 0.0), (0.6, 0.6), (1.0, 0.0), (0.0, 1.0)])
 def test_how_much_more_a_picture_is_blurred_is_told(sigmas: tuple[float, float]) -> None:
     told = []
