@@ -55,16 +55,15 @@ class Match:
     A template found in a search image.
 
     `xy` (2,) is where the template's centre lies in the search image, pixels (fractional);
-    `covariance` (2, 2) its covariance; `score` the normalized cross-correlation there and
-    `second` that of the best other place. `blur_px2` (2,) is by how much more the search image is
-    blurred than the template, across and down: variance of a Gaussian, negative if less. What
-    interpolation blurs to compare them, f (1 - f) at a fraction f of a pixel, is part of it.
+    `covariance` (2, 2) its covariance; `score` the normalized cross-correlation there.
+    `blur_px2` (2,) is by how much more the search image is blurred than the template, across and
+    down: variance of a Gaussian, negative if less. What interpolation blurs to compare them,
+    f (1 - f) at a fraction f of a pixel, is part of it.
     """
 
     xy: FloatArray
     covariance: FloatArray
     score: float
-    second: float
     blur_px2: FloatArray
 
 
@@ -130,7 +129,7 @@ def match_template(
     if aligned is None:
         return Refusal('alignment failed')
     center, covariance, fine_score, blur_px2 = aligned
-    return Match(center, covariance, max(float(score), fine_score), second, blur_px2)
+    return Match(center, covariance, max(float(score), fine_score), blur_px2)
 
 
 def blur_to(image: Float32Array, step: Pair, own_step: Pair = (1.0, 1.0)) -> Float32Array:

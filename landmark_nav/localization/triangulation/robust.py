@@ -21,7 +21,7 @@ from landmark_nav.localization.triangulation.least_squares import (
     solve,
     w_statistics,
 )
-from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
+from landmark_nav.localization.triangulation.model import danger_distance
 from landmark_nav.localization.triangulation.three import triangulate_three
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
@@ -61,18 +61,15 @@ class Fix:
         x, y [m] of the pan axis and heading [rad] of the base, map frame.
     covariance : ndarray, shape (3, 3)
         First order, with the map's error.
-    residual_rad : ndarray, shape (n,)
-        Measured minus expected bearing.
     used : ndarray of bool, shape (n,)
         Which bearings the pose rests on.
     chi_square : float
-        Of the used residuals, with ``used.sum() - 3`` degrees of freedom.
+        Of their residuals, with ``used.sum() - 3`` degrees of freedom.
 
     """
 
     pose: FloatArray
     covariance: FloatArray
-    residual_rad: FloatArray
     used: npt.NDArray[np.bool_]
     chi_square: float
 
@@ -136,8 +133,7 @@ def triangulate(
         solved = _without_outliers(position, bearing, variance, map_cov, pose, used, config)
         if isinstance(solved, Refusal):
             return solved
-    residual = bearing_residuals(solved.pose, position, bearing)
-    fix = Fix(solved.pose, solved.covariance, residual, used, solved.chi_square)
+    fix = Fix(solved.pose, solved.covariance, used, solved.chi_square)
     return _doubt(fix, position[used], start, config) or fix
 
 
