@@ -199,7 +199,8 @@ def sighting(stamp, variance):
 
 
 def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
-    config = LocalizationConfig(fusion=FusionConfig(pan_sigma_rad=0.0), odometry=silent_odometry())
+    fusion = FusionConfig(pan_sigma_rad=0.0, repeated_share=0.0)
+    config = LocalizationConfig(fusion=fusion, odometry=silent_odometry())
     pose = np.array([0.3, -0.2, 0.5])
     truth = PoseTrack.of([(k * SECOND // 10, pose) for k in range(times * 10)])
     prior = np.diag([0.1**2, 0.2**2, 0.1**2])
