@@ -22,7 +22,7 @@ PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \
-	latency papers bad-sweeps spoiled config test-oldest clean
+	latency papers bad-sweeps spoiled faults config test-oldest clean
 
 install: .venv/installed
 
@@ -96,6 +96,10 @@ bad-sweeps: install
 # A drive with its pictures spoiled: blur, noise, darkness. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
 spoiled: install
 	$(BIN)/python test/spoiled_check.py $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
+
+# A drive with faults of odometry, joints, camera and clock. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
+faults: install
+	$(BIN)/python test/faults_check.py $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
 
 # The parameter files say what the code says; run it after changing a parameter.
 config: install

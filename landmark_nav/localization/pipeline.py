@@ -141,6 +141,11 @@ class Localizer:
         """Factor on what sightings claim as their sigmas, as far as it was learned."""
         return self._filter.sighting_sigma
 
+    @property
+    def status(self) -> tuple[str, str]:
+        """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
+        return self._filter.status
+
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
         """Pose of the base at a time, the newest by default; None before one is known."""
         return self._filter.estimate(stamp_ns)
