@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 import pickle
 
+import cv2
 import numpy as np
 import pytest
 from scenes import Board, draw_frame, rectangle_room, Scene, textured_room, true_landmark
@@ -94,6 +95,12 @@ def assert_right(found: PoseEstimate | Refusal, pose: Sequence[float]) -> None:
 @pytest.mark.parametrize('pose', [(2.4, 1.9, 0.4), (1.5, 2.6, 3.1), (3.6, 1.4, -1.9)])
 def test_one_sweep_tells_the_place(pose: tuple[float, float, float]) -> None:
     assert_right(standing(sweep(SCENE, pose)), pose)
+
+
+def test_a_blurred_sweep_tells_the_place_as_well() -> None:
+    pose = (2.4, 1.9, 0.4)
+    frames = [replace(f, image=cv2.GaussianBlur(f.image, (0, 0), 2.0)) for f in sweep(SCENE, pose)]
+    assert_right(standing(frames), pose)
 
 
 def test_other_light_and_pictures_exchanged_do_no_harm() -> None:

@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.detection.config import DetectionConfig
-from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
+from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['AimedDetector', 'degrees_aside']
@@ -23,10 +24,6 @@ _LOG = logging.getLogger(__name__)
 _HARDLY_ANY, _MOST = 0.25, 0.5
 # So many landmarks tell a turned camera from chance.
 _LEAST = 3
-# A picture that turns out to be blurred otherwise than the last one is looked at again.
-_LOOKS, _SAME_BLUR_PX2 = 3, 0.7
-# No picture is sharper or more blurred than this and still of use.
-_SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
 # What became of those that a camera which leans shows elsewhere.
 _BESIDE = ('wrong height', 'peak at the border of the search window')
 # Rays must lie so far aside of the view to tell a roll; it is found by so many rounds of least
@@ -162,17 +159,9 @@ class AimedDetector:
         aim: FloatArray,
     ) -> DetectionResult:
         """Search with the camera turned by an aim; bearings are those of the joints."""
-        for _ in range(_LOOKS):
-            result = detect_landmarks(
-                _turned(frame, aim), prior, self._map, self._mount, config, expected, self._blur
-            )
-            if len(result.detections) < _LEAST:
-                # What hides landmarks may be a blur that is gone.
-                self._blur = 0.5 * self._blur
-                break
-            before, self._blur = self._blur, _blur_of(result)
-            if np.abs(self._blur - before).max() < _SAME_BLUR_PX2:
-                break
+        result, self._blur = detect_blurred(
+            _turned(frame, aim), prior, self._map, self._mount, config, expected, self._blur
+        )
         bearing = wrap_rad(result.detections.bearing_rad - aim[0])
         return replace(result, detections=replace(result.detections, bearing_rad=bearing))
 
@@ -241,11 +230,6 @@ def _leans(result: DetectionResult) -> bool:
     """Whether many matches are above or below where the others have them."""
     beside = sum(refusal.reason in _BESIDE for refusal in result.refused.values())
     return beside >= max(_LEAST - 1, _HARDLY_ANY * (len(result.detections) + len(result.refused)))
-
-
-def _blur_of(result: DetectionResult) -> FloatArray:
-    """By how much more a picture is blurred than what was learned, variance (2,), pixels^2."""
-    return np.clip(np.median(result.blur_px2, axis=0), _SHARPEST_PX2, _BLURRIEST_PX2)
 
 
 def _angles(rays: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection import detect_landmarks
+from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
@@ -148,12 +148,13 @@ def _look(
     best = np.arange(len(order)) - np.searchsorted(landmark, landmark) < _VIEWS
     expected = len(np.unique(landmark))
 
-    parts = []
+    parts, blur = [], np.zeros(2)
     for k, (frame, here) in enumerate(zip(carried.frames, priors, strict=True)):
         index = landmark[best & (of_frame == k)]
-        seen = detect_landmarks(
-            frame, here, landmark_map, mount, looking.detection, index
-        ).detections
+        result, blur = detect_blurred(
+            frame, here, landmark_map, mount, looking.detection, index, blur
+        )
+        seen = result.detections
         where = landmark_map.indices(seen.ids)
         parts.append(_Bearings(where, np.full(len(seen), k), seen.bearing_rad, seen.variance_rad2))
     return (

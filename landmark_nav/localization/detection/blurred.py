@@ -1,0 +1,58 @@
+"""Landmarks found in pictures that are blurred otherwise than those that were learned."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection.config import DetectionConfig
+from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
+
+__all__ = ['detect_blurred']
+
+# So many landmarks tell a blur.
+_LEAST = 3
+# A picture that turns out to be blurred otherwise than thought is looked at again.
+_LOOKS, _SAME_PX2 = 3, 0.7
+# No picture is sharper or more blurred than this and still of use.
+_SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
+
+
+def detect_blurred(
+    frame: CameraFrame,
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: DetectionConfig,
+    indices: npt.NDArray[np.intp],
+    blur_px2: FloatArray,
+) -> tuple[DetectionResult, FloatArray]:
+    """
+    Find landmarks as `detect_landmarks` does, with the blur that those found tell.
+
+    Parameters
+    ----------
+    frame, prior, landmark_map, mount, config, indices
+        As there.
+    blur_px2 : ndarray, shape (2,)
+        Blur to begin with, such as that of the picture before.
+
+    Returns
+    -------
+    DetectionResult
+    blur_px2 : ndarray, shape (2,)
+        Blur that was found.
+
+    """
+    for _ in range(_LOOKS):
+        result = detect_landmarks(frame, prior, landmark_map, mount, config, indices, blur_px2)
+        if len(result.detections) < _LEAST:
+            # What hides landmarks may be a blur that is gone.
+            return result, 0.5 * blur_px2
+        before = blur_px2
+        blur_px2 = np.clip(np.median(result.blur_px2, axis=0), _SHARPEST_PX2, _BLURRIEST_PX2)
+        if np.abs(blur_px2 - before).max() < _SAME_PX2:
+            break
+    return result, blur_px2
