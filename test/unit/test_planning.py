@@ -288,7 +288,7 @@ class TestPlan:
         assert same.landmarks == pytest.approx(plan.best.landmarks)
 
     def test_blank_walls_above_the_picture_give_nothing(self, plan: Plan) -> None:
-        config = PlanConfig(texture_low_m=3.9, texture_high_m=4.0)
+        config = replace(CONFIG, texture_low_m=3.9, texture_high_m=4.0)
         tall = rectangle_room(5.0, 4.0, PAPERS, height=4.0)
         (nothing,) = forecast([plan.best.poses_map_base], plan.best.floor_xy, tall, MOUNT, config)
         assert nothing.landmarks == 0.0
