@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import wrapped
+from landmark_nav.evaluation.html_report import cell, ESTIMATES, honest_range
 
 __all__ = ['error_table', 'run_summary']
 
@@ -56,22 +57,22 @@ def error_table(report: Mapping[str, Any]) -> list[str]:
         f'{"":<14}{"RMSE":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE":>11}{"95 %":>9}',
     ]
     keys = ('rmse', 'median', 'p95', 'max')
-    names = ['fused', 'triangulation', 'odometry', 'smoothed']
-    for name in filter(report.__contains__, names):
+    for name in filter(report.__contains__, ESTIMATES):
         figures = report[name]
-        cells = [_cell(figures[f'position_{key}_m'], 100.0, 2, 9) for key in keys]
-        cells.append(_cell(figures['heading_rmse_deg'], 1.0, 3, 11))
-        cells.append(_cell(figures['heading_p95_deg'], 1.0, 3, 9))
-        lines.append(f'{name:<14}' + ''.join(cells))
+        cells = [cell(figures[f'position_{key}_m'], 100.0, 2) for key in keys]
+        cells += [cell(figures[f'heading_{key}_deg'], 1.0, 3) for key in ('rmse', 'p95')]
+        widths = (9, 9, 9, 9, 11, 9)
+        row = (f'{text:>{width}}' for text, width in zip(cells, widths, strict=True))
+        lines.append(f'{name:<14}' + ''.join(row))
     return lines
 
 
 def _honesty(report: Mapping[str, Any]) -> list[str]:
     nees = report['nees']
     return [
-        f'NEES {_cell(nees["mean"], 1.0, 2)} in the mean (3 is ideal'
-        f'{_range(nees["interval_95"])}); {_cell(nees["inside_95"], 100.0, 1)} % within 95 %',
-        f'RMSE {_cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
+        f'NEES {cell(nees["mean"], 1.0, 2)} in the mean (3 is ideal'
+        f'{honest_range(nees["interval_95"])}); {cell(nees["inside_95"], 100.0, 1)} % within 95 %',
+        f'RMSE {cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
         f'pictures with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
     ]
 
@@ -90,11 +91,3 @@ def _camera(offsets: Mapping[str, float]) -> str:
 def _when(spell: Mapping[str, Any]) -> str:
     begin, end = (f'{spell[key]:.1f}' for key in ('from_s', 'to_s'))
     return f'at {begin} s' if begin == end else f'from {begin} to {end} s'
-
-
-def _range(interval: list[float] | None) -> str:
-    return f', {interval[0]:.2f} to {interval[1]:.2f} is honest' if interval else ''
-
-
-def _cell(value: float | None, factor: float, digits: int, width: int = 0) -> str:
-    return f'{"-" if value is None else f"{factor * value:.{digits}f}":>{width}}'

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-__all__ = ['html_report']
+__all__ = ['ESTIMATES', 'cell', 'honest_range', 'html_report']
 
 _STYLE = (
     ':root{color-scheme:light dark}'
@@ -29,7 +29,7 @@ _ROWS = {
     'heading 95 % [deg]': ('heading_p95_deg', 1.0, 3),
 }
 
-_ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
+ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 
 
 def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
@@ -46,25 +46,24 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         Captions and PNG files.
 
     """
-    estimates = [name for name in _ESTIMATES if name in report]
+    estimates = [name for name in ESTIMATES if name in report]
     head = ''.join(f'<th>{name}</th>' for name in ('error', *estimates))
     body = ''.join(
         f'<tr><td>{label}</td>'
-        + ''.join(f'<td>{_cell(report[name][key], factor, digits)}</td>' for name in estimates)
+        + ''.join(f'<td>{cell(report[name][key], factor, digits)}</td>' for name in estimates)
         + '</tr>'
         for label, (key, factor, digits) in _ROWS.items()
     )
     nees = report['nees']
-    ideal = '3 is ideal' + ('' if nees['interval_95'] is None else _honest(*nees['interval_95']))
     rest = {
         'pictures': report['frames'],
         'triangulated poses': report['fixes'],
-        'availability': _cell(report['availability'], 1.0, 3),
+        'availability': cell(report['availability'], 1.0, 3),
         'landmarks in the map': report['landmarks'],
-        'claimed sigma, median [cm]': _cell(report['claimed']['position_median_m'], 100.0, 2),
-        f'NEES, mean ({ideal})': _cell(nees['mean'], 1.0, 2),
-        'NEES, share within 95 % [%]': _cell(nees['inside_95'], 100.0, 1),
-        'pictures over 5 sigma off, not told': _cell(report['silently_wrong'], 1, 0),
+        'claimed sigma, median [cm]': cell(report['claimed']['position_median_m'], 100.0, 2),
+        f'NEES, mean (3 is ideal{honest_range(nees["interval_95"])})': cell(nees['mean'], 1.0, 2),
+        'NEES, share within 95 % [%]': cell(nees['inside_95'], 100.0, 1),
+        'pictures over 5 sigma off, not told': cell(report['silently_wrong'], 1, 0),
         **(_of_replay(report) if 'crlb_ratio' in report else {}),
     }
     others = ''.join(
@@ -99,18 +98,20 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
 def _of_replay(report: Mapping[str, Any]) -> dict[str, str]:
     found, times = report['found'], report['update_ms']
     return {
-        'RMSE over Cramér-Rao bound': _cell(report['crlb_ratio'], 1.0, 2),
+        'RMSE over Cramér-Rao bound': cell(report['crlb_ratio'], 1.0, 2),
         'place': 'given' if found is None else f'found after {found["after_s"]:.1f} s',
-        'update, median [ms]': _cell(times['median'], 1.0, 1),
-        'update, 95 % within [ms]': _cell(times['p95'], 1.0, 1),
-        'times real time': _cell(report['realtime_factor'], 1.0, 1),
+        'update, median [ms]': cell(times['median'], 1.0, 1),
+        'update, 95 % within [ms]': cell(times['p95'], 1.0, 1),
+        'times real time': cell(report['realtime_factor'], 1.0, 1),
         'result hash': report['result_hash'][:16],
     }
 
 
-def _honest(low: float, high: float) -> str:
-    return f', {low:.2f} to {high:.2f} is honest'
+def honest_range(interval: list[float] | None) -> str:
+    """Tell between which means NEES is honest, if that is known."""
+    return f', {interval[0]:.2f} to {interval[1]:.2f} is honest' if interval else ''
 
 
-def _cell(value: float | None, factor: float, digits: int) -> str:
+def cell(value: float | None, factor: float, digits: int) -> str:
+    """Write a figure in another unit, or a dash where there is none."""
     return '-' if value is None else f'{factor * value:.{digits}f}'
