@@ -98,9 +98,13 @@ def test_one_sweep_tells_the_place(pose: tuple[float, float, float]) -> None:
 
 
 def test_a_blurred_sweep_tells_the_place_as_well() -> None:
-    pose = (2.4, 1.9, 0.4)
-    frames = [replace(f, image=cv2.GaussianBlur(f.image, (0, 0), 2.0)) for f in sweep(SCENE, pose)]
-    assert_right(standing(frames), pose)
+    """Sharp landmarks looked for in it are 19 mm off here."""
+    pose = (1.5, 2.6, 3.1)
+    frames = [replace(f, image=cv2.GaussianBlur(f.image, (0, 0), 3.0)) for f in sweep(SCENE, pose)]
+    found = standing(frames)
+    assert_right(found, pose)
+    assert isinstance(found, PoseEstimate)
+    assert np.hypot(*(found.pose - pose)[:2]) < 0.012
 
 
 def test_other_light_and_pictures_exchanged_do_no_harm() -> None:
