@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import ImageArray
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.localization.pipeline import LocalizationConfig
@@ -26,15 +27,14 @@ from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import CameraFrame
 
-Picture = npt.NDArray[np.uint8]
-Spoil = Callable[[Picture, np.random.Generator], Picture]
+Spoil = Callable[[ImageArray, np.random.Generator], ImageArray]
 
 START_SIGMA = np.array([0.05, 0.05, 0.035])
 # NEES of a wrong pose that is sure: over 5 sigma.
 SURE = 40.0
 
 
-def _as(picture: npt.NDArray[np.floating]) -> Picture:
+def _as(picture: npt.NDArray[np.floating]) -> ImageArray:
     return np.asarray(np.clip(picture, 0.0, 255.0), np.uint8)
 
 
@@ -64,10 +64,10 @@ def compressed(quality: int) -> Spoil:
 
 
 def covered(share: float) -> Spoil:
-    def spoil(image: Picture, rng: np.random.Generator) -> Picture:
+    def spoil(image: ImageArray, rng: np.random.Generator) -> ImageArray:
         width = round(share * image.shape[1])
         left = int(rng.integers(0, image.shape[1] - width))
-        spoilt: Picture = image.copy()
+        spoilt: ImageArray = image.copy()
         inside = spoilt[:, left : left + width]
         inside[...] = rng.integers(0, 256, inside.shape, dtype=np.uint8)
         return spoilt

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
@@ -18,8 +19,6 @@ from landmark_nav.localization.odometry.noise import (
     twist_motion,
 )
 from landmark_nav.types import Detections, Landmark, LandmarkMap, OdometrySample, PoseEstimate
-
-FloatArray = npt.NDArray[np.float64]
 
 MOUNT = PanTiltMount(axis_xyz=(0.08, -0.02, 1.1))
 START = np.array([2.5, 1.2, 0.2])

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from patch_texels import patch_points
 import pytest
 from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
@@ -19,8 +18,6 @@ from landmark_nav.learning.reference_area import joint_covariance, ReferenceArea
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusal
-
-Float32Image = npt.NDArray[np.float32]
 
 ROOM = rectangle_room(6.0, 5.0)
 CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.6, 2.9, 1.1]))

@@ -15,16 +15,14 @@ from fusion_drives import (
     start_estimate,
 )
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.fusion.measurement import bearing_model
 from landmark_nav.localization.fusion.state import BORESIGHT, initial_state, propagate
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.types import PoseEstimate
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class TestRecovery:

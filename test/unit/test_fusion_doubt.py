@@ -16,15 +16,12 @@ from fusion_drives import (
     start_estimate,
 )
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import OdometrySample, PoseEstimate
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class TestDoubt:

@@ -13,13 +13,10 @@ from fusion_drives import (
     start_estimate,
 )
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.types import Detections, OdometrySample, PoseEstimate
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class TestTime:

@@ -5,13 +5,12 @@ from collections.abc import Callable
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 
 POSES = st.tuples(*[st.floats(-50.0, 50.0)] * 2, st.floats(-10.0, 10.0)).map(np.array)
-FloatArray = npt.NDArray[np.float64]
 
 
 def matrix(pose: FloatArray) -> FloatArray:

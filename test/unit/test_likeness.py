@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.likeness import displaced_quarter
 
-Float32Image = npt.NDArray[np.float32]
 
-
-def texture(seed: int) -> Float32Image:
+def texture(seed: int) -> Float32Array:
     noise = np.random.default_rng(seed).normal(size=(60, 60))
     blots = cv2.GaussianBlur(noise, (0, 0), 2.0)
     return np.asarray(120.0 + 30.0 * blots / blots.std(), dtype=np.float32)
 
 
-def noisy(image: Float32Image, sigma: float, seed: int) -> Float32Image:
+def noisy(image: Float32Array, sigma: float, seed: int) -> Float32Array:
     noise = np.random.default_rng(seed).normal(0.0, sigma, image.shape)
     return np.asarray(image + noise, dtype=np.float32)
 

@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from landmark_nav.arrays import Float32Array
 from landmark_nav.matching import blur_by, blur_sigmas, blur_to, Match, match_template
 from landmark_nav.types import FloatArray, Refusal
-
-Float32Image = npt.NDArray[np.float32]
 
 
 class Texture:
@@ -23,7 +21,7 @@ class Texture:
         self._phase = rng.uniform(0.0, 2.0 * np.pi, 60)
         self._amplitude = deviation * np.sqrt(2.0 / 60)
 
-    def sample(self, columns: int, rows: int, x0: float = 0.0, y0: float = 0.0) -> Float32Image:
+    def sample(self, columns: int, rows: int, x0: float = 0.0, y0: float = 0.0) -> Float32Array:
         # Each wave is a product of one along x and one along y.
         x = np.exp(1j * np.outer(self._kx, x0 + np.arange(columns)))
         y = np.exp(1j * (np.outer(self._ky, y0 + np.arange(rows)) + self._phase[:, None]))

@@ -4,9 +4,9 @@ from bare_landmarks import bearings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
@@ -19,8 +19,6 @@ from landmark_nav.localization.triangulation.model import (
     map_share,
 )
 from landmark_nav.types import PoseEstimate, Refusal
-
-FloatArray = npt.NDArray[np.float64]
 
 LANDMARKS = np.array([[0.0, 1.0], [2.0, 4.0], [6.0, 3.0], [5.0, 0.0], [6.5, 1.0], [3.5, 4.4]])
 POSE = np.array([3.0, 2.0, 2.8])

@@ -4,15 +4,14 @@ from bare_landmarks import bearings
 from hypothesis import assume, given
 from hypothesis import strategies as st
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.optimize import least_squares
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
 from landmark_nav.localization.triangulation.three import triangulate_three
 
-FloatArray = npt.NDArray[np.float64]
 COORDINATE = st.floats(-10.0, 10.0)
 LANDMARKS = st.tuples(*[COORDINATE] * 6).map(lambda v: np.array(v).reshape(3, 2))
 POSES = st.tuples(COORDINATE, COORDINATE, st.floats(-np.pi, np.pi)).map(np.array)

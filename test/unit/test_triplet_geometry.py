@@ -7,7 +7,6 @@ from itertools import combinations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-import numpy.typing as npt
 import pytest
 from triplet_room import CAMERA, CONFIG, DEPTH, landmark, MOUNT, PRIOR, random_map, ROOM, WIDTH
 
@@ -17,8 +16,6 @@ from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
 from landmark_nav.localization.triplet.geometry import pair_tables, position_variance
 from landmark_nav.localization.triplet.views import PanWindows, travel_s
 from landmark_nav.types import LandmarkMap, PoseEstimate
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class TestVisibility:
