@@ -116,10 +116,10 @@ def test_localizer_says_what_it_lacks(
         return check
 
     client.wait(answer('pictures arrive 3.', 3 * 10**9), 10.0, 'word of late pictures')
-    client.wait(answer('no joint_states after a wait of 0.15 s', 0), 10.0, 'word of no joints')
+    client.wait(answer('no joint_states after a wait of 0.3 s', 0), 10.0, 'word of no joints')
     sample = JointSample(time.time_ns(), 0.0)
     joints.publish(encode.joint_state(ros_factory, sample, PanTiltMount()))
-    client.wait(answer(' ms behind after a wait of 0.15 s', 0), 10.0, 'word of late joints')
+    client.wait(answer(' ms behind after a wait of 0.3 s', 0), 10.0, 'word of late joints')
     client.wait(lambda: 'no picture for' in client.said(word).reason, 10.0, 'word of no picture')
 
 
