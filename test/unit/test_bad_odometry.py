@@ -104,3 +104,20 @@ def test_wheels_that_spin_are_not_taken_for_a_turned_camera_alone(
     assert all(m.nees < 25.0 for m in moments if m.after_s >= 0.0)
     assert {m.status for m in moments if m.after_s > 2.5} == {'tracking'}
     assert all(np.hypot(*m.error[:2]) < 0.03 for m in moments if m.after_s > 1.5)
+
+
+def test_a_clock_set_back_by_a_second_is_no_second_of_silence(sensed: list[Sensed]) -> None:
+    """Odometry is not late for that second: it comes as before, by another clock."""
+    second = 10**9
+
+    def set_back(step: Step, frame: CameraFrame | None) -> Sensed:
+        wheels = replace(step.odometry, stamp_ns=step.odometry.stamp_ns - second)
+        if frame is not None:
+            frame = replace(frame, stamp_ns=frame.stamp_ns - second)
+        return replace(step, odometry=wheels), frame
+
+    moments = list(run(sensed[: round(20 * (FAULT_S + 4.0))], set_back))
+    later = [m for m in moments if m.after_s > 0.5]
+    assert 'back' in first(moments, 'coasting').reason
+    assert all(np.hypot(*m.error[:2]) < 0.07 and m.nees < 25.0 for m in later)
+    assert {m.status for m in later if m.after_s > 2.5} == {'tracking'}

@@ -31,6 +31,8 @@ Step = Callable[[FilterState], tuple[FilterState, FusionUpdate | None]]
 
 # Odometry older by this is not late: the clock was set back, or the start pose had another one.
 _CLOCK_STEP_NS = 10**9
+# So does a row of samples that come one after the other, but all before those of a while ago.
+_LATE_IN_A_ROW = 5
 # Odometry comes more often than a state of its own is worth: motions add up over their parts. Of
 # those in each such piece of time, counted from 1970, the first has one, whatever came when.
 _STRIDE_NS = 100_000_000
@@ -65,6 +67,7 @@ class History:
         self._track = OdometryTrack(config)
         self._events: list[_Event] = []
         self._states: list[FilterState] = []  # after each event
+        self._late_ns = self._late_in_a_row = 0
 
     @property
     def started(self) -> bool:
@@ -90,7 +93,14 @@ class History:
         """Move on; what was wrong with the sample, if anything."""
         known = self._track.stamps_ns
         newest_ns = self._events[-1].stamp_ns if self._events else known[1] if known else 0
-        if sample.stamp_ns < newest_ns - max(self._span_ns, _CLOCK_STEP_NS):
+        if known is not None and sample.stamp_ns <= known[1]:
+            self._late_in_a_row += 1 if sample.stamp_ns > self._late_ns else -self._late_in_a_row
+            self._late_ns = sample.stamp_ns
+        else:
+            self._late_in_a_row = 0
+        stepped = self._late_in_a_row >= _LATE_IN_A_ROW
+        if stepped or sample.stamp_ns < newest_ns - max(self._span_ns, _CLOCK_STEP_NS):
+            self._late_in_a_row = 0
             return self._turn_back(sample, newest_ns)
         refusal = self._track.add(sample)
         if not self._events:
