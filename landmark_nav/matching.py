@@ -260,22 +260,25 @@ def _align(
     passed = _noise_passed(rows[:2].reshape(2, height, width), (x, y), search_blur)
     inverse = np.array([[yy, -xy], [-xy, xx]]) / determinant
     covariance = 0.25 * variance * inverse @ passed @ inverse
-    left = value / gain - rows[2] + 0.5 * (step_x * rows[0] + step_y * rows[1])
-    by_parts = _summed_squares((rows[:2] * left).reshape(2, height, width))
-    unlike = np.diag(0.25 * inverse @ by_parts @ inverse)
-    times = unlike / np.maximum(np.diag(covariance), _TINY)
-    more = np.sqrt(np.maximum(times - _BY_CHANCE, 1.0))
-    covariance = covariance * np.outer(more, more) + _FLOOR
+    pulls = rows[:2] * (value / gain - rows[2])
+    by_parts = _summed_squares(np.asarray(pulls, np.float32).reshape(2 * height, width))
+    unlike = 0.25 * inverse @ by_parts @ inverse
+    across, down = (
+        math.sqrt(max(unlike[k, k] / max(covariance[k, k], _TINY) - _BY_CHANCE, 1.0))
+        for k in range(2)
+    )
+    covariance *= [[across**2, across * down], [across * down, down**2]]
+    covariance += _FLOOR
     return np.array([x, y]), covariance, gain * (power / max(total, 1e-12)) ** 0.5, blur_px2
 
 
 def _summed_squares(pulls: Float32Array) -> FloatArray:
-    """Sum (2, 2) over the parts of a patch of the squares of what pulls (2, h, w) add up to."""
-    height, width = pulls.shape[1:]
-    down, across = (np.arange(_PARTS) * n // _PARTS for n in (height, width))
-    sums = np.add.reduceat(np.add.reduceat(pulls, down, axis=1), across, axis=2).reshape(2, -1)
-    free = sums.shape[1]
-    return np.asarray(sums @ sums.T, dtype=np.float64) * free / (free - _TAKEN)
+    """Sum (2, 2) over parts of a patch of the squares of what pulls (2 h, w) add up to there."""
+    means = cv2.resize(pulls, (_PARTS, 2 * _PARTS), interpolation=cv2.INTER_AREA).reshape(2, -1)
+    count = means.shape[1]
+    in_each = 0.5 * pulls.size / count
+    free = in_each**2 * count / (count - _TAKEN)
+    return np.asarray(free * (means @ means.T), dtype=np.float64)
 
 
 def _further_blur(normal: list[list[float]], seen: list[float]) -> FloatArray:
