@@ -21,6 +21,17 @@ _AGREE = 3
 # Correlation of a match that is not mistaken: seen from wrong poses (0.15 to 1 m off) a twentieth
 # of all mistaken matches reached it, and never three in one picture of 784.
 _SURE_SCORE = 0.95
+# Measurements accepted in a row until no longer lost.
+_FOUND_AFTER_ACCEPTANCES = 3
+# Share of what should be in a picture that has to be found for it to be used; and to be no longer
+# lost.
+_USABLE_SHARE, _FOUND_SHARE = 0.3, 0.4
+# Lost is who finds next to nothing, this share, of what should be in view, so many landmarks at
+# least, in so many seconds. What is missing must reach further along the walls than that: one
+# picture may be exchanged.
+_MISSING_SHARE, _MISSING_EXPECTED, _MISSING_S, _MISSING_EXTENT_M = 0.15, 10, 1.4, 1.5
+# How long trouble with the odometry is told.
+_TROUBLE_S = 2.0
 
 Status = Literal['tracking', 'coasting', 'lost']
 
@@ -38,44 +49,11 @@ class HealthConfig(Config):
     lost_after_rejections: int = parameter(
         5, 'Measurements rejected in a row until lost.', minimum=1, maximum=1000
     )
-    found_after_acceptances: int = parameter(
-        3, 'Measurements accepted in a row until no longer lost.', minimum=1, maximum=1000
-    )
     lost_sigma_m: float = parameter(
         1.0, 'Position sigma (root of the trace) above which the filter is lost, m.', minimum=0.0
     )
     lost_sigma_rad: float = parameter(
         0.5, 'Heading sigma above which the filter is lost, rad.', minimum=0.0
-    )
-    trouble_s: float = parameter(
-        2.0, 'How long trouble with the odometry is told, s.', minimum=0.0, maximum=3600.0
-    )
-    missing_s: float = parameter(
-        1.4,
-        'Seconds in which next to nothing of what should be in view is found until lost.',
-        minimum=0.0,
-        maximum=3600.0,
-    )
-    missing_expected: int = parameter(
-        10, 'Landmarks that should have been in view by then, at least.', minimum=1, maximum=10000
-    )
-    missing_share: float = parameter(
-        0.15, 'Share of them that counts as next to nothing.', minimum=0.0, maximum=1.0
-    )
-    missing_extent_m: float = parameter(
-        1.5,
-        'What is missing must reach further along the walls, m: one picture may be exchanged.',
-        minimum=0.0,
-        maximum=100.0,
-    )
-    usable_share: float = parameter(
-        0.3,
-        'Share of what should be in a picture that has to be found for it to be used.',
-        minimum=0.0,
-        maximum=1.0,
-    )
-    found_share: float = parameter(
-        0.4, 'Share of them that has to be found to be no longer lost.', minimum=0.0, maximum=1.0
     )
     nis_window: int = parameter(
         10, 'Accepted measurements whose innovations are judged together.', minimum=1, maximum=1000
@@ -150,13 +128,13 @@ class Health:
         a say of their own.
         """
         if self._astray:
-            return max(_AGREE, ceil(self._config.found_share * expected))
+            return max(_AGREE, ceil(_FOUND_SHARE * expected))
         return _AGREE if self._rejections and expected >= _AGREE else 1
 
     def too_few(self, scores: FloatArray, expected: int) -> bool:
         """Whether those found among so many that are missing may be mistaken themselves."""
         sure = np.count_nonzero(scores >= _SURE_SCORE) >= _AGREE
-        return not sure and len(scores) < self._config.usable_share * expected
+        return not sure and len(scores) < _USABLE_SHARE * expected
 
     def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
         """Remember that the odometry cannot be what it says."""
@@ -172,18 +150,17 @@ class Health:
         """
         if not found and not len(missed):
             return
-        config = self._config
         self._views.append(_View(stamp_ns, found, missed))
-        while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > config.missing_s:
+        while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > _MISSING_S:
             self._views.popleft()
         places = np.concatenate([view.missed for view in self._views])
         found = sum(view.found for view in self._views)
         expected = found + len(places)
-        lasts = (stamp_ns - self._views[0].stamp_ns) * 1e-9 >= 0.6 * config.missing_s
-        enough = lasts and expected >= config.missing_expected
-        if not enough or found > config.missing_share * expected:
+        lasts = (stamp_ns - self._views[0].stamp_ns) * 1e-9 >= 0.6 * _MISSING_S
+        enough = lasts and expected >= _MISSING_EXPECTED
+        if not enough or found > _MISSING_SHARE * expected:
             return
-        if np.linalg.norm(np.ptp(places[:, :2], axis=0)) > config.missing_extent_m:
+        if np.linalg.norm(np.ptp(places[:, :2], axis=0)) > _MISSING_EXTENT_M:
             self._doubt(
                 f'{found} of {expected} landmarks that should be in the last '
                 f'{len(self._views)} pictures were found'
@@ -207,7 +184,7 @@ class Health:
                     f'innovations are too large: NIS {nis:.0f} over the last {len(self._window)} '
                     f'measurements, limit {limit:.0f}'
                 )
-            elif self._acceptances >= self._config.found_after_acceptances:
+            elif self._acceptances >= _FOUND_AFTER_ACCEPTANCES:
                 self._astray = ''
                 self._doubts = 0
         elif update.refusal is not None:
@@ -257,7 +234,7 @@ class Health:
         if blind:
             return 'coasting', blind
         trouble, reason = self._trouble
-        if 0.0 <= (estimate.stamp_ns - trouble) * 1e-9 < self._config.trouble_s:
+        if 0.0 <= (estimate.stamp_ns - trouble) * 1e-9 < _TROUBLE_S:
             return 'coasting', reason
         return 'tracking', ''
 
