@@ -80,18 +80,3 @@ class FusionConfig(Config):
     history_s: float = parameter(
         2.0, 'How late a measurement may come, s.', minimum=0.0, maximum=60.0
     )
-    astray_sigma_m: float = parameter(
-        0.15,
-        'Position noise added with each picture that contradicts while lost, m.',
-        minimum=0.0,
-        maximum=10.0,
-    )
-    astray_sigma_rad: float = parameter(
-        0.05,
-        'Heading noise added with each picture that contradicts while lost, rad.',
-        minimum=0.0,
-        maximum=3.0,
-    )
-    astray_limit_m: float = parameter(
-        2.0, 'Position sigma at which that ends, m.', minimum=0.0, maximum=100.0
-    )

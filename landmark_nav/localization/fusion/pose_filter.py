@@ -40,6 +40,10 @@ __all__ = ['PoseFilter']
 _SCORES = 12
 # So many of them tell of which landmarks a pose was made, and so many it is made of.
 _PICTURES, _LEAST = 10, 3
+# Variances (3,) that each picture adds which contradicts a pose that is not believed, and the
+# position sigma at which that ends.
+_DOUBT = np.square([0.15, 0.15, 0.05])
+_DOUBT_LIMIT_M = 2.0
 
 
 class PoseFilter:
@@ -256,19 +260,13 @@ class PoseFilter:
         if not self._health.doubts:
             return found
         # The place is doubted, not the motion: this goes when landmarks are found here again.
-        doubt = self._health.doubts * self._doubt
-        doubt *= min(1.0, self._config.astray_limit_m**2 / (doubt[0] + 1e-300))
+        doubt = self._health.doubts * _DOUBT
+        doubt *= min(1.0, _DOUBT_LIMIT_M**2 / (doubt[0] + 1e-300))
         return replace(found, covariance=found.covariance + np.diag(doubt))
 
     def with_landmarks(self, stamp_ns: int) -> FloatArray:
         """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
         return self._history.at(stamp_ns).cross[:3, : 2 * len(self._map.landmarks)]
-
-    @property
-    def _doubt(self) -> FloatArray:
-        """Variances (3,) that each picture adds which contradicts a pose that is not believed."""
-        position, heading = self._config.astray_sigma_m, self._config.astray_sigma_rad
-        return np.square([position, position, heading])
 
     def _untimely(self, stamp_ns: int) -> Refusal | None:
         if not self._history.started:
@@ -291,8 +289,8 @@ class PoseFilter:
     def _doubted(self, state: FilterState) -> tuple[FilterState, None]:
         """Widen a state that measurements keep contradicting, until they can fit again."""
         covariance = state.covariance.copy()
-        if np.trace(covariance[:2, :2]) < self._config.astray_limit_m**2:
-            covariance[range(3), range(3)] += self._doubt
+        if np.trace(covariance[:2, :2]) < _DOUBT_LIMIT_M**2:
+            covariance[range(3), range(3)] += _DOUBT
         return replace(state, covariance=covariance), None
 
 
