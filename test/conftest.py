@@ -5,10 +5,15 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from hypothesis import settings
 import pytest
 
 # Nodes that tests start must not talk to other machines, however pytest was called.
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+# How long an example takes depends on what else the machine does.
+settings.register_profile('any machine', deadline=None)
+settings.load_profile('any machine')
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

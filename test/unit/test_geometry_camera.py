@@ -32,7 +32,7 @@ CAMERAS = {
 
 
 @pytest.mark.parametrize('camera', CAMERAS.values(), ids=CAMERAS.keys())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(-0.5, 511.5), st.floats(-0.5, 383.5))
 def test_every_pixel_comes_back(camera: CameraModel, u: float, v: float) -> None:
     ray = camera.unproject([u, v])

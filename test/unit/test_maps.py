@@ -55,7 +55,7 @@ def make_map(seed=0, count=3, factors=4):
     )
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 6), factors=st.integers(0, 9))
 def test_a_map_comes_back_bit_by_bit(tmp_path_factory, seed, count, factors):
     saved = make_map(seed, count, factors)

@@ -82,7 +82,7 @@ def test_values_that_are_no_numbers_are_refused_with_what_and_when():
 SCALARS = st.sampled_from(['<u4', '<i2', 'u1', '<f4', '<f8'])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     data=st.data(),
     kinds=st.lists(st.tuples(SCALARS, st.integers(1, 4)), min_size=1, max_size=5),

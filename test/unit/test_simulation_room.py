@@ -135,7 +135,7 @@ class TestScene:
 
 
 class TestPainterOrder:
-    @settings(max_examples=40, deadline=None)
+    @settings(max_examples=40)
     @given(st.integers(0, 10_000))
     def test_nothing_near_is_painted_before_what_it_covers(self, seed):
         rng = np.random.default_rng(seed)

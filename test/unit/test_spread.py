@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 
@@ -25,7 +25,6 @@ def test_without_a_time_all_of_it_comes_at_once(fused: np.ndarray, odometry: np.
         assert np.abs([*error[:2], wrap_rad(error[2])]).max() < 1e-9
 
 
-@settings(deadline=None)
 @given(fused=poses, odometry=poses, correction=small)
 def test_a_correction_decays_at_the_base_wherever_odom_begins(
     fused: np.ndarray, odometry: np.ndarray, correction: np.ndarray

@@ -55,7 +55,7 @@ class TestRecovery:
         assert -np.pi < fix.pose[2] <= np.pi
         assert fix.chi_square < 1e-6
 
-    @settings(max_examples=50, deadline=None)
+    @settings(max_examples=50)
     @given(st.floats(0.7, 5.4), st.floats(0.7, 3.4), st.floats(-np.pi, np.pi))
     def test_anywhere_in_the_room(self, x: float, y: float, heading: float) -> None:
         pose = np.array([x, y, heading])

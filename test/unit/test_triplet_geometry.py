@@ -55,7 +55,7 @@ class TestVisibility:
 
 
 class TestGeometry:
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(st.integers(0, 10_000), st.integers(3, 9))
     def test_tours_in_one_view_against_a_grid_of_pans(self, seed: int, n: int) -> None:
         rng = np.random.default_rng(seed)
@@ -83,7 +83,7 @@ class TestGeometry:
                 assert limits[0] <= pan[0] <= limits[1]
                 assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(st.integers(0, 10_000), st.sampled_from(['one', 'several']))
     def test_a_triplet_costs_the_most_of_its_pairs(self, seed: int, views: str) -> None:
         rng = np.random.default_rng(seed)

@@ -22,7 +22,7 @@ UP = np.array([0.0, 0.0, 0.3])
 
 
 class TestSearch:
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     @given(st.integers(0, 10_000), st.integers(3, 80), st.sampled_from([0.01, 0.3]))
     def test_pruned_is_exhaustive(self, seed: int, n: int, spread_m: float) -> None:
         rng = np.random.default_rng(seed)
