@@ -96,7 +96,7 @@ class TestJacobians:
         columns = np.array([1, 4, 7])
         measured = bearings(MAP, START)[columns]
         # With unit covariances and no noise the products are the Jacobians themselves.
-        unit = replace(state, covariance=np.eye(len(state.mean)), landmark_covariance=np.eye(30))
+        unit = replace(state, covariance=np.eye(len(state.mean)), considered_covariance=np.eye(30))
         quiet, repeated = np.zeros(3), np.array([1e-3, 2e-3, 3e-3])
         model = bearing_model(unit, unit, columns, measured, quiet, repeated, 0.0, lever)
         step = 1e-6
@@ -117,7 +117,9 @@ class TestJacobians:
             offset = np.zeros(30)
             offset[k] = step
             change = expected(state.mean, offset) - expected(state.mean, -offset)
-            np.testing.assert_allclose(model.map_covariance[k], change / (2 * step), atol=1e-8)
+            np.testing.assert_allclose(
+                model.considered_covariance[k], change / (2 * step), atol=1e-8
+            )
 
     def test_of_motion(self) -> None:
         quiet = OdometryNoiseConfig(

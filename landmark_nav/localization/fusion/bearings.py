@@ -28,9 +28,7 @@ class BearingFrame:
 
     `columns` (m,) are places of the landmarks in the map, `variance` (m,) what each bearing claims
     of itself and `common_variance` what all of them share, `scores` (m,) their correlations,
-    `unusable` what was sorted out before. Of the variance a landmark's sightings repeat a share,
-    `repeated_share`, over `repeat_length_m` of way. What linearising them leaves out counts as if
-    so many pictures, `curvature_repeats`, repeated it.
+    `unusable` what was sorted out before; `config` says what sightings repeat.
     """
 
     columns: IndexArray
@@ -39,11 +37,9 @@ class BearingFrame:
     common_variance: float
     unusable: dict[int, Refusal]
     scores: FloatArray
+    config: FusionConfig
     pan_rate: float = 0.0
     pan: float = 0.0
-    curvature_repeats: float = 0.0
-    repeated_share: float = 0.0
-    repeat_length_m: float = 1.0
 
 
 def bearing_frame(
@@ -93,11 +89,9 @@ def bearing_frame(
         config.pan_sigma_rad**2 + detections.pan_sigma_rad**2,
         unusable,
         detections.score[rows],
+        config,
         detections.pan_rate_rad_s,
         detections.pan_rad,
-        config.curvature_repeats,
-        config.repeated_share,
-        config.repeat_length_m,
     )
 
 

@@ -95,7 +95,7 @@ def _pose_model(
         innovation,
         jacobian,
         state_covariance,
-        prior.cross.T @ beside.T + seen.map_covariance @ fix.T,
+        prior.cross.T @ beside.T + seen.considered_covariance @ fix.T,
         beside @ state_covariance
         + fix @ (seen.covariance @ fix.T + seen.state_covariance.T @ beside.T)
         + measured.covariance,

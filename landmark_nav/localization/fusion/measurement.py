@@ -27,14 +27,15 @@ class MeasurementModel(NamedTuple):
 
     `innovation` (m,) is measured minus expected at the prior, `jacobian` (m, STATES) what is
     measured differentiated by the state, `state_covariance` (STATES, m) the covariance of the
-    state with it, `map_covariance` (3n, m) that of the landmarks, `covariance` (m, m) its own;
-    `by_noise` (LEARNED, m, m) is what of that each noise adds in this measurement.
+    state with it, `considered_covariance` (3n, m) that of the landmarks and of what sightings of
+    them repeat, `covariance` (m, m) its own; `by_noise` (LEARNED, m, m) is what of that each noise
+    adds in this measurement.
     """
 
     innovation: FloatArray
     jacobian: FloatArray
     state_covariance: FloatArray
-    map_covariance: FloatArray
+    considered_covariance: FloatArray
     covariance: FloatArray
     by_noise: FloatArray
 
@@ -59,20 +60,20 @@ def expected_bearings(
         at,
         frame.columns[chosen],
         frame.bearing_rad[chosen],
-        (1.0 - frame.repeated_share) * variance,
-        np.sqrt(frame.repeated_share * variance),
+        (1.0 - frame.config.repeated_share) * variance,
+        np.sqrt(frame.config.repeated_share * variance),
         frame.common_variance,
         lever,
         frame.pan_rate,
         frame.pan,
     )
-    if not frame.curvature_repeats:
+    if not frame.config.curvature_repeats:
         return model
     bend, spread = _left_out(model.jacobian[:, :2], at.covariance[:2, :2])
     return model._replace(
         innovation=model.innovation - bend,
         # It is no noise: pictures in a row repeat it.
-        covariance=model.covariance + frame.curvature_repeats * spread,
+        covariance=model.covariance + frame.config.curvature_repeats * spread,
     )
 
 
@@ -140,11 +141,11 @@ def bearing_model(
     by_places[row, row], by_places[row, m + row] = gradient.T
     by_places[row, 2 * m + row] = -repeated_sigma
     state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
-    map_covariance = prior.cross.T @ jacobian.T
-    map_covariance -= prior.landmark_covariance[:, places] @ by_places.T
+    considered_covariance = prior.cross.T @ jacobian.T
+    considered_covariance -= prior.considered_covariance[:, places] @ by_places.T
     by_noise = np.zeros((LEARNED, len(columns), len(columns)))
     np.fill_diagonal(by_noise[SIGHTING], variance)
-    covariance = jacobian @ state_covariance - by_places @ map_covariance[places]
+    covariance = jacobian @ state_covariance - by_places @ considered_covariance[places]
     covariance += by_noise[SIGHTING] + common_variance
 
     offset = prior.mean - at.mean
@@ -153,7 +154,7 @@ def bearing_model(
     innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
     innovation -= repeated_sigma * prior.repeated[columns]
     return MeasurementModel(
-        innovation, jacobian, state_covariance, map_covariance, covariance, by_noise
+        innovation, jacobian, state_covariance, considered_covariance, covariance, by_noise
     )
 
 
@@ -172,19 +173,19 @@ def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> Filter
         prior,
         mean=mean,
         covariance=0.5 * (covariance + covariance.T),
-        cross=prior.cross - gain @ model.map_covariance.T,
+        cross=prior.cross - gain @ model.considered_covariance.T,
         by_noise=left @ prior.by_noise @ left.T + gain @ model.by_noise @ gain.T,
     )
     if not refine:
         return state
-    map_gain = np.linalg.solve(model.covariance, model.map_covariance.T).T
-    map_covariance = prior.landmark_covariance - map_gain @ model.map_covariance.T
-    step, n = map_gain @ model.innovation, len(prior.landmarks)
+    refined_by = np.linalg.solve(model.covariance, model.considered_covariance.T).T
+    remaining = prior.considered_covariance - refined_by @ model.considered_covariance.T
+    step, n = refined_by @ model.innovation, len(prior.landmarks)
     return replace(
         state,
         landmarks=prior.landmarks + step[: 2 * n].reshape(-1, 2),
         repeated=prior.repeated + step[2 * n :],
-        landmark_covariance=0.5 * (map_covariance + map_covariance.T),
+        considered_covariance=0.5 * (remaining + remaining.T),
     )
 
 

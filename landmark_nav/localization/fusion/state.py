@@ -69,7 +69,7 @@ class FilterState:
         Their places in map, metres.
     repeated : ndarray, shape (n,)
         Error that the sightings of each repeat, over its sigma.
-    landmark_covariance : ndarray, shape (3n, 3n)
+    considered_covariance : ndarray, shape (3n, 3n)
         Joint covariance of both, in the order of `cross`.
     scales : NoiseScales
         How noisy odometry and sightings turned out to be.
@@ -86,7 +86,7 @@ class FilterState:
     cross: FloatArray
     landmarks: FloatArray
     repeated: FloatArray
-    landmark_covariance: FloatArray
+    considered_covariance: FloatArray
     scales: NoiseScales
     by_noise: FloatArray
     way_m: float = 0.0
@@ -157,7 +157,7 @@ def among(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
         cross=np.zeros((STATES, 3 * n)),
         landmarks=landmark_map.positions[:, :2],
         repeated=np.zeros(n),
-        landmark_covariance=block_diag(landmark_map.joint_covariance_xy, np.eye(n)),
+        considered_covariance=block_diag(landmark_map.joint_covariance_xy, np.eye(n)),
     )
 
 
@@ -170,7 +170,7 @@ def looking_again(state: FilterState, length_m: float) -> FilterState:
     if state.way_m == 0.0:
         return state
     kept, repeats = np.exp(-state.way_m / length_m), slice(2 * len(state.landmarks), None)
-    cross, covariance = state.cross.copy(), state.landmark_covariance
+    cross, covariance = state.cross.copy(), state.considered_covariance
     cross[:, repeats] *= kept
     if state.repeated.any():
         covariance = covariance.copy()
@@ -181,7 +181,7 @@ def looking_again(state: FilterState, length_m: float) -> FilterState:
         state,
         cross=cross,
         repeated=kept * state.repeated,
-        landmark_covariance=covariance,
+        considered_covariance=covariance,
         way_m=0.0,
     )
 

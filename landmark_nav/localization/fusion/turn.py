@@ -43,7 +43,7 @@ def update_turning(
     which the robot drives on, tell them apart. An angle that is only too large for the gates of
     single bearings is laid to the odometry.
     """
-    prior = looking_again(prior, frame.repeat_length_m)
+    prior = looking_again(prior, frame.config.repeat_length_m)
     expected = expected_bearings(prior, frame, lever)
     state, update = update_bearings(
         prior, frame, ids, lever, probability, odometry, least, refine, expected
