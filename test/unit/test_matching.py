@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 
 from landmark_nav.arrays import Float32Array
-from landmark_nav.matching import blur_by, blur_sigmas, blur_to, Match, match_template
+from landmark_nav.matching import (
+    blur_by,
+    blur_sigmas,
+    blur_to,
+    Match,
+    match_template,
+    match_templates,
+    Query,
+)
 from landmark_nav.types import FloatArray, Refusal
 
 
@@ -214,3 +222,20 @@ def test_blurring_works_across_and_down_apart() -> None:
 def test_nothing_is_blurred_that_is_coarse_already(step: list[float]) -> None:
     picture = Texture(13).sample(30, 30)
     np.testing.assert_array_equal(blur_to(picture, np.array(step)), picture)
+
+
+def test_many_templates_are_found_as_each_alone() -> None:
+    texture = Texture(8)
+    search, blank = texture.sample(60, 56), np.full((20, 20), 99.0, np.float32)
+    templates = [texture.sample(24 + 3 * k, 20, 10.3 + k, 12.6) for k in range(4)]
+    queries = [Query(search, template) for template in [templates[0], blank, *templates[1:]]]
+    found = match_templates(queries)
+    assert isinstance(found[1], Refusal)
+    for match, template in zip([found[0], *found[2:]], templates, strict=True):
+        alone = match_template(search, template)
+        assert isinstance(match, Match)
+        assert isinstance(alone, Match)
+        np.testing.assert_array_equal(match.xy, alone.xy)
+        np.testing.assert_array_equal(match.covariance, alone.covariance)
+        np.testing.assert_array_equal(match.blur_px2, alone.blur_px2)
+    assert match_templates([]) == []

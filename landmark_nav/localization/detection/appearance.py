@@ -9,6 +9,8 @@ same side and from as near count most, after Buehler et al., SIGGRAPH 2001.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
 import math
 from typing import NamedTuple
 
@@ -38,58 +40,93 @@ class Texture(NamedTuple):
     share: float
 
 
-def draw(
-    landmark: Landmark,
-    viewer: FloatArray,
-    rays: Float32Array,
-    ray_to_patch: FloatArray,
-    appearance: str,
-) -> tuple[Float32Array, tuple[float, float]]:
+class Drawing(NamedTuple):
     """
-    Draw a landmark as it should look in a rectangle of the picture.
+    How a landmark should look in a rectangle of the picture, (height, width).
+
+    `finer` is how many times finer than what was drawn from the picture is, across and down; at
+    least 1.
+    """
+
+    image: Float32Array
+    finer: tuple[float, float]
+
+
+def draw(
+    landmarks: Sequence[Landmark],
+    viewer: FloatArray,
+    rays: Sequence[Float32Array],
+    rays_to_patch: FloatArray,
+    appearance: str,
+) -> list[Drawing]:
+    """
+    Draw landmarks as they should look in rectangles of the picture.
 
     Parameters
     ----------
-    landmark : Landmark
+    landmarks : sequence of Landmark
         What to draw.
     viewer : ndarray, shape (3,)
         Where the camera is, in map.
-    rays : ndarray, shape (height, width, 2)
-        Of the pixels, x/z and y/z in the optical frame.
-    ray_to_patch : ndarray, shape (3, 3)
-        Rays (x, y, 1) to metres on the patch.
+    rays : sequence of ndarray, shape (height, width, 2)
+        Of the pixels of each rectangle, x/z and y/z in the optical frame.
+    rays_to_patch : ndarray, shape (n, 3, 3)
+        Rays (x, y, 1) to metres on each patch.
     appearance : str
         One of `APPEARANCES`.
 
-    Returns
-    -------
-    template : ndarray of float32, shape (height, width)
-    finer : tuple of float
-        How many times finer than what was drawn from the picture is, across and down; at least 1.
-
     """
-    height, width = rays.shape[:2]
-    right, below = cv2.split(cv2.perspectiveTransform(rays, ray_to_patch))
-    # Metres a pixel, across and down; they run backwards where the camera is upside down.
-    across = abs(float(right[height // 2, -1] - right[height // 2, 0])) / (width - 1)
-    down = abs(float(below[-1, width // 2] - below[0, width // 2])) / (height - 1)
-    template = np.zeros((height, width), np.float32)
-    finer_across = finer_down = 0.0
-    for image, share in textures(landmark, viewer, appearance):
-        rows, columns = image.shape
-        scale = columns / landmark.width_m
-        step_x, step_y = max(scale * across, 1e-2), max(scale * down, 1e-2)
-        part = cv2.remap(
-            blur_to(image.astype(np.float32), (step_x, step_y)),
-            scale * right + (columns - 1) / 2,
-            scale * below + (rows - 1) / 2,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
+    # Step by step for all of them, which is quicker than all steps one by one.
+    shown = [
+        (k, *texture)
+        for k, landmark in enumerate(landmarks)
+        for texture in textures(landmark, viewer, appearance)
+    ]
+    texels = [
+        np.asarray(
+            cv2.perspectiveTransform(
+                rays[k], _to_texels(image, landmarks[k].width_m) @ rays_to_patch[k]
+            ),
+            dtype=np.float32,
         )
-        template += share * part
-        finer_across += share * max(1.0 / step_x, 1.0) ** 2
-        finer_down += share * max(1.0 / step_y, 1.0) ** 2
-    return template, (math.sqrt(finer_across), math.sqrt(finer_down))
+        for k, image, _ in shown
+    ]
+    steps = [_texels_a_pixel(each) for each in texels]
+    sources = [
+        blur_to(image.astype(np.float32), step)
+        for (_, image, _), step in zip(shown, steps, strict=True)
+    ]
+    parts = [
+        cv2.remap(  # type: ignore[call-overload]
+            source, each, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        for source, each in zip(sources, texels, strict=True)
+    ]
+    images = [np.zeros(each.shape[:2], np.float32) for each in rays]
+    squares = np.zeros((len(rays), 2))
+    for (k, _, share), part, (across, down) in zip(shown, parts, steps, strict=True):
+        cv2.scaleAdd(part, share, images[k], dst=images[k])
+        squares[k] += share * max(1.0 / across, 1.0) ** 2, share * max(1.0 / down, 1.0) ** 2
+    finer = np.sqrt(squares).tolist()
+    return [Drawing(image, (x, y)) for image, (x, y) in zip(images, finer, strict=True)]
+
+
+def _to_texels(image: ImageArray, width_m: float) -> FloatArray:
+    """Metres on a patch, homogeneous, to columns and rows of its picture, (3, 3)."""
+    rows, columns = image.shape
+    scale = columns / width_m
+    return np.array(
+        [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
+    )
+
+
+def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:
+    """Steps across and down the middle of a rectangle (height, width, 2)."""
+    height, width = texels.shape[:2]
+    # Texels run backwards where the camera is upside down.
+    across = abs(float(texels[height // 2, -1, 0] - texels[height // 2, 0, 0])) / (width - 1)
+    down = abs(float(texels[-1, width // 2, 1] - texels[0, width // 2, 1])) / (height - 1)
+    return max(across, 1e-2), max(down, 1e-2)
 
 
 def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Texture]:
@@ -108,17 +145,28 @@ def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Te
     """
     if appearance == 'patch' or not landmark.views:
         return [Texture(landmark.patch, 1.0)]
-    views = (PatchView(landmark.viewpoint, landmark.patch), *landmark.views)
     angle, reach = _seen_from(landmark, viewer)
+    views = _views(landmark)
     misfit = []
-    for view in views:
-        its_angle, its_reach = _seen_from(landmark, view.viewpoint)
+    for _, its_angle, its_reach in views:
         farther = max(math.log(its_reach / reach), 0.0)
         misfit.append(((its_angle - angle) / _ASIDE_RAD) ** 2 + (farther / _FARTHER) ** 2)
-    weight = [math.exp(0.5 * (min(misfit) - m)) for m in misfit]
+    best = min(misfit)
+    weight = [math.exp(0.5 * (best - m)) for m in misfit]
     least = _LEAST_SHARE * sum(weight)
     total = sum(w for w in weight if w >= least)
-    return [Texture(v.patch, w / total) for v, w in zip(views, weight, strict=True) if w >= least]
+    return [
+        Texture(image, w / total)
+        for (image, *_), w in zip(views, weight, strict=True)
+        if w >= least
+    ]
+
+
+@lru_cache(maxsize=4096)
+def _views(landmark: Landmark) -> tuple[tuple[ImageArray, float, float], ...]:
+    """Pictures of a landmark, each with the angle and the distance that it was seen from."""
+    views = (PatchView(landmark.viewpoint, landmark.patch), *landmark.views)
+    return tuple((view.patch, *_seen_from(landmark, view.viewpoint)) for view in views)
 
 
 def _seen_from(landmark: Landmark, viewpoint: FloatArray) -> tuple[float, float]:

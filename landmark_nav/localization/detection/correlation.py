@@ -27,7 +27,14 @@ from landmark_nav.localization.detection.expectation import (
     View,
 )
 from landmark_nav.localization.detection.height import LEAST_HEIGHTS, RowModel, wrong_heights
-from landmark_nav.matching import blur_by, blur_sigmas, Match, match_template, sigmas_of
+from landmark_nav.matching import (
+    blur_by,
+    blur_sigmas,
+    Match,
+    match_templates,
+    Query,
+    sigmas_of,
+)
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -97,13 +104,20 @@ def detect_landmarks(
 
     """
     view = View(frame, prior, mount)
-    chosen = [landmark_map.landmarks[k] for k in indices]
     refused: dict[int, Refusal] = {}
+    looked: list[Landmark] = []
+    places: list[Expectation] = []
+    for k, expected in zip(indices, expect(landmark_map, indices, view, config), strict=True):
+        landmark = landmark_map.landmarks[k]
+        if (refusal := expected.refusal(config.min_size_px)) is not None:
+            refused[landmark.id] = refusal
+        else:
+            looked.append(landmark)
+            places.append(expected)
     found: list[_Found] = []
-    for landmark, expected in zip(
-        chosen, expect(landmark_map, indices, view, config), strict=True
+    for landmark, match in zip(
+        looked, _detect(looked, places, view, config, blur_px2), strict=True
     ):
-        match = _detect(landmark, expected, view, config, blur_px2)
         if isinstance(match, Refusal):
             refused[landmark.id] = match
         else:
@@ -145,39 +159,68 @@ class _Found(NamedTuple):
 
 
 def _detect(
-    landmark: Landmark,
-    expected: Expectation,
+    landmarks: Sequence[Landmark],
+    expected: Sequence[Expectation],
     view: View,
     config: DetectionConfig,
     blur_px2: FloatArray,
-) -> _Found | Refusal:
-    """Where and how a landmark's template was found."""
-    _, left, top, right, bottom, (window_u, window_v), ray_to_patch = expected
-    size = (right - left + 1, bottom - top + 1)
-    if right < left and bottom < top:
-        return Refusal('out of view')
-    if min(size) < config.min_size_px:
-        return Refusal('too small or cut off', f'{size[0]} x {size[1]} px')
-    x0, x1 = max(0, left - window_u), min(view.camera.width, right + window_u + 1)
-    y0, y1 = max(0, top - window_v), min(view.camera.height, bottom + window_v + 1)
-    rays = view.camera.ray_grid[top : bottom + 1, left : right + 1]
-    template, finer = draw(landmark, view.center, rays, ray_to_patch, config.appearance)
+) -> list[_Found | Refusal]:
+    """Where and how templates of landmarks were found."""
+    width, height = view.camera.width, view.camera.height
+    windows = [
+        (
+            max(0, place.left - place.window[0]),
+            max(0, place.top - place.window[1]),
+            min(width, place.right + place.window[0] + 1),
+            min(height, place.bottom + place.window[1] + 1),
+        )
+        for place in expected
+    ]
+    grid = view.camera.ray_grid
+    drawings = draw(
+        landmarks,
+        view.center,
+        [grid[place.top : place.bottom + 1, place.left : place.right + 1] for place in expected],
+        np.array([place.ray_to_patch for place in expected]),
+        config.appearance,
+    )
     # Where the picture shows more than the panoramas did, it is blurred to what they showed, and
     # the other way round.
+    blurs = [_blurs(drawing.finer, blur_px2) for drawing in drawings]
+    matches = match_templates(
+        [
+            Query(
+                blur_by(view.grey[y0:y1, x0:x1].astype(np.float32), search_blur),
+                _inner(blur_by(drawing.image, template_blur), template_blur),
+                landmark.threshold,
+                config.max_second_ratio,
+                search_blur,
+            )
+            for landmark, (x0, y0, x1, y1), drawing, (search_blur, template_blur) in zip(
+                landmarks, windows, drawings, blurs, strict=True
+            )
+        ]
+    )
+    outcome: list[_Found | Refusal] = []
+    for landmark, place, (x0, y0, *_), match in zip(
+        landmarks, expected, windows, matches, strict=True
+    ):
+        if isinstance(match, Refusal):
+            outcome.append(match)
+            continue
+        middle = ((place.left + place.right) / 2.0 - x0, (place.top + place.bottom) / 2.0 - y0)
+        shift = match.xy - middle
+        outcome.append(_Found(landmark, place.uv + shift, match, float(shift[1])))
+    return outcome
+
+
+def _blurs(
+    finer: tuple[float, float], blur_px2: FloatArray
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Sigmas of the blurs of search image and template that make them alike."""
     finer_across, finer_down = blur_sigmas(finer)
     across, down = finer_across**2 - blur_px2[0], finer_down**2 - blur_px2[1]
-    search_blur, template_blur = sigmas_of(across, down), sigmas_of(-across, -down)
-    match = match_template(
-        blur_by(view.grey[y0:y1, x0:x1].astype(np.float32), search_blur),
-        _inner(blur_by(template, template_blur), template_blur),
-        min_score=landmark.threshold,
-        max_second_ratio=config.max_second_ratio,
-        search_blur=search_blur,
-    )
-    if isinstance(match, Refusal):
-        return match
-    shift = match.xy - ((left + right) / 2.0 - x0, (top + bottom) / 2.0 - y0)
-    return _Found(landmark, expected.uv + shift, match, float(shift[1]))
+    return sigmas_of(across, down), sigmas_of(-across, -down)
 
 
 def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:

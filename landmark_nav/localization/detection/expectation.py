@@ -12,7 +12,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import patch_axes, rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
-from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = ['Expectation', 'View', 'expect', 'quadratic']
 
@@ -51,6 +51,15 @@ class Expectation(NamedTuple):
     bottom: int
     window: tuple[int, int]
     ray_to_patch: FloatArray
+
+    def refusal(self, least_px: int) -> Refusal | None:
+        """Why there is nothing to look for, if so: a template must be so wide and high."""
+        width, height = self.right - self.left + 1, self.bottom - self.top + 1
+        if width <= 0 and height <= 0:
+            return Refusal('out of view')
+        if min(width, height) < least_px:
+            return Refusal('too small or cut off', f'{width} x {height} px')
+        return None
 
 
 def expect(

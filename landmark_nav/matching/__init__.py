@@ -1,0 +1,21 @@
+"""
+Where a template lies in an image: normalized cross-correlation, then sub-pixel alignment.
+
+Both images must be of the same kind: the learner matches wall textures, the localizer pictures.
+"""
+
+from __future__ import annotations
+
+from landmark_nav.matching.blur import blur_by, blur_sigmas, blur_to, sigmas_of
+from landmark_nav.matching.correlation import Match, match_template, match_templates, Query
+
+__all__ = [
+    'Match',
+    'Query',
+    'blur_by',
+    'blur_sigmas',
+    'blur_to',
+    'match_template',
+    'match_templates',
+    'sigmas_of',
+]

@@ -1,0 +1,196 @@
+"""
+Templates aligned with images to sub-pixel.
+
+Gauss-Newton over shift, gain and offset with the template's gradients, whose normal matrix is the
+same in each step (Baker and Matthews, IJCV 56(3), 2004).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from landmark_nav.arrays import Float32Array, FloatArray
+from landmark_nav.matching.blur import Pair
+from landmark_nav.matching.uncertainty import covariances, Fits
+
+__all__ = ['Alignment', 'align']
+
+_ITERATIONS = 12
+_CONVERGED_PX = 2e-3
+_FARTHEST_PX = 2.0
+_TINY = 1e-12
+
+
+class Alignment(NamedTuple):
+    """
+    Where the centres of n templates lie in their images: `xy` (n, 2), NaN where that failed.
+
+    `covariance` (n, 2, 2) is its; `score` (n,) is the normalized cross-correlation there;
+    `blur_px2` (n, 2) by how much more the image is blurred than the template.
+    """
+
+    xy: FloatArray
+    covariance: FloatArray
+    score: FloatArray
+    blur_px2: FloatArray
+
+
+def align(
+    searches: Sequence[Float32Array],
+    templates: Sequence[Float32Array],
+    starts: Sequence[tuple[float, float]],
+    search_blurs: Sequence[Pair],
+) -> Alignment:
+    """
+    Align n templates with their images.
+
+    Parameters
+    ----------
+    searches, templates : sequence of ndarray
+        With the blur of `for_matching`.
+    starts : sequence of tuple of float
+        Column and row of each template's upper left corner.
+    search_blurs : sequence of tuple of float
+        By what each search image was blurred before, Gaussian sigmas.
+
+    """
+    n = len(templates)
+    sizes = [(template.shape[1] - 2, template.shape[0] - 2) for template in templates]
+    rows = [_rows(template) for template in templates]
+    normal = np.array([each @ each.T for each in rows], dtype=np.float64).reshape(n, 5, 5)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        # What gain explains of the gradients, which are half of the first two rows.
+        by_gain = normal[:, :2, 2] / normal[:, 2, 2, None]
+        hessian = 0.25 * (normal[:, :2, :2] - by_gain[:, :, None] * normal[:, None, 2, :2])
+        inverse = _inverse(hessian)
+    terms = np.concatenate([normal[:, 2, :3], inverse.reshape(n, 4)], axis=1).tolist()
+    shifted = [_shifted(*each) for each in zip(searches, sizes, rows, starts, terms, strict=True)]
+    good = [k for k, shift in enumerate(shifted) if shift is not None]
+    outcome = Alignment(*(np.full((n, *shape), np.nan) for shape in ((2,), (2, 2), (), (2,))))
+    if not good:
+        return outcome
+
+    shifts = [shift for shift in shifted if shift is not None]
+    xy, step = np.array([shift.xy for shift in shifts]), np.array([shift.step for shift in shifts])
+    gain = np.array([shift.gain for shift in shifts])
+    seen = [_without_mean(shift.seen) for shift in shifts]
+    rows = [rows[k] for k in good]
+    total = np.array([float(each @ each) for each in seen])
+    power = normal[good, 2, 2]
+    further = np.einsum('na,nab,nb->n', step, hessian[good], step)
+    fits = Fits(
+        [sizes[k] for k in good],
+        rows,
+        seen,
+        xy,
+        gain,
+        np.maximum(total - gain**2 * (power + further), 0.0),
+        by_gain[good],
+        inverse[good],
+        [search_blurs[k] for k in good],
+    )
+    by_seen = np.array([its_rows @ each for its_rows, each in zip(rows, seen, strict=True)])
+    outcome.xy[good] = xy
+    outcome.covariance[good] = covariances(fits)
+    outcome.score[good] = gain * np.sqrt(power / np.maximum(total, _TINY))
+    outcome.blur_px2[good] = _further_blur(normal[good], by_seen.astype(np.float64))
+    return outcome
+
+
+def _rows(template: Float32Array) -> Float32Array:
+    """
+    What pixels of a template, but for the outermost, are multiplied by, (5, pixels).
+
+    Twice the gradients, the template itself, and its second differences: what blur adds to it.
+    What offset explains is taken out once and for all, so that each step needs one product with
+    the picture.
+    """
+    height, width = template.shape[0] - 2, template.shape[1] - 2
+    left, right = template[1:-1, :-2], template[1:-1, 2:]
+    above, below = template[:-2, 1:-1], template[2:, 1:-1]
+    rows = np.empty((5, height * width), np.float32)
+    grad_x, grad_y, reference, bend_x, bend_y = rows.reshape(5, height, width)
+    np.subtract(right, left, out=grad_x)
+    np.subtract(below, above, out=grad_y)
+    reference[...] = template[1:-1, 1:-1]
+    np.add(right, left, out=bend_x)
+    np.add(below, above, out=bend_y)
+    rows[3:] -= 2.0 * rows[2]
+    rows -= rows.sum(axis=1, keepdims=True) / rows.shape[1]
+    return rows
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Inverse of symmetric matrices (n, 2, 2); NaN where they leave a direction undetermined."""
+    xx, xy, yy = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
+    determinant = xx * yy - xy * xy
+    determinant[~(determinant > 1e-6 * (xx + yy) ** 2)] = np.nan
+    adjugate = np.array([[yy, -xy], [-xy, xx]]).transpose(2, 0, 1)
+    return np.asarray(adjugate / determinant[:, None, None])
+
+
+class _Shift(NamedTuple):
+    """Centre of a template, the last step there, and what the image showed of it before that."""
+
+    xy: tuple[float, float]
+    step: tuple[float, float]
+    gain: float
+    seen: Float32Array
+
+
+def _shifted(
+    search: Float32Array,
+    size: tuple[int, int],
+    rows: Float32Array,
+    start: tuple[float, float],
+    terms: Sequence[float],
+) -> _Shift | None:
+    """
+    Shift a template until it fits best.
+
+    `terms` (7,) are the products of the template with its gradients and itself, and the inverse
+    of the Hessian.
+    """
+    xr, yr, power, xx, xy, _, yy = terms
+    x0, y0 = start[0] + 0.5 * (size[0] + 1), start[1] + 0.5 * (size[1] + 1)
+    x, y = x0, y0
+    for _ in range(_ITERATIONS):
+        seen = np.asarray(cv2.getRectSubPix(search, size, (x, y)), dtype=np.float32).ravel()
+        by_x, by_y, by_reference = (rows[:3] @ seen).tolist()
+        if not by_reference > 0.0:
+            return None
+        # value(x) ~ gain * reference(x - d) + offset
+        gain = by_reference / power
+        right, down = 0.5 * (by_x / gain - xr), 0.5 * (by_y / gain - yr)
+        step_x, step_y = -xx * right - xy * down, -xy * right - yy * down
+        x, y = x + step_x, y + step_y
+        if not (abs(x - x0) < _FARTHEST_PX and abs(y - y0) < _FARTHEST_PX):
+            return None
+        if abs(step_x) + abs(step_y) < _CONVERGED_PX:
+            break
+    return _Shift((x, y), (step_x, step_y), gain, seen)
+
+
+def _without_mean(values: Float32Array) -> Float32Array:
+    return np.asarray(values - values.sum() / values.size, dtype=np.float32)
+
+
+def _further_blur(normal: FloatArray, by_seen: FloatArray) -> FloatArray:
+    """
+    By how much more images are blurred than their templates, (n, 2), to first order.
+
+    A Gaussian of variance v adds v / 2 times the second derivative: of the products (n, 5, 5) of
+    `_rows`, and those with the image (n, 5), what is left where gain and offset are taken out.
+    """
+    power, reference = normal[:, 2, 2], by_seen[:, 2]
+    by_gain = normal[:, 3:, 2] / power[:, None]
+    bends = normal[:, 3:, 3:] - by_gain[:, :, None] * normal[:, None, 2, 3:]
+    seen = by_seen[:, 3:] - by_gain * reference[:, None]
+    # A pattern that does not change one way says nothing of it.
+    bends += 1e-3 * np.trace(bends, axis1=1, axis2=2)[:, None, None] * np.eye(2)
+    half = 0.5 * reference / power
+    return np.asarray(np.linalg.solve(bends, seen[..., None])[..., 0] / half[:, None])
