@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 
 from landmark_nav.arrays import Float32Array, FloatArray
 from landmark_nav.matching.blur import Pair
@@ -23,6 +24,18 @@ _ITERATIONS = 12
 _CONVERGED_PX = 2e-3
 _FARTHEST_PX = 2.0
 _TINY = 1e-12
+# Of a pixel and its neighbours: twice the gradients, the pixel itself, and the second differences:
+# what blur adds to it.
+_STENCILS = np.array(
+    [
+        [[0, 0, 0], [-1, 0, 1], [0, 0, 0]],
+        [[0, -1, 0], [0, 0, 0], [0, 1, 0]],
+        [[0, 0, 0], [0, 1, 0], [0, 0, 0]],
+        [[0, 0, 0], [1, -2, 1], [0, 0, 0]],
+        [[0, 1, 0], [0, -2, 0], [0, 1, 0]],
+    ],
+    dtype=np.float32,
+).reshape(5, 9)
 
 
 class Alignment(NamedTuple):
@@ -105,23 +118,14 @@ def _rows(template: Float32Array) -> Float32Array:
     """
     What pixels of a template, but for the outermost, are multiplied by, (5, pixels).
 
-    Twice the gradients, the template itself, and its second differences: what blur adds to it.
     What offset explains is taken out once and for all, so that each step needs one product with
     the picture.
     """
     height, width = template.shape[0] - 2, template.shape[1] - 2
-    left, right = template[1:-1, :-2], template[1:-1, 2:]
-    above, below = template[:-2, 1:-1], template[2:, 1:-1]
-    rows = np.empty((5, height * width), np.float32)
-    grad_x, grad_y, reference, bend_x, bend_y = rows.reshape(5, height, width)
-    np.subtract(right, left, out=grad_x)
-    np.subtract(below, above, out=grad_y)
-    reference[...] = template[1:-1, 1:-1]
-    np.add(right, left, out=bend_x)
-    np.add(below, above, out=bend_y)
-    rows[3:] -= 2.0 * rows[2]
+    shifted = as_strided(template, (3, 3, height, width), 2 * template.strides)
+    rows = _STENCILS @ shifted.reshape(9, -1)
     rows -= rows.sum(axis=1, keepdims=True) / rows.shape[1]
-    return rows
+    return np.asarray(rows, dtype=np.float32)
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
@@ -191,6 +195,6 @@ def _further_blur(normal: FloatArray, by_seen: FloatArray) -> FloatArray:
     bends = normal[:, 3:, 3:] - by_gain[:, :, None] * normal[:, None, 2, 3:]
     seen = by_seen[:, 3:] - by_gain * reference[:, None]
     # A pattern that does not change one way says nothing of it.
-    bends += 1e-3 * np.trace(bends, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-    half = 0.5 * reference / power
-    return np.asarray(np.linalg.solve(bends, seen[..., None])[..., 0] / half[:, None])
+    bends += 1e-3 * (bends[:, 0, 0] + bends[:, 1, 1])[:, None, None] * np.eye(2)
+    added = (_inverse(bends) @ seen[..., None])[..., 0]
+    return np.asarray(2.0 * (power / reference)[:, None] * added)

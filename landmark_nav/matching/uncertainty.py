@@ -98,30 +98,30 @@ def _noise_passed(
 ) -> FloatArray:
     """``G B B^T G^T`` (2, 2) over the sum of the squares of B's kernel; gradients (2, pixels)."""
     width, height = size
-    across, across_power = _kernel(round(search_blur[0], 1), fraction[0])
-    down, down_power = _kernel(round(search_blur[1], 1), fraction[1])
-    reach = max(len(across), len(down)) // 2
-    # One above the other, so that one call does both.
-    framed = np.zeros((2, height + 2 * reach, width + 2 * reach), np.float32)
-    framed[:, reach:-reach, reach:-reach] = gradients.reshape(2, height, width)
-    stacked = framed.reshape(-1, framed.shape[2])
-    carried = cv2.sepFilter2D(stacked, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
-    flat = carried.reshape(2, -1)
-    return np.asarray((flat @ flat.T) / (across_power * down_power), dtype=np.float64)
+    across = _noise_correlation(round(search_blur[0], 1), fraction[0], width)
+    down = _noise_correlation(round(search_blur[1], 1), fraction[1], height)
+    passed = down @ gradients.reshape(2, height, width) @ across
+    return np.asarray(gradients @ passed.reshape(2, -1).T, dtype=np.float64)
 
 
-@lru_cache(maxsize=1024)
-def _kernel(blur_px: float, fraction: float) -> tuple[Float32Array, float]:
-    """
-    Blur, here and before, and interpolation at a fraction of a pixel, one after the other.
+def _noise_correlation(blur_px: float, fraction: float, count: int) -> Float32Array:
+    """Correlation (count, count) of the noise of so many pixels in a row, as a match sees it."""
+    # In sizes of powers of two, and tenths: most of them are asked for again.
+    return _correlations(blur_px, fraction, 1 << (count - 1).bit_length())[:count, :count]
 
-    With the kernel comes the sum of its squares. Asked for in tenths, most of them again.
-    """
+
+@lru_cache(maxsize=256)
+def _correlations(blur_px: float, fraction: float, count: int) -> Float32Array:
+    # Blur, here and before, and interpolation at a fraction of a pixel, one after the other.
     sigma = math.hypot(MATCHED_PX, blur_px)
     reach = int(np.ceil(3.0 * sigma)) + 1
     gauss = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    kernel = np.convolve(gauss / gauss.sum(), [0.0, 1.0 - fraction, fraction]).astype(np.float32)
-    return kernel, float(kernel @ kernel)
+    kernel = np.convolve(gauss, [1.0 - fraction, fraction])
+    shared = np.zeros(count + len(kernel))
+    shared[: len(kernel)] = np.correlate(kernel, kernel, 'full')[len(kernel) - 1 :]
+    place = np.arange(count)
+    apart = np.abs(place[:, None] - place)
+    return np.asarray(shared[apart] / shared[0], dtype=np.float32)
 
 
 def _summed_squares(pulls: Float32Array, size: tuple[int, int]) -> FloatArray:

@@ -235,7 +235,7 @@ def test_many_templates_are_found_as_each_alone() -> None:
         alone = match_template(search, template)
         assert isinstance(match, Match)
         assert isinstance(alone, Match)
-        np.testing.assert_array_equal(match.xy, alone.xy)
-        np.testing.assert_array_equal(match.covariance, alone.covariance)
-        np.testing.assert_array_equal(match.blur_px2, alone.blur_px2)
+        np.testing.assert_allclose(match.xy, alone.xy, rtol=1e-9)
+        np.testing.assert_allclose(match.covariance, alone.covariance, rtol=1e-9)
+        np.testing.assert_allclose(match.blur_px2, alone.blur_px2, rtol=1e-9)
     assert match_templates([]) == []

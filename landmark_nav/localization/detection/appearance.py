@@ -82,14 +82,11 @@ def draw(
         for k, landmark in enumerate(landmarks)
         for texture in textures(landmark, viewer, appearance)
     ]
+    owner = [k for k, *_ in shown]
+    to_texels = np.array([_to_texels(image, landmarks[k].width_m) for k, image, _ in shown])
     texels = [
-        np.asarray(
-            cv2.perspectiveTransform(
-                rays[k], _to_texels(image, landmarks[k].width_m) @ rays_to_patch[k]
-            ),
-            dtype=np.float32,
-        )
-        for k, image, _ in shown
+        np.asarray(cv2.perspectiveTransform(rays[k], rays_to_texels), dtype=np.float32)
+        for k, rays_to_texels in zip(owner, to_texels @ rays_to_patch[owner], strict=True)
     ]
     steps = [_texels_a_pixel(each) for each in texels]
     sources = [
@@ -111,13 +108,11 @@ def draw(
     return [Drawing(image, (x, y)) for image, (x, y) in zip(images, finer, strict=True)]
 
 
-def _to_texels(image: ImageArray, width_m: float) -> FloatArray:
+def _to_texels(image: ImageArray, width_m: float) -> list[list[float]]:
     """Metres on a patch, homogeneous, to columns and rows of its picture, (3, 3)."""
     rows, columns = image.shape
     scale = columns / width_m
-    return np.array(
-        [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
-    )
+    return [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
 
 
 def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:

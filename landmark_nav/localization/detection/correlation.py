@@ -166,6 +166,8 @@ def _detect(
     blur_px2: FloatArray,
 ) -> list[_Found | Refusal]:
     """Where and how templates of landmarks were found."""
+    if not landmarks:
+        return []
     width, height = view.camera.width, view.camera.height
     windows = [
         (
