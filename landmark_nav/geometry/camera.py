@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+import math
 from typing import Any
 
 import cv2
@@ -129,11 +130,13 @@ class CameraModel:
         """
         points = np.asarray(points_optical, dtype=np.float64)
         flat = points.reshape(-1, 3)
+        depth = flat[:, 2]
+        radius = np.hypot(flat[:, 0], flat[:, 1])
+        good = (depth > 1e-9) & (radius < 1.05 * self._max_radius * depth)
+        if good.any() and good.all():
+            return self._project_unchecked(flat).reshape((*points.shape[:-1], 2))
         pixels = np.full((len(flat), 2), np.nan)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            radius = np.hypot(flat[:, 0], flat[:, 1]) / flat[:, 2]
-        good = (flat[:, 2] > 1e-9) & (radius < 1.05 * self._max_radius)
-        if np.any(good):
+        if good.any():
             pixels[good] = self._project_unchecked(flat[good])
         return pixels.reshape((*points.shape[:-1], 2))
 
@@ -327,11 +330,13 @@ def _rot_z(angle: Any) -> FloatArray:
 
 
 def _rotation_about(axis: int, angle: Any) -> FloatArray:
-    angle = np.asarray(angle, dtype=np.float64)
+    # Most are single angles, which `math` is quicker with.
+    single = np.ndim(angle) == 0
+    cos, sin = (math.cos(angle), math.sin(angle)) if single else (np.cos(angle), np.sin(angle))
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    out = np.zeros((*angle.shape, 3, 3))
+    out = np.zeros((*np.shape(angle), 3, 3))
     out[..., axis, axis] = 1.0
-    out[..., first, first] = out[..., second, second] = np.cos(angle)
-    out[..., first, second] = -np.sin(angle)
-    out[..., second, first] = np.sin(angle)
+    out[..., first, first] = out[..., second, second] = cos
+    out[..., first, second] = -sin
+    out[..., second, first] = sin
     return out

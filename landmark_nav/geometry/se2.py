@@ -6,11 +6,13 @@ Planar poses as arrays (..., 3) of x [m], y [m], theta [rad].
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray
-from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.angles import wrap_one_rad, wrap_rad
 
 __all__ = ['compose', 'compose_jacobians', 'inverse', 'relative', 'rotation', 'transform_points']
 
@@ -29,6 +31,13 @@ def compose(pose_a_b: npt.ArrayLike, pose_b_c: npt.ArrayLike) -> FloatArray:
     """Pose of c in a, (..., 3), from b in a and c in b; the heading is wrapped."""
     first = np.asarray(pose_a_b, dtype=np.float64)
     second = np.asarray(pose_b_c, dtype=np.float64)
+    if first.ndim == second.ndim == 1:
+        # Most are single poses, which `math` is quicker with.
+        x, y, theta = first.tolist()
+        forward, left, turn = second.tolist()
+        c, s = math.cos(theta), math.sin(theta)
+        moved = (x + c * forward - s * left, y + s * forward + c * left)
+        return np.array([*moved, wrap_one_rad(theta + turn)])
     cos, sin = np.cos(first[..., 2]), np.sin(first[..., 2])
     return _pose(
         first[..., 0] + cos * second[..., 0] - sin * second[..., 1],
@@ -40,6 +49,10 @@ def compose(pose_a_b: npt.ArrayLike, pose_b_c: npt.ArrayLike) -> FloatArray:
 def inverse(pose_a_b: npt.ArrayLike) -> FloatArray:
     """Pose of a in b, (..., 3)."""
     pose = np.asarray(pose_a_b, dtype=np.float64)
+    if pose.ndim == 1:
+        x, y, theta = pose.tolist()
+        c, s = math.cos(theta), math.sin(theta)
+        return np.array([-c * x - s * y, s * x - c * y, wrap_one_rad(-theta)])
     cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     return _pose(
         -cos * pose[..., 0] - sin * pose[..., 1],
@@ -49,10 +62,7 @@ def inverse(pose_a_b: npt.ArrayLike) -> FloatArray:
 
 
 def _pose(x: FloatArray, y: FloatArray, theta: FloatArray) -> FloatArray:
-    # Filled in, not stacked: most calls are for a single pose, and many.
-    pose = np.empty((*np.shape(theta), 3))
-    pose[..., 0], pose[..., 1], pose[..., 2] = x, y, wrap_rad(theta)
-    return pose
+    return np.stack([x, y, wrap_rad(theta)], -1)
 
 
 def relative(pose_a_b: npt.ArrayLike, pose_a_c: npt.ArrayLike) -> FloatArray:
@@ -70,10 +80,10 @@ def compose_jacobians(
     """
     first = np.asarray(pose_a_b, dtype=np.float64)
     second = np.asarray(pose_b_c, dtype=np.float64)
-    cos, sin = np.cos(first[2]), np.sin(first[2])
-    by_first = np.eye(3)
-    by_first[0, 2] = -sin * second[0] - cos * second[1]
-    by_first[1, 2] = cos * second[0] - sin * second[1]
+    theta, forward, left = float(first[2]), float(second[0]), float(second[1])
+    cos, sin = math.cos(theta), math.sin(theta)
+    by_x, by_y = -sin * forward - cos * left, cos * forward - sin * left
+    by_first = np.array([[1.0, 0.0, by_x], [0.0, 1.0, by_y], [0.0, 0.0, 1.0]])
     by_second = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return by_first, by_second
 

@@ -153,28 +153,34 @@ class Room:
             Index of the wall, -1 where none is hit.
 
         """
-        azimuth = np.asarray(azimuth_rad, dtype=np.float64)[..., None]
-        origin = np.asarray(origin_xy, dtype=np.float64)[..., None, :]
-        direction = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
-        side = self._ends - self._starts
-        offset = self._starts - origin
-        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            denominator = direction[..., 0] * side[:, 1] - direction[..., 1] * side[:, 0]
-            along_ray = (offset[..., 0] * side[:, 1] - offset[..., 1] * side[:, 0]) / denominator
-            along_wall = (
-                offset[..., 0] * direction[..., 1] - offset[..., 1] * direction[..., 0]
-            ) / denominator
-        hit = (along_ray > 1e-9) & (along_wall >= -1e-9) & (along_wall <= 1.0 + 1e-9)
-        distance = np.where(hit, along_ray, np.inf)
+        azimuth = np.asarray(azimuth_rad, dtype=np.float64)
+        distance = self._wall_hits(origin_xy, np.cos(azimuth), np.sin(azimuth))
         wall = np.argmin(distance, axis=-1)
         nearest = np.take_along_axis(distance, wall[..., None], -1)[..., 0]
         return nearest, np.where(np.isfinite(nearest), wall, -1)
 
+    def _wall_hits(
+        self, origin_xy: npt.ArrayLike, along_x: FloatArray, along_y: FloatArray
+    ) -> FloatArray:
+        """Where rays along (...) hit each wall, (..., walls) in units of their length, or inf."""
+        x, y = np.asarray(along_x)[..., None], np.asarray(along_y)[..., None]
+        side_x, side_y = (self._ends - self._starts).T
+        offset = self._starts - np.asarray(origin_xy, dtype=np.float64)[..., None, :]
+        offset_x, offset_y = offset[..., 0], offset[..., 1]
+        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+            denominator = x * side_y - y * side_x
+            along_ray = (offset_x * side_y - offset_y * side_x) / denominator
+            along_wall = (offset_x * y - offset_y * x) / denominator
+        hit = (along_ray > 1e-9) & (along_wall >= -1e-9) & (along_wall <= 1.0 + 1e-9)
+        return np.where(hit, along_ray, np.inf)
+
     def visible(self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether no wall stands between origins (..., 2) and points (..., 2)."""
         delta = np.asarray(points_xy, dtype=np.float64) - np.asarray(origin_xy, dtype=np.float64)
-        distance, _ = self.raycast(origin_xy, np.arctan2(delta[..., 1], delta[..., 0]))
-        return np.asarray(distance > np.hypot(delta[..., 0], delta[..., 1]) - _SLACK_M)
+        x, y = delta[..., 0], delta[..., 1]
+        reach = np.maximum(np.hypot(x, y), 1e-12)
+        nearest = self._wall_hits(origin_xy, x, y).min(axis=-1) * reach
+        return np.asarray(nearest > reach - _SLACK_M)
 
     def contains(self, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether points (..., 2) lie inside the outline (even-odd rule)."""

@@ -141,8 +141,9 @@ def bearing_model(
     by_places[row, row], by_places[row, m + row] = gradient.T
     by_places[row, 2 * m + row] = -repeated_sigma
     state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
+    # It is symmetric: its rows lie together in memory, its columns do not.
     considered_covariance = prior.cross.T @ jacobian.T
-    considered_covariance -= prior.considered_covariance[:, places] @ by_places.T
+    considered_covariance -= (by_places @ prior.considered_covariance[places]).T
     by_noise = np.zeros((LEARNED, len(columns), len(columns)))
     np.fill_diagonal(by_noise[SIGHTING], variance)
     covariance = jacobian @ state_covariance - by_places @ considered_covariance[places]

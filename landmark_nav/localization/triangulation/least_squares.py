@@ -21,6 +21,7 @@ __all__ = ['Solution', 'best_start', 'solve', 'w_statistics']
 # Triples tried as starts: all of them up to 12 landmarks.
 _MAX_STARTS = 220
 _MAX_STEPS = 20
+_UNDETERMINED = Refusal('degenerate geometry', 'the bearings leave a direction undetermined')
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +64,23 @@ def solve(
     start: FloatArray,
 ) -> Solution | Refusal:
     """Gauss-Newton with weights renewed at every iterate and steps of at most 1 m and 1 rad."""
-    pose = start.copy()
+    pose, jacobian = start.copy(), np.full((len(bearing), 3), -1.0)
     for _ in range(_MAX_STEPS):
         gradient = bearing_gradients(pose, position)
         residual = bearing_residuals(pose, position, bearing)
-        jacobian = np.column_stack([gradient, np.full(len(bearing), -1.0)])
+        jacobian[:, :2] = gradient
         weight = np.asarray(np.linalg.inv(np.diag(variance) + map_share(gradient, map_cov)))
         normal = jacobian.T @ weight @ jacobian
         # A normal matrix scaled to unit diagonal tells rank from units.
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-100))
+        scale = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-100))
         scaled = normal * scale[:, None] * scale
-        if not np.isfinite(scaled).all() or np.linalg.eigvalsh(scaled)[0] < 1e-12:
-            return Refusal('degenerate geometry', 'the bearings leave a direction undetermined')
-        covariance: FloatArray = np.linalg.inv(scaled) * scale[:, None] * scale
+        if not np.isfinite(scaled).all():
+            return _UNDETERMINED
+        value, vector = np.linalg.eigh(scaled)
+        if value[0] < 1e-12:
+            return _UNDETERMINED
+        scaled_back = scale[:, None] * vector
+        covariance: FloatArray = scaled_back / value @ scaled_back.T
         step = covariance @ (jacobian.T @ (weight @ residual))
         step /= max(1.0, float(np.hypot(step[0], step[1])), abs(float(step[2])))
         pose = pose + step

@@ -80,8 +80,8 @@ def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
     It is G Sigma_L G^T with G the block diagonal of minus the bearing `gradients` (n, 2).
     """
     n = len(gradients)
-    blocks = covariance.reshape(n, 2, n, 2)
-    return np.asarray(np.einsum('ia,iajb,jb->ij', gradients, blocks, gradients))
+    by_landmarks = (gradients[:, None] @ covariance.reshape(n, 2, 2 * n)).reshape(n, n, 2)
+    return np.asarray((by_landmarks * gradients).sum(axis=-1))
 
 
 def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[float, float]:

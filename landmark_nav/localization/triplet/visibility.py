@@ -110,8 +110,7 @@ def visible_landmarks(
     seen = observable(axis_position(prior.pose, mount), landmark_map, config)
     index = np.flatnonzero(seen)
     corners = patch_corners(landmark_map)[index]
-    pan = np.array([pan_rad])
-    inside = whole_in_view(corners, prior.pose, camera, mount, pan, tilt_rad, config.border_px)
+    inside = whole_in_view(corners, prior.pose, camera, mount, pan_rad, tilt_rad, config.border_px)
     return index[inside]
 
 
@@ -176,19 +175,19 @@ def whole_in_view(
     pose_map_base: FloatArray,
     camera: CameraModel,
     mount: PanTiltMount,
-    pan_rad: FloatArray,
+    pan_rad: FloatArray | float,
     tilt_rad: float,
     border_px: float,
 ) -> npt.NDArray[np.bool_]:
     """
     Whether views (m,) hold all of their points (m, k, 3).
 
-    `pan_rad` gives each its own pan (m,), or all the same (1,).
+    `pan_rad` gives each its own pan (m,), or all the same.
     """
     from_base, center_base = mount.camera_pose_base(pan_rad, tilt_rad)
     points_base = points_map - [pose_map_base[0], pose_map_base[1], 0.0]
     points_base[..., :2] = points_base[..., :2] @ rotation(pose_map_base[2])
-    points = (points_base - center_base[:, None]) @ from_base
+    points = (points_base - center_base[..., None, :]) @ from_base
     inside = camera.contains(camera.project(points), border_px)
     return np.asarray(inside.all(axis=-1))
 
