@@ -15,6 +15,7 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray, ImageArray
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.quality import PanoramaQuality
@@ -73,7 +74,8 @@ class JointSample:
     """
     Measured angles of the pan-tilt unit, radians, and how fast it pans.
 
-    `pan_sigma_rad` is what interpolation adds to the error of the pan.
+    `pan_sigma_rad` is what interpolation adds to the error of the pan, `pan_track` the pan a while
+    before and after.
     """
 
     stamp_ns: int
@@ -81,6 +83,7 @@ class JointSample:
     tilt_rad: float = 0.0
     pan_rate_rad_s: float = 0.0
     pan_sigma_rad: float = 0.0
+    pan_track: PanTrack | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +103,7 @@ class CameraFrame:
     roll_rad: float = 0.0
     pan_rate_rad_s: float = 0.0
     pan_sigma_rad: float = 0.0
+    pan_track: PanTrack | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,8 +322,8 @@ class Detections:
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
     cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
-    that should be in view, were looked for and not found. The pan, its rate and its sigma are
-    those of its `JointSample`.
+    that should be in view, were looked for and not found. The pan, its rate, its sigma and its
+    track are those of its `JointSample`; bearings are those of a pan `pan_delay_s` later.
     """
 
     stamp_ns: int
@@ -332,6 +336,8 @@ class Detections:
     pan_rate_rad_s: float = 0.0
     pan_sigma_rad: float = 0.0
     pan_rad: float = 0.0
+    pan_track: PanTrack | None = None
+    pan_delay_s: float = 0.0
 
     def __len__(self) -> int:
         """Return how many were found."""

@@ -12,6 +12,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.worth import most_telling
+from landmark_nav.localization.frozen import FrozenPicture
+from landmark_nav.localization.lateness import in_time, Lateness
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
@@ -39,6 +41,8 @@ _AGREE = 3
 # After so many pictures in a row that showed no place near the expected one each so many-th is
 # searched for it: that takes a tenth of a second.
 _EAGER, _PATIENT = 5, 3
+_IN_TIME = Lateness()
+_FROZEN = Refusal('picture is the one before', 'though the camera has moved: it hangs')
 
 
 @dataclass(frozen=True)
@@ -76,12 +80,14 @@ class Observation:
     What a picture says about the pose.
 
     `fix` is the triangulated pose of the base, computed from bearings alone, those of the picture
-    or of several; the prior told where to look, and rejects what cannot be.
+    or of several; the prior told where to look, and rejects what cannot be. A picture that is
+    `unusable` was not even looked at.
     """
 
     detections: Detections
     refused: Mapping[int, Refusal]
     fix: PoseEstimate | Refusal
+    unusable: bool = False
 
 
 class Observer:
@@ -122,6 +128,7 @@ class Observer:
         _warn_without_views(landmark_map, config.detection)
         window_s = config.gather_s if config.triplet.views == 'several' else 0.0
         self._vain = 0
+        self._frozen = FrozenPicture()
         self._window_ns = int(1e9 * window_s)
         self._gatherer = SightingGatherer(
             landmark_map,
@@ -156,7 +163,11 @@ class Observer:
         self._gatherer.add_odometry(sample)
 
     def look(
-        self, frame: CameraFrame, prior: PoseEstimate, triplet: Triplet | Refusal | None = None
+        self,
+        frame: CameraFrame,
+        prior: PoseEstimate,
+        triplet: Triplet | Refusal | None = None,
+        late: Lateness = _IN_TIME,
     ) -> Observation:
         """
         Detect what should be in view and triangulate.
@@ -170,9 +181,14 @@ class Observer:
         triplet : Triplet, optional
             What the camera is after: looked for before all else, and with several views a fix
             waits for all three.
+        late : Lateness, optional
+            Of the stamps of the joints.
 
         """
+        if self._frozen.repeats(frame, prior):
+            return Observation(_nothing(frame.stamp_ns), {}, _FROZEN, unusable=True)
         config = self._config
+        frame, pan_sigma = in_time(frame, late)
         looked_from, wide = prior, self._is_wide(prior)
         if wide:
             place = self._narrowed(frame, prior)
@@ -198,7 +214,7 @@ class Observer:
             else (),
         )
         # What is not known of the pan shifts the picture as what is not known of the heading.
-        turned = np.diag([0.0, 0.0, frame.pan_sigma_rad**2])
+        turned = np.diag([0.0, 0.0, pan_sigma**2])
         looked = replace(looked_from, covariance=looked_from.covariance + turned)
         # Where the pose is hardly known, it is no wonder if nothing is where it says.
         known = not wide or looked_from is not prior
@@ -216,6 +232,8 @@ class Observer:
             pan_rate_rad_s=frame.pan_rate_rad_s,
             pan_sigma_rad=frame.pan_sigma_rad,
             pan_rad=frame.pan_rad,
+            pan_track=frame.pan_track,
+            pan_delay_s=late.delay_s,
         )
         return Observation(found, refused, self._fix(found, prior, triplet))
 
@@ -249,6 +267,11 @@ class Observer:
                 names = ', '.join(map(str, missing))
                 return Refusal('the triplet is not complete', f'{names} still to be found')
         return self._gatherer.fix(prior)
+
+
+def _nothing(stamp_ns: int) -> Detections:
+    none = np.empty(0)
+    return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))
 
 
 def _warn_without_views(landmark_map: LandmarkMap, config: DetectionConfig) -> None:

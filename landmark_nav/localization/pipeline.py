@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
+from landmark_nav.localization.lateness import in_time, Lateness
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
@@ -119,7 +121,10 @@ class Localizer:
 
     def initialize(self, start: PoseEstimate) -> None:
         """Start anew at a pose of the base."""
-        self._filter.initialize(start)
+        self._start(start)
+
+    def _start(self, start: PoseEstimate, witnesses: npt.NDArray[np.int64] | None = None) -> None:
+        self._filter.initialize(start, witnesses=witnesses)
         self._relocalizer = None
         self._unseen.restart()
 
@@ -140,6 +145,11 @@ class Localizer:
     def sighting_sigma(self) -> float:
         """Factor on what sightings claim as their sigmas, as far as it was learned."""
         return self._filter.sighting_sigma
+
+    @property
+    def late(self) -> Lateness:
+        """Of the stamps of the joints, as far as it was measured."""
+        return self._filter.late
 
     @property
     def status(self) -> tuple[str, str]:
@@ -165,7 +175,7 @@ class Localizer:
         if prior is None:
             return self._search(frame)
         self._choose(frame, prior)
-        seen = self._observer.look(frame, prior, self._triplet)
+        seen = self._observer.look(frame, prior, self._triplet, self._filter.late)
         self._camera.saw(seen.detections)
         update = self._fused(frame.stamp_ns, self._triplet, seen)
         self._unseen.note(frame.stamp_ns, len(seen.detections))
@@ -192,10 +202,11 @@ class Localizer:
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Find the place; what the pose was made of is not used again."""
         assert self._relocalizer is not None, 'no pose is known'
+        frame, _ = in_time(frame, self._filter.late)
         outcome = self._relocalizer.add_frame(self._observer.levelled(frame))
         if isinstance(outcome, Refusal):
             return outcome
-        self.initialize(outcome)
+        self._start(outcome, self._relocalizer.witnesses)
         return self._filter.estimate(frame.stamp_ns) or outcome
 
     def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
@@ -210,7 +221,10 @@ class Localizer:
         self, stamp_ns: int, triplet: Triplet | Refusal, seen: Observation
     ) -> LocalizationUpdate:
         """Correct the filter by what was seen."""
-        update = self._filter.add_detections(seen.detections)
+        if seen.unusable and isinstance(seen.fix, Refusal):
+            update = self._filter.no_pose(stamp_ns, seen.fix)
+        else:
+            update = self._filter.add_detections(seen.detections)
         if self._config.fusion.mode == 'poses':
             if isinstance(seen.fix, PoseEstimate):
                 update = self._filter.add_pose(seen.fix)

@@ -162,7 +162,8 @@ class OdometryFusionNode(LandmarkNode):
         if not start.covariance.any():
             sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)
             start = replace(start, covariance=np.diag(np.square(sigma)))
-        self._filter.initialize(start, self._now_ns())
+        # Who told it, a person or the search for the place, and how sure that was, is not known.
+        self._filter.initialize(start, self._now_ns(), witnesses=np.empty(0, dtype=np.int64))
         self._spread.restart()
         x, y, heading = start.pose
         self.get_logger().info(f'start at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
@@ -190,6 +191,7 @@ class OdometryFusionNode(LandmarkNode):
                 found,
                 pan_rate_rad_s=joints.pan_rate_rad_s,
                 pan_sigma_rad=joints.pan_sigma_rad,
+                pan_track=joints.pan_track,
                 pan_rad=joints.pan_rad,
             )
         self._count(self._filter.add_detections(found))

@@ -96,6 +96,7 @@ class CameraFrames:
             joints.tilt_rad,
             pan_rate_rad_s=joints.pan_rate_rad_s,
             pan_sigma_rad=joints.pan_sigma_rad,
+            pan_track=joints.pan_track,
         )
 
     def _on_joints(self, message: Any) -> None:

@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
+from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.fusion.config import FusionConfig
+from landmark_nav.localization.lateness import Lag, Lateness
 from landmark_nav.types import Detections, FloatArray, Refusal
 
 __all__ = ['BearingFrame', 'bearing_frame']
@@ -17,6 +19,8 @@ __all__ = ['BearingFrame', 'bearing_frame']
 
 # Matches of a picture that tell what correlation is to be expected in it.
 _FEW = 4
+# A swing is looked for at so many times.
+_SWING_STEPS = 13
 # What of a template's variance a match may leave unexplained: times the median, and some more.
 _UNLIKE_TIMES, _UNLIKE_ANYWAY = 6.0, 0.1
 
@@ -40,6 +44,20 @@ class BearingFrame:
     config: FusionConfig
     pan_rate: float = 0.0
     pan: float = 0.0
+    pan_track: PanTrack | None = None
+    pan_delay_s: float = 0.0
+
+    def lag(self, late: Lateness) -> Lag:
+        """What joint states that are so late make of all bearings."""
+        return late.lag(self.pan_rate, self.pan_track, self.pan_delay_s)
+
+    def swing_rad(self, seconds: float) -> float:
+        """How far the pan was from that of the picture, at most, so much before and after it."""
+        if self.pan_track is None:
+            return abs(self.pan_rate) * seconds
+        times = np.linspace(-seconds, seconds, _SWING_STEPS) + self.pan_delay_s
+        pans = self.pan_track.at(times)
+        return float(np.abs(pans - pans[_SWING_STEPS // 2]).max())
 
 
 def bearing_frame(
@@ -92,6 +110,8 @@ def bearing_frame(
         config,
         detections.pan_rate_rad_s,
         detections.pan_rad,
+        detections.pan_track,
+        detections.pan_delay_s,
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from landmark_nav.parameters import Config, parameter
 
-__all__ = ['FusionConfig']
+__all__ = ['FusionConfig', 'HealthConfig']
 
 
 @dataclass(frozen=True)
@@ -79,4 +79,37 @@ class FusionConfig(Config):
     )
     history_s: float = parameter(
         2.0, 'How late a measurement may come, s.', minimum=0.0, maximum=60.0
+    )
+
+
+@dataclass(frozen=True)
+class HealthConfig(Config):
+    """When the filter calls itself coasting or lost."""
+
+    coasting_after_s: float = parameter(
+        1.0, 'Seconds without an accepted measurement until coasting.', minimum=0.0, maximum=3600.0
+    )
+    silent_after_s: float = parameter(
+        0.7, 'Seconds without odometry until coasting.', minimum=0.0, maximum=3600.0
+    )
+    lost_after_rejections: int = parameter(
+        5, 'Measurements rejected in a row until lost.', minimum=1, maximum=1000
+    )
+    lost_sigma_m: float = parameter(
+        1.0, 'Position sigma (root of the trace) above which the filter is lost, m.', minimum=0.0
+    )
+    lost_sigma_rad: float = parameter(
+        0.5, 'Heading sigma above which the filter is lost, rad.', minimum=0.0
+    )
+    nis_window: int = parameter(
+        10, 'Accepted measurements whose innovations are judged together.', minimum=1, maximum=1000
+    )
+    nis_correlation: float = parameter(
+        5.0,
+        'How many measurements in a row repeat one error: the same landmarks, the same map.',
+        minimum=1.0,
+        maximum=1000.0,
+    )
+    nis_probability: float = parameter(
+        0.999, 'Chi-square level of that window.', minimum=0.5, maximum=1.0
     )

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from math import ceil
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
+from landmark_nav.localization.fusion.config import HealthConfig
+from landmark_nav.localization.fusion.contradictions import Contradictions
 from landmark_nav.localization.fusion.update import FusionUpdate
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Health', 'HealthConfig', 'Status']
@@ -21,6 +21,8 @@ _AGREE = 3
 # Correlation of a match that is not mistaken: seen from wrong poses (0.15 to 1 m off) a twentieth
 # of all mistaken matches reached it, and never three in one picture of 784.
 _SURE_SCORE = 0.95
+# Pictures in a row that show nothing of what they should, and the level of gates from then on.
+_IN_VAIN, _DOUBTFUL_LEVEL = 3, 0.95
 # Measurements accepted in a row until no longer lost.
 _FOUND_AFTER_ACCEPTANCES = 3
 # Share of what should be in a picture that has to be found for it to be used; and to be no longer
@@ -36,37 +38,12 @@ _TROUBLE_S = 2.0
 Status = Literal['tracking', 'coasting', 'lost']
 
 
-@dataclass(frozen=True)
-class HealthConfig(Config):
-    """When the filter calls itself coasting or lost."""
+class _Trouble(NamedTuple):
+    """Why nothing is sure from a time on, for so long."""
 
-    coasting_after_s: float = parameter(
-        1.0, 'Seconds without an accepted measurement until coasting.', minimum=0.0, maximum=3600.0
-    )
-    silent_after_s: float = parameter(
-        0.7, 'Seconds without odometry until coasting.', minimum=0.0, maximum=3600.0
-    )
-    lost_after_rejections: int = parameter(
-        5, 'Measurements rejected in a row until lost.', minimum=1, maximum=1000
-    )
-    lost_sigma_m: float = parameter(
-        1.0, 'Position sigma (root of the trace) above which the filter is lost, m.', minimum=0.0
-    )
-    lost_sigma_rad: float = parameter(
-        0.5, 'Heading sigma above which the filter is lost, rad.', minimum=0.0
-    )
-    nis_window: int = parameter(
-        10, 'Accepted measurements whose innovations are judged together.', minimum=1, maximum=1000
-    )
-    nis_correlation: float = parameter(
-        5.0,
-        'How many measurements in a row repeat one error: the same landmarks, the same map.',
-        minimum=1.0,
-        maximum=1000.0,
-    )
-    nis_probability: float = parameter(
-        0.999, 'Chi-square level of that window.', minimum=0.5, maximum=1.0
-    )
+    stamp_ns: int
+    seconds: float
+    reason: str
 
 
 class _View(NamedTuple):
@@ -91,14 +68,16 @@ class Health:
         self._window: deque[tuple[float, int]] = deque(maxlen=config.nis_window)
         self._views: deque[_View] = deque()
         self._doubts = 0
-        self._trouble = (-(10**18), '')
+        self._trouble = _Trouble(-(10**18), 0.0, '')
+        self._contradictions = Contradictions()
+        self._vain = 0
 
     def restart(self, stamp_ns: int) -> None:
         """Forget everything: a pose was given at that time."""
         self._accepted_ns = stamp_ns
         self._rejections = self._acceptances = 0
         self._astray = self._last_refusal = ''
-        self._doubts = 0
+        self._doubts = self._vain = 0
         self.change_map()
 
     def change_map(self) -> None:
@@ -129,7 +108,17 @@ class Health:
         """
         if self._astray:
             return max(_AGREE, ceil(_FOUND_SHARE * expected))
-        return _AGREE if self._rejections and expected >= _AGREE else 1
+        return min(_AGREE, max(expected, 1)) if self._rejections else 1
+
+    def level(self, found: int, usual: float) -> float:
+        """
+        Chi-square level of the gates for so many bearings.
+
+        Where pictures before contradicted the pose, or showed nothing of what they should, it is
+        no evidence for it that a few lie just within what could be.
+        """
+        doubtful = self._rejections > 0 or self._vain >= _IN_VAIN
+        return min(usual, _DOUBTFUL_LEVEL) if doubtful and found < _AGREE else usual
 
     def too_few(self, scores: FloatArray, expected: int) -> bool:
         """Whether those found among so many that are missing may be mistaken themselves."""
@@ -138,7 +127,13 @@ class Health:
 
     def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
         """Remember that the odometry cannot be what it says."""
-        self._trouble = (stamp_ns, str(refusal))
+        self._trouble = _Trouble(stamp_ns, _TROUBLE_S, str(refusal))
+
+    def note_turn(self, stamp_ns: int, refusal: Refusal) -> None:
+        """Remember that camera, joints or robot turned otherwise than they say."""
+        # What turns may turn back: from the third time on it is something else.
+        times = max(1, self._contradictions.note(stamp_ns) - 1)
+        self._trouble = _Trouble(stamp_ns, times * _TROUBLE_S, str(refusal))
 
     def look(self, stamp_ns: int, found: int, missed: FloatArray) -> None:
         """
@@ -150,6 +145,7 @@ class Health:
         """
         if not found and not len(missed):
             return
+        self._vain = 0 if found else self._vain + 1
         self._views.append(_View(stamp_ns, found, missed))
         while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > _MISSING_S:
             self._views.popleft()
@@ -162,8 +158,9 @@ class Health:
             return
         if np.linalg.norm(np.ptp(places[:, :2], axis=0)) > _MISSING_EXTENT_M:
             self._doubt(
+                stamp_ns,
                 f'{found} of {expected} landmarks that should be in the last '
-                f'{len(self._views)} pictures were found'
+                f'{len(self._views)} pictures were found',
             )
 
     def note(self, refusal: Refusal) -> None:
@@ -181,8 +178,9 @@ class Health:
             nis, limit = self._innovations()
             if nis > limit:
                 self._doubt(
+                    update.stamp_ns,
                     f'innovations are too large: NIS {nis:.0f} over the last {len(self._window)} '
-                    f'measurements, limit {limit:.0f}'
+                    f'measurements, limit {limit:.0f}',
                 )
             elif self._acceptances >= _FOUND_AFTER_ACCEPTANCES:
                 self._astray = ''
@@ -192,16 +190,25 @@ class Health:
             self._rejections += 1
             self._acceptances = 0
             if self._rejections >= self._config.lost_after_rejections:
-                self._astray = (
-                    f'{self._rejections} measurements rejected in a row, last: {update.refusal}'
+                self._contradict(
+                    update.stamp_ns,
+                    f'{self._rejections} measurements rejected in a row, last: {update.refusal}',
                 )
                 self._window.clear()
 
-    def _doubt(self, why: str) -> None:
+    def _doubt(self, stamp_ns: int, why: str) -> None:
         """Believe the pose no longer, and less with each picture."""
         self._doubts += 1
         self._acceptances = 0
+        self._contradict(stamp_ns, why)
+
+    def _contradict(self, stamp_ns: int, why: str) -> None:
+        """Believe the pose no longer; nor those after it for a while, if that is nothing new."""
         self._astray = why
+        times = self._contradictions.note(stamp_ns)
+        if times > 1:
+            often = f'contradicted {times} times of late, last: {why}'
+            self._trouble = _Trouble(stamp_ns, (times - 1) * _TROUBLE_S, often)
 
     def _innovations(self) -> tuple[float, float]:
         """NIS of the last measurements together, and what it may be."""
@@ -233,9 +240,8 @@ class Health:
             return 'coasting', f'nothing accepted for {waited:.1f} s{self._last_refusal}'
         if blind:
             return 'coasting', blind
-        trouble, reason = self._trouble
-        if 0.0 <= (estimate.stamp_ns - trouble) * 1e-9 < _TROUBLE_S:
-            return 'coasting', reason
+        if 0.0 <= (estimate.stamp_ns - self._trouble.stamp_ns) * 1e-9 < self._trouble.seconds:
+            return 'coasting', self._trouble.reason
         return 'tracking', ''
 
     def _blind(self, stamp_ns: int, odometry_ns: int | None) -> str:
@@ -245,5 +251,5 @@ class Health:
         seconds = (stamp_ns - odometry_ns) * 1e-9
         if seconds <= self._config.silent_after_s:
             return ''
-        _, reason = self._trouble
+        reason = self._trouble.reason
         return f'no odometry for {seconds:.1f} s' + (f', last: {reason}' if reason else '')

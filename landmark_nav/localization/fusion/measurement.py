@@ -13,6 +13,7 @@ from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.lens import straightened
 from landmark_nav.localization.fusion.noise import LEARNED, SIGHTING
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, FilterState, LENS, STATES
+from landmark_nav.localization.lateness import Lag, STILL
 from landmark_nav.localization.triangulation.model import bearing_gradients, bearing_residuals
 from landmark_nav.types import FloatArray
 
@@ -64,7 +65,7 @@ def expected_bearings(
         np.sqrt(frame.config.repeated_share * variance),
         frame.common_variance,
         lever,
-        frame.pan_rate,
+        frame.lag(at.late),
         frame.pan,
     )
     if not frame.config.curvature_repeats:
@@ -86,7 +87,7 @@ def bearing_model(
     repeated_sigma: FloatArray,
     common_variance: float,
     lever: FloatArray,
-    pan_rate: float = 0.0,
+    lag: Lag = STILL,
     pan: float = 0.0,
 ) -> MeasurementModel:
     """
@@ -110,8 +111,8 @@ def bearing_model(
         Of what they share, rad^2.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
-    pan_rate : float
-        How fast the camera turned, rad/s: joint stamps that are late make bearings lag.
+    lag : Lag
+        What joint stamps that are late, as the state `at` has it, make of the pan.
     pan : float
         Where it looked, radians: a principal point that is off bends bearings about there.
 
@@ -122,7 +123,7 @@ def bearing_model(
     axis = np.array([x + arm[0], y + arm[1], heading])
     seen = at.landmarks[columns]
     straight, by_lens = straightened(bearings, pan, float(at.mean[LENS]))
-    shift = at.mean[BORESIGHT] - pan_rate * at.mean[DELAY]
+    shift = at.mean[BORESIGHT] - lag.shift_rad
     residual = bearing_residuals(axis, seen, straight - shift)
     gradient = bearing_gradients(axis, seen)
 
@@ -130,7 +131,7 @@ def bearing_model(
     jacobian[:, :2] = gradient
     jacobian[:, 2] = gradient[:, 1] * arm[0] - gradient[:, 0] * arm[1] - 1.0
     jacobian[:, BORESIGHT] = 1.0
-    jacobian[:, DELAY] = -pan_rate
+    jacobian[:, DELAY] = -lag.rate_rad_s
     jacobian[:, LENS] = -by_lens
 
     # The derivative by a landmark's x and y is minus the one by the axis'.
@@ -147,7 +148,7 @@ def bearing_model(
     by_noise = np.zeros((LEARNED, len(columns), len(columns)))
     np.fill_diagonal(by_noise[SIGHTING], variance)
     covariance = jacobian @ state_covariance - by_places @ considered_covariance[places]
-    covariance += by_noise[SIGHTING] + common_variance
+    covariance += by_noise[SIGHTING] + common_variance + lag.bend_rad**2
 
     offset = prior.mean - at.mean
     offset[2] = wrap_rad(offset[2])

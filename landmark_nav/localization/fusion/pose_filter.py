@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
@@ -21,9 +22,17 @@ from landmark_nav.localization.fusion.config import FusionConfig
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
-from landmark_nav.localization.fusion.state import among, FilterState, initial_state, moved_to
-from landmark_nav.localization.fusion.turn import update_turning
+from landmark_nav.localization.fusion.state import (
+    among,
+    FilterState,
+    initial_state,
+    moved_to,
+    with_late_joints,
+)
+from landmark_nav.localization.fusion.turn import LATE_S, update_turning
 from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.fusion.witnesses import Witnesses
+from landmark_nav.localization.lateness import Lateness
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import (
     Detections,
@@ -44,6 +53,10 @@ _PICTURES, _LEAST = 10, 3
 # position sigma at which that ends.
 _DOUBT = np.square([0.15, 0.15, 0.05])
 _DOUBT_LIMIT_M = 2.0
+# How late joint states are is known from what was measured to this sigma.
+_MEASURED_S = 0.03
+# A place is found with a heading at least as good as this unless the camera turns.
+_TURNING_RAD = 0.02
 
 
 class PoseFilter:
@@ -95,6 +108,12 @@ class PoseFilter:
         return 1.0 if state is None else state.scales.sighting_sigma
 
     @property
+    def late(self) -> Lateness:
+        """Of the stamps of the joints, as far as it was measured."""
+        state = self.state
+        return Lateness() if state is None else state.late
+
+    @property
     def status(self) -> tuple[Status, str]:
         """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
         return self.status_at(None)
@@ -102,14 +121,26 @@ class PoseFilter:
     def status_at(self, stamp_ns: int | None) -> tuple[Status, str]:
         """`status` as it will be at a time if nothing comes until then."""
         known = self._history.odometry_ns
-        return self._health.status(self.estimate(stamp_ns), None if known is None else known[1])
+        status, reason = self._health.status(
+            self.estimate(stamp_ns), None if known is None else known[1]
+        )
+        if status == 'tracking' and not self._witnesses.vouched:
+            return 'coasting', 'the place is not sure: only one wall of the map speaks for it'
+        return status, reason
 
-    def initialize(self, start: PoseEstimate, now_ns: int | None = None) -> None:
+    def initialize(
+        self,
+        start: PoseEstimate,
+        now_ns: int | None = None,
+        witnesses: npt.NDArray[np.int64] | None = None,
+    ) -> None:
         """
         Start anew at a pose; of what was measured before, only robot and camera are remembered.
 
         A stamp outside the odometry of the last seconds (RViz on another clock) is taken as now:
-        `now_ns`, or the time of the last odometry.
+        `now_ns`, or the time of the last odometry. A pose that nobody vouches for rests on
+        landmarks alone, its `witnesses` (ids) and others: it takes two walls of them to be sure,
+        and a heading that is so unsure was told by a turning camera, whose joints may be late.
 
         Raises
         ------
@@ -132,8 +163,15 @@ class PoseFilter:
             config = self._config
             sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
+        measured = 0.0 < state.late.sigma_s < _MEASURED_S
+        turning = start.covariance[2, 2] > _TURNING_RAD**2
+        if witnesses is not None and turning and not measured:
+            state = with_late_joints(state, LATE_S)
         self._history.restart(state)
         self._health.restart(start.stamp_ns)
+        self._witnesses.restart(vouched=witnesses is None)
+        if witnesses is not None:
+            self._witnesses.hear(np.flatnonzero(np.isin(self._map.ids, witnesses)))
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """Go on among other landmarks from where the robot is, believed as much as before."""
@@ -141,6 +179,7 @@ class PoseFilter:
         self._scores: deque[float] = deque(maxlen=_SCORES)
         self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
         self._seen: deque[tuple[int, IndexArray, int]] = deque(maxlen=_PICTURES)
+        self._witnesses = Witnesses(landmark_map)
         if self._history.started:
             self._history.restart(among(self._history.at(), landmark_map))
             self._health.change_map()
@@ -192,7 +231,9 @@ class PoseFilter:
                 frame=frame,
                 ids=self._map.ids,
                 lever=self._lever,
-                probability=self._config.bearing_probability,
+                probability=self._health.level(
+                    len(frame.columns), self._config.bearing_probability
+                ),
                 odometry=self._odometry,
                 least=self._health.least(expected),
                 refine=self._config.landmarks == 'refine',
@@ -200,6 +241,8 @@ class PoseFilter:
             ),
         )
         self._health.look(stamp, update.degrees, missed)
+        agree = np.isin(self._map.ids[frame.columns], update.accepted_ids)
+        self._witnesses.hear(frame.columns[agree])
         return update
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:
@@ -214,17 +257,21 @@ class PoseFilter:
             refusal = self._too_few(stamp)
         if refusal is not None:
             return self.no_pose(stamp, refusal)
-        return self._measure(
+        columns = self._made_of(stamp)
+        update = self._measure(
             stamp,
             partial(
                 update_pose,
                 measured=measured,
-                columns=self._made_of(stamp),
+                columns=columns,
                 lever=self._lever,
                 probability=self._config.pose_probability,
                 turn_sigma=self._config.turn_sigma_rad,
             ),
         )
+        if update.degrees:
+            self._witnesses.hear(columns)
+        return update
 
     def no_pose(self, stamp_ns: int, refusal: Refusal) -> FusionUpdate:
         """Take note that no pose came of a picture, and why."""
@@ -280,10 +327,11 @@ class PoseFilter:
         self._health.observe(update)
         if update.turned_rad:
             angle = f'{np.degrees(update.turned_rad):+.2f} deg'
-            reason = 'the camera or the robot was turned, or the wheels slipped'
-            self._health.note_trouble(stamp_ns, Refusal(reason, angle))
+            reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
+            self._health.note_turn(stamp_ns, Refusal(reason, angle))
         if self._health.astray and update.refusal is not None:
             self._history.insert(stamp_ns, self._doubted)
+            self._witnesses.restart(vouched=False)
         return update
 
     def _doubted(self, state: FilterState) -> tuple[FilterState, None]:

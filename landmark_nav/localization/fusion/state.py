@@ -19,6 +19,7 @@ from scipy.linalg import block_diag
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
 from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales, SLIP, WHEELS
+from landmark_nav.localization.lateness import Lateness
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
     Motion,
@@ -40,6 +41,7 @@ __all__ = [
     'looking_again',
     'moved_to',
     'propagate',
+    'with_late_joints',
 ]
 
 # x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight; by how
@@ -95,6 +97,11 @@ class FilterState:
         """Return the pose alone."""
         return PoseEstimate(self.stamp_ns, self.mean[:3].copy(), self.covariance[:3, :3].copy())
 
+    @property
+    def late(self) -> Lateness:
+        """Of the stamps of the joints."""
+        return Lateness(float(self.mean[DELAY]), float(np.sqrt(self.covariance[DELAY, DELAY])))
+
 
 def initial_state(
     start: PoseEstimate,
@@ -147,6 +154,14 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
         cross=kept @ state.cross,
         by_noise=kept @ state.by_noise @ kept.T,
     )
+
+
+def with_late_joints(state: FilterState, sigma_s: float) -> FilterState:
+    """Return the state of a robot whose joint states may be late or early by `sigma_s`."""
+    mean, covariance, cross = state.mean.copy(), state.covariance.copy(), state.cross.copy()
+    mean[DELAY] = cross[DELAY] = covariance[DELAY] = covariance[:, DELAY] = 0.0
+    covariance[DELAY, DELAY] = sigma_s**2
+    return replace(state, mean=mean, covariance=covariance, cross=cross)
 
 
 def among(state: FilterState, landmark_map: LandmarkMap) -> FilterState:

@@ -18,7 +18,7 @@ from landmark_nav.localization.fusion.measurement import (
     MeasurementModel,
 )
 from landmark_nav.localization.fusion.noise import learned_scales
-from landmark_nav.localization.fusion.state import FilterState
+from landmark_nav.localization.fusion.state import DELAY, FilterState
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray, Refusal
 
@@ -27,6 +27,8 @@ __all__ = ['FusionUpdate', 'update_bearings']
 _MAX_ITERATIONS = 5
 # A step this small bends bearings by a few microradians only.
 _LINEAR_M = 2e-3
+# So little later the pan turns as fast.
+_LINEAR_S = 5e-3
 _NO_IDS = np.empty(0, dtype=np.int64)
 _NO_INNOVATIONS = np.empty(0)
 
@@ -165,7 +167,8 @@ def _iterated(
     """Repeat the update, linearised about its own result, until that stays."""
     at, state = prior, correct(prior, model, refine)
     for _ in range(_MAX_ITERATIONS):
-        if np.abs(state.mean[:2] - at.mean[:2]).max() < _LINEAR_M:
+        moved = np.abs(state.mean - at.mean)
+        if moved[:2].max() < _LINEAR_M and moved[DELAY] < _LINEAR_S:
             break
         at = state
         model = model_at(at)

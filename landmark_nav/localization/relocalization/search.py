@@ -24,7 +24,7 @@ from landmark_nav.localization.relocalization.verification import (
     Verification,
     verify,
 )
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
+from landmark_nav.types import FloatArray, LandmarkMap, Refusal
 
 __all__ = [
     'best_place',
@@ -47,7 +47,7 @@ def locate(
     mount: PanTiltMount,
     config: RelocalizationConfig,
     looking: LookingConfig,
-) -> PoseEstimate | Refusal:
+) -> Verification | Refusal:
     """
     Find the robot's place without any prior.
 
@@ -66,10 +66,10 @@ def locate(
 
     Returns
     -------
-    PoseEstimate or Refusal
-        The base at the stamp of the last picture. ``not unique`` where another place explains
-        what was seen about as well, ``nothing recognised`` where none does, ``too little seen``
-        where the evidence is thin.
+    Verification or Refusal
+        The base at the stamp of the last picture, and what speaks for it. ``not unique`` where
+        another place explains what was seen about as well, ``nothing recognised`` where none does,
+        ``too little seen`` where the evidence is thin.
 
     """
     moved = [
@@ -156,7 +156,7 @@ def _where(place: Verification) -> str:
     return f'({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg'
 
 
-def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> PoseEstimate | Refusal:
+def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verification | Refusal:
     """Where the robot is, if enough of the room was seen to be sure of it."""
     if isinstance(best, Refusal):
         return best
@@ -176,7 +176,7 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> PoseE
             'too little seen',
             f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
         )
-    return best.estimate
+    return best
 
 
 def _span(bearing_rad: FloatArray) -> float:

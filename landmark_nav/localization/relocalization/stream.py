@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
@@ -104,6 +105,7 @@ class Relocalizer:
         self._track = OdometryTrack(self._odometry)
         self._kept: list[_Glimpse] = []
         self._outcome = Refusal('nothing seen yet', 'no picture came')
+        self._witnesses = np.empty(0, dtype=np.int64)
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; why the sample was left out, if it was."""
@@ -143,7 +145,8 @@ class Relocalizer:
         self._kept = [glimpse for glimpse, keep in zip(self._kept, sure, strict=True) if keep]
         poses, variances = poses[sure], variances[sure]
         looked = np.array([glimpse.direction for glimpse in self._kept])
-        if not shows_new(frame, direction, np.zeros(3), looked, poses):
+        repeats = self._kept and np.array_equal(frame.image, self._kept[-1].frame.image)
+        if repeats or not shows_new(frame, direction, np.zeros(3), looked, poses):
             return self._outcome
         sightings = find_sightings(frame, self._map, self._mount)
         self._kept.append(_Glimpse(frame, direction, sightings))
@@ -163,8 +166,14 @@ class Relocalizer:
         # Pictures whose pan is late by the same time agree on a wrong heading.
         squared = np.square([glimpse.frame.pan_rate_rad_s for glimpse in self._kept])
         doubt = _DELAY_SIGMA_S**2 * float(max(squared[-1], squared.mean()))
-        covariance = outcome.covariance + np.diag([0.0, 0.0, doubt])
-        return replace(outcome, covariance=covariance)
+        covariance = outcome.estimate.covariance + np.diag([0.0, 0.0, doubt])
+        self._witnesses = outcome.ids
+        return replace(outcome.estimate, covariance=covariance)
+
+    @property
+    def witnesses(self) -> npt.NDArray[np.int64]:
+        """Landmarks that the place which was found last rests on."""
+        return self._witnesses
 
     def moved_on(self, found: PoseEstimate) -> PoseEstimate:
         """Carry a place along to the time of the newest odometry."""

@@ -122,4 +122,5 @@ def _frame(
         sample.tilt_rad,
         pan_rate_rad_s=sample.pan_rate_rad_s,
         pan_sigma_rad=sample.pan_sigma_rad,
+        pan_track=sample.pan_track,
     )

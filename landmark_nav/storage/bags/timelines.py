@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.reader import Bag, BagMessage
 from landmark_nav.storage.bags.sieve import Sieve
@@ -21,6 +22,8 @@ __all__ = ['CameraInfos', 'JointHistory', 'JointLog']
 _MAX_JOINT_GAP_NS = 500_000_000
 # So far beyond them the last rate tells it: a joint may start or stop at any moment.
 _SAME_TIME_NS = 2_000_000
+# Joint states may be late by so much: as far the pan is told before and after a picture.
+_TRACK_NS = 400_000_000
 # Joint states older by this are not late: the clock was set back.
 _CLOCK_STEP_NS = 500_000_000
 
@@ -59,6 +62,7 @@ class JointHistory:
                 first.tilt_rad + share * (second.tilt_rad - first.tilt_rad),
                 rate,
                 abs(share * (1.0 - share)) * gap_ns * 1e-9 * self._rate_change(later, rate),
+                self._track(stamp_ns),
             )
         nearest = min(first, second, key=lambda sample: abs(sample.stamp_ns - stamp_ns))
         if abs(nearest.stamp_ns - stamp_ns) <= _SAME_TIME_NS:
@@ -68,6 +72,15 @@ class JointHistory:
         if stamp_ns < first.stamp_ns:
             return Refusal(f'joint_states begin {beyond_ns * 1e-6:.0f} ms later')
         return Refusal(f'no joint_states for {gap_ns * 1e-9:.1f} s')
+
+    def _track(self, stamp_ns: int) -> PanTrack:
+        """Pan about a time that is within the history."""
+        first = max(bisect_right(self._stamps, stamp_ns - _TRACK_NS) - 1, 0)
+        near = slice(first, bisect_left(self._stamps, stamp_ns + _TRACK_NS) + 1)
+        return PanTrack(
+            1e-9 * (np.array(self._stamps[near]) - stamp_ns),
+            np.array([sample.pan_rad for sample in self._samples[near]]),
+        )
 
     def _rate(self, later: int) -> float | None:
         """Rate of the pan, rad/s, from one sample to a later one; None if they do not tell."""

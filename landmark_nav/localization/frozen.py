@@ -1,0 +1,34 @@
+"""A camera that shows the same picture again and again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.types import CameraFrame, PoseEstimate
+
+__all__ = ['FrozenPicture']
+
+# Who moved by so many pixels, or by so much, sees another picture.
+_MOVED_PX, _MOVED_M = 1.0, 0.02
+
+
+class FrozenPicture:
+    """Tells pictures that are the one before, though the camera has moved."""
+
+    def __init__(self) -> None:
+        self._first: tuple[CameraFrame, PoseEstimate] | None = None
+
+    def repeats(self, frame: CameraFrame, pose: PoseEstimate) -> bool:
+        """Whether a picture, taken at a pose of the base, is an earlier one to the last pixel."""
+        if self._first is None or not np.array_equal(frame.image, self._first[0].image):
+            self._first = frame, pose
+            return False
+        before, there = self._first
+        if not np.ptp(frame.image):
+            # Of a covered lens all pictures are the same.
+            return False
+        aside = wrap_rad(frame.pan_rad + pose.pose[2] - before.pan_rad - there.pose[2])
+        turn = max(abs(float(aside)), abs(frame.tilt_rad - before.tilt_rad))
+        way = float(np.hypot(*(pose.pose - there.pose)[:2]))
+        return turn * frame.camera.fx > _MOVED_PX or way > _MOVED_M

@@ -1,0 +1,125 @@
+"""Joint states whose stamps are late, or that stay as they were: told, and measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from picture_drives import MAP, MOUNT, START, START_SIGMA, Step
+import pytest
+from spoiled_drives import check_honest, FAULT_S, first, pan_rad, run, Sensed
+
+from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.localization.frozen import FrozenPicture
+from landmark_nav.localization.lateness import in_time, Lateness
+from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
+from landmark_nav.types import CameraFrame, PoseEstimate
+
+LATE_S = 0.2
+
+
+def stamped_late(step: Step, frame: CameraFrame | None) -> Sensed:
+    """Joint states tell of every moment where the camera looked 0.2 s before."""
+    if frame is None:
+        return step, frame
+    about = np.linspace(-0.4, 0.4, 17)
+    told = np.array([pan_rad(step.stamp_ns * 1e-9 - LATE_S + t) for t in about])
+    rate = float((told[9] - told[7]) / (about[9] - about[7]))
+    track = PanTrack(about, told)
+    frame = replace(frame, pan_rad=float(told[8]), pan_rate_rad_s=rate, pan_track=track)
+    return step, frame
+
+
+def test_joint_states_that_are_late_for_good_are_told_measured_and_put_right(
+    sensed: list[Sensed],
+) -> None:
+    moments = list(run(sensed, stamped_late))
+    told = next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking')
+    assert told.after_s <= 2.0
+    assert 'joint_states are late' in first(moments, 'coasting').reason
+    check_honest(moments)
+    later = [m for m in moments if 3.0 < m.after_s < 6.0]
+    assert sum(m.status == 'tracking' for m in later) > 0.5 * len(later)
+    assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
+
+
+def test_how_late_they_are_is_known_after_a_few_pictures(sensed: list[Sensed]) -> None:
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    for step, frame in sensed:
+        localizer.add_odometry(step.odometry)
+        if step.stamp_ns * 1e-9 > FAULT_S:
+            _, frame = stamped_late(step, frame)
+        if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 5.0:
+            localizer.add_frame(frame)
+    late = localizer.late
+    assert late.sigma_s < 0.02
+    assert late.delay_s == pytest.approx(LATE_S, abs=4.0 * late.sigma_s + 0.005)
+
+
+def test_joint_states_that_freeze_are_never_believed_for_long(sensed: list[Sensed]) -> None:
+    stands = pan_rad(FAULT_S)
+
+    def frozen(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 3.0:
+            frame = replace(frame, pan_rad=stands)
+        return step, frame
+
+    moments = list(run(sensed, frozen))
+    assert next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking').after_s <= 2.0
+    check_honest(moments)
+
+
+def test_pictures_that_freeze_are_told_and_not_used(sensed: list[Sensed]) -> None:
+    shown = next(f for s, f in sensed if f is not None and s.stamp_ns * 1e-9 >= FAULT_S - 0.3)
+
+    def frozen(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 2.5:
+            frame = replace(frame, image=shown.image)
+        return step, frame
+
+    moments = list(run(sensed, frozen))
+    coasting = first(moments, 'coasting')
+    assert coasting.after_s <= 2.0
+    assert 'picture is the one before' in coasting.reason
+    hidden = [m for m in moments if 0.5 < m.after_s < 2.5]
+    assert not any(m.update.fusion.degrees for m in hidden)
+    assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
+    check_honest(moments)
+
+
+def test_a_picture_may_stay_the_same_while_nothing_moves(sensed: list[Sensed]) -> None:
+    _, frame = next(pair for pair in sensed if pair[1] is not None)
+    assert frame is not None
+    here = PoseEstimate(0, START, np.eye(3))
+    frozen = FrozenPicture()
+    assert not any(frozen.repeats(frame, here) for _ in range(3))
+    turned = replace(frame, pan_rad=frame.pan_rad + 0.02)
+    assert frozen.repeats(turned, here)
+    black = replace(turned, image=np.zeros_like(frame.image))
+    assert not frozen.repeats(black, here)
+    assert not frozen.repeats(replace(black, pan_rad=0.0), here)
+
+
+def test_the_lag_of_a_pan_is_exact_where_it_speeds_up() -> None:
+    about = np.linspace(-0.4, 0.4, 81)
+    track = PanTrack(about, about**3)
+    lag = Lateness(0.2).lag(0.0, track)
+    assert lag.shift_rad == pytest.approx(0.008)
+    assert lag.rate_rad_s == pytest.approx(0.12, rel=0.01)
+    # What is open says so: the slope within it, and what that leaves out.
+    wide = Lateness(0.2, 0.1).lag(0.0, track)
+    assert wide.rate_rad_s == pytest.approx((0.3**3 - 0.1**3) / 0.2)
+    assert wide.bend_rad == pytest.approx(0.5 * (0.3**3 + 0.1**3) - 0.2**3)
+
+
+def test_without_a_track_the_pan_goes_on_at_its_rate(sensed: list[Sensed]) -> None:
+    _, frame = next(pair for pair in sensed if pair[1] is not None)
+    assert frame is not None
+    frame = replace(frame, pan_rate_rad_s=0.5, pan_track=None)
+    same, sigma = in_time(frame, Lateness())
+    assert same is frame
+    assert sigma == frame.pan_sigma_rad
+    later, sigma = in_time(frame, Lateness(0.1, 0.02))
+    assert later.pan_rad - frame.pan_rad == pytest.approx(0.05)
+    assert sigma == pytest.approx(0.01)

@@ -1,0 +1,148 @@
+"""When a place that was found is sure, and when a pose that was contradicted is again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from filter_runs import MAP, run, sighting, SIGMA, started
+from fusion_drives import detections, drive, MOUNT
+import numpy as np
+import pytest
+
+from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.fusion.config import HealthConfig
+from landmark_nav.localization.fusion.contradictions import Contradictions
+from landmark_nav.localization.fusion.health import Health
+from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.fusion.witnesses import Witnesses
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
+
+NS = 10**9
+EAST, NORTH = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
+NOBODY = np.empty(0, dtype=np.int64)
+
+
+def on_walls(normals: list[list[float]]) -> LandmarkMap:
+    landmarks = [
+        replace(MAP.landmarks[k], normal=np.array(normal)) for k, normal in enumerate(normals)
+    ]
+    return LandmarkMap(tuple(landmarks))
+
+
+def test_one_wall_does_not_speak_for_a_place_but_two_do() -> None:
+    witnesses = Witnesses(on_walls([EAST] * 5 + [NORTH] * 3))
+    assert witnesses.vouched
+    witnesses.restart(vouched=False)
+    witnesses.hear(np.arange(5))
+    assert not witnesses.vouched
+    witnesses.hear(np.array([5, 6]))
+    assert not witnesses.vouched
+    witnesses.hear(np.array([7]))
+    assert witnesses.vouched
+
+
+def test_a_map_of_one_wall_cannot_ask_for_two() -> None:
+    witnesses = Witnesses(on_walls([EAST] * 5 + [NORTH] * 2))
+    witnesses.restart(vouched=False)
+    witnesses.hear(np.array([0, 1]))
+    assert not witnesses.vouched
+    witnesses.hear(np.array([2]))
+    assert witnesses.vouched
+
+
+def found_at(pose: FloatArray, stamp_ns: int, landmark_map: LandmarkMap) -> PoseFilter:
+    fused = PoseFilter(landmark_map, MOUNT)
+    start = PoseEstimate(stamp_ns, pose, np.diag(np.square([0.02, 0.02, 0.005])))
+    fused.initialize(start, witnesses=NOBODY)
+    return fused
+
+
+def test_a_found_place_is_coasting_until_landmarks_of_two_walls_speak_for_it() -> None:
+    walls = on_walls([EAST] * 5 + [NORTH] * 5)
+    moments = list(drive(20))
+    fused = found_at(moments[0].pose, 0, walls)
+    told = {}
+    for k, moment in enumerate(moments):
+        fused.add_odometry(moment.odometry)
+        seen = range(5) if k < 10 else range(10)
+        fused.add_detections(detections(walls, moment.pose, moment.odometry.stamp_ns, seen, SIGMA))
+        told[k] = fused.status
+    assert told[9][0] == 'coasting'
+    assert 'only one wall' in told[9][1]
+    assert told[11] == ('tracking', '')
+
+
+def test_what_the_search_saw_speaks_as_well() -> None:
+    walls = on_walls([EAST] * 5 + [NORTH] * 5)
+    moment = next(iter(drive(0)))
+    fused = PoseFilter(walls, MOUNT)
+    start = PoseEstimate(0, moment.pose, np.diag(np.square([0.02, 0.02, 0.005])))
+    fused.initialize(start, witnesses=walls.ids)
+    fused.add_odometry(moment.odometry)
+    assert fused.status == ('tracking', '')
+
+
+def test_a_heading_from_a_turning_camera_leaves_the_lateness_of_its_joints_open() -> None:
+    moment = next(iter(drive(0)))
+    fused = PoseFilter(MAP, MOUNT)
+    start = PoseEstimate(0, moment.pose, np.diag(np.square([0.02, 0.02, 0.2])))
+    fused.initialize(start, witnesses=MAP.ids)
+    fused.add_odometry(moment.odometry)
+    # The same late pan again is no evidence for the heading; a camera that stands is.
+    seen = sighting(moment, 0, np.full(4, 0.2))
+    fused.add_detections(replace(seen, pan_rate_rad_s=2.0))
+    before = fused.estimate()
+    assert before is not None
+    assert np.sqrt(before.covariance[2, 2]) > 0.1
+    fused.add_detections(sighting(moment, 0))
+    after = fused.estimate()
+    assert after is not None
+    assert abs(after.pose[2] - moment.pose[2]) < 0.005
+    assert fused.late.delay_s == pytest.approx(-0.1, abs=0.01)
+
+
+def test_one_that_lies_just_within_its_gate_is_no_evidence_after_many_in_vain() -> None:
+    """A normalized innovation squared of 7: 0.8 % of those of a right pose are as large."""
+
+    def seen(angle_rad: float, vain: int = 0) -> FusionUpdate:
+        fused = started()
+        moment, _ = run(fused, 60)
+        stamp = moment.odometry.stamp_ns
+        one = detections(MAP, moment.pose, stamp, [0], SIGMA, np.full(1, angle_rad))
+        nothing = replace(one.chosen(np.zeros(1, np.bool_)), missed=MAP.ids[:4])
+        for _ in range(vain):
+            fused.add_detections(nothing)
+        return fused.add_detections(one)
+
+    offset, small = seen(0.0).innovation_rad[0], 1e-3
+    per_rad = np.sqrt(seen(small - offset).nis) / small
+    barely = float(np.sqrt(7.0) / per_rad) - offset
+    assert seen(barely).degrees == 1
+    assert seen(barely, vain=3).refusal is not None
+
+
+def test_turns_that_are_told_again_and_again_are_doubted_for_longer() -> None:
+    health = Health(HealthConfig(coasting_after_s=1000.0))
+    health.restart(0)
+
+    def coasts_s(after_ns: int) -> float:
+        """In steps of half a second."""
+        for k in range(40):
+            now_ns = after_ns + k * NS // 2
+            here = PoseEstimate(now_ns, np.zeros(3), 1e-6 * np.eye(3))
+            if health.status(here, now_ns)[0] == 'tracking':
+                return 0.5 * k
+        return np.inf
+
+    for seconds, coasts in ((10, 2.0), (13, 2.0), (17, 4.0), (19, 6.0)):
+        health.note_turn(seconds * NS, Refusal('turned'))
+        assert coasts_s(seconds * NS) == coasts
+    health.note_turn(100 * NS, Refusal('turned'))
+    assert coasts_s(100 * NS) == 2.0
+
+
+def test_pictures_in_a_row_are_one_contradiction() -> None:
+    contradictions = Contradictions()
+    assert [contradictions.note(k * NS // 5) for k in range(5)] == [1] * 5
+    assert contradictions.note(4 * NS) == 2
+    assert contradictions.note(60 * NS) == 1
