@@ -22,6 +22,7 @@ from landmark_nav.arrays import ImageArray
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.simulation.response import light_of, values_of
 from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
@@ -38,13 +39,20 @@ def _as(picture: npt.NDArray[np.floating]) -> ImageArray:
     return np.asarray(np.clip(picture, 0.0, 255.0), np.uint8)
 
 
+def _of_light(mix: Callable[[npt.NDArray[np.uint16]], object], image: ImageArray) -> ImageArray:
+    """What lens and motion mix is light, not values of pixels."""
+    return values_of(np.asarray(mix(light_of(image)), np.uint16))
+
+
 def blurred(sigma_px: float) -> Spoil:
-    return lambda image, _: np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.uint8)
+    return lambda image, _: _of_light(
+        lambda light: cv2.GaussianBlur(light, (0, 0), sigma_px), image
+    )
 
 
 def moved(width_px: int) -> Spoil:
     kernel = np.full((1, width_px), 1.0 / width_px, np.float32)
-    return lambda image, _: np.asarray(cv2.filter2D(image, -1, kernel), np.uint8)
+    return lambda image, _: _of_light(lambda light: cv2.filter2D(light, -1, kernel), image)
 
 
 def noisy(sigma: float) -> Spoil:

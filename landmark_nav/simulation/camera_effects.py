@@ -9,6 +9,7 @@ import numpy as np
 
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.parameters import Config, parameter
+from landmark_nav.simulation.response import light_of, values_of
 from landmark_nav.types import ImageArray
 
 __all__ = ['CameraEffects', 'CameraEffectsConfig']
@@ -78,7 +79,9 @@ class CameraEffects:
         if config.blur_sigma_px > 0.0:
             sigma = config.blur_sigma_px
             side = 2 * int(np.ceil(2.5 * sigma)) + 1
-            image = np.asarray(cv2.GaussianBlur(image, (side, side), sigma), dtype=np.uint8)
+            image = values_of(
+                np.asarray(cv2.GaussianBlur(light_of(image), (side, side), sigma), np.uint16)
+            )
         mean = max(float(image[::8, ::8].mean()), 1.0)
         gain = config.exposure * (config.target_brightness / mean) ** config.auto_exposure
         clean = cv2.multiply(image, self._vignette, scale=gain, dtype=cv2.CV_32F)

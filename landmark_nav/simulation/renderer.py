@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.simulation.ray_tiles import coverage, RayTiles, TILE_PX
+from landmark_nav.simulation.response import light_of, values_of
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.solids import background_surfaces, box_solid, Solid, wall_solids
 from landmark_nav.simulation.surfaces import Pyramid, Surface
@@ -162,8 +162,6 @@ def _blend(under: ImageArray, color: ImageArray, share: Float32Array) -> ImageAr
     """Paint `color` over `under` where it covers; both (tiles, side, side, channels)."""
     if color.shape[-1] == 4:
         share = share * (color[..., 3] * np.float32(1.0 / 255.0))
-    flat = (-1, TILE_PX, 3)
-    weight = share.reshape(-1, TILE_PX)
-    top = np.ascontiguousarray(color[..., :3]).reshape(flat)
-    mixed = cv2.blendLinear(top, under.reshape(flat), weight, 1.0 - weight)
-    return np.asarray(mixed, dtype=np.uint8).reshape(under.shape)
+    weight = share[..., None]
+    top, below = light_of(color[..., :3]), light_of(under)
+    return values_of((weight * top + (1.0 - weight) * below).astype(np.uint16))

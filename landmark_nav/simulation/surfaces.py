@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.simulation.lighting import irradiance
+from landmark_nav.simulation.response import light_of, values_of
 from landmark_nav.simulation.scene import Lamp
 from landmark_nav.types import FloatArray, ImageArray
 
@@ -134,11 +135,16 @@ class Surface:
 
 
 def _average(texture: ImageArray, columns: int, rows: int) -> ImageArray:
-    """`texture` in fewer texels, each the mean of what it covers."""
+    """`texture` in fewer texels, each with the mean light of what it covers."""
     size = (max(1, columns), max(1, rows))
     if size == texture.shape[1::-1]:
         return texture
-    return np.asarray(cv2.resize(texture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    mean = np.empty((size[1], size[0], texture.shape[2]), np.uint8)
+    light = cv2.resize(light_of(texture[..., :3]), size, interpolation=cv2.INTER_AREA)
+    mean[..., :3] = values_of(np.asarray(light, dtype=np.uint16))
+    if texture.shape[2] == 4:
+        mean[..., 3] = cv2.resize(texture[..., 3], size, interpolation=cv2.INTER_AREA)
+    return mean
 
 
 def _with_border(texture: ImageArray) -> ImageArray:

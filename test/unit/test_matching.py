@@ -14,7 +14,8 @@ from landmark_nav.matching import (
     match_templates,
     Query,
 )
-from landmark_nav.types import FloatArray, Refusal
+from landmark_nav.simulation.response import light_of, values_of
+from landmark_nav.types import FloatArray, ImageArray, Refusal
 
 
 class Texture:
@@ -200,13 +201,36 @@ def test_stripes_fix_a_shift_across_but_not_along() -> None:
 
 def test_blurring_keeps_fine_texture_from_aliasing() -> None:
     # Pixels three times as wide average what the fine picture resolves.
-    fine = Texture(11, shortest_px=2.0).sample(180, 180)
-    coarse = cv2.resize(fine, (60, 60), interpolation=cv2.INTER_AREA)[4:-4, 4:-4]
+    fine = Texture(11, deviation=25.0, shortest_px=2.0).sample(180, 180)
+    light = cv2.resize(fine**2.2, (60, 60), interpolation=cv2.INTER_AREA)
+    coarse = (light ** (1.0 / 2.2))[4:-4, 4:-4]
     blurred = blur_to(fine, np.array([3.0, 3.0]))[1::3, 1::3][4:-4, 4:-4]
     sampled = fine[1::3, 1::3][4:-4, 4:-4]
     aliased = np.corrcoef(sampled.ravel(), coarse.ravel())[0, 1]
     assert aliased < 0.92
     assert np.corrcoef(blurred.ravel(), coarse.ravel())[0, 1] > 0.97
+
+
+@pytest.mark.parametrize('bright', [True, False])
+def test_blurring_leaves_outlines_where_light_has_them(bright: bool) -> None:
+    # The corner of a thing that is much brighter, or darker, than what is around it.
+    fine = np.full((480, 480), 30 if bright else 220, np.uint8)
+    fine[243:, 243:] = 220 if bright else 30
+    far, near = (_seen_with(fine, pixel) for pixel in (8, 4))
+    template = blur_to(near, np.array([2.0, 2.0]))[1::2, 1::2][18:42, 18:42]
+    found = match_template(far, template)
+    assert isinstance(found, Match)
+    # A pixel of the template is the lower right one of four. Were values blurred, 0.13 px off.
+    np.testing.assert_allclose(found.xy, 29.5 + 0.25, atol=0.03)
+
+
+def _seen_with(fine: ImageArray, pixel: int) -> Float32Array:
+    """A picture that a camera with a soft lens shows in as many times fewer pixels each way."""
+    light = light_of(fine[..., None])[..., 0]
+    soft = cv2.GaussianBlur(light, (0, 0), 0.4 * pixel)
+    size = (fine.shape[1] // pixel, fine.shape[0] // pixel)
+    mean = cv2.resize(soft, size, interpolation=cv2.INTER_AREA)
+    return values_of(mean).astype(np.float32)
 
 
 def test_blurring_works_across_and_down_apart() -> None:

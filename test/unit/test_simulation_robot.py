@@ -144,6 +144,16 @@ class TestCameraEffects:
             assert pictures.var() == pytest.approx(9.0 + 0.2 * level + 1.0 / 12.0, rel=0.05)
             assert not np.array_equal(pictures[0], pictures[1])
 
+    def test_a_lens_mixes_light(self):
+        config = CameraEffectsConfig(
+            vignetting=0.0, auto_exposure=0.0, blur_sigma_px=1.0, read_noise=0.0, shot_noise=0.0
+        )
+        stripes = np.tile(np.array([0, 255], np.uint8), (96, 64))
+        effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
+        mixed = effects.apply(np.repeat(stripes[..., None], 3, axis=2))
+        # Half the light is a value of 188 in sRGB.
+        assert mixed[10:-10, 10:-10].mean() == pytest.approx(188.0, abs=1.0)
+
     def test_corners_are_darker_and_gain_follows(self):
         config = CameraEffectsConfig(
             vignetting=0.4,

@@ -17,6 +17,7 @@ from landmark_nav.simulation.lighting import irradiance
 from landmark_nav.simulation.measuring import as_measured
 from landmark_nav.simulation.people import WalkingPeople
 from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
+from landmark_nav.simulation.response import light_of, values_of
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Box, Lamp, Scene
 from landmark_nav.simulation.setup_documents import (
@@ -179,16 +180,17 @@ class TestPainterOrder:
 
 class TestPyramid:
     def test_levels_average_and_keep_their_place(self):
-        # A ramp across and down: its value at a place says where that place is.
+        # A ramp of light across and down: how much there is at a place says where that place is.
         v, u = np.mgrid[:130, :200]
-        ramp = np.stack([u, v, 0 * u], -1).astype(np.uint8)
-        pyramid = Pyramid.build(ramp, 3, 4)
+        ramp = (300 * np.stack([u, v, 0 * u], -1)).astype(np.uint16)
+        pyramid = Pyramid.build(values_of(ramp), 3, 4)
+        atlas = light_of(pyramid.atlas) / 300.0
         for i in range(3):
             for j in range(4):
                 for place in ((0.5, 0.5), (0.3, 0.71)):
                     x, y = np.array(place) * pyramid.scale[i, j] + pyramid.offset[i, j]
                     x0, y0 = int(x), int(y)
-                    part = pyramid.atlas[y0 : y0 + 2, x0 : x0 + 2, :2].astype(float)
+                    part = atlas[y0 : y0 + 2, x0 : x0 + 2, :2]
                     wx, wy = np.array([1 - x + x0, x - x0]), np.array([1 - y + y0, y - y0])
                     found = np.einsum('i,j,ijc->c', wy, wx, part)
                     expected = np.array(place) * [200, 130] - 0.5
