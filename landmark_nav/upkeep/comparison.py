@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.patches import patch_axes
-from landmark_nav.matching import match_template
+from landmark_nav.matching import blur_to, match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, Refusal
 
 __all__ = ['Comparison', 'Pair', 'Texture', 'compare_maps']
@@ -172,10 +172,7 @@ def _resampled(
     center = (np.array(k.patch.shape[::-1]) - 1) / 2.0 + offset / own
     corner = center - scale * (np.array(shape[::-1]) - 1) / 2.0
     where = np.array([[scale[0], 0.0, corner[0]], [0.0, scale[1], corner[1]]])
-    sigma = 0.5 * np.sqrt(np.maximum(scale**2 - 1.0, 0.0)) + 0.01
-    blurred = cv2.GaussianBlur(
-        k.patch.astype(np.float32), (0, 0), sigmaX=float(sigma[0]), sigmaY=float(sigma[1])
-    )
+    blurred = blur_to(k.patch.astype(np.float32), scale)
     return np.asarray(
         cv2.warpAffine(
             blurred,

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.simulation.response import light_of, values_of
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -325,3 +326,9 @@ def true_landmark(
         viewpoint=viewpoint,
         threshold=threshold,
     )
+
+
+def blurred_by(image: ImageArray, across_px: float, down_px: float) -> ImageArray:
+    """A picture through a softer lens, which blurs light, not what a camera makes of it."""
+    light = cv2.GaussianBlur(light_of(image), (0, 0), sigmaX=across_px, sigmaY=down_px)
+    return values_of(np.asarray(light, np.uint16))

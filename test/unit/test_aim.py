@@ -4,21 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 from east_wall import CONFIG, errors_of, HERE, LANDMARKS, LENS, MOUNT, PRIOR, ROOM, SCENE
 import numpy as np
 import pytest
-from scenes import draw_frame, textured_room, true_landmark
+from scenes import blurred_by, draw_frame, textured_room, true_landmark
 
 from landmark_nav.localization.detection.aim import AimedDetector
-from landmark_nav.simulation.response import light_of, values_of
-from landmark_nav.types import FloatArray, ImageArray, PoseEstimate
-
-
-def _blurred(image: ImageArray, across_px: float, down_px: float) -> ImageArray:
-    """Light is blurred, then a camera makes values of it."""
-    light = cv2.GaussianBlur(light_of(image), (0, 0), sigmaX=across_px, sigmaY=down_px)
-    return values_of(np.asarray(light, np.uint16))
+from landmark_nav.types import FloatArray, PoseEstimate
 
 
 @pytest.mark.parametrize('sigmas_px', [(1.5, 1.5), (2.5, 2.5), (2.5, 0.01)])
@@ -28,7 +20,7 @@ def test_a_blurred_picture_shows_landmarks_where_a_sharp_one_does(
 ) -> None:
     """Out of focus, or in motion; a pixel is 2.5 mrad."""
     sharp = draw_frame(SCENE, LENS, MOUNT, pose, 0.05)
-    image = _blurred(sharp.image, *sigmas_px)
+    image = blurred_by(sharp.image, *sigmas_px)
     detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
     prior = PoseEstimate(sharp.stamp_ns, pose, PRIOR)
     blurred = detector.detect(replace(sharp, image=image), prior, np.arange(4))
@@ -48,7 +40,7 @@ def test_bearings_in_blurred_pictures_claim_what_they_are_worth() -> None:
     for _ in range(12):
         pose = HERE + rng.normal(0.0, [0.2, 0.2, 0.05])
         sharp = draw_frame(SCENE, LENS, MOUNT, pose, 0.05)
-        blurred = replace(sharp, image=_blurred(sharp.image, 2.5, 2.5))
+        blurred = replace(sharp, image=blurred_by(sharp.image, 2.5, 2.5))
         detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
         found = detector.detect(blurred, PoseEstimate(0, pose, PRIOR), np.arange(4))
         squares += (errors_of(found, pose) ** 2 / found.detections.variance_rad2).tolist()
@@ -60,7 +52,7 @@ def test_a_blur_that_was_mistaken_hides_nothing_for_long() -> None:
     frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
     detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.0)
     prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
-    haze = replace(frame, image=_blurred(frame.image, 6.0, 6.0))
+    haze = replace(frame, image=blurred_by(frame.image, 6.0, 6.0))
     for _ in range(3):
         detector.detect(haze, prior, np.arange(4))
     assert len(detector.detect(frame, prior, np.arange(4)).detections) == 4
