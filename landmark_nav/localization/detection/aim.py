@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 import logging
+from statistics import median
 
 import numpy as np
 import numpy.typing as npt
@@ -140,7 +141,7 @@ class AimedDetector:
             roll += _ROLL_SHARE * (self._seen_roll(result, frame, prior) - roll)
         aim = self._seen_aim(result, frame, prior, roll)
         away = self._map.positions[self._map.indices(result.detections.ids), :2] - prior.pose[:2]
-        doubt_rad = _HEIGHT_M / float(np.median(np.hypot(*away.T)))
+        doubt_rad = _HEIGHT_M / median(np.hypot(away[:, 0], away[:, 1]).tolist())
         tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD + doubt_rad
         if tilted:
             self._told_rad = aim[1]
@@ -175,7 +176,8 @@ class AimedDetector:
         """
         expected, rotation = self._expected(found, frame, prior, roll)
         seen = found.rays @ rotation.T
-        return np.array([*np.median(wrap_rad(_angles(expected) - _angles(seen)), axis=1), roll])
+        off = wrap_rad(_angles(expected) - _angles(seen)).tolist()
+        return np.array([*map(median, off), roll])
 
     def _seen_roll(self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> float:
         """

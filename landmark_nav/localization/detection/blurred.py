@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import median
+
 import numpy as np
 import numpy.typing as npt
 
@@ -52,7 +54,8 @@ def detect_blurred(
             # What hides landmarks may be a blur that is gone.
             return result, 0.5 * blur_px2
         before = blur_px2
-        blur_px2 = np.clip(np.median(result.blur_px2, axis=0), _SHARPEST_PX2, _BLURRIEST_PX2)
+        found = [median(part) for part in result.blur_px2.T.tolist()]
+        blur_px2 = np.clip(found, _SHARPEST_PX2, _BLURRIEST_PX2)
         if np.abs(blur_px2 - before).max() < _SAME_PX2:
             break
     return result, blur_px2

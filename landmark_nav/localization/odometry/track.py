@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+import math
 
 import numpy as np
 
@@ -52,8 +53,8 @@ class OdometryTrack:
             means that the sample was dropped.
 
         """
-        values = (*sample.pose_odom_base, sample.linear_m_s, sample.angular_rad_s)
-        if not np.isfinite(values).all():
+        pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
+        if not all(map(math.isfinite, (*pose_odom, sample.linear_m_s, sample.angular_rad_s))):
             return Refusal('odometry is not a number')
         last = self._last
         if last is None:
@@ -65,7 +66,7 @@ class OdometryTrack:
         if seconds < 0.0:
             return Refusal('odometry went back in time', f'{-seconds:.3f} s')
         increment = relative(last.pose_odom_base, sample.pose_odom_base)
-        way, turn = float(np.hypot(increment[0], increment[1])), abs(float(increment[2]))
+        way, turn = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
         jumped = (
             way > self._config.max_speed_m_s * seconds
             or turn > self._config.max_rate_rad_s * seconds
@@ -74,7 +75,7 @@ class OdometryTrack:
             known = min(seconds, self._config.horizon_s)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
         blind = jumped or seconds > self._config.max_gap_s
-        stands = np.array_equal(sample.pose_odom_base, last.pose_odom_base)
+        stands = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
         pose = self._poses[-1] if stands else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:

@@ -147,7 +147,7 @@ class SightingGatherer:
         bearing: FloatArray,
         variance: FloatArray,
         motions: FloatArray,
-        errors: FloatArray,
+        errors: FloatArray | None,
         pan_covariance: FloatArray,
         start: PoseEstimate,
     ) -> Fix | Refusal:
@@ -166,15 +166,16 @@ class SightingGatherer:
             delta = virtual - pose[:2]
             # A bearing that is wrong shifts the virtual landmark across the view.
             across = np.stack([-delta[:, 1], delta[:, 0]], -1)
-            by_motion = np.concatenate(
-                [
-                    np.broadcast_to(-heading, (len(index), 2, 2)),
-                    (-by_turn @ heading.T - across)[..., None],
-                ],
-                axis=-1,
-            )
-            carried = np.einsum('iab,ibjc,jdc->iajd', by_motion, errors, by_motion)
-            carried += np.einsum('ia,ij,jb->iajb', across, pan_covariance, across)
+            carried = across[:, :, None, None] * pan_covariance[:, None, :, None] * across
+            if errors is not None:
+                by_motion = np.concatenate(
+                    [
+                        np.broadcast_to(-heading, (len(index), 2, 2)),
+                        (-by_turn @ heading.T - across)[..., None],
+                    ],
+                    axis=-1,
+                )
+                carried += np.einsum('iab,ibjc,jdc->iajd', by_motion, errors, by_motion)
             outcome = triangulate(
                 virtual,
                 bearing,
@@ -191,15 +192,16 @@ class SightingGatherer:
             pose = outcome.pose
         return outcome
 
-    def _motions(self, stamp_ns: int, stamps_ns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _motions(
+        self, stamp_ns: int, stamps_ns: FloatArray
+    ) -> tuple[FloatArray, FloatArray | None]:
         """
         Poses (n, 3) of the base at the sightings, seen from that at `stamp_ns`, and their errors.
 
-        The errors are a joint covariance (n, 3, n, 3).
+        The errors are a joint covariance (n, 3, n, 3); None where nothing moved meanwhile.
         """
         if (stamps_ns == stamp_ns).all():
-            n = len(stamps_ns)
-            return np.zeros((n, 3)), np.zeros((n, 3, n, 3))
+            return np.zeros((len(stamps_ns), 3)), None
         times, place = np.unique(stamps_ns, return_inverse=True)
         poses = np.zeros((len(times), 3))
         # Each row of factors is what the errors of all ways between the times do to a pose.

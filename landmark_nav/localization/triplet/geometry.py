@@ -105,6 +105,6 @@ def _sightings(
     gradient = bearing_gradients(viewpoints, landmark_map.positions[index, :2])
     loading = landmark_map.shared_loadings[index, :2]
     own = landmark_map.covariances[index, :2, :2] - loading @ loading.swapaxes(-1, -2)
-    variance = np.einsum('...ni,nij,...nj->...n', gradient, own, gradient)
-    shared = -np.einsum('...ni,nim->...nm', gradient, loading)
+    variance = ((gradient[..., None, :] @ own)[..., 0, :] * gradient).sum(axis=-1)
+    shared = -(gradient[..., None, :] @ loading)[..., 0, :]
     return gradient, bearing_sigma**2 + np.maximum(variance, 0.0), shared

@@ -139,10 +139,9 @@ class Outlook:
         bearing = wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - self.axis.pose[2])
         gradient = bearing_gradients(self.axis.pose, position)
         jacobian = np.column_stack([gradient, np.full(len(index), -1.0)])
-        variance = np.einsum('ni,ij,nj->n', jacobian, self.axis.covariance, jacobian)
-        variance += np.einsum(
-            'ni,nij,nj->n', gradient, self.landmark_map.covariances[index, :2, :2], gradient
-        )
+        own = self.landmark_map.covariances[index, :2, :2]
+        variance = (jacobian @ self.axis.covariance * jacobian).sum(axis=-1)
+        variance += ((gradient[:, None] @ own)[:, 0] * gradient).sum(axis=-1)
         return bearing, np.sqrt(variance)
 
 
