@@ -249,8 +249,12 @@ class LandmarkMap:
 
     def indices(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
         """Places in `landmarks` of ids (n,) that the map holds."""
-        order = np.argsort(self.ids)
-        return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)], dtype=np.intp)
+        found = np.searchsorted(self.ids, ids, sorter=self._order)
+        return np.asarray(self._order[found], dtype=np.intp)
+
+    @cached_property
+    def _order(self) -> npt.NDArray[np.intp]:
+        return np.argsort(self.ids)
 
     @cached_property
     def positions(self) -> FloatArray:

@@ -209,7 +209,7 @@ class Observer:
             expected,
             config.triplet.bearing_sigma_rad,
             config.detection.max_count,
-            np.flatnonzero(np.isin(self._map.ids, triplet.ids))
+            np.flatnonzero((self._map.ids[:, None] == triplet.ids).any(axis=1))
             if isinstance(triplet, Triplet)
             else (),
         )

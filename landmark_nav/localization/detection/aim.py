@@ -163,6 +163,8 @@ class AimedDetector:
         result, self._blur = detect_blurred(
             _turned(frame, aim), prior, self._map, self._mount, config, expected, self._blur
         )
+        if not aim[0]:
+            return result
         bearing = wrap_rad(result.detections.bearing_rad - aim[0])
         return replace(result, detections=replace(result.detections, bearing_rad=bearing))
 
@@ -219,6 +221,8 @@ def degrees_aside(roll_rad: float) -> tuple[float, str]:
 
 
 def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
+    if not aim.any():
+        return frame
     pan, tilt, roll = aim.tolist()
     return replace(
         frame,

@@ -268,8 +268,9 @@ def _bearings(
     by_uv = 2.0 * wrap_rad(azimuth[:, 1:] - azimuth[:, :1])
     # From the optical centre to the axis: exact if the range is, and the centre is close to it.
     position = np.array([k.position[:2] for k in landmarks])
-    reach = np.hypot(*(position - view.center[:2]).T)
-    toward = np.stack([np.cos(azimuth[:, 0]), np.sin(azimuth[:, 0])], -1)
+    away = position - view.center[:2]
+    reach = np.hypot(away[:, 0], away[:, 1])
+    toward = np.array([np.cos(azimuth[:, 0]), np.sin(azimuth[:, 0])]).T
     at_axis = view.center[:2] + reach[:, None] * toward - view.axis
     bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - view.prior.pose[2])
     return bearing, quadratic(by_uv, covariance)

@@ -84,10 +84,10 @@ def expect(
     width, height = view.camera.width, view.camera.height
     # The largest upright rectangle inside the patch's quadrilateral, cut by the picture.
     low, high = [u[:, 1], v[:, 1]], [u[:, 2], v[:, 2]]
-    corners = np.stack(
+    corners = np.array(
         [
             np.ceil(np.maximum(low, 1.0)),
-            np.floor(np.minimum(high, np.array([[width - 2.0], [height - 2.0]]))),
+            np.floor(np.minimum(high, [[width - 2.0], [height - 2.0]])),
         ]
     )
     # What is behind the camera has no pixels.
@@ -106,7 +106,7 @@ def _windows(
     d = position - view.center
     reach = np.hypot(d[:, 0], d[:, 1])
     from_base = position[:, :2] - view.prior.pose[:2]
-    by_pose = np.stack([d[:, 1] / reach**2, -d[:, 0] / reach**2, -np.ones(len(d))], 1)
+    by_pose = np.array([d[:, 1] / reach**2, -d[:, 0] / reach**2, -np.ones(len(d))]).T
     across = by_pose[:, :2]
     bearing_var = quadratic(by_pose, view.prior.covariance)
     bearing_var += quadratic(across, covariance[:, :2, :2])
@@ -122,11 +122,9 @@ def _windows(
     )
     # Turning by the bearing's error moves what is off the axis up and down as well.
     sigma_v += np.abs(aside) * rise * sigma_u
-    window = config.window_sigmas * np.stack(
-        [sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)], 1
-    )
-    window = np.clip(np.ceil(window + 2.0), 4, config.max_window_px)
-    return [(int(u), int(v)) for u, v in window.tolist()]
+    sigmas = np.array([sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)]).T
+    window = np.clip(np.ceil(config.window_sigmas * sigmas + 2.0), 4, config.max_window_px)
+    return [(u, v) for u, v in window.astype(int).tolist()]
 
 
 def quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:

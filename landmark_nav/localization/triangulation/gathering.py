@@ -152,20 +152,21 @@ class SightingGatherer:
         start: PoseEstimate,
     ) -> Fix | Refusal:
         """Fix of the axis with virtual landmarks, again and again with the heading it gives."""
-        rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
+        rows = (2 * index[:, None] + [0, 1]).reshape(-1)
         map_covariance = self._map.joint_covariance_xy[np.ix_(rows, rows)]
         position = self._map.positions[index, :2]
         turned = rotation(motions[:, 2])
         aside = motions[:, :2] + turned @ self._lever - self._lever
         # Derivative of `aside` by the motion's turn.
-        by_turn = np.stack([-(turned @ self._lever)[:, 1], (turned @ self._lever)[:, 0]], axis=-1)
+        arm = turned @ self._lever
+        by_turn = np.array([-arm[:, 1], arm[:, 0]]).T
         pose = start.pose
         for _ in range(_PASSES):
             heading = rotation(pose[2])
             virtual = position - aside @ heading.T
             delta = virtual - pose[:2]
             # A bearing that is wrong shifts the virtual landmark across the view.
-            across = np.stack([-delta[:, 1], delta[:, 0]], -1)
+            across = np.array([-delta[:, 1], delta[:, 0]]).T
             carried = across[:, :, None, None] * pan_covariance[:, None, :, None] * across
             if errors is not None:
                 by_motion = np.concatenate(

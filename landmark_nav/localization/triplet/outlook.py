@@ -94,7 +94,8 @@ class Outlook:
         standing = standings(viewer, self.landmark_map, self.config)
         index = np.flatnonzero(standing == Standing.USABLE)
         windows = self.windows(index)
-        reachable = np.isin(np.arange(len(index)), windows.place)
+        reachable = np.zeros(len(index), dtype=np.bool_)
+        reachable[windows.place] = True
         # Those ahead of some pan must be whole in that view: neither too high nor too low.
         azimuth = self._azimuth_and_reach[0, index]
         straight = np.clip(azimuth, *self.gaze.limits_rad)

@@ -146,8 +146,7 @@ class _Search:
 
     def expect(self, least: FloatArray) -> None:
         """Learn what each viewpoint adds at least, to any triplet with a pair, (p, n, n)."""
-        self._to_come = np.zeros((len(least) + 1, *least.shape[1:]))
-        self._to_come[:-1] = np.cumsum(least[::-1], axis=0)[::-1] / len(least)
+        self._to_come = np.cumsum(least[::-1], axis=0)[::-1] / len(least)
 
     def add(self, triplets: IndexArray) -> None:
         """Look at triplets (3, t)."""
@@ -159,7 +158,7 @@ class _Search:
             if point is not None:
                 total += position_variance(point, i, j, k) / len(self._points)
             lower = total
-            if self._to_come is not None:
+            if self._to_come is not None and place < len(self._points):
                 lower = total + _largest(self._to_come[place], i, j, k)
             with np.errstate(invalid='ignore'):
                 good = np.flatnonzero(lower * weight <= self.limit * _ROUNDING)

@@ -136,7 +136,8 @@ def standings(
     Those without a size are points that other sensors see: no picture of them was learned.
     """
     position = landmark_map.positions
-    distance = np.hypot(*(position[:, :2] - viewer[:2]).T)
+    away = position[:, :2] - viewer[:2]
+    distance = np.hypot(away[:, 0], away[:, 1])
     standing = np.full(len(position), Standing.USABLE, dtype=np.int8)
     well = observed_well(
         position,
