@@ -34,6 +34,8 @@ _HALVINGS = 4
 _NOWHERE = 1e-150
 # Bounds are compared with so much room for rounding.
 _ROUNDING = 1.0 + 1e-9
+# Triplets that can't be combined have a score of infinity.
+_NO_TRIPLET = 1e300
 
 
 def mean_variance(tables: PairTables, triplets: IndexArray) -> FloatArray:
@@ -140,7 +142,7 @@ class _Search:
         self._points = [PairTables(*point) for point in zip(*tables, strict=True)]
         self._factor, self._cost, self._count = factor, cost, count
         self._to_come: FloatArray | None = None
-        self.limit = np.inf
+        self.limit = _NO_TRIPLET
         self.scores: FloatArray = np.empty(0)
         self.triplets: IndexArray = np.empty((0, 3), dtype=np.intp)
 
