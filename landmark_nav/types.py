@@ -249,12 +249,8 @@ class LandmarkMap:
 
     def indices(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
         """Places in `landmarks` of ids (n,) that the map holds."""
-        found = np.searchsorted(self.ids, ids, sorter=self._order)
-        return np.asarray(self._order[found], dtype=np.intp)
-
-    @cached_property
-    def _order(self) -> npt.NDArray[np.intp]:
-        return np.argsort(self.ids)
+        order = np.argsort(self.ids)
+        return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)], dtype=np.intp)
 
     @cached_property
     def positions(self) -> FloatArray:
