@@ -17,7 +17,12 @@ from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.lateness import in_time, Lateness
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
+from landmark_nav.localization.relocalization import (
+    RelocalizationConfig,
+    Relocalizer,
+    Unseen,
+    UnsurePlace,
+)
 from landmark_nav.localization.triplet import Gaze
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.parameters import Config, parameter
@@ -181,15 +186,17 @@ class Localizer:
         self._unseen.note(frame.stamp_ns, len(seen.detections))
         unsure = update.status == 'lost' or self._unseen.lasts
         search = self._config.relocalization.when_lost and self._map.landmarks
-        if not (unsure and search):
+        if not (unsure and search) or seen.unusable:
             self._relocalizer = None
             return update
         self._relocalizer = self._relocalizer or self._new_search()
         outcome = self._search(frame)
-        if isinstance(outcome, PoseEstimate):
-            status, reason = self._filter.status
-            update = replace(update, fused=outcome, status=status, reason=reason)
-        return replace(update, search=outcome)
+        if self._unseen.lasts and isinstance(outcome, UnsurePlace):
+            # Where nothing is expected, nothing but what is seen can contradict the pose.
+            self._filter.contradict(outcome.place, str(outcome))
+        status, reason = self._filter.status
+        fused = self._filter.estimate(frame.stamp_ns) or update.fused
+        return replace(update, fused=fused, status=status, reason=reason, search=outcome)
 
     def _choose(self, frame: CameraFrame, prior: PoseEstimate) -> None:
         """Choose the triplet anew if it is time to."""

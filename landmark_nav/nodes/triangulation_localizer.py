@@ -97,6 +97,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._pictures = NewestFirst(self.guarded('camera/image_raw', self._on_image))
         self._latency = Latency()
         self._stale = 0
+        self._hangs = False
         self._arrived_s: float | None = None
         self._looked_s: float | None = None
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
@@ -166,12 +167,13 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._health = Health(Level.DEGRADED, late, {'stale': self._stale})
             return
         self._search.consider(stamp)
-        if self._search.active:
+        if self._search.active and not self._hangs:
             self._look(message)
             if self._prior.recent(stamp) is None:
                 return
         start = time.monotonic()
         seen = self._observe(message)
+        self._hangs = seen.unusable
         self._search.note(stamp, len(seen.detections))
         self._detections.publish(
             encode.detections(ros_factory, seen.detections, self._mount.base_frame)

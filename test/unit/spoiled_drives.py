@@ -94,6 +94,6 @@ def check_honest(moments: list[Moment]) -> None:
         assert moment.status != 'tracking' or moment.after_s < 2.0 or moment.nees < 40.0
 
 
-def first(moments: list[Moment], status: str) -> Moment:
-    """When a verdict is first given after the fault."""
-    return next(m for m in moments if m.after_s >= 0.0 and m.status == status)
+def first(moments: list[Moment], status: str, since_s: float = 0.0) -> Moment:
+    """When a verdict is first given after the fault, or after some other time."""
+    return next(m for m in moments if m.after_s >= since_s and m.status == status)

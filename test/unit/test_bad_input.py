@@ -86,6 +86,10 @@ def test_a_pose_that_expects_nothing_is_put_right_all_the_same(sensed: list[Sens
     assert 'nothing accepted for' in told.reason
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
     assert found.after_s + FAULT_S <= 6.0
+    # Some landmarks speak for another place, though not surely.
+    doubted = first([m for m in moments if m.after_s < found.after_s], 'lost', since_s=-FAULT_S)
+    assert 'landmarks speak for' in doubted.reason
+    assert np.hypot(*doubted.sigma[:2]) > 0.15
     later = [m for m in moments if found.after_s <= m.after_s < 6.0]
     assert {m.status for m in later} == {'tracking'}
     assert max(np.hypot(*m.error[:2]) for m in later) < 0.05

@@ -134,15 +134,42 @@ def test_turns_that_are_told_again_and_again_are_doubted_for_longer() -> None:
                 return 0.5 * k
         return np.inf
 
-    for seconds, coasts in ((10, 2.0), (13, 2.0), (17, 4.0), (19, 6.0)):
-        health.note_turn(seconds * NS, Refusal('turned'))
-        assert coasts_s(seconds * NS) == coasts
-    health.note_turn(100 * NS, Refusal('turned'))
+    for seconds, coasts in (
+        (10.0, 2.0),
+        (15.0, 2.0),
+        (15.8, 2.0),
+        (16.6, 2.5),
+        (17.5, 3.0),
+        (25.0, 3.5),
+    ):
+        health.note_surprise(round(seconds * NS), Refusal('turned'))
+        assert coasts_s(round(seconds * NS)) == coasts
+    health.note_surprise(100 * NS, Refusal('turned'))
     assert coasts_s(100 * NS) == 2.0
+
+
+def test_bearings_that_others_contradict_are_told_if_there_are_many() -> None:
+    """As of a camera whose focal length is wrong: some of each picture fit, and some do not."""
+    few, many = (started() for _ in range(2))
+    for fused, every in ((few, 5), (many, 1)):
+        for k, moment in enumerate(drive(80)):
+            fused.add_odometry(moment.odometry)
+            if k % 4 == 0:
+                off = 0.03 if k > 40 and k // 4 % every == 0 else 0.0
+                stamp = moment.odometry.stamp_ns
+                noise = np.array([0.0, off, 0.0, 0.0, 0.0])
+                fused.add_detections(
+                    detections(MAP, moment.pose, stamp, np.arange(5), SIGMA, noise)
+                )
+    assert few.status == ('tracking', '')
+    status, reason = many.status
+    assert status == 'coasting'
+    assert 'landmarks lie elsewhere' in reason
 
 
 def test_pictures_in_a_row_are_one_contradiction() -> None:
     contradictions = Contradictions()
-    assert [contradictions.note(k * NS // 5) for k in range(5)] == [1] * 5
-    assert contradictions.note(4 * NS) == 2
-    assert contradictions.note(60 * NS) == 1
+    lasted = [contradictions.note(k * NS // 5) for k in range(6)]
+    np.testing.assert_allclose(lasted, 0.25 + 0.2 * np.arange(6))
+    assert contradictions.note(4 * NS) == 1.5
+    assert contradictions.note(60 * NS) == 0.25

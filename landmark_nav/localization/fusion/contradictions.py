@@ -1,4 +1,4 @@
-"""How often a pose was contradicted of late: what goes wrong again and again is no accident."""
+"""For how long a pose was contradicted of late: what stays wrong is no accident."""
 
 from __future__ import annotations
 
@@ -6,27 +6,23 @@ from collections import deque
 
 __all__ = ['Contradictions']
 
-# Contradictions of so many seconds count, those closer to each other as one, and so many at most.
-_WINDOW_S, _APART_S, _MOST = 30.0, 1.0, 5
+# So far back they count, those closer to each other than this as one; each lasts at least so long.
+_WINDOW_NS, _APART_NS, _LEAST_NS = 30 * 10**9, 10**9, 250 * 10**6
 
 
 class Contradictions:
-    """Times at which pictures contradicted a pose."""
+    """Times in which pictures contradicted a pose."""
 
     def __init__(self) -> None:
-        self._last_ns: int | None = None
-        self._begun: deque[int] = deque(maxlen=_MOST)
+        self._spans: deque[tuple[int, int]] = deque()
 
-    def forget(self) -> None:
-        """Begin anew."""
-        self._last_ns = None
-        self._begun.clear()
-
-    def note(self, stamp_ns: int) -> int:
-        """Take note of one; how many there were of late, with it."""
-        while self._begun and abs(stamp_ns - self._begun[0]) > 1e9 * _WINDOW_S:
-            self._begun.popleft()
-        if self._last_ns is None or abs(stamp_ns - self._last_ns) > 1e9 * _APART_S:
-            self._begun.append(stamp_ns)
-        self._last_ns = stamp_ns
-        return len(self._begun)
+    def note(self, stamp_ns: int) -> float:
+        """Take note of one; for how many seconds of late there were any, with it."""
+        begin, end = self._spans[-1] if self._spans else (stamp_ns, stamp_ns)
+        if self._spans and abs(stamp_ns - end) <= _APART_NS:
+            self._spans[-1] = (begin, stamp_ns)
+        else:
+            self._spans.append((stamp_ns, stamp_ns))
+        while abs(stamp_ns - self._spans[0][1]) > _WINDOW_NS:
+            self._spans.popleft()
+        return 1e-9 * sum(abs(end - begin) + _LEAST_NS for begin, end in self._spans)

@@ -32,8 +32,12 @@ _USABLE_SHARE, _FOUND_SHARE = 0.3, 0.4
 # least, in so many seconds. What is missing must reach further along the walls than that: one
 # picture may be exchanged.
 _MISSING_SHARE, _MISSING_EXPECTED, _MISSING_S, _MISSING_EXTENT_M = 0.15, 10, 1.4, 1.5
-# How long trouble with the odometry is told.
-_TROUBLE_S = 2.0
+# Share of those seen whose bearings may contradict the others. It is 0.06 at most over five
+# pictures of right poses.
+_ELSEWHERE_SHARE = 0.15
+# How long trouble with the odometry is told, and what pictures contradict; that, for as long as it
+# was contradicted before, but for no longer than this.
+_TROUBLE_S, _MOST_TROUBLE_S = 2.0, 6.0
 
 Status = Literal['tracking', 'coasting', 'lost']
 
@@ -51,6 +55,7 @@ class _View(NamedTuple):
 
     stamp_ns: int
     found: int
+    elsewhere: int
     missed: FloatArray
 
 
@@ -129,26 +134,31 @@ class Health:
         """Remember that the odometry cannot be what it says."""
         self._trouble = _Trouble(stamp_ns, _TROUBLE_S, str(refusal))
 
-    def note_turn(self, stamp_ns: int, refusal: Refusal) -> None:
-        """Remember that camera, joints or robot turned otherwise than they say."""
-        # What turns may turn back: from the third time on it is something else.
-        times = max(1, self._contradictions.note(stamp_ns) - 1)
-        self._trouble = _Trouble(stamp_ns, times * _TROUBLE_S, str(refusal))
+    def note_surprise(self, stamp_ns: int, refusal: Refusal) -> None:
+        """Remember what pictures contradict though the pose may be right."""
+        seconds = max(_TROUBLE_S, min(self._contradictions.note(stamp_ns), _MOST_TROUBLE_S))
+        self._trouble = _Trouble(stamp_ns, seconds, str(refusal))
 
-    def look(self, stamp_ns: int, found: int, missed: FloatArray) -> None:
+    def look(self, stamp_ns: int, found: int, missed: FloatArray, elsewhere: int = 0) -> None:
         """
         Count what a picture showed of the landmarks that should be in view.
 
         A wrong pose finds next to nothing where it looks, for as long as it is wrong; a covered
         landmark or an exchanged picture leaves the others. `missed` (n, 3) are the places of those
-        not found.
+        not found. Those that many others contradict lie `elsewhere`: of a right pose, and a camera
+        as it was calibrated, hardly any do.
         """
         if not found and not len(missed):
             return
         self._vain = 0 if found else self._vain + 1
-        self._views.append(_View(stamp_ns, found, missed))
+        self._views.append(_View(stamp_ns, found, elsewhere, missed))
         while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > _MISSING_S:
             self._views.popleft()
+        elsewhere = sum(view.elsewhere for view in self._views)
+        seen = elsewhere + sum(view.found for view in self._views)
+        if elsewhere >= _AGREE and elsewhere > _ELSEWHERE_SHARE * seen:
+            many = f'{elsewhere} of {seen}, the pose or the calibration may be wrong'
+            self.note_surprise(stamp_ns, Refusal('landmarks lie elsewhere', many))
         places = np.concatenate([view.missed for view in self._views])
         found = sum(view.found for view in self._views)
         expected = found + len(places)
@@ -157,7 +167,7 @@ class Health:
         if not enough or found > _MISSING_SHARE * expected:
             return
         if np.linalg.norm(np.ptp(places[:, :2], axis=0)) > _MISSING_EXTENT_M:
-            self._doubt(
+            self.doubt(
                 stamp_ns,
                 f'{found} of {expected} landmarks that should be in the last '
                 f'{len(self._views)} pictures were found',
@@ -177,7 +187,7 @@ class Health:
             self._window.append((update.nis, update.degrees))
             nis, limit = self._innovations()
             if nis > limit:
-                self._doubt(
+                self.doubt(
                     update.stamp_ns,
                     f'innovations are too large: NIS {nis:.0f} over the last {len(self._window)} '
                     f'measurements, limit {limit:.0f}',
@@ -196,7 +206,7 @@ class Health:
                 )
                 self._window.clear()
 
-    def _doubt(self, stamp_ns: int, why: str) -> None:
+    def doubt(self, stamp_ns: int, why: str) -> None:
         """Believe the pose no longer, and less with each picture."""
         self._doubts += 1
         self._acceptances = 0
@@ -205,10 +215,11 @@ class Health:
     def _contradict(self, stamp_ns: int, why: str) -> None:
         """Believe the pose no longer; nor those after it for a while, if that is nothing new."""
         self._astray = why
-        times = self._contradictions.note(stamp_ns)
-        if times > 1:
-            often = f'contradicted {times} times of late, last: {why}'
-            self._trouble = _Trouble(stamp_ns, (times - 1) * _TROUBLE_S, often)
+        lasts = self._contradictions.note(stamp_ns)
+        if lasts > _TROUBLE_S:
+            seconds = min(lasts, _MOST_TROUBLE_S) - _TROUBLE_S
+            often = f'contradicted for {lasts:.0f} s of the last 30 s, last: {why}'
+            self._trouble = _Trouble(stamp_ns, seconds, often)
 
     def _innovations(self) -> tuple[float, float]:
         """NIS of the last measurements together, and what it may be."""

@@ -19,6 +19,11 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion.bearings import bearing_frame
 from landmark_nav.localization.fusion.config import FusionConfig
+from landmark_nav.localization.fusion.doubt import (
+    doubted_estimate,
+    doubted_state,
+    is_elsewhere,
+)
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
@@ -49,10 +54,6 @@ __all__ = ['PoseFilter']
 _SCORES = 12
 # So many of them tell of which landmarks a pose was made, and so many it is made of.
 _PICTURES, _LEAST = 10, 3
-# Variances (3,) that each picture adds which contradicts a pose that is not believed, and the
-# position sigma at which that ends.
-_DOUBT = np.square([0.15, 0.15, 0.05])
-_DOUBT_LIMIT_M = 2.0
 # How late joint states are is known from what was measured to this sigma.
 _MEASURED_S = 0.03
 # A place is found with a heading at least as good as this unless the camera turns.
@@ -240,7 +241,9 @@ class PoseFilter:
                 turn_sigma=self._config.turn_sigma_rad,
             ),
         )
-        self._health.look(stamp, update.degrees, missed)
+        # Of bearings that were not used, nothing tells which are the wrong ones.
+        elsewhere = len(update.rejected) - len(frame.unusable) if update.degrees else 0
+        self._health.look(stamp, update.degrees, missed, elsewhere)
         agree = np.isin(self._map.ids[frame.columns], update.accepted_ids)
         self._witnesses.hear(frame.columns[agree])
         return update
@@ -278,6 +281,12 @@ class PoseFilter:
         self._health.note(refusal)
         return FusionUpdate(stamp_ns, refusal=refusal)
 
+    def contradict(self, elsewhere: PoseEstimate, why: str) -> None:
+        """Doubt the pose if that is far from one which landmarks speak for, though not surely."""
+        here = self.estimate(elsewhere.stamp_ns)
+        if here is not None and is_elsewhere(here, elsewhere):
+            self._health.doubt(elsewhere.stamp_ns, why)
+
     def _too_few(self, stamp_ns: int) -> Refusal | None:
         """Why a pose is not believed once others were contradicted: chance made it of a few."""
         for stamp, found, expected in self._seen:
@@ -303,13 +312,7 @@ class PoseFilter:
         """
         if not self._history.started:
             return None
-        found = self._history.at(stamp_ns).estimate()
-        if not self._health.doubts:
-            return found
-        # The place is doubted, not the motion: this goes when landmarks are found here again.
-        doubt = self._health.doubts * _DOUBT
-        doubt *= min(1.0, _DOUBT_LIMIT_M**2 / (doubt[0] + 1e-300))
-        return replace(found, covariance=found.covariance + np.diag(doubt))
+        return doubted_estimate(self._history.at(stamp_ns).estimate(), self._health.doubts)
 
     def with_landmarks(self, stamp_ns: int) -> FloatArray:
         """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
@@ -328,18 +331,11 @@ class PoseFilter:
         if update.turned_rad:
             angle = f'{np.degrees(update.turned_rad):+.2f} deg'
             reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
-            self._health.note_turn(stamp_ns, Refusal(reason, angle))
+            self._health.note_surprise(stamp_ns, Refusal(reason, angle))
         if self._health.astray and update.refusal is not None:
-            self._history.insert(stamp_ns, self._doubted)
+            self._history.insert(stamp_ns, lambda state: (doubted_state(state), None))
             self._witnesses.restart(vouched=False)
         return update
-
-    def _doubted(self, state: FilterState) -> tuple[FilterState, None]:
-        """Widen a state that measurements keep contradicting, until they can fit again."""
-        covariance = state.covariance.copy()
-        if np.trace(covariance[:2, :2]) < _DOUBT_LIMIT_M**2:
-            covariance[range(3), range(3)] += _DOUBT
-        return replace(state, covariance=covariance), None
 
 
 def _is_finite(estimate: PoseEstimate) -> bool:

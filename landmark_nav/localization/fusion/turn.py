@@ -87,6 +87,9 @@ def update_turning(
     if not surprising:
         return loose_state, loose_update
     angle = float(np.median(loose_update.innovation_rad))
+    if update.refusal is None and abs(angle) <= _SURPRISE * sigma:
+        # It was one that is far off, and not the others with it.
+        return state, update
     return loose_state, replace(loose_update, turned_rad=angle)
 
 

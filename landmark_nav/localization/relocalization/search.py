@@ -8,7 +8,7 @@ looked for -> one place, if there is but one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,9 +24,10 @@ from landmark_nav.localization.relocalization.verification import (
     Verification,
     verify,
 )
-from landmark_nav.types import FloatArray, LandmarkMap, Refusal
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = [
+    'UnsurePlace',
     'best_place',
     'locate',
     'verified_places',
@@ -36,8 +37,17 @@ __all__ = [
 _MIN_FOUND_SHARE = 0.4
 # Most that another place may have, of the landmarks of the best.
 _MAX_RIVAL_SHARE = 0.5
+# So many landmarks at a place are no chance.
+_TELLING = 4
 # Least angle that the landmarks found span.
 _MIN_SPREAD_RAD = 0.6
+
+
+@dataclass(frozen=True)
+class UnsurePlace(Refusal):
+    """A place that landmarks speak for, but not so that the robot could go on from there."""
+
+    place: PoseEstimate = field(kw_only=True)
 
 
 def locate(
@@ -162,19 +172,22 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
         return best
     found, where = len(best.ids), _where(best)
     if found < config.min_landmarks:
-        return Refusal('too little seen', f'{found} landmarks speak for {where}')
+        words = 'too little seen', f'{found} landmarks speak for {where}'
+        return Refusal(*words) if found < _TELLING else UnsurePlace(*words, place=best.estimate)
     spread = _span(best.bearing_rad)
     if spread < _MIN_SPREAD_RAD:
-        return Refusal(
+        return UnsurePlace(
             'too little seen',
             f'all {found} landmarks lie within {np.degrees(spread):.0f} deg: look around',
+            place=best.estimate,
         )
     sigma = float(np.sqrt(np.trace(best.estimate.covariance[:2, :2])))
     sigma_turn = float(np.sqrt(best.estimate.covariance[2, 2]))
     if sigma > config.max_sigma_m or sigma_turn > config.max_sigma_rad:
-        return Refusal(
+        return UnsurePlace(
             'too little seen',
             f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
+            place=best.estimate,
         )
     return best
 
