@@ -40,12 +40,14 @@ _STENCILS = np.array(
 
 class Alignment(NamedTuple):
     """
-    Where the centres of n templates lie in their images: `xy` (n, 2), NaN where that failed.
+    Where the centres of m templates lie in their images, `xy` (m, 2).
 
-    `covariance` (n, 2, 2) is its; `score` (n,) is the normalized cross-correlation there;
-    `blur_px2` (n, 2) by how much more the image is blurred than the template.
+    `place` (m,) tells which of those given they are: the others don't align. `covariance`
+    (m, 2, 2) is that of `xy`; `score` (m,) is the normalized cross-correlation there; `blur_px2`
+    (m, 2) by how much more the image is blurred than the template.
     """
 
+    place: list[int]
     xy: FloatArray
     covariance: FloatArray
     score: FloatArray
@@ -83,18 +85,18 @@ def align(
     terms = np.concatenate([normal[:, 2, :3], inverse.reshape(n, 4)], axis=1).tolist()
     shifted = [_shifted(*each) for each in zip(searches, sizes, rows, starts, terms, strict=True)]
     good = [k for k, shift in enumerate(shifted) if shift is not None]
-    outcome = Alignment(*(np.full((n, *shape), np.nan) for shape in ((2,), (2, 2), (), (2,))))
     if not good:
-        return outcome
+        return Alignment([], np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty((0, 2)))
 
     shifts = [shift for shift in shifted if shift is not None]
     xy, step = np.array([shift.xy for shift in shifts]), np.array([shift.step for shift in shifts])
     gain = np.array([shift.gain for shift in shifts])
     seen = [_without_mean(shift.seen) for shift in shifts]
     rows = [rows[k] for k in good]
+    normal, hessian, inverse, by_gain = (a[good] for a in (normal, hessian, inverse, by_gain))
     total = np.array([float(each @ each) for each in seen])
-    power = normal[good, 2, 2]
-    further = np.einsum('na,nab,nb->n', step, hessian[good], step)
+    power = normal[:, 2, 2]
+    further = ((step[:, None] @ hessian)[:, 0] * step).sum(axis=-1)
     fits = Fits(
         [sizes[k] for k in good],
         rows,
@@ -102,16 +104,18 @@ def align(
         xy,
         gain,
         np.maximum(total - gain**2 * (power + further), 0.0),
-        by_gain[good],
-        inverse[good],
+        by_gain,
+        inverse,
         [search_blurs[k] for k in good],
     )
     by_seen = np.array([its_rows @ each for its_rows, each in zip(rows, seen, strict=True)])
-    outcome.xy[good] = xy
-    outcome.covariance[good] = covariances(fits)
-    outcome.score[good] = gain * np.sqrt(power / np.maximum(total, _TINY))
-    outcome.blur_px2[good] = _further_blur(normal[good], by_seen.astype(np.float64))
-    return outcome
+    return Alignment(
+        good,
+        xy,
+        covariances(fits),
+        gain * np.sqrt(power / np.maximum(total, _TINY)),
+        _further_blur(normal, by_seen.astype(np.float64)),
+    )
 
 
 def _rows(template: Float32Array) -> Float32Array:

@@ -101,10 +101,9 @@ def match_templates(queries: Sequence[Query]) -> list[Match | Refusal]:
         [queries[k].search_blur for k, _ in peaks],
     )
     matches: dict[int, Match] = {}
-    for (k, peak), *each in zip(peaks, *aligned, strict=True):
-        xy, covariance, score, blur_px2 = each
-        if np.isfinite(score):
-            matches[k] = Match(xy, covariance, max(peak.score, float(score)), blur_px2)
+    for place, xy, covariance, score, blur_px2 in zip(*aligned, strict=True):
+        k, peak = peaks[place]
+        matches[k] = Match(xy, covariance, max(peak.score, float(score)), blur_px2)
     return [
         matches.get(k, Refusal('alignment failed')) if isinstance(peak, _Peak) else peak
         for k, peak in enumerate(outcome)
