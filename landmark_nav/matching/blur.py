@@ -43,9 +43,9 @@ def blur_by(image: Float32Array, sigmas: Pair) -> Float32Array:
     across, down = sigmas
     if max(across, down) == 0.0:
         return image
-    light = cv2.multiply(image, image)
+    light = image * image
     blurred = cv2.GaussianBlur(light, (0, 0), sigmaX=max(across, 0.01), sigmaY=max(down, 0.01))
-    return np.asarray(cv2.sqrt(blurred), dtype=np.float32)
+    return np.asarray(np.sqrt(blurred), dtype=np.float32)
 
 
 def blur_sigmas(step: Pair, own_step: Pair = (1.0, 1.0)) -> tuple[float, float]:
