@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -15,7 +13,6 @@ from landmark_nav.storage.bags.timelines import CameraInfos, JointLog
 from landmark_nav.types import (
     CameraFrame,
     Detections,
-    ImageArray,
     OdometrySample,
     PoseEstimate,
     Refusal,
@@ -26,8 +23,6 @@ __all__ = ['SensorEvent', 'sensor_events']
 SensorEvent = CameraFrame | Detections | OdometrySample | PoseEstimate
 
 _PICTURES = ('camera/image_raw', 'camera/image_raw/compressed')
-# Messages that are read before they are asked for.
-_AHEAD = 24
 
 
 def sensor_events(
@@ -57,14 +52,13 @@ def sensor_events(
     joints = JointLog.read(bag, mount)
     truth = bag.find('ground_truth/odom')
     delay_ns = round(joint_delay_s * 1e9)
-    pictures: deque[Future[ImageArray]] = deque()
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
-        images: lambda entry: _frame(bag, entry, pictures.popleft(), cameras, joints, delay_ns),
+        images: lambda entry: _frame(bag, entry, cameras, joints, delay_ns),
         odometry: lambda entry: decode.odometry(entry.message),
     }
     if truth is not None:
         decoders[truth] = lambda entry: decode.pose_estimate(entry.message)
-    messages = _ahead(_pictures_last(bag.messages(decoders), images), images, pictures)
+    messages = _pictures_last(bag.messages(decoders), images)
     yield from _usable(bag, messages, decoders, {images: 'pictures'})
 
 
@@ -98,29 +92,6 @@ def _pictures_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagM
     yield from held
 
 
-def _ahead(
-    messages: Iterable[BagMessage], images: str, pictures: deque[Future[ImageArray]]
-) -> Iterator[BagMessage]:
-    """
-    Messages a little later, while a thread decodes what comes on the topic `images`.
-
-    For each of those there is one of `pictures`, in their order, once it comes.
-    """
-    coming: deque[BagMessage] = deque()
-    with ThreadPoolExecutor(1) as decoder:
-        for entry in messages:
-            coming.append(entry)
-            if entry.topic == images:
-                pictures.append(decoder.submit(_picture, entry))
-            if len(coming) > _AHEAD:
-                yield coming.popleft()
-        yield from coming
-
-
-def _picture(entry: BagMessage) -> ImageArray:
-    return decode.image(entry.message, grey=True)
-
-
 def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
     """Bearings that somebody else found in pictures that are not kept."""
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
@@ -133,15 +104,10 @@ def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
 
 
 def _frame(
-    bag: Bag,
-    entry: BagMessage,
-    decoded: Future[ImageArray],
-    cameras: CameraInfos,
-    joints: JointLog,
-    delay_ns: int,
+    bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointLog, delay_ns: int
 ) -> CameraFrame:
-    picture = decoded.result()
     stamp = decode.stamp_ns(entry.message.header)
+    picture = decode.image(entry.message, grey=True)
     sample = joints.at(stamp + delay_ns, entry.stamp_ns)
     if isinstance(sample, Refusal):
         raise LandmarkNavError(
