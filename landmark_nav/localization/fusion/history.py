@@ -75,6 +75,11 @@ class History:
         return bool(self._states)
 
     @property
+    def last(self) -> FilterState:
+        """The state after the newest event: what does not change as the robot moves on."""
+        return self._states[-1]
+
+    @property
     def begin_ns(self) -> int:
         """Time before which nothing can be inserted any more."""
         return self._events[0].stamp_ns

@@ -111,8 +111,7 @@ class PoseFilter:
     @property
     def late(self) -> Lateness:
         """Of the stamps of the joints, as far as it was measured."""
-        state = self.state
-        return Lateness() if state is None else state.late
+        return self._history.last.late if self._history.started else Lateness()
 
     @property
     def status(self) -> tuple[Status, str]:
