@@ -29,8 +29,6 @@ from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate, Refusa
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
-# Who marks a place on a screen tells it less exactly than the search does.
-_FOUND_SIGMA_M = 0.1
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 
 
@@ -164,10 +162,7 @@ class OdometryFusionNode(LandmarkNode):
         if not start.covariance.any():
             sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)
             start = replace(start, covariance=np.diag(np.square(sigma)))
-        # A person vouches for the place; who tells it to centimetres is the search, or as sure.
-        found = np.trace(start.covariance[:2, :2]) < _FOUND_SIGMA_M**2
-        witnesses = np.empty(0, dtype=np.int64) if found else None
-        self._filter.initialize(start, self._now_ns(), witnesses)
+        self._filter.initialize(start, self._now_ns())
         self._spread.restart()
         x, y, heading = start.pose
         self.get_logger().info(f'start at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
