@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion.bearings import bearing_frame
@@ -27,6 +26,7 @@ from landmark_nav.localization.fusion.doubt import (
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
+from landmark_nav.localization.fusion.makings import Makings, Seen
 from landmark_nav.localization.fusion.state import (
     among,
     FilterState,
@@ -52,8 +52,6 @@ __all__ = ['PoseFilter']
 
 # So many correlations of the pictures before tell what to expect.
 _SCORES = 12
-# So many of them tell of which landmarks a pose was made, and so many it is made of.
-_PICTURES, _LEAST = 10, 3
 # How late joint states are is known from what was measured to this sigma.
 _MEASURED_S = 0.03
 # A place is found with a heading at least as good as this unless the camera turns.
@@ -178,7 +176,7 @@ class PoseFilter:
         self._map = landmark_map
         self._scores: deque[float] = deque(maxlen=_SCORES)
         self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
-        self._seen: deque[tuple[int, IndexArray, int]] = deque(maxlen=_PICTURES)
+        self._makings = Makings(len(landmark_map.landmarks))
         self._witnesses = Witnesses(landmark_map)
         if self._history.started:
             self._history.restart(among(self._history.at(), landmark_map))
@@ -213,7 +211,7 @@ class PoseFilter:
         missed = self._map.positions[[self._columns[k] for k in known]]
         expected = len(frame.columns) + len(missed)
         if self._config.mode != 'bearings':
-            self._seen.append((stamp, frame.columns, expected))
+            self._makings.add(Seen(stamp, frame.columns, expected))
             self._health.look(stamp, len(frame.columns), missed)
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         if not len(frame.columns):
@@ -259,7 +257,7 @@ class PoseFilter:
             refusal = self._too_few(stamp)
         if refusal is not None:
             return self.no_pose(stamp, refusal)
-        columns = self._made_of(stamp)
+        columns = self._makings.columns(stamp)
         update = self._measure(
             stamp,
             partial(
@@ -288,19 +286,10 @@ class PoseFilter:
 
     def _too_few(self, stamp_ns: int) -> Refusal | None:
         """Why a pose is not believed once others were contradicted: chance made it of a few."""
-        for stamp, found, expected in self._seen:
-            if stamp == stamp_ns and len(found) < self._health.least(expected):
-                return Refusal('too few found', f'{len(found)} of {expected} landmarks')
-        return None
-
-    def _made_of(self, stamp_ns: int) -> IndexArray:
-        """Landmarks that a pose was made of: those of its picture, of the last ones, or all."""
-        for own in (True, False):
-            seen = [found for stamp, found, _ in self._seen if stamp == stamp_ns or not own]
-            found = np.unique(np.concatenate(seen)) if seen else ()
-            if len(found) >= _LEAST:
-                return np.asarray(found)
-        return np.arange(len(self._map.landmarks))
+        seen = self._makings.picture(stamp_ns)
+        if seen is None or len(seen.columns) >= self._health.least(seen.expected):
+            return None
+        return Refusal('too few found', f'{len(seen.columns)} of {seen.expected} landmarks')
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
         """
