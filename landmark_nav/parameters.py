@@ -62,7 +62,7 @@ class Config:
             if isinstance(value, bool) or not isinstance(value, int | float):
                 continue
             low, high = field.metadata.get('minimum'), field.metadata.get('maximum')
-            if not np.isfinite(value):
+            if not abs(value) < np.inf:
                 raise LandmarkNavError(f'{where} is {value}: take a number')
             if (low is not None and value < low) or (high is not None and value > high):
                 raise LandmarkNavError(

@@ -282,7 +282,7 @@ def _left_right(
 def _check(room: Room, count: int) -> None:
     if count < 2:
         raise LandmarkNavError(
-            f'a plan for {count} position: landmarks are learned from two places or more'
+            f'positions: {count}: landmarks are learned from two places or more'
         )
     if len(room.papers) < 3:
         raise LandmarkNavError(

@@ -15,6 +15,14 @@ __all__ = ['load_config', 'shipped_config']
 
 T = TypeVar('T')
 
+_KINDS = {
+    bool: 'true or false',
+    int: 'a whole number',
+    float: 'a number',
+    str: 'a word',
+    tuple: 'a list',
+}
+
 
 def load_config(path: Path | str, default: T) -> T:
     """
@@ -65,7 +73,7 @@ def _converted(value: Any, old: Any, where: str) -> Any:
     if isinstance(old, tuple) and isinstance(value, list):
         return tuple(value)
     if type(value) is not type(old):
-        raise LandmarkNavError(f'{where} is {value!r}: take a {type(old).__name__}')
+        raise LandmarkNavError(f'{where} is {value!r}: take {_KINDS[type(old)]}')
     return value
 
 

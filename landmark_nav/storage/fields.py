@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 import difflib
+import reprlib
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ __all__ = [
     'field',
     'integer_field',
     'list_field',
+    'name_field',
     'number_field',
 ]
 
@@ -29,7 +31,9 @@ _ALIKE = 0.8
 
 def field(mapping: Any, key: str, where: str) -> Any:
     """Value of `key`; `LandmarkNavError` where `mapping` is none or lacks it."""
-    if not isinstance(mapping, Mapping) or key not in mapping:
+    if not isinstance(mapping, Mapping):
+        raise LandmarkNavError(f'{where} is {reprlib.repr(mapping)}, not a mapping')
+    if key not in mapping:
         raise LandmarkNavError(f'{where}: {key} is missing')
     return mapping[key]
 
@@ -47,8 +51,18 @@ def list_field(mapping: Any, key: str, where: str) -> list[Any]:
     """Value of `key`, a list."""
     value = field(mapping, key, where)
     if not isinstance(value, list):
-        raise LandmarkNavError(f'{where}: {key} is {value!r}, not a list')
+        raise LandmarkNavError(f'{where}: {key} is {reprlib.repr(value)}, not a list')
     return value
+
+
+def name_field(mapping: Any, key: str, where: str, default: str | None = None) -> str:
+    """Value of `key`, a word or a whole number; `default`, if there is one, where it is not."""
+    if default is not None and key not in mapping:
+        return default
+    value = field(mapping, key, where)
+    if isinstance(value, bool) or not isinstance(value, str | int) or value == '':
+        raise LandmarkNavError(f'{where}: {key} is {reprlib.repr(value)}, not a name')
+    return str(value)
 
 
 def integer_field(mapping: Any, key: str, where: str) -> int:
@@ -68,18 +82,19 @@ def array_field(mapping: Any, key: str, shape: tuple[int | None, ...], where: st
     """Value of `key`, finite numbers of `shape`; None in it stands for any length."""
     value = field(mapping, key, where)
     wanted = ' x '.join('n' if length is None else str(length) for length in shape)
-    what = f'not {wanted} numbers' if shape else 'not a number'
+    what = f'{key} is {reprlib.repr(value)}'
+    kind = f'not {wanted} numbers' if shape else 'not a number'
     try:
         array = np.asarray(value)
     except ValueError as error:
-        raise LandmarkNavError(f'{where}: {key} is {value!r}, {what}') from error
+        raise LandmarkNavError(f'{where}: {what}, {kind}') from error
     fits = array.ndim == len(shape) and all(
         wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
     )
     if not fits or (array.dtype.kind not in 'iuf' and array.size):
-        raise LandmarkNavError(f'{where}: {key} is {value!r}, {what}')
+        raise LandmarkNavError(f'{where}: {what}, {kind}')
     if not np.all(np.isfinite(array.astype(np.float64))):
-        raise LandmarkNavError(f'{where}: {key} is {value!r}: not finite')
+        raise LandmarkNavError(f'{where}: {what}: not finite')
     return array.astype(np.float64)
 
 

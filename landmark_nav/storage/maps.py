@@ -21,6 +21,7 @@ from landmark_nav.storage.fields import (
     field,
     integer_field,
     list_field,
+    name_field,
 )
 from landmark_nav.storage.map_entries import (
     described,
@@ -133,7 +134,7 @@ def load_map(folder: Path | str) -> LandmarkMap:
         raise LandmarkNavError(f'{path}: provenance is {provenance!r}, not a mapping')
     return LandmarkMap(
         landmarks,
-        str(field(document, 'frame_id', where)),
+        name_field(document, 'frame_id', where),
         tuple(
             wall_of(entry, f'{path}: walls[{k}]')
             for k, entry in enumerate(list_field(document, 'walls', where))

@@ -18,6 +18,7 @@ from landmark_nav.storage.fields import (
     field,
     integer_field,
     list_field,
+    name_field,
     number_field,
 )
 
@@ -88,7 +89,7 @@ def load_room(path: Path | str) -> Room:
                 raise LandmarkNavError(
                     f'wall {wall.id} is {wall.length:g} m long: lengths are metres'
                 )
-        room = Room(walls, papers, str(document.get('frame_id', 'map')))
+        room = Room(walls, papers, name_field(document, 'frame_id', 'room', 'map'))
         for i, paper in enumerate(papers):
             _check_on_wall(paper, room, f'papers[{i}]')
         return room
@@ -99,7 +100,7 @@ def load_room(path: Path | str) -> Room:
 def wall_of(entry: Any, where: str) -> Wall:
     """Wall of an entry of a room or a map."""
     return Wall(
-        str(field(entry, 'id', where)),
+        name_field(entry, 'id', where),
         _point(entry, 'start', 2, where),
         _point(entry, 'end', 2, where),
         number_field(entry, 'height', where),
@@ -114,7 +115,7 @@ def wall_entry(wall: Wall) -> dict[str, Any]:
 
 def _paper(document: Any, where: str) -> Paper:
     """Check that a paper has a size and a colour that can be looked for."""
-    color = str(field(document, 'color', where))
+    color = name_field(document, 'color', where)
     try:
         paper_bgr(color)
     except LandmarkNavError as error:
@@ -164,9 +165,9 @@ def load_robot(path: Path | str) -> PanTiltMount:
             axis_rpy=_angles(axis, 'rpy', (3,), 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
             optical_center_offset=offset,
             camera_roll_rad=_angles({'camera_roll': 0.0, **document}, 'camera_roll', (), 'robot'),
-            base_frame=str(document.get('base_frame', 'base_link')),
-            pan_joint=str(document.get('pan_joint', 'pan_joint')),
-            tilt_joint=str(document.get('tilt_joint', 'tilt_joint')),
+            base_frame=name_field(document, 'base_frame', 'robot', 'base_link'),
+            pan_joint=name_field(document, 'pan_joint', 'robot', 'pan_joint'),
+            tilt_joint=name_field(document, 'tilt_joint', 'robot', 'tilt_joint'),
         )
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
@@ -194,7 +195,7 @@ def load_camera(path: Path | str) -> CameraModel:
         coefficients = np.trim_zeros(
             array_field(lens, 'data', (None,), 'distortion_coefficients'), 'b'
         ).tolist()
-        model = str(field(document, 'distortion_model', 'camera'))
+        model = name_field(document, 'distortion_model', 'camera')
         return CameraModel(width, height, fx, fy, cx, cy, model, tuple(coefficients))
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error

@@ -36,6 +36,7 @@ def test_fields_carry_what_a_node_declares() -> None:
         ({'ratio': 1.01}, 'parameter ratio of Sample is 1.01: take 0 to 1'),
         ({'ratio': float('nan')}, 'parameter ratio of Sample is nan: take a number'),
         ({'turn_rad': 90.0}, r'turn_rad of Sample is 90: take -3\.2 to 3\.2; it is in radians'),
+        ({'count': -(10**40)}, r'count of Sample is -1e\+40: take 1 to any'),
         ({'count': 0}, 'parameter count of Sample is 0: take 1 to any'),
         ({'mode': 'slow'}, "parameter mode of Sample is 'slow': take one of fast, good"),
     ],

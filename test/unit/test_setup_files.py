@@ -120,7 +120,7 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
         ('a: \x07', 'not YAML: '),
         ('frame_id: map', 'walls is missing'),
         ('walls: 3', 'walls is 3, not a list'),
-        ('walls: [3]', r'walls\[0\]: id is missing'),
+        ('walls: [3]', r'walls\[0\] is 3, not a mapping'),
         (
             ROOM.replace('start: [0, 0]', 'start: [0]'),
             r'walls\[0\]: start is .*not 2 numbers',
@@ -134,6 +134,8 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
         (ROOM.replace('id: east', 'id: south'), 'two walls are called south'),
         (ROOM.replace('reference_area', 'reference_ara'), 'reference_ara is no field: write refe'),
         (ROOM.replace('frame_id', 'frameid'), 'frameid is no field: write frame_id'),
+        (ROOM.replace('frame_id: hall', 'frame_id:'), 'frame_id is None, not a name'),
+        (ROOM.replace('id: east', 'id: [east]'), r"walls\[1\]: id is \['east'\], not a name"),
     ],
 )
 def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
@@ -148,7 +150,7 @@ def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: s
     ('text', 'message'),
     [
         ('base_frame: base_link', 'pan_axis is missing'),
-        ('pan_axis: 3', 'xyz is missing'),
+        ('pan_axis: 3', 'pan_axis is 3, not a mapping'),
         ('pan_axis: {xyz: [0, 0, high]}', 'xyz is .*high.*not 3 numbers'),
         ('pan_axis: {xyz: [0, 0, 1], rpy: 0}', 'rpy is 0, not 3 numbers'),
         ('pan_axis: {xyz: [0, 0, 1]}\noptical_center_offset: [1]', 'optical_center_offset is'),
@@ -158,6 +160,7 @@ def test_a_bad_room_is_refused_in_one_line(tmp_path: Path, text: str, message: s
         ('pan_axs: {xyz: [0, 0, 1]}', 'pan_axs is no field: write pan_axis'),
         ('pan_axis: {xyz: [0, 0, 1]}\ncamera_rol: 3.1', 'camera_rol is no field: write camera_ro'),
         (ROBOT.replace('optical_center', 'optical_centre'), 'write optical_center_offset'),
+        (ROBOT.replace('pan_joint: ', "pan_joint: '' # "), "pan_joint is '', not a name"),
         (ROBOT.replace('pan_joint', 'panjoint'), 'panjoint is no field: write pan_joint'),
     ],
 )
