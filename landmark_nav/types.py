@@ -322,8 +322,8 @@ class Detections:
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
     cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
-    that should be in view, were looked for and not found. The pan, its rate, its sigma and its
-    track are those of its `JointSample`; bearings are those of a pan `pan_delay_s` later.
+    that should be in view, were looked for and not found. The pan, its rate, sigma and track are
+    of the `JointSample` `joint_delay_s` after the stamp; bearings of a pan `pan_delay_s` later.
     """
 
     stamp_ns: int
@@ -337,6 +337,7 @@ class Detections:
     pan_sigma_rad: float = 0.0
     pan_rad: float = 0.0
     pan_track: PanTrack | None = None
+    joint_delay_s: float = 0.0
     pan_delay_s: float = 0.0
 
     def __len__(self) -> int:

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ['DETECTION', 'LANDMARK_FIELDS', 'PLANAR', 'TRIPLET', 'UPRIGHT', 'landmark_layout']
+__all__ = [
+    'DETECTION',
+    'DETECTION_DELAYS',
+    'JOINT_DELAY',
+    'LANDMARK_FIELDS',
+    'PLANAR',
+    'TRIPLET',
+    'UPRIGHT',
+    'landmark_layout',
+]
 
 # Of x, y, heading and of x, y, z, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 
+# By how much the stamps of the joints were taken to be late is the same in all rows: as the node
+# was told, and as was measured beyond that.
 DETECTION = np.dtype(
     [
         ('id', '<u4'),
@@ -18,8 +29,14 @@ DETECTION = np.dtype(
         ('score', '<f4'),
         ('u', '<f4'),
         ('v', '<f4'),
+        ('joint_delay', '<f8'),
+        ('pan_delay', '<f8'),
     ]
 )
+# Older recordings lack these.
+DETECTION_DELAYS = ('joint_delay', 'pan_delay')
+
+JOINT_DELAY = np.dtype([('delay', '<f8'), ('sigma', '<f8')])
 
 # Covariance of the promised fix and the pan to turn to are the same in all three rows.
 TRIPLET = np.dtype(

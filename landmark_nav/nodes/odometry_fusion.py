@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,10 +26,13 @@ from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.transforms import MapToOdom
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate, Refusal
+from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
+# Lateness of joint states with a larger sigma is open, and matters to a camera that turns so far:
+# where it looked may be told long after its picture. So long that is waited for.
+_SETTLED_S, _SWING_RAD, _PATIENCE_S = 0.005, 0.1, 0.4
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 
 
@@ -77,6 +81,7 @@ class OdometryFusionNode(LandmarkNode):
         self._config = self.configure(Parameters)
         self._mount = load_robot(self.required('robot_file', self._config.robot_file))
         self._fused = self.advertise('odometry/fused')
+        self._joint_delay = self.advertise('joint_delay')
         self._transform = MapToOdom(self)
         self._spread = SpreadCorrection(self._config.correction_time_s)
         self._filter = PoseFilter(
@@ -92,6 +97,7 @@ class OdometryFusionNode(LandmarkNode):
         self._heard_ns = 0
         self._odom_frame = 'odom'
         self._latency = Latency()
+        self._waiting: deque[Detections] = deque()
         self.listen('odom', self._on_odometry, depth=50)
         self._frames = CameraFrames(self, self._mount)
         self.listen('detections', self._on_detections)
@@ -119,16 +125,13 @@ class OdometryFusionNode(LandmarkNode):
         return now_ns if self._last is None else self._last.stamp_ns + now_ns - self._heard_ns
 
     def _delay_advice(self) -> str:
-        """What to do about stamps of the joints that are late: pictures are not put right here."""
-        state = self._filter.state
-        if state is None:
-            return ''
-        delay_s, sigma_s = state.mean[DELAY], np.sqrt(state.covariance[DELAY, DELAY])
-        if not delay_matters(delay_s, sigma_s):
+        """What would spare finding out how late the stamps of the joints are."""
+        late = self._filter.late
+        if not delay_matters(late.delay_s, late.sigma_s):
             return ''
         return (
-            f'; joint_states are stamped {1e3 * delay_s:.1f} ms late: add {delay_s:.4f} to '
-            'joint_delay_s of triangulation_localizer'
+            f'; joint_states are stamped {1e3 * late.delay_s:.1f} ms late, which is put right; at '
+            f'once with {late.delay_s:.4f} more in joint_delay_s of triangulation_localizer'
         )
 
     def _offsets(self) -> dict[str, str]:
@@ -174,6 +177,7 @@ class OdometryFusionNode(LandmarkNode):
         refusal = self._filter.add_odometry(sample)
         if refusal is not None:
             raise LandmarkNavError(str(refusal))
+        self._use_waiting()
         estimate = self._filter.estimate(sample.stamp_ns)
         if estimate is not None:
             self._publish(estimate, sample)
@@ -183,8 +187,28 @@ class OdometryFusionNode(LandmarkNode):
             self._transform.send(sample.stamp_ns, pose, frames)
 
     def _on_detections(self, message: Any) -> None:
-        found = decode.detections(message)
-        joints = self._frames.joints_at(found.stamp_ns)
+        self._waiting.append(decode.detections(message))
+        self._use_waiting()
+
+    def _use_waiting(self) -> None:
+        """Use what was found in pictures, in their order, as far as it need not wait."""
+        while self._waiting and not self._waits(self._waiting[0]):
+            self._use(self._waiting.popleft())
+
+    def _waits(self, found: Detections) -> bool:
+        """Whether joint states that may tell where the camera looked are still to come."""
+        late = self._filter.late
+        settled = late.sigma_s < _SETTLED_S or self._frames.swing_rad < _SWING_RAD
+        if settled and not delay_matters(late.delay_s, late.sigma_s):
+            return False
+        ahead_s = found.joint_delay_s + (late.delay_s if settled else _PATIENCE_S)
+        newest = self._last.stamp_ns if self._last is not None else 0
+        if 1e-9 * (newest - found.stamp_ns) > _PATIENCE_S:
+            return False
+        return not self._frames.reaches(found.stamp_ns + round(1e9 * ahead_s))
+
+    def _use(self, found: Detections) -> None:
+        joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
         if not isinstance(joints, Refusal):
             found = replace(
                 found,
@@ -194,6 +218,11 @@ class OdometryFusionNode(LandmarkNode):
                 pan_rad=joints.pan_rad,
             )
         self._count(self._filter.add_detections(found))
+        late = self._filter.late
+        if late.sigma_s:
+            self._joint_delay.publish(
+                encode.joint_delay(ros_factory, found.stamp_ns, late.delay_s, late.sigma_s)
+            )
         self._corrected(found.stamp_ns)
 
     def _on_pose(self, message: Any) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from math import hypot
 import time
 from typing import Any
 
@@ -12,6 +14,8 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.detection.aim import degrees_aside
 from landmark_nav.localization.detection.prior import PriorTrack
+from landmark_nav.localization.fusion.delay import delay_matters
+from landmark_nav.localization.lateness import in_time, Lateness
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
@@ -27,7 +31,7 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.types import OdometrySample, PoseEstimate, Refusal, Triplet
+from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate, Refusal, Triplet
 
 __all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
 
@@ -92,6 +96,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None
+        self._late = Lateness()
         self._source: ImageSource | None = None
         # Joint states and odometry come in while a picture is looked at.
         self._pictures = NewestFirst(self.guarded('camera/image_raw', self._on_image))
@@ -104,6 +109,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self.listen('odom', self._on_odometry, depth=50)
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
+        self.listen('joint_delay', self._on_joint_delay)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
@@ -126,6 +132,12 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _on_triplet(self, message: Any) -> None:
         self._triplet = decode.triplet(message)
+
+    def _on_joint_delay(self, message: Any) -> None:
+        delay_s, sigma_s = decode.joint_delay(message)
+        # A picture does not wait for joint states because of what may be chance.
+        late = delay_matters(delay_s, sigma_s)
+        self._late = Lateness(delay_s, sigma_s) if late else Lateness(0.0, hypot(delay_s, sigma_s))
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         config = self._config
@@ -175,17 +187,17 @@ class TriangulationLocalizerNode(LandmarkNode):
         seen = self._observe(message)
         self._hangs = seen.unusable
         self._search.note(stamp, len(seen.detections))
-        self._detections.publish(
-            encode.detections(ros_factory, seen.detections, self._mount.base_frame)
-        )
+        found = replace(seen.detections, joint_delay_s=self._config.joint_delay_s)
+        self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
         if isinstance(seen.fix, PoseEstimate):
             self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
 
     def _look(self, message: Any) -> None:
-        frame = self._frames.complete(message, self._config.max_wait_s, self._search.reaches)
+        frame, late = self._complete(message, self._search.reaches)
         assert self._observer is not None, 'pictures come after the map'
+        frame, _ = in_time(frame, late)
         outcome = self._search.look(self._observer.levelled(frame))
         found = 'place found, and told on initialpose'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
@@ -193,14 +205,19 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _observe(self, message: Any) -> Observation:
         stamp = decode.stamp_ns(message.header)
-        frame = self._frames.complete(message, self._config.max_wait_s, self._prior.reaches)
+        frame, late = self._complete(message, self._prior.reaches)
         prior = self._prior.at(stamp)
         if isinstance(prior, Refusal):
             raise LandmarkNavError(str(prior))
         assert self._observer is not None, 'pictures come after the map'
         while self._odometry:
             self._observer.add_odometry(self._odometry.popleft())
-        return self._observer.look(frame, prior, self._triplet)
+        return self._observer.look(frame, prior, self._triplet, late)
+
+    def _complete(self, message: Any, also: Callable[[int], bool]) -> tuple[CameraFrame, Lateness]:
+        """Picture with all that belongs to it, and how late its joint states are."""
+        late = self._late
+        return self._frames.complete(message, self._config.max_wait_s, also, late.delay_s), late
 
     def _age_ns(self, message: Any) -> int:
         """Time since a picture was taken."""

@@ -62,15 +62,28 @@ class CameraFrames:
         """The last measured tilt, level before any came."""
         return self._joints[-1].tilt_rad if self._joints else 0.0
 
+    @property
+    def swing_rad(self) -> float:
+        """How far the pan turned in the joint states that are kept."""
+        pans = [sample.pan_rad for sample in self._joints]
+        return max(pans) - min(pans) if pans else 0.0
+
+    def reaches(self, stamp_ns: int) -> bool:
+        """Whether joint states are known that are stamped then or later."""
+        return bool(self._joints) and self._joints[-1].stamp_ns >= stamp_ns
+
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at a time of the pictures, interpolated; or why they are not known."""
         return JointHistory(tuple(self._joints)).at(stamp_ns + self._delay_ns)
 
-    def complete(self, message: Any, seconds: float, also: Callable[[int], bool]) -> CameraFrame:
+    def complete(
+        self, message: Any, seconds: float, also: Callable[[int], bool], late_s: float = 0.0
+    ) -> CameraFrame:
         """
         Frame of an image message.
 
-        Waits, up to `seconds`, for joint states of its stamp and until `also` holds for it.
+        Waits, up to `seconds`, for joint states of its stamp, or of `late_s` after it if those are
+        late, and until `also` holds for it.
 
         Raises
         ------
@@ -81,7 +94,7 @@ class CameraFrames:
         stamp = decode.stamp_ns(message.header)
         # Meanwhile what belongs to it arrives.
         picture = decode.image(message, grey=True)
-        self._wait(stamp, seconds, also)
+        self._wait(stamp, seconds, also, late_s)
         joints = self.joints_at(stamp)
         if isinstance(joints, Refusal):
             raise LandmarkNavError(f'{joints} after a wait of {seconds:g} s')
@@ -110,10 +123,13 @@ class CameraFrames:
     def _on_camera_info(self, message: Any) -> None:
         self._camera = decode.camera_model(message)
 
-    def _wait(self, stamp_ns: int, seconds: float, also: Callable[[int], bool]) -> None:
-        """Block until there are joint states of `stamp_ns`, and `also` holds, or time is up."""
-        deadline, joints_ns = time.monotonic() + seconds, stamp_ns + self._delay_ns
+    def _wait(
+        self, stamp_ns: int, seconds: float, also: Callable[[int], bool], late_s: float
+    ) -> None:
+        """Block until there are joint states of a picture, and `also` holds, or time is up."""
+        deadline = time.monotonic() + seconds
+        joints_ns = stamp_ns + self._delay_ns + max(0, round(1e9 * late_s))
         while time.monotonic() < deadline:
-            if self._joints and self._joints[-1].stamp_ns >= joints_ns and also(stamp_ns):
+            if self.reaches(joints_ns) and also(stamp_ns):
                 return
             time.sleep(_POLL_S)

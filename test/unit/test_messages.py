@@ -16,6 +16,7 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
+from landmark_nav.messages.layouts import DETECTION, DETECTION_DELAYS, JOINT_DELAY
 from landmark_nav.types import (
     Detections,
     JointSample,
@@ -125,6 +126,8 @@ def test_detections_come_back(deliver, count):
         rng.random(count),
         rng.random((count, 2)) * 500,
         np.array([50, 60])[: count // 2],
+        joint_delay_s=0.04,
+        pan_delay_s=-0.01,
     )
     again = decode.detections(deliver(encode.detections(FACTORY, found)))
     np.testing.assert_array_equal(again.missed, found.missed)
@@ -133,6 +136,30 @@ def test_detections_come_back(deliver, count):
     np.testing.assert_array_equal(again.variance_rad2, found.variance_rad2)
     np.testing.assert_allclose(again.uv_px, found.uv_px, rtol=1e-6)
     assert again.stamp_ns == STAMP
+    if count:
+        assert (again.joint_delay_s, again.pan_delay_s) == (0.04, -0.01)
+
+
+def test_detections_of_older_recordings_know_of_no_delay():
+    names = [name for name in DETECTION.names if name not in DETECTION_DELAYS]
+    older = np.ones(3, dtype=[(name, DETECTION[name]) for name in names])
+    msg = pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'base_link'), older)
+    again = decode.detections(msg)
+    assert len(again) == 3
+    assert (again.joint_delay_s, again.pan_delay_s) == (0.0, 0.0)
+
+
+@both
+def test_joint_delay_comes_back(deliver):
+    msg = deliver(encode.joint_delay(FACTORY, STAMP, 0.2, 0.001))
+    assert decode.joint_delay(msg) == (0.2, 0.001)
+    twice = np.zeros(2, dtype=JOINT_DELAY)
+    head = encode.header(FACTORY, STAMP, '')
+    with pytest.raises(LandmarkNavError, match='2 points'):
+        decode.joint_delay(pack_cloud(FACTORY, head, twice))
+    twice['sigma'] = np.nan
+    with pytest.raises(LandmarkNavError, match='not a number'):
+        decode.joint_delay(pack_cloud(FACTORY, head, twice[:1]))
 
 
 @both

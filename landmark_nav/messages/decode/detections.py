@@ -9,7 +9,7 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import finite, stamp_ns
-from landmark_nav.messages.layouts import DETECTION, TRIPLET
+from landmark_nav.messages.layouts import DETECTION, DETECTION_DELAYS, TRIPLET
 from landmark_nav.types import Detections, Triplet
 
 __all__ = ['detections', 'triplet']
@@ -25,8 +25,11 @@ def detections(msg: Any) -> Detections:
         Fields are missing, or bearings are not numbers.
 
     """
-    points = unpack_cloud(msg, DETECTION.names or ())
+    required = [name for name in DETECTION.names or () if name not in DETECTION_DELAYS]
+    points = unpack_cloud(msg, required)
     stamp = stamp_ns(msg.header)
+    known = len(points) and set(DETECTION_DELAYS) <= set(points.dtype.names or ())
+    told, measured = points[0][list(DETECTION_DELAYS)] if known else (0.0, 0.0)
     missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
     ids_missed = points['id'][missed].astype(np.int64)
     points = points[~missed]
@@ -38,6 +41,8 @@ def detections(msg: Any) -> Detections:
         points['score'].astype(np.float64),
         np.stack([points['u'], points['v']], -1).astype(np.float64),
         ids_missed,
+        joint_delay_s=float(told),
+        pan_delay_s=float(measured),
     )
 
 

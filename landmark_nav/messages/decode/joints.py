@@ -6,10 +6,12 @@ from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
+from landmark_nav.messages.layouts import JOINT_DELAY
 from landmark_nav.types import JointSample
 
-__all__ = ['joint_sample', 'sweep_trajectory']
+__all__ = ['joint_delay', 'joint_sample', 'sweep_trajectory']
 
 
 def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
@@ -55,6 +57,24 @@ def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
         )
         for point in msg.points
     )
+
+
+def joint_delay(msg: Any) -> tuple[float, float]:
+    """
+    By how much the joints' stamps are late, and its sigma, out of ``joint_delay``; s.
+
+    Raises
+    ------
+    LandmarkNavError
+        Fields are missing, not one point, or values that are not numbers.
+
+    """
+    points = unpack_cloud(msg, JOINT_DELAY.names or ())
+    if len(points) != 1:
+        raise LandmarkNavError(f'joint_delay has {len(points)} points, not 1')
+    what, stamp = 'joint delay', stamp_ns(msg.header)
+    delay, sigma = finite([points['delay'][0], points['sigma'][0]], what, stamp)
+    return float(delay), float(sigma)
 
 
 def _sample(

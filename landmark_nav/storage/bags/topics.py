@@ -33,6 +33,7 @@ TOPIC_TYPES = {
     'cmd_vel': 'geometry_msgs/msg/Twist',
     'initialpose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
     'odometry/fused': 'nav_msgs/msg/Odometry',
+    'joint_delay': 'sensor_msgs/msg/PointCloud2',
 }
 
 

@@ -1,0 +1,118 @@
+"""Joint states that are stamped 200 ms late: the nodes measure it, and turn pictures by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import json
+from pathlib import Path
+import subprocess
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
+from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.types import CameraFrame, PoseEstimate
+
+if TYPE_CHECKING:
+    from landmark_nav.ros.robot_client import RobotClient
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+RECORDED = Path(__file__).resolve().parents[2] / 'bags'
+START_SIGMA = (0.02, 0.02, 0.01)
+LATE_NS = 200_000_000
+# After so long it is known by how much they are late.
+KNOWN_S = 7.0
+
+
+def stamped_late(path: Path, arrive_late: bool) -> Path:
+    """The recorded drive with joint states that say a later time, or arrive then, too."""
+    bag = Bag(RECORDED / 'drive')
+    out = []
+    for entry in bag.messages():
+        message, log_ns = entry.message, entry.stamp_ns
+        if entry.topic == '/joint_states':
+            stamp = divmod(decode.stamp_ns(message.header) + LATE_NS, 10**9)
+            message.header.stamp.sec, message.header.stamp.nanosec = stamp
+            log_ns += LATE_NS * arrive_late
+        out.append((log_ns, entry.topic, message))
+    with BagWriter(path) as written:
+        for log_ns, topic, message in sorted(out, key=lambda sent: sent[0]):
+            written.write(topic, message, log_ns)
+    return path
+
+
+@pytest.mark.parametrize('arrive_late', [False, True])
+def test_late_joint_states_are_measured_and_pictures_turned_by_it(
+    arrive_late: bool,
+    learned_map: Path,
+    start: Callable[..., None],
+    client: RobotClient,
+    play: Callable[..., subprocess.Popen[bytes]],
+    tmp_path: Path,
+) -> None:
+    robot = str(RECORDED / 'robot.yaml')
+    start(
+        'landmark_learner',
+        room_file=str(RECORDED / 'room.yaml'),
+        map_folder=str(learned_map),
+        load_on_start=True,
+    )
+    start('triangulation_localizer', robot_file=robot)
+    start('odometry_fusion', robot_file=robot)
+    client.wait(
+        lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 60.0, 'the map'
+    )
+    drive = Bag(stamped_late(tmp_path / 'drive', arrive_late))
+    first = next(drive.messages([drive.require('odom')])).message
+    begin_ns = decode.stamp_ns(first.header)
+    pose = np.array(json.loads((RECORDED / 'start.json').read_text())['pose'])
+    told = PoseEstimate(begin_ns, pose, np.diag(np.square(START_SIGMA)))
+    fused: dict[int, np.ndarray] = {}
+    found: dict[int, int] = {}
+    delays: list[tuple[float, float]] = []
+
+    def saw(message: Any) -> None:
+        detections = decode.detections(message)
+        found[detections.stamp_ns] = len(detections)
+
+    client.listen('detections', saw)
+    client.listen('joint_delay', lambda message: delays.append(decode.joint_delay(message)))
+    player = play(tmp_path / 'drive')
+
+    def over() -> bool:
+        if client.fused is not None:
+            fused[client.fused.stamp_ns] = client.fused.pose
+        elif client.odometry is not None:
+            client.start_at(told)
+        return player.poll() == 0
+
+    client.wait(over, 60.0, 'the end of the drive')
+    delay_s, sigma_s = delays[-1]
+    assert sigma_s < 0.005
+    assert delay_s == pytest.approx(1e-9 * LATE_NS, abs=4.0 * sigma_s + 0.002)
+    assert 'ms late, which is put right' in client.said('odometry_fusion').reason
+    truth = PoseTrack.of(
+        (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
+        for entry in drive.messages([drive.require('ground_truth/odom')])
+    )
+    later = [stamp for stamp in fused if stamp - begin_ns > KNOWN_S * 1e9]
+    errors = pose_errors(np.array([fused[stamp] for stamp in later]), truth.at(later))
+    assert np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))) < 0.03
+    # The camera turns by 2 rad/s: by 23 deg more than joint states of 0.2 s before say.
+    mount = load_robot(RECORDED / 'robot.yaml')
+    turning = [
+        found[event.stamp_ns]
+        for event in sensor_events(Bag(RECORDED / 'drive'), mount)
+        if isinstance(event, CameraFrame)
+        and abs(event.pan_rate_rad_s) > 1.0
+        and event.stamp_ns - begin_ns > KNOWN_S * 1e9
+        and event.stamp_ns in found
+    ]
+    # Three of five look at landmarks; one in ten finds some with the pan as it is told.
+    assert np.mean(np.array(turning) >= 3) > 0.5
