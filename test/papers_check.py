@@ -122,7 +122,7 @@ def told(room: Room, sweep: Sweep, rng: np.random.Generator) -> tuple[Room, Swee
         along, up = rng.normal(0.0, CONFIG.paper_sigma_m, 2)
         x, y = paper.center[:2] + along * side
         papers.append(replace(paper, center=(float(x), float(y), paper.center[2] + float(up))))
-    slips = rng.normal(0.0, CONFIG.pan_sigma_rad, (len(sweep.frames), 2))
+    slips = rng.normal(0.0, DEFAULT_MOUNT.pan_sigma_rad, (len(sweep.frames), 2))
     frames = tuple(
         replace(f, pan_rad=f.pan_rad + float(a), tilt_rad=f.tilt_rad + float(b))
         for f, (a, b) in zip(sweep.frames, slips, strict=True)

@@ -30,6 +30,9 @@ from landmark_nav.types import FloatArray, OdometrySample
 
 __all__ = ['add_arguments', 'run']
 
+# What all bearings of a picture share, as an error of its pan: see config/mrclam.yaml.
+_SHARED_RAD = 0.025
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""
@@ -91,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     )
     _write_bag(log, odometry, args.out)
     save_map(log.landmark_map, landmarks)
-    write_whole(robot, robot_document(PanTiltMount()))
+    write_whole(robot, robot_document(PanTiltMount(pan_sigma_rad=_SHARED_RAD)))
     write_whole(beginning, start_document(start))
     write_whole(config, shipped_config('mrclam.yaml').read_bytes())
     seen = sum(len(sighting) for sighting in log.sightings)

@@ -257,6 +257,8 @@ class PanTiltMount:
         (x along the view, y left, z up).
     camera_roll_rad : float
         Turn of the camera about its optical axis, clockwise as it looks: pi upside down.
+    pan_sigma_rad : float
+        Error of the measured joint angles, which all of a picture share.
     base_frame, pan_joint, tilt_joint : str
         Names.
 
@@ -266,6 +268,7 @@ class PanTiltMount:
     axis_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
     optical_center_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     camera_roll_rad: float = 0.0
+    pan_sigma_rad: float = 2e-4
     base_frame: str = 'base_link'
     pan_joint: str = 'pan_joint'
     tilt_joint: str = 'tilt_joint'

@@ -16,7 +16,6 @@ from landmark_nav.localization.frozen import FrozenPicture
 from landmark_nav.localization.lateness import in_time, Lateness
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization.narrowing import narrowed
 from landmark_nav.localization.triangulation.gathering import SightingGatherer
 from landmark_nav.localization.triangulation.model import axis_from_base
@@ -107,8 +106,6 @@ class Observer:
         Parameters.
     odometry : OdometryNoiseConfig, optional
         How far odometry is trusted with carrying sightings along.
-    pan_sigma_rad : float
-        What all bearings of a picture share: the error of the measured pan.
 
     """
 
@@ -118,13 +115,11 @@ class Observer:
         mount: PanTiltMount,
         config: ObservationConfig,
         odometry: OdometryNoiseConfig | None = None,
-        pan_sigma_rad: float = 0.0,
     ) -> None:
         self._map, self._mount, self._config = landmark_map, mount, config
         self._detector = AimedDetector(
             landmark_map, mount, config.detection, config.turned_sigma_rad
         )
-        self._search = RelocalizationConfig(pan_sigma_rad=pan_sigma_rad)
         _warn_without_views(landmark_map, config.detection)
         window_s = config.gather_s if config.triplet.views == 'several' else 0.0
         self._vain = 0
@@ -136,7 +131,6 @@ class Observer:
             window_s,
             odometry or OdometryNoiseConfig(),
             config.triangulation,
-            pan_sigma_rad,
         )
 
     @property
@@ -248,7 +242,7 @@ class Observer:
         if self._vain > _EAGER and self._vain % _PATIENT:
             return Refusal('nothing recognised', 'neither in the pictures before')
         aimed = self._detector.aimed(frame)
-        return narrowed(aimed, prior, self._map, self._mount, self._search, self._config)
+        return narrowed(aimed, prior, self._map, self._mount, self._config)
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:
         """Triangulate landmarks that were found elsewhere; what the map lacks is refused."""

@@ -105,9 +105,7 @@ class Localizer:
             landmark_map, mount, config.fusion, config.odometry, config.health
         )
         self._camera = ActiveCamera(landmark_map, mount, config.observation.triplet)
-        self._observer = Observer(
-            landmark_map, mount, config.observation, config.odometry, config.fusion.pan_sigma_rad
-        )
+        self._observer = Observer(landmark_map, mount, config.observation, config.odometry)
         self._gaze = Gaze()
         self._chosen_ns: int | None = None
         self._triplet: Triplet | Refusal = Refusal('no picture')

@@ -51,7 +51,6 @@ class Parameters(ObservationConfig):
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
     map_frame: str = parameter('map', 'frame of triangulation/pose')
     image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
-    pan_sigma_rad: float = parameter(2e-4, 'error of the measured pan, rad', minimum=0.0)
     joint_delay_s: float = parameter(
         0.0,
         'by how much joint_states are stamped later than pictures of the same moment, s; '
@@ -147,9 +146,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._health = Health(Level.LOST, f'landmarks dropped: {error}')
             raise
         landmarks = decode.landmark_map(points, atlas)
-        self._observer = Observer(
-            landmarks, self._mount, config, config.odometry, config.pan_sigma_rad
-        )
+        self._observer = Observer(landmarks, self._mount, config, config.odometry)
         self._search.use(landmarks)
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no picture yet')

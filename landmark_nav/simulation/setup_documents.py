@@ -50,6 +50,8 @@ def robot_document(mount: PanTiltMount) -> str:
     }
     if mount.camera_roll_rad:
         document['camera_roll'] = float(mount.camera_roll_rad)
+    if mount.pan_sigma_rad != PanTiltMount.pan_sigma_rad:
+        document['pan_sigma'] = float(mount.pan_sigma_rad)
     return _yaml(
         'pose of the pan axis in base_link at pan 0 (the camera then looks along +x), and of the\n'
         '# optical centre from the axis, in metres and radians',

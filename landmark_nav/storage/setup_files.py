@@ -37,9 +37,12 @@ _MAX_WALL_M = 1000.0
 # Angles beyond a full turn were written in degrees.
 _FULL_TURN_RAD = 6.2832
 
+# A pan that errs more tells nothing.
+_LARGEST_SIGMA_RAD = 0.1
+
 _ROBOT_FIELDS = (
     *('base_frame', 'pan_joint', 'tilt_joint'),
-    *('pan_axis', 'optical_center_offset', 'camera_roll'),
+    *('pan_axis', 'optical_center_offset', 'camera_roll', 'pan_sigma'),
 )
 
 
@@ -165,12 +168,24 @@ def load_robot(path: Path | str) -> PanTiltMount:
             axis_rpy=_angles(axis, 'rpy', (3,), 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
             optical_center_offset=offset,
             camera_roll_rad=_angles({'camera_roll': 0.0, **document}, 'camera_roll', (), 'robot'),
+            pan_sigma_rad=_sigma(document),
             base_frame=name_field(document, 'base_frame', 'robot', 'base_link'),
             pan_joint=name_field(document, 'pan_joint', 'robot', 'pan_joint'),
             tilt_joint=name_field(document, 'tilt_joint', 'robot', 'tilt_joint'),
         )
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
+
+
+def _sigma(document: dict[str, Any]) -> float:
+    if 'pan_sigma' not in document:
+        return PanTiltMount.pan_sigma_rad
+    sigma = number_field(document, 'pan_sigma', 'robot')
+    if not 0.0 <= sigma <= _LARGEST_SIGMA_RAD:
+        raise LandmarkNavError(
+            f'robot: pan_sigma is {sigma:g}: take 0 to {_LARGEST_SIGMA_RAD:g}; it is in radians'
+        )
+    return sigma
 
 
 def load_camera(path: Path | str) -> CameraModel:

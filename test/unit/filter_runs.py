@@ -13,6 +13,7 @@ from fusion_drives import (
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.types import Detections, LandmarkMap
@@ -30,9 +31,12 @@ EVERY = 4
 
 
 def started(
-    config: FusionConfig | None = None, true_map: LandmarkMap = MAP, offset: npt.ArrayLike = 0.0
+    config: FusionConfig | None = None,
+    true_map: LandmarkMap = MAP,
+    offset: npt.ArrayLike = 0.0,
+    mount: PanTiltMount = MOUNT,
 ) -> PoseFilter:
-    fused = PoseFilter(true_map, MOUNT, config)
+    fused = PoseFilter(true_map, mount, config)
     fused.initialize(start_estimate(offset=offset))
     return fused
 

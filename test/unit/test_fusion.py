@@ -28,9 +28,8 @@ from landmark_nav.types import PoseEstimate
 class TestRecovery:
     @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
     def test_noiseless(self, landmarks: str) -> None:
-        fused = started(
-            FusionConfig(landmarks=landmarks, pan_sigma_rad=1e-7), EXACT, [0.03, -0.02, 0.01]
-        )
+        mount = replace(MOUNT, pan_sigma_rad=1e-7)
+        fused = started(FusionConfig(landmarks=landmarks), EXACT, [0.03, -0.02, 0.01], mount)
         for k, moment in enumerate(drive(40)):
             fused.add_odometry(moment.odometry)
             if k % EVERY == 0:

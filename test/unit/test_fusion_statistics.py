@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.fusion.state import BORESIGHT, HEADING
@@ -34,7 +35,12 @@ RUNS = 40
 
 
 def one_run(
-    seed: int, config: FusionConfig, steps: int = 100, repeated: float = 0.0, stays: bool = False
+    seed: int,
+    config: FusionConfig,
+    steps: int = 100,
+    repeated: float = 0.0,
+    stays: bool = False,
+    mount: PanTiltMount = MOUNT,
 ) -> tuple[float, float, float]:
     """
     NEES at the end, mean squared position error and mean NIS per degree of freedom.
@@ -45,7 +51,7 @@ def one_run(
     rng = np.random.default_rng(seed)
     true_map = landmark_map(14, 1e-5, 1e-5, seed) if stays else landmark_map(14, seed=seed)
     surveyed = as_surveyed(true_map, rng)
-    fused = PoseFilter(surveyed, MOUNT, config, NOISE)
+    fused = PoseFilter(surveyed, mount, config, NOISE)
     fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
     biases = tuple(float(b) for b in rng.normal(0.0, NOISE.bias_sigmas))
     squares, nis, degrees = [], 0.0, 0
@@ -59,7 +65,7 @@ def one_run(
             lasting = kept * lasting + fresh
             first = 0 if stays else int(rng.integers(14))
             places = (first + np.arange(4)) % 14
-            noise = rng.normal(0.0, config.pan_sigma_rad) + lasting[places]
+            noise = rng.normal(0.0, mount.pan_sigma_rad) + lasting[places]
             noise += rng.normal(0.0, np.sqrt(1.0 - repeated) * SIGMA, 4)
             update = fused.add_detections(
                 detections(true_map, truth, moment.odometry.stamp_ns, places, SIGMA, noise)
@@ -77,11 +83,11 @@ def one_run(
 def test_nees_lies_in_its_interval(landmarks: str) -> None:
     config = FusionConfig(
         landmarks=landmarks,
-        pan_sigma_rad=5e-4,
         bearing_probability=0.99999,
         repeated_share=0.0,
     )
-    results = np.array([one_run(seed, config) for seed in range(RUNS)])
+    mount = replace(MOUNT, pan_sigma_rad=5e-4)
+    results = np.array([one_run(seed, config, mount=mount) for seed in range(RUNS)])
     low, high = chi2.ppf([0.025, 0.975], 3 * RUNS) / RUNS
     assert low < results[:, 0].mean() < high
     assert results[:, 2].mean() == pytest.approx(1.0, abs=0.2)
@@ -111,7 +117,7 @@ def learning_run(
         if k % 4 == 0:
             places = (int(rng.integers(14)) + np.arange(count)) % 14
             noise = sightings * rng.normal(0.0, claimed, count)
-            noise += rng.normal(0.0, FusionConfig().pan_sigma_rad)
+            noise += rng.normal(0.0, MOUNT.pan_sigma_rad)
             stamp = moment.odometry.stamp_ns
             fused.add_detections(detections(true_map, moment.pose, stamp, places, claimed, noise))
     error, final = error_of(fused.estimate(), moment.pose), fused.estimate()
@@ -163,7 +169,7 @@ def test_a_few_lucky_sightings_claim_little() -> None:
 def test_a_slip_of_the_wheels_is_not_taken_for_a_knock(sigmas: float, knocked: bool) -> None:
     """All bearings are off by one angle: a little more than wheels err, or far more."""
     exact = landmark_map(14, shared=1e-5, own=1e-4)
-    fused = PoseFilter(exact, MOUNT, FusionConfig(pan_sigma_rad=1e-5), NOISE.scaled(1.0, 1.0))
+    fused = PoseFilter(exact, replace(MOUNT, pan_sigma_rad=1e-5), odometry=NOISE.scaled(1.0, 1.0))
     fused.initialize(start_estimate())
     places = np.arange(8)
     *moments, last = drive(60)
@@ -245,7 +251,7 @@ def test_repeated_sightings_never_claim_more_than_the_map() -> None:
     """What any number of perfect bearings from one place leaves open is the map's error."""
     true_map = landmark_map(6)
     still = OdometryNoiseConfig(floor_m_per_sqrt_s=0.0, floor_rad_per_sqrt_s=0.0)
-    fused = PoseFilter(true_map, MOUNT, FusionConfig(pan_sigma_rad=0.0), still)
+    fused = PoseFilter(true_map, replace(MOUNT, pan_sigma_rad=0.0), odometry=still)
     fused.initialize(start_estimate(sigmas=np.array([0.3, 0.3, 0.2])))
     for moment in drive(0):
         fused.add_odometry(moment.odometry)

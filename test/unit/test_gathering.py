@@ -97,8 +97,9 @@ def test_bearings_of_one_picture_share_the_error_of_its_pan() -> None:
     ids, pose = [0, 3, 5, 8], PoseEstimate(0, START, np.diag([0.1, 0.1, 0.05]) ** 2)
     fixes = []
     for pan_sigma in (0.0, 2e-3):
+        mount = replace(MOUNT, pan_sigma_rad=pan_sigma)
         gatherer = SightingGatherer(
-            LANDMARKS, MOUNT, 0.0, OdometryNoiseConfig(), TriangulationConfig(), pan_sigma
+            LANDMARKS, mount, 0.0, OdometryNoiseConfig(), TriangulationConfig()
         )
         bearing = sighted(START, ids, LANDMARKS.positions[:, :2])
         gatherer.add(picture(0, ids, bearing, 1e-4))
@@ -158,7 +159,7 @@ def test_what_is_open_of_the_pan_is_open_of_the_heading_alone() -> None:
     fixes = []
     for pan_sigma in (0.0, off):
         gatherer = SightingGatherer(
-            LANDMARKS, MOUNT, 0.0, OdometryNoiseConfig(), TriangulationConfig(), 2e-4
+            LANDMARKS, MOUNT, 0.0, OdometryNoiseConfig(), TriangulationConfig()
         )
         found = picture(0, [0, 3, 5, 8], exact + off, 1e-3)
         gatherer.add(replace(found, pan_sigma_rad=pan_sigma))

@@ -199,13 +199,13 @@ def sighting(stamp, variance):
 
 
 def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
-    fusion = FusionConfig(pan_sigma_rad=0.0, repeated_share=0.0)
+    fusion = FusionConfig(repeated_share=0.0)
     config = LocalizationConfig(fusion=fusion, odometry=silent_odometry())
     pose = np.array([0.3, -0.2, 0.5])
     truth = PoseTrack.of([(k * SECOND // 10, pose) for k in range(times * 10)])
     prior = np.diag([0.1**2, 0.2**2, 0.1**2])
     sightings = [sighting(k * SECOND, 1e-6) for k in range(times)]
-    mount = PanTiltMount(axis_xyz=(lever, 0.0, 1.0))
+    mount = PanTiltMount(axis_xyz=(lever, 0.0, 1.0), pan_sigma_rad=0.0)
     start = PoseEstimate(0, pose + 0.1, prior)
     return (
         pose,

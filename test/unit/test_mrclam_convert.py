@@ -97,9 +97,11 @@ def test_evaluated_smoothed_and_exported(
 ) -> None:
     start = json.loads(converted.with_name('run_start.json').read_text())['pose']
     config = tmp_path / 'config.yaml'
-    config.write_text('fusion: {pan_sigma_rad: 0.003, boresight_sigma_rad: 0.01}\n')
+    config.write_text('fusion: {boresight_sigma_rad: 0.01}\n')
     arguments = ['evaluate', str(converted), '--map', f'{converted}_map', '--robot']
-    arguments += [f'{converted}_robot.yaml', '--start', *map(str, start), '--smooth']
+    robot = tmp_path / 'robot.yaml'
+    robot.write_text('pan_axis: {xyz: [0, 0, 0]}\npan_sigma: 0.003\n')
+    arguments += [str(robot), '--start', *map(str, start), '--smooth']
     arguments += ['--config', str(config), '--tum', str(tmp_path / 'tum')]
     arguments += ['--report', str(tmp_path / 'run.html')]
     assert main([*arguments, '--json', str(tmp_path / 'run.json')]) == 0

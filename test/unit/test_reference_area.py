@@ -60,7 +60,7 @@ def test_noise_and_papers_that_hang_askew_stay_within_the_covariance() -> None:
             rng,
             rise_m=rise,
             towards=CORNER,
-            pan_sigma_rad=CONFIG.pan_sigma_rad,
+            pan_sigma_rad=MOUNT.pan_sigma_rad,
         )
         place = locate(sweep, room)
         height_error = place.height_m - MOUNT.axis_xyz[2] - rise

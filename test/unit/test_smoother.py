@@ -32,9 +32,9 @@ from landmark_nav.types import (
 
 BEGIN_NS = 7_000_000_000_000
 STEP_NS = 50_000_000
-MOUNT = PanTiltMount(axis_xyz=(0.1, 0.02, 1.0))
+MOUNT = PanTiltMount(axis_xyz=(0.1, 0.02, 1.0), pan_sigma_rad=2e-3)
 NOISE = OdometryNoiseConfig(slip_sigma=0.0, floor_m_per_sqrt_s=0.002, floor_rad_per_sqrt_s=0.002)
-FUSION = FusionConfig(pan_sigma_rad=2e-3, boresight_sigma_rad=0.02, repeated_share=0.6)
+FUSION = FusionConfig(boresight_sigma_rad=0.02, repeated_share=0.6)
 SIGMA = 2e-3
 START = np.diag([0.05, 0.05, 0.03]) ** 2
 MAP_SIGMA = 0.01
@@ -90,7 +90,7 @@ class Drive:
         kept, share = np.exp(-0.2 / FUSION.repeat_length_m), FUSION.repeated_share
         self._repeated = kept * self._repeated + np.sqrt(1.0 - kept**2) * rng.normal(size=6)
         alone = np.sqrt(share) * self._repeated + np.sqrt(1.0 - share) * rng.normal(size=6)
-        bearing += noise * (rng.normal() * FUSION.pan_sigma_rad + SIGMA * alone)
+        bearing += noise * (rng.normal() * MOUNT.pan_sigma_rad + SIGMA * alone)
         view = rng.permutation(6)[:3]
         return Detections(
             BEGIN_NS + k * STEP_NS,

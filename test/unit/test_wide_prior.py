@@ -12,7 +12,6 @@ from scenes import draw_frame, textured_room
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
-from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization.narrowing import narrowed
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
@@ -73,7 +72,7 @@ def test_another_room_or_a_dark_picture_shows_nothing() -> None:
         draw_frame(other, LENS, MOUNT, TRUTH, -0.2),
         replace(FRAME, image=np.zeros_like(FRAME.image)),
     ):
-        place = narrowed(frame, wide, MAP, MOUNT, RelocalizationConfig(), LookingConfig())
+        place = narrowed(frame, wide, MAP, MOUNT, LookingConfig())
         assert isinstance(place, Refusal)
         assert place.reason == 'nothing recognised'
         assert not len(look(wide, frame).detections)
@@ -99,9 +98,7 @@ def test_a_place_is_told_as_well_as_its_covariance_says() -> None:
         truth = START + rng.uniform((0.2, 0.2, -0.2), (1.0, 1.0, 0.2))
         sigma = np.array([0.4, 0.4, 0.15])
         wide = told(sigma * rng.normal(size=3), sigma, truth)
-        place = narrowed(
-            picture(truth, 0.0, rng), wide, MAP, MOUNT, RelocalizationConfig(), LookingConfig()
-        )
+        place = narrowed(picture(truth, 0.0, rng), wide, MAP, MOUNT, LookingConfig())
         assert isinstance(place, PoseEstimate), str(place)
         error = place.pose - truth
         squares.append(error @ np.linalg.solve(place.covariance, error))
@@ -118,11 +115,10 @@ def test_two_places_that_the_prior_allows_are_none() -> None:
         for k in east
     ]
     wide = told(np.array([0.0, 0.3, 0.0]), np.array([0.3, 0.5, 0.1]))
-    config = RelocalizationConfig()
     assert isinstance(
-        narrowed(FRAME, wide, LandmarkMap(tuple(east)), MOUNT, config, LookingConfig()),
+        narrowed(FRAME, wide, LandmarkMap(tuple(east)), MOUNT, LookingConfig()),
         PoseEstimate,
     )
-    place = narrowed(FRAME, wide, LandmarkMap(tuple(east + again)), MOUNT, config, LookingConfig())
+    place = narrowed(FRAME, wide, LandmarkMap(tuple(east + again)), MOUNT, LookingConfig())
     assert isinstance(place, Refusal)
     assert place.reason == 'not unique'

@@ -28,6 +28,3 @@ class ReferenceAreaConfig(Config):
     paper_size_sigma: float = parameter(
         0.002, 'standard deviation of the size of papers, a share', minimum=1e-5, maximum=0.1
     )
-    pan_sigma_rad: float = parameter(
-        2e-4, 'standard deviation of the joint angles of a frame', minimum=0, maximum=0.1
-    )

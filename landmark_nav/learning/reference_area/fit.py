@@ -119,6 +119,7 @@ class PaperFitter:
         self, sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
     ) -> None:
         self._frames, self._room, self._config = sweep.frames, room, config
+        self._pan_sigma_rad = mount.pan_sigma_rad
         self._model = PaperModel(sweep, room, mount, _PARTS * PROFILES)
         self._hues = [hue_direction(paper.color) for paper in room.papers]
 
@@ -136,7 +137,7 @@ class PaperFitter:
         """
         state = self._model.start(pose_map_base)
         state[RISE] = rise_m
-        angle_sigma = np.full(2, self._config.pan_sigma_rad)
+        angle_sigma = np.full(2, self._pan_sigma_rad)
         fit = None
         for reach, doubts in zip(_SEARCH_PX, _DOUBTS, strict=True):
             measured = self._measure(state, frames_per_paper, reach)
@@ -274,7 +275,7 @@ class PaperFitter:
         # The sweep itself tells how exact its joint angles are (expectation maximization).
         used = np.unique(m.frame)
         left_over = model.angles(state)[used] ** 2 + model.angles(np.diag(covariance))[used]
-        trusted = _TRUSTED_FRAMES * self._config.pan_sigma_rad**2
+        trusted = _TRUSTED_FRAMES * self._pan_sigma_rad**2
         spread = (trusted + left_over.sum(axis=0)) / (_TRUSTED_FRAMES + len(used))
         return state, np.sqrt(spread), fit
 

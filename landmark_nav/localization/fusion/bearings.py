@@ -64,6 +64,7 @@ def bearing_frame(
     detections: Detections,
     columns: Mapping[int, int],
     config: FusionConfig,
+    pan_sigma_rad: float = 0.0,
     scores_before: npt.ArrayLike = (),
 ) -> BearingFrame:
     """
@@ -104,7 +105,7 @@ def bearing_frame(
         np.array([columns[k] for k in chosen], dtype=np.intp),
         detections.bearing_rad[rows],
         variance[rows],
-        config.pan_sigma_rad**2 + detections.pan_sigma_rad**2,
+        pan_sigma_rad**2 + detections.pan_sigma_rad**2,
         unusable,
         detections.score[rows],
         config,

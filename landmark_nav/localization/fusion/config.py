@@ -30,9 +30,6 @@ class FusionConfig(Config):
     pose_probability: float = parameter(
         0.99, 'Chi-square level of the gate for poses.', minimum=0.5, maximum=1.0
     )
-    pan_sigma_rad: float = parameter(
-        2e-4, 'Error of the pan angle, common to one picture, rad.', minimum=0.0, maximum=1.0
-    )
     repeated_share: float = parameter(
         0.35,
         "Share of a sighting's variance that those of the same landmark repeat until the robot "

@@ -83,6 +83,7 @@ class PoseFilter:
     ) -> None:
         """Wait for `initialize`."""
         self._lever = np.asarray(mount.axis_xyz[:2], dtype=np.float64)
+        self._pan_sigma_rad = mount.pan_sigma_rad
         self._config = config or FusionConfig()
         self._odometry = odometry or OdometryNoiseConfig()
         self._history = History(self._odometry, self._config.history_s)
@@ -202,7 +203,9 @@ class PoseFilter:
     def add_detections(self, detections: Detections) -> FusionUpdate:
         """Correct by the bearings of one picture, at its time."""
         stamp = detections.stamp_ns
-        frame = bearing_frame(detections, self._columns, self._config, self._scores)
+        frame = bearing_frame(
+            detections, self._columns, self._config, self._pan_sigma_rad, self._scores
+        )
         if (refusal := self._untimely(stamp)) is not None:
             self._health.note(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)

@@ -32,10 +32,3 @@ class RelocalizationConfig(Config):
     max_sigma_rad: float = parameter(
         0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
     )
-    slip: float = parameter(
-        0.04, 'share of way and turn that odometry may be wrong by', minimum=0.0, maximum=1.0
-    )
-    candidates: int = parameter(4, 'places that are looked at closely', minimum=2, maximum=100)
-    pan_sigma_rad: float = parameter(
-        2e-4, 'error of the measured pan, rad', minimum=0.0, maximum=0.1
-    )

@@ -16,7 +16,6 @@ from scipy.special import chdtri
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.looking import LookingConfig
-from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.hypotheses import propose
 from landmark_nav.localization.relocalization.search import best_place, verified_places
 from landmark_nav.localization.relocalization.sightings import find_sightings
@@ -36,7 +35,6 @@ def narrowed(
     prior: PoseEstimate,
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
-    config: RelocalizationConfig,
     looking: LookingConfig,
 ) -> PoseEstimate | Refusal:
     """
@@ -52,7 +50,7 @@ def narrowed(
         What was learned.
     mount : PanTiltMount
         Where the camera turns.
-    config, looking : RelocalizationConfig, LookingConfig
+    looking : LookingConfig
         Parameters.
 
     Returns
@@ -68,8 +66,8 @@ def narrowed(
     offset = poses - prior.pose
     offset[:, 2] = wrap_rad(offset[:, 2])
     distance = np.sum(offset * np.linalg.solve(covariance, offset.T).T, axis=1)
-    allowed = poses[distance < chdtri(3, _EXCLUDED)][: config.candidates]
+    allowed = poses[distance < chdtri(3, _EXCLUDED)]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
-    places = verified_places(allowed, still, landmark_map, mount, config, looking)
+    places = verified_places(allowed, still, landmark_map, mount, looking)
     best = best_place(places, len(allowed))
     return best if isinstance(best, Refusal) else best.estimate

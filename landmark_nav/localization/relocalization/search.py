@@ -37,6 +37,8 @@ __all__ = [
 _MIN_FOUND_SHARE = 0.4
 # Most that another place may have, of the landmarks of the best.
 _MAX_RIVAL_SHARE = 0.5
+# So many proposed places are looked at closely.
+_CANDIDATES = 4
 # So many landmarks at a place are no chance.
 _TELLING = 4
 # Least angle that the landmarks found span.
@@ -93,9 +95,7 @@ def locate(
     proposed = propose(Sightings.joined(moved), landmark_map)
     if not len(proposed.poses):
         return Refusal('nothing recognised', 'no two sightings agree on a place')
-    places = verified_places(
-        proposed.poses[: config.candidates], carried, landmark_map, mount, config, looking
-    )
+    places = verified_places(proposed.poses, carried, landmark_map, mount, looking)
     return _judged(best_place(places, len(proposed.poses)), config)
 
 
@@ -104,13 +104,12 @@ def verified_places(
     carried: CarriedFrames,
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
-    config: RelocalizationConfig,
     looking: LookingConfig,
 ) -> list[Verification]:
-    """Different places that hold of those proposed, (n, 3), the one with most landmarks first."""
+    """Different places that hold of the first proposed, (n, 3); with most landmarks first."""
     places: list[Verification] = []
-    for pose in poses:
-        outcome = verify(pose, carried, landmark_map, mount, looking, config.pan_sigma_rad)
+    for pose in poses[:_CANDIDATES]:
+        outcome = verify(pose, carried, landmark_map, mount, looking)
         if isinstance(outcome, Verification) and not _known(outcome, places):
             places.append(outcome)
     return sorted(places, key=lambda place: -len(place.ids))

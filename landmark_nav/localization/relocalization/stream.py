@@ -42,6 +42,8 @@ _MAX_FRAMES = 30
 _DELAY_SIGMA_S = 0.1
 # Odometry older by this is not late: the clock was set back.
 _CLOCK_STEP_NS = 2 * 10**9
+# Share of way and turn that wheels may be wrong by.
+_SLIP = 0.04
 
 
 class _Glimpse(NamedTuple):
@@ -198,5 +200,5 @@ class Relocalizer:
     def _variances(self, motion: Motion) -> FloatArray:
         """Of a motion by wheels that nothing has calibrated yet: they err by a share, too."""
         way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
-        share = self._config.slip * np.array([way, way, turn])
+        share = _SLIP * np.array([way, way, turn])
         return np.asarray(motion_variances(motion, self._odometry) + share**2)

@@ -73,7 +73,6 @@ def verify(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     looking: LookingConfig,
-    pan_sigma_rad: float,
 ) -> Verification | Refusal:
     """
     Look for all landmarks that a pose lets expect, and triangulate from those found.
@@ -88,8 +87,6 @@ def verify(
         What was learned, where the camera turns.
     looking : LookingConfig
         Parameters of the stages.
-    pan_sigma_rad : float
-        Error of the measured pan.
 
     Returns
     -------
@@ -100,9 +97,7 @@ def verify(
     for sigmas in _SIGMAS:
         prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
         found, expected = _look(prior, carried, landmark_map, mount, looking)
-        fix = _solve(
-            found, prior, carried, landmark_map, mount, looking.triangulation, pan_sigma_rad
-        )
+        fix = _solve(found, prior, carried, landmark_map, mount, looking.triangulation)
         if isinstance(fix, Refusal):
             return fix
         estimate = base_from_axis(fix.at(carried.stamp_ns), mount)
@@ -175,7 +170,6 @@ def _solve(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: TriangulationConfig,
-    pan_sigma_rad: float,
 ) -> Fix | Refusal:
     """
     Triangulate the pan axis at the last picture from bearings taken from everywhere.
@@ -196,7 +190,7 @@ def _solve(
         fix = triangulate(
             position - moved[:, :2] @ se2.rotation(heading).T,
             wrap_rad(found.bearing + moved[:, 2]),
-            found.variance + pan_sigma_rad**2,
+            found.variance + mount.pan_sigma_rad**2,
             covariance,
             start=start,
             config=config,

@@ -129,7 +129,7 @@ def smooth(
         landmark_map,
         np.asarray(mount.axis_xyz[:2], dtype=np.float64),
         np.array([*wheels, fusion.boresight_sigma_rad, fusion.principal_point_sigma]),
-        fusion.pan_sigma_rad,
+        mount.pan_sigma_rad,
         fusion.repeated_share,
         fusion.repeat_length_m,
         _ROBUST_SIGMAS,

@@ -64,8 +64,6 @@ class SightingGatherer:
         For how long a sighting counts; 0 leaves those of the last picture.
     odometry, triangulation : OdometryNoiseConfig, TriangulationConfig
         Parameters.
-    pan_sigma_rad : float
-        What all bearings of a picture share: the error of the measured pan.
 
     """
 
@@ -76,13 +74,12 @@ class SightingGatherer:
         window_s: float,
         odometry: OdometryNoiseConfig,
         triangulation: TriangulationConfig,
-        pan_sigma_rad: float = 0.0,
     ) -> None:
         self._map, self._mount = landmark_map, mount
         self._lever = np.asarray(mount.axis_xyz[:2], dtype=np.float64)
         self._window_ns = int(1e9 * window_s)
         self._odometry, self._triangulation = odometry, triangulation
-        self._pan_variance = pan_sigma_rad**2
+        self._pan_variance = mount.pan_sigma_rad**2
         self._track = OdometryTrack(odometry)
         self._sightings: dict[int, _Sighting] = {}
 
