@@ -40,6 +40,9 @@ _AGREE = 3
 # After so many pictures in a row that showed no place near the expected one each so many-th is
 # searched for it: that takes a tenth of a second.
 _EAGER, _PATIENT = 5, 3
+# Sigmas of the expected pose, position (root of the trace) and heading, from which on landmarks
+# may look as they do from anywhere within them.
+_WIDE_M, _WIDE_RAD = 0.1, 0.05
 _IN_TIME = Lateness()
 _FROZEN = Refusal('picture is the one before', 'though the camera has moved: it hangs')
 
@@ -55,15 +58,6 @@ class ObservationConfig(LookingConfig):
         'not, rad.',
         minimum=0.0,
         maximum=1.0,
-    )
-    wide_sigma_m: float = parameter(
-        0.1,
-        'Position sigma (root of the trace) of the expected pose from which landmarks are looked '
-        'for as they may look from anywhere within it, m.',
-        minimum=0.01,
-    )
-    wide_sigma_rad: float = parameter(
-        0.05, 'Heading sigma from which that is done, rad.', minimum=0.005
     )
     gather_s: float = parameter(
         5.0,
@@ -183,7 +177,7 @@ class Observer:
             return Observation(_nothing(frame.stamp_ns), {}, _FROZEN, unusable=True)
         config = self._config
         frame, pan_sigma = in_time(frame, late)
-        looked_from, wide = prior, self._is_wide(prior)
+        looked_from, wide = prior, _is_wide(prior)
         if wide:
             place = self._narrowed(frame, prior)
             looked_from = prior if isinstance(place, Refusal) else place
@@ -231,12 +225,6 @@ class Observer:
         )
         return Observation(found, refused, self._fix(found, prior, triplet))
 
-    def _is_wide(self, prior: PoseEstimate) -> bool:
-        """Whether landmarks may look otherwise than from the expected pose."""
-        x, y, heading = prior.covariance.diagonal().tolist()
-        config = self._config
-        return bool(x + y > config.wide_sigma_m**2 or heading > config.wide_sigma_rad**2)
-
     def _narrowed(self, frame: CameraFrame, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """The place near the expected one that a picture shows; now and then if it is in vain."""
         if self._vain > _EAGER and self._vain % _PATIENT:
@@ -261,6 +249,12 @@ class Observer:
                 names = ', '.join(map(str, missing))
                 return Refusal('the triplet is not complete', f'{names} still to be found')
         return self._gatherer.fix(prior)
+
+
+def _is_wide(prior: PoseEstimate) -> bool:
+    """Whether landmarks may look otherwise than from the expected pose."""
+    x, y, heading = prior.covariance.diagonal().tolist()
+    return bool(x + y > _WIDE_M**2 or heading > _WIDE_RAD**2)
 
 
 def _nothing(stamp_ns: int) -> Detections:

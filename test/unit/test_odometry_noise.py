@@ -16,7 +16,7 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
     twist_motion,
 )
-from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.odometry.track import HORIZON_S, OdometryTrack
 from landmark_nav.types import OdometrySample
 
 CONFIG = OdometryNoiseConfig()
@@ -66,9 +66,9 @@ class TestTrack:
         np.testing.assert_allclose(motion.increment, twist_motion(SPEED, RATE, 0.1), atol=1e-9)
         later = track.motion(1_000_000_000, 4_000_000_000)
         np.testing.assert_allclose(
-            later.increment, twist_motion(SPEED, RATE, CONFIG.horizon_s), atol=1e-9
+            later.increment, twist_motion(SPEED, RATE, HORIZON_S), atol=1e-9
         )
-        assert later.blind_seconds == pytest.approx(3.0 - CONFIG.horizon_s)
+        assert later.blind_seconds == pytest.approx(3.0 - HORIZON_S)
 
     def test_before_the_first_sample_its_twist_leads_back_and_then_nothing_is_known(self) -> None:
         track, whole = OdometryTrack(CONFIG), circle_track(until=2.0)
@@ -79,7 +79,7 @@ class TestTrack:
         assert near.blind_seconds == 0.0
         assert near.ahead_s4 == pytest.approx(0.15**4)
         assert known.ahead_s4 == 0.0
-        assert track.motion(0, 1_500_000_000).blind_seconds == pytest.approx(1 - CONFIG.horizon_s)
+        assert track.motion(0, 1_500_000_000).blind_seconds == pytest.approx(1 - HORIZON_S)
         assert track.motion(0, 500_000_000).blind_seconds == pytest.approx(0.5)
 
     def test_nothing_is_known_without_odometry(self) -> None:
@@ -128,7 +128,7 @@ class TestTrack:
             (0.5, 2.0, 0.5, 1.22),
             (1.5, 5.0, 0.0, 0.5),
             (2.0, 500.0, 0.0, 0.0),
-            (500.0, 700.0, 0.0, 100.0 - CONFIG.horizon_s),
+            (500.0, 700.0, 0.0, 100.0 - HORIZON_S),
         ]:
             motion = track.motion(round(1e9 * begin), round(1e9 * end))
             assert motion.blind_seconds == pytest.approx(blind)

@@ -24,6 +24,7 @@ from landmark_nav.learning.attention import (
     AttentionMaps,
     FEATURES,
 )
+from landmark_nav.learning.attention.maps import CENTER_SIGMA_PX, SURROUND_SIGMA_PX
 from landmark_nav.types import Candidate, Panorama, Refusal
 
 __all__ = ['draw_attention', 'draw_features_alone']
@@ -82,7 +83,7 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
     text = (
         f'Figure 4. Extraction of candidate landmarks: maps of {", ".join(map(_title, names))}; '
         'the difference of Gaussians between what is at a place and around it (sigma '
-        f'{config.center_sigma_px:g} and {config.surround_sigma_px:g} px); their weighted mean, '
+        f'{CENTER_SIGMA_PX:g} and {SURROUND_SIGMA_PX:g} px); their weighted mean, '
         'from which a winner-take-all selects over positions and sizes of '
         f'{config.size_min_px} to {config.size_max_px} px. {len(attended.candidates)} candidates '
         f'in this panorama, {len(found)} in this part; {_refusals(attended.refused)}. Below: the '

@@ -57,12 +57,6 @@ class AttentionConfig(Config):
     edge_high: float = parameter(
         10.0, 'gradient at which an edge starts, grey levels per px', minimum=0.5, maximum=100
     )
-    center_sigma_px: float = parameter(
-        4.0, 'centre of the difference of Gaussians, px', minimum=2, maximum=32
-    )
-    surround_sigma_px: float = parameter(
-        16.0, 'surround of the difference of Gaussians, px', minimum=4, maximum=64
-    )
     size_min_px: int = parameter(28, 'least width and height of a patch, px', minimum=12)
     size_max_px: int = parameter(32, 'largest width and height of a patch, px', maximum=128)
     size_step_px: int = parameter(2, 'step between sizes, px', minimum=1)
@@ -70,10 +64,6 @@ class AttentionConfig(Config):
     least_response: float = parameter(
         0.1, 'stop where the response falls below this share of the first', minimum=0, maximum=1
     )
-    inhibition: float = parameter(
-        1.25, 'area that is inhibited after attending, in patch widths', minimum=1, maximum=4
-    )
-    sector_deg: float = parameter(20.0, 'width of a sector of azimuth', minimum=1, maximum=360)
     candidates_per_sector: int = parameter(12, 'patches per sector at most', minimum=1)
     neighborhood_columns_px: int = parameter(
         60, 'how far to either side a patch may be mistaken', minimum=8, maximum=400
@@ -87,9 +77,6 @@ class AttentionConfig(Config):
     noise_gray: float = parameter(
         3.0, 'noise of one frame, standard deviation in grey levels', minimum=0.1, maximum=50
     )
-    bearing_sigma_max_px: float = parameter(
-        0.05, 'largest predicted noise of a match along the row, px', minimum=0.01, maximum=2
-    )
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -97,7 +84,6 @@ class AttentionConfig(Config):
         if not any(self.weights.values()):
             raise LandmarkNavError('all weights of AttentionConfig are 0: raise at least one')
         check_order(self, 'edge_low', 'edge_high')
-        check_order(self, 'center_sigma_px', 'surround_sigma_px')
         check_order(self, 'size_min_px', 'size_max_px')
 
     @property

@@ -12,6 +12,8 @@ __all__ = ['refusal']
 
 # A neighbour closer than this share of the patch is the patch itself, merely shifted.
 _SAME_PLACE = 0.25
+# Largest predicted noise of a match along the row, px.
+_MOST_BEARING_SIGMA_PX = 0.05
 # Standard deviation of the Gaussian before gradients are taken, px.
 _SMOOTHING_PX = 1.0
 
@@ -31,7 +33,7 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     window, column, row = _neighborhood(candidate, gray, config)
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]
     sigma_px = _bearing_sigma_px(patch, config.noise_gray)
-    if sigma_px > config.bearing_sigma_max_px:
+    if sigma_px > _MOST_BEARING_SIGMA_PX:
         found = f'a match would vary by {sigma_px:.2f} px' if np.isfinite(sigma_px) else 'noise'
         return Refusal('too little contrast along the row', found)
     score = cv2.matchTemplate(window, np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)

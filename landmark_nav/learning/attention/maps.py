@@ -26,7 +26,10 @@ from landmark_nav.learning.attention.symmetry import (
 )
 from landmark_nav.types import ImageArray
 
-__all__ = ['AttentionMaps', 'attention_maps']
+__all__ = ['CENTER_SIGMA_PX', 'SURROUND_SIGMA_PX', 'AttentionMaps', 'attention_maps']
+
+# Difference of Gaussians between what is at a place and around it, px of the panorama.
+CENTER_SIGMA_PX, SURROUND_SIGMA_PX = 4.0, 16.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +61,12 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     weights = {name: weight for name, weight in config.weights.items() if weight > 0.0}
     height, width = panorama_gray.shape
     # Even sizes, so that half resolution is exact; the surround reaches three sigma.
-    side = 2 * int(np.ceil(1.5 * config.surround_sigma_px)) + 2 * 16
+    side = 2 * int(np.ceil(1.5 * SURROUND_SIGMA_PX)) + 2 * 16
     columns = np.arange(-side, width + side + width % 2) % width
     padded = panorama_gray.take(columns, axis=1)
     padded = cv2.copyMakeBorder(padded, 0, height % 2, 0, 0, cv2.BORDER_REPLICATE)
     features = _feature_maps(padded, config, list(weights), side)
-    sigmas = config.center_sigma_px / 2.0, config.surround_sigma_px / 2.0
+    sigmas = CENTER_SIGMA_PX / 2.0, SURROUND_SIGMA_PX / 2.0
     conspicuities = {name: conspicuity_map(m, *sigmas, side // 2) for name, m in features.items()}
     fused = fuse(conspicuities, weights)
     full = cv2.resize(fused, padded.shape[::-1], interpolation=cv2.INTER_LINEAR)

@@ -24,6 +24,10 @@ Examine = Callable[[Candidate], 'Refusal | None']
 
 # Distance between units in the layers of the pyramid, top first, px.
 _PITCHES_PX = (4, 2, 1)
+# Sectors of azimuth, each of which has so many candidates at most.
+_SECTORS = 18
+# Area that is inhibited after attending, in patch widths.
+_INHIBITION = 1.25
 # A unit that sees an uncovered pixel loses against any other.
 _FORBIDDEN = np.float32(-1e4)
 # Among equal means the larger field wins, but one that dilutes its content does not.
@@ -57,8 +61,7 @@ def select(
 
     """
     width = saliency.shape[1]
-    sectors = max(1, round(360.0 / config.sector_deg))
-    taken = np.zeros(sectors, dtype=int)
+    taken = np.zeros(_SECTORS, dtype=int)
     units = _Units(saliency, covered, config)
     accepted: list[Candidate] = []
     refused: list[tuple[Candidate, Refusal]] = []
@@ -69,7 +72,7 @@ def select(
             break
         winner = units.narrow(row, column)
         units.inhibit(winner)
-        sector = int((winner.column + 0.5) * sectors / width) % sectors
+        sector = int((winner.column + 0.5) * _SECTORS / width) % _SECTORS
         if taken[sector] >= config.candidates_per_sector:
             continue
         refusal = examine(winner)
@@ -79,7 +82,7 @@ def select(
         accepted.append(winner)
         taken[sector] += 1
         if taken[sector] == config.candidates_per_sector:
-            units.close(sector / sectors, (sector + 1) / sectors)
+            units.close(sector / _SECTORS, (sector + 1) / _SECTORS)
     return tuple(accepted), tuple(refused)
 
 
@@ -94,7 +97,6 @@ class _Units:
         self._gains = [
             (w * h) ** (_SIZE_EXPONENT - 1.0) / sizes[-1] ** 0.5 for w, h in self._fields
         ]
-        self._inhibition = config.inhibition
         self._reach = sizes[-1] // 2 + 1
         self._border = self._reach + 2 * _PITCHES_PX[0]
         self._height, self._width = saliency.shape
@@ -136,8 +138,8 @@ class _Units:
 
     def inhibit(self, attended: Candidate) -> None:
         """Take the attended area out of the map and let the units that saw it respond anew."""
-        half_width = 0.5 * self._inhibition * attended.width_px
-        half_height = 0.5 * self._inhibition * attended.height_px
+        half_width = 0.5 * _INHIBITION * attended.width_px
+        half_height = 0.5 * _INHIBITION * attended.height_px
         away = self._columns_away(np.arange(self._width), attended.column)
         columns = np.flatnonzero(np.abs(away) <= half_width)
         first = max(0, int(np.ceil(attended.row - half_height))) + self._border

@@ -27,9 +27,6 @@ class FusionConfig(Config):
     bearing_probability: float = parameter(
         0.999, 'Chi-square level of the gates for bearings.', minimum=0.5, maximum=1.0
     )
-    pose_probability: float = parameter(
-        0.99, 'Chi-square level of the gate for poses.', minimum=0.5, maximum=1.0
-    )
     repeated_share: float = parameter(
         0.35,
         "Share of a sighting's variance that those of the same landmark repeat until the robot "
@@ -97,16 +94,4 @@ class HealthConfig(Config):
     )
     lost_sigma_rad: float = parameter(
         0.5, 'Heading sigma above which the filter is lost, rad.', minimum=0.0
-    )
-    nis_window: int = parameter(
-        10, 'Accepted measurements whose innovations are judged together.', minimum=1, maximum=1000
-    )
-    nis_correlation: float = parameter(
-        5.0,
-        'How many measurements in a row repeat one error: the same landmarks, the same map.',
-        minimum=1.0,
-        maximum=1000.0,
-    )
-    nis_probability: float = parameter(
-        0.999, 'Chi-square level of that window.', minimum=0.5, maximum=1.0
     )

@@ -23,6 +23,9 @@ _AGREE = 3
 _SURE_SCORE = 0.95
 # Pictures in a row that show nothing of what they should, and the level of gates from then on.
 _IN_VAIN, _DOUBTFUL_LEVEL = 3, 0.95
+# So many measurements are judged together by their innovations, at this chi-square level; so many
+# in a row repeat one error: the same landmarks, the same map.
+_NIS_WINDOW, _NIS_LEVEL, _NIS_REPEATS = 10, 0.999, 5.0
 # Measurements accepted in a row until no longer lost.
 _FOUND_AFTER_ACCEPTANCES = 3
 # Share of what should be in a picture that has to be found for it to be used; and to be no longer
@@ -70,7 +73,7 @@ class Health:
         self._acceptances = 0
         self._astray: str = ''
         self._last_refusal: str = ''
-        self._window: deque[tuple[float, int]] = deque(maxlen=config.nis_window)
+        self._window: deque[tuple[float, int]] = deque(maxlen=_NIS_WINDOW)
         self._views: deque[_View] = deque()
         self._doubts = 0
         self._trouble = _Trouble(-(10**18), 0.0, '')
@@ -224,9 +227,9 @@ class Health:
     def _innovations(self) -> tuple[float, float]:
         """NIS of the last measurements together, and what it may be."""
         nis, degrees = np.sum(self._window, axis=0)
-        repeats = min(self._config.nis_correlation, len(self._window))
-        level = 1.0 - self._config.nis_probability
-        return float(nis), repeats * float(chdtri(max(degrees / repeats, 1.0), level))
+        repeats = min(_NIS_REPEATS, len(self._window))
+        limit = float(chdtri(max(degrees / repeats, 1.0), 1.0 - _NIS_LEVEL))
+        return float(nis), repeats * limit
 
     def status(
         self, estimate: PoseEstimate | None, odometry_ns: int | None = None

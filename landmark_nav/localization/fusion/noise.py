@@ -29,6 +29,8 @@ WHEELS, SLIP, SIGHTING = range(LEARNED)
 # All the rest: the map, where the robot started.
 _REST = LEARNED
 _COMPONENTS = LEARNED + 1
+# Way over which the noise may change, and the largest factor on a sigma that is learned.
+_LEARNING_WAY_M, _LEARNING_RANGE = 50.0, 5.0
 # One picture may not change a variance by more than this, as a logarithm.
 _MOST_AT_ONCE = 0.5
 
@@ -68,7 +70,7 @@ class NoiseScales:
         """Forget a little on the way: an Ornstein-Uhlenbeck process about the parameters."""
         if config.learning_sigma == 0.0 or way_m == 0.0:
             return self
-        kept = np.exp(-way_m / config.learning_way_m)
+        kept = np.exp(-way_m / _LEARNING_WAY_M)
         fresh = config.learning_sigma**2 * np.eye(_COMPONENTS)
         return NoiseScales(kept * self.log_scale, fresh + kept**2 * (self.covariance - fresh))
 
@@ -108,7 +110,7 @@ def learned_scales(
     fisher = 0.5 * np.einsum('aij,bji->ab', passed, passed)
     uncertainty = np.linalg.inv(np.linalg.inv(scales.covariance) + fisher)
     step = np.clip(uncertainty @ score, -_MOST_AT_ONCE, _MOST_AT_ONCE)
-    most = 2.0 * np.log(config.learning_range)
+    most = 2.0 * np.log(_LEARNING_RANGE)
     return replace(
         scales,
         log_scale=np.clip(scales.log_scale + step, -most, most),

@@ -50,6 +50,8 @@ from landmark_nav.types import (
 
 __all__ = ['PoseFilter']
 
+# Chi-square level of the gate for triangulated poses.
+_POSE_PROBABILITY = 0.99
 # So many correlations of the pictures before tell what to expect.
 _SCORES = 12
 # How late joint states are is known from what was measured to this sigma.
@@ -268,7 +270,7 @@ class PoseFilter:
                 measured=measured,
                 columns=columns,
                 lever=self._lever,
-                probability=self._config.pose_probability,
+                probability=_POSE_PROBABILITY,
                 turn_sigma=self._config.turn_sigma_rad,
             ),
         )

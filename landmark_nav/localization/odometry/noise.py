@@ -29,6 +29,9 @@ __all__ = [
 ]
 
 
+# Sigmas of the accelerations while a twist predicts beyond the last sample.
+_ACCELERATION_M_S2, _TURN_ACCELERATION_RAD_S2 = 0.5, 2.0
+
 _WHITE = (
     'along_m_per_sqrt_m',
     'across_m_per_sqrt_m',
@@ -123,12 +126,6 @@ class OdometryNoiseConfig(Config):
         minimum=0.0,
         maximum=5.0,
     )
-    learning_range: float = parameter(
-        5.0, 'Largest factor on a sigma that is learned, and its inverse.', minimum=1.0
-    )
-    learning_way_m: float = parameter(
-        50.0, 'Way over which the noise may change, m.', minimum=0.1, maximum=1e6
-    )
     max_speed_m_s: float = parameter(
         3.0, 'Odometry that moves faster has jumped, m/s.', minimum=0.01, maximum=100.0
     )
@@ -137,19 +134,6 @@ class OdometryNoiseConfig(Config):
     )
     max_gap_s: float = parameter(
         1.0, 'A longer pause between samples counts as blind, s.', minimum=0.0, maximum=60.0
-    )
-    horizon_s: float = parameter(
-        0.25,
-        'How far the last twist predicts beyond the last sample, s.',
-        minimum=0.0,
-        maximum=5.0,
-    )
-
-    acceleration_m_s2: float = parameter(
-        0.5, 'Sigma of the acceleration meanwhile, m/s^2.', minimum=0.0, maximum=100.0
-    )
-    turn_acceleration_rad_s2: float = parameter(
-        2.0, 'Sigma of the angular acceleration meanwhile, rad/s^2.', minimum=0.0, maximum=1000.0
     )
 
     def scaled(self, noise: float, slip: float) -> OdometryNoiseConfig:
@@ -193,9 +177,9 @@ def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     ahead = 0.25 * motion.ahead_s4
     return np.array(
         [
-            motion.blind_seconds * position + ahead * config.acceleration_m_s2**2,
+            motion.blind_seconds * position + ahead * _ACCELERATION_M_S2**2,
             motion.blind_seconds * position,
-            motion.blind_seconds * heading + ahead * config.turn_acceleration_rad_s2**2,
+            motion.blind_seconds * heading + ahead * _TURN_ACCELERATION_RAD_S2**2,
         ]
     )
 

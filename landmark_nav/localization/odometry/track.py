@@ -16,7 +16,10 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import FloatArray, OdometrySample, Refusal
 
-__all__ = ['OdometryTrack']
+__all__ = ['HORIZON_S', 'OdometryTrack']
+
+# How far the last twist predicts beyond the last sample, and the first one before the first.
+HORIZON_S = 0.25
 
 
 class OdometryTrack:
@@ -72,7 +75,7 @@ class OdometryTrack:
             or turn > self._config.max_rate_rad_s * seconds
         )
         if jumped:
-            known = min(seconds, self._config.horizon_s)
+            known = min(seconds, HORIZON_S)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
         blind = jumped or seconds > self._config.max_gap_s
         stands = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
@@ -117,8 +120,7 @@ class OdometryTrack:
     def _beyond_s(self, stamp_ns: int) -> float:
         """How far a twist has to predict: beyond the last sample, or, negative, before one."""
         inside = min(max(stamp_ns, self._stamps[0]), self._stamps[-1])
-        horizon = self._config.horizon_s
-        return min(max((stamp_ns - inside) * 1e-9, -horizon), horizon)
+        return min(max((stamp_ns - inside) * 1e-9, -HORIZON_S), HORIZON_S)
 
     def _pose(self, stamp_ns: int) -> FloatArray:
         """Pose (3,) at a time: interpolated at constant twist, or predicted by the nearest one."""
@@ -139,7 +141,7 @@ class OdometryTrack:
 
     def _blind_until_ns(self, stamp_ns: int) -> int:
         """Blind time until then, counted from when the first twist reaches back to."""
-        reach = int(self._config.horizon_s * 1e9)
+        reach = int(HORIZON_S * 1e9)
         first, last = self._stamps[0] - reach, self._stamps[-1] + reach
         outside = min(stamp_ns - first, 0) + max(stamp_ns - last, 0)
         after = bisect_left(self._stamps, stamp_ns)
