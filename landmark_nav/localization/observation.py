@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import logging
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.aim import AimedDetector
+from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.localization.detection.worth import most_telling
 from landmark_nav.localization.frozen import FrozenPicture
 from landmark_nav.localization.lateness import in_time, Lateness
@@ -43,6 +45,11 @@ _EAGER, _PATIENT = 5, 3
 # Sigmas of the expected pose, position (root of the trace) and heading, from which on landmarks
 # may look as they do from anywhere within them.
 _WIDE_M, _WIDE_RAD = 0.1, 0.05
+# Of what was looked for, so much found is most of it.
+_MOST = 0.75
+# What a landmark tells that was looked for in the picture before is half as new; that wears off
+# by a fifth a picture.
+_NEW, _STILL_KNOWN = 0.5, 0.8
 _IN_TIME = Lateness()
 _FROZEN = Refusal('picture is the one before', 'though the camera has moved: it hangs')
 
@@ -117,6 +124,8 @@ class Observer:
         _warn_without_views(landmark_map, config.detection)
         window_s = config.gather_s if config.triplet.views == 'several' else 0.0
         self._vain = 0
+        self._found_most = False
+        self._novelty = np.ones(len(landmark_map.landmarks))
         self._frozen = FrozenPicture()
         self._window_ns = int(1e9 * window_s)
         self._gatherer = SightingGatherer(
@@ -182,7 +191,7 @@ class Observer:
             place = self._narrowed(frame, prior)
             looked_from = prior if isinstance(place, Refusal) else place
         self._vain = self._vain + 1 if wide and looked_from is prior else 0
-        expected = visible_landmarks(
+        visible = visible_landmarks(
             looked_from,
             self._map,
             frame.camera,
@@ -191,22 +200,17 @@ class Observer:
             frame.tilt_rad,
             config.triplet,
         )
-        expected = most_telling(
-            axis_from_base(looked_from, self._mount),
-            self._map,
-            expected,
-            config.triplet.bearing_sigma_rad,
-            config.detection.max_count,
+        wanted = (
             np.flatnonzero((self._map.ids[:, None] == triplet.ids).any(axis=1))
             if isinstance(triplet, Triplet)
-            else (),
+            else ()
         )
         # What is not known of the pan shifts the picture as what is not known of the heading.
         turned = np.diag([0.0, 0.0, pan_sigma**2])
         looked = replace(looked_from, covariance=looked_from.covariance + turned)
         # Where the pose is hardly known, it is no wonder if nothing is where it says.
         known = not wide or looked_from is not prior
-        result = self._detector.detect(frame, looked, expected, knocked=known)
+        result = self._detected(frame, looked, visible, wanted, known)
         missed = np.array(sorted(result.refused), dtype=np.int64)
         found, refused = result.detections, dict(result.refused)
         if not known and len(found) < _AGREE:
@@ -224,6 +228,34 @@ class Observer:
             pan_delay_s=late.delay_s,
         )
         return Observation(found, refused, self._fix(found, prior, triplet))
+
+    def _detected(
+        self,
+        frame: CameraFrame,
+        prior: PoseEstimate,
+        visible: npt.NDArray[np.intp],
+        wanted: npt.ArrayLike,
+        known: bool,
+    ) -> DetectionResult:
+        """
+        Look for landmarks out of those `visible` (n,), first for `wanted`.
+
+        A few are enough while most are found; it takes all of them to tell a camera that was
+        knocked from a view that has changed.
+        """
+        config, sigma = self._config.detection, self._config.triplet.bearing_sigma_rad
+        axis = axis_from_base(prior, self._mount)
+        enough, most = min(config.enough, config.max_count), config.max_count
+        few_first = self._found_most and enough < min(most, len(visible))
+        for count in (enough, most) if few_first else (most,):
+            expected = most_telling(axis, self._map, visible, sigma, count, wanted, self._novelty)
+            result = self._detector.detect(frame, prior, expected, knocked=known and count == most)
+            self._found_most = len(result.detections) >= _MOST * len(expected)
+            if self._found_most:
+                break
+        self._novelty = 1.0 - _STILL_KNOWN * (1.0 - self._novelty)
+        self._novelty[expected] *= _NEW
+        return result
 
     def _narrowed(self, frame: CameraFrame, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """The place near the expected one that a picture shows; now and then if it is in vain."""

@@ -18,6 +18,7 @@ from picture_drives import (
 )
 import pytest
 
+from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.fusion import FusionConfig
 from landmark_nav.localization.observation import ObservationConfig, Observer
 from landmark_nav.localization.pipeline import (
@@ -151,6 +152,22 @@ def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
     assert not set(seen.detections.ids.tolist()) & set(seen.refused)
     assert len(seen.detections) + len(seen.refused) >= 4
     assert all(refusal.reason for refusal in seen.refused.values())
+
+
+def test_where_most_is_found_few_are_looked_for_and_all_once_they_are_not() -> None:
+    prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
+    observer = Observer(MAP, MOUNT, ObservationConfig(detection=DetectionConfig(enough=3)))
+    frame = picture(START, 0.2)
+    blank = replace(frame, image=np.full_like(frame.image, 90))
+
+    def looked_for(k: int, frame: CameraFrame) -> int:
+        seen = observer.look(replace(frame, stamp_ns=k), replace(prior, stamp_ns=k))
+        return len(seen.detections) + len(seen.refused)
+
+    frames = (frame, frame, blank, blank, frame, frame)
+    counts = [looked_for(k, frame) for k, frame in enumerate(frames)]
+    assert counts[0] > 3
+    assert counts == [counts[0], 3, counts[0], counts[0], counts[0], 3]
 
 
 def test_a_blank_picture_gives_no_fix_and_odometry_goes_on() -> None:

@@ -66,3 +66,17 @@ def test_what_is_wanted_comes_first() -> None:
     assert len(chosen) == 4
     # What is not in view can't be had.
     assert set(most_telling(AXIS, LANDMARKS, EVERY[:6], SIGMA, 4, [9])) <= set(EVERY[:6])
+
+
+def test_what_was_looked_for_before_gives_way_to_what_tells_about_as_much() -> None:
+    novelty = np.ones(len(EVERY))
+    looked_for: set[int] = set()
+    for _ in range(4):
+        chosen = most_telling(AXIS, LANDMARKS, EVERY, SIGMA, 4, novelty=novelty)
+        looked_for |= set(chosen.tolist())
+        novelty[chosen] *= 0.5
+    assert len(looked_for) >= 10
+    # But not to what tells next to nothing.
+    doubtful = replace(LANDMARKS.landmarks[0], covariance=np.eye(3))
+    landmarks = LandmarkMap((doubtful, *LANDMARKS.landmarks[1:]))
+    assert 0 not in most_telling(AXIS, landmarks, EVERY, SIGMA, 4, novelty=novelty)

@@ -20,6 +20,13 @@ class DetectionConfig(Config):
     max_count: int = parameter(
         16, 'most landmarks looked for in a picture: those that tell most', minimum=3, maximum=1000
     )
+    enough: int = parameter(
+        8,
+        'landmarks looked for while most of those in the picture before were found: more of them '
+        'repeat what the map has wrong',
+        minimum=3,
+        maximum=1000,
+    )
     max_second_ratio: float = parameter(
         0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1
     )

@@ -18,6 +18,7 @@ def most_telling(
     bearing_sigma: float,
     count: int,
     wanted: npt.ArrayLike = (),
+    novelty: FloatArray | None = None,
 ) -> npt.NDArray[np.intp]:
     """
     Choose landmarks greedily by what each adds to the information on the pose.
@@ -40,6 +41,9 @@ def most_telling(
         How many to choose.
     wanted : array_like of int
         Places in the map that come first.
+    novelty : ndarray, shape (landmarks of the map,), optional
+        Share of its gain that is news: what the map has wrong of a landmark is the same in each
+        picture.
 
     Returns
     -------
@@ -56,12 +60,13 @@ def most_telling(
     covariance: FloatArray = axis.covariance
     chosen: list[int] = []
     first = np.where(np.isin(index, wanted), np.inf, 0.0)
+    news = np.ones(len(index)) if novelty is None else novelty[index]
     for _ in range(count):
         spread = rows @ covariance
         gain = np.sum(spread * rows, -1)
-        gain[chosen] = -1.0
-        best = int(np.argmax(gain + first))
-        first[best] = 0.0
+        worth = news * gain + first
+        worth[chosen] = -1.0
+        best = int(np.argmax(worth))
         chosen.append(best)
         covariance = covariance - np.outer(spread[best], spread[best]) / (1.0 + gain[best])
     return np.asarray(index[np.sort(chosen)], dtype=np.intp)
