@@ -12,17 +12,18 @@ latency grows.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from pathlib import Path
 import subprocess
 import sys
+import tempfile
 import time
 from typing import Any
 
 import numpy as np
 
-from landmark_nav.demo.graph import node_environment
+from landmark_nav.demo.graph import node_command, node_environment
+from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.messages import decode
 from landmark_nav.ros.robot_client import RobotClient
 from landmark_nav.storage.bags import Bag
@@ -60,41 +61,14 @@ class Stopwatch:
                 self.took.append((self.shown[done], now - self.shown[done]))
 
 
-class Processes:
-    """Nodes that end with the block."""
-
-    def __init__(self, domain_id: int) -> None:
-        self._environment = node_environment(domain_id)
-        self.running: dict[str, subprocess.Popen[bytes]] = {}
-
-    def __enter__(self) -> Processes:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for process in self.running.values():
-            process.terminate()
-        for process in self.running.values():
-            try:
-                process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-
-    def start(self, name: str, **parameters: object) -> None:
-        words = [w for k, v in parameters.items() for w in ('-p', f'{k}:={json.dumps(v)}')]
-        command = [sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args', *words]
-        self.running[name] = subprocess.Popen(command, env=self._environment)
-
-    def cpu_s(self) -> dict[str, float]:
-        """Computing time of each so far."""
-        ticks = os.sysconf('SC_CLK_TCK')
-        used = {}
-        for name, process in self.running.items():
-            fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
-            used[name] = (int(fields[11]) + int(fields[12])) / ticks
-        return used
-
-    def over(self, name: str) -> bool:
-        return self.running[name].poll() is not None
+def cpu_s(processes: dict[str, subprocess.Popen[bytes]]) -> dict[str, float]:
+    """Computing time of each so far."""
+    ticks = os.sysconf('SC_CLK_TCK')
+    used = {}
+    for name, process in processes.items():
+        fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
+        used[name] = (int(fields[11]) + int(fields[12])) / ticks
+    return used
 
 
 def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float], dict[str, str]]:
@@ -103,33 +77,45 @@ def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float],
     camera = next(name for name in bag.counts if '/image_raw' in name)
     rate = arguments.hz * bag.duration_s / bag.counts[camera]
     domain_id = int(os.environ.get('ROS_DOMAIN_ID', '77'))
-    robot = str(arguments.robot.resolve())
+    robot = {'robot_file': str(arguments.robot.resolve())}
     transport = 'compressed' if camera.endswith('compressed') else 'raw'
-    with Processes(domain_id) as nodes, RobotClient(domain_id, lambda: None) as client:
+    parameters: dict[str, dict[str, object]] = {
+        'landmark_learner': {
+            'room_file': str(arguments.room.resolve()),
+            'map_folder': str(arguments.map.resolve()),
+            'load_on_start': True,
+        },
+        'triangulation_localizer': {**robot, 'image_transport': transport},
+        'odometry_fusion': robot,
+        'triplet_selector': robot,
+    }
+    environment = node_environment(domain_id)
+    with (
+        tempfile.TemporaryDirectory() as logs,
+        Supervisor(Path(logs), environment) as nodes,
+        Supervisor(Path(logs), environment) as player,
+        RobotClient(domain_id, nodes.check) as client,
+    ):
         watch = Stopwatch(client)
-        room = str(arguments.room.resolve())
-        nodes.start(
-            'landmark_learner',
-            room_file=room,
-            map_folder=str(arguments.map.resolve()),
-            load_on_start=True,
-        )
-        nodes.start('triangulation_localizer', robot_file=robot, image_transport=transport)
-        nodes.start('odometry_fusion', robot_file=robot)
-        nodes.start('triplet_selector', robot_file=robot)
+        running = {
+            name: nodes.start(name, node_command(name, **given))
+            for name, given in parameters.items()
+        }
         has_map = lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0'  # noqa: E731
         client.wait(has_map, 60.0, 'the map')
-        nodes.start('bag_player', bag=str(arguments.drive.resolve()), rate=rate, clock=False)
+        bag_file = str(arguments.drive.resolve())
+        playing = player.start(
+            'bag_player', node_command('bag_player', bag=bag_file, rate=rate, clock=False)
+        )
         client.wait(lambda: client.odometry is not None, 30.0, 'the bag')
         assert client.odometry is not None
         covariance = np.diag(np.square(START_SIGMA))
         stamp = client.odometry.stamp_ns
         client.start_at(PoseEstimate(stamp, np.array(arguments.start), covariance))
-        before, begin = nodes.cpu_s(), time.monotonic()
-        client.wait(lambda: nodes.over('bag_player'), 300.0, 'the end of the bag')
-        nodes.running.pop('bag_player')
+        before, begin = cpu_s(running), time.monotonic()
+        client.wait(lambda: playing.poll() is not None, 300.0, 'the end of the bag')
         seconds = time.monotonic() - begin
-        cpu = {k: (v - before[k]) / seconds for k, v in nodes.cpu_s().items()}
+        cpu = {k: (v - before[k]) / seconds for k, v in cpu_s(running).items()}
         client.wait(lambda: time.monotonic() - begin > seconds + 1.2, 5.0, 'last words')
         return watch, cpu, dict(client.said('triangulation_localizer').values)
 

@@ -10,7 +10,18 @@ import sys
 from landmark_nav.demo.room import DemoRoom
 from landmark_nav.storage.config_files import shipped_config
 
-__all__ = ['node_commands', 'node_environment']
+__all__ = ['node_command', 'node_commands', 'node_environment']
+
+
+def node_command(name: str, **parameters: object) -> list[str]:
+    """Command line of a node, with its parameter file and what is given."""
+    # JSON is YAML, which is how ROS reads values: names stay names.
+    settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
+    return [
+        *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
+        *('--params-file', str(shipped_config(f'{name}.yaml'))),
+        *(word for setting in settings for word in ('-p', setting)),
+    ]
 
 
 def node_commands(room: DemoRoom, map_folder: Path) -> dict[str, list[str]]:
@@ -27,7 +38,7 @@ def node_commands(room: DemoRoom, map_folder: Path) -> dict[str, list[str]]:
         'triangulation_localizer': pictures,
         'odometry_fusion': {'robot_file': robot},
     }
-    return {name: _command(name, parameters) for name, parameters in given.items()}
+    return {name: node_command(name, **parameters) for name, parameters in given.items()}
 
 
 def node_environment(domain_id: int) -> dict[str, str]:
@@ -44,13 +55,3 @@ def node_environment(domain_id: int) -> dict[str, str]:
         'OPENBLAS_NUM_THREADS': '1',
         'OMP_NUM_THREADS': '1',
     }
-
-
-def _command(name: str, parameters: dict[str, object]) -> list[str]:
-    # JSON is YAML, which is how ROS reads values: names stay names.
-    settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
-    return [
-        *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
-        *('--params-file', str(shipped_config(f'{name}.yaml'))),
-        *(word for setting in settings for word in ('-p', setting)),
-    ]

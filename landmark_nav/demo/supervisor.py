@@ -67,7 +67,7 @@ class Supervisor:
         """End all that are left."""
         self.stop()
 
-    def start(self, name: str, command: Sequence[str]) -> None:
+    def start(self, name: str, command: Sequence[str]) -> subprocess.Popen[bytes]:
         """Start one; its own process group keeps a Ctrl-C at the terminal from it."""
         log = self._log_folder / f'{name}.log'
         with log.open('wb') as output:
@@ -80,6 +80,7 @@ class Supervisor:
                 start_new_session=True,
             )
         self._children.append(_Child(name, process, log))
+        return process
 
     def check(self) -> None:
         """

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import count
-import json
 import os
 from pathlib import Path
 import subprocess
-import sys
 from typing import Any, TYPE_CHECKING
 
 import pytest
 
 from landmark_nav.cli.main import main
-from landmark_nav.demo.graph import node_environment
+from landmark_nav.demo.graph import node_command, node_environment
 from landmark_nav.demo.supervisor import Supervisor
-from landmark_nav.storage.config_files import shipped_config
 
 if TYPE_CHECKING:
     from landmark_nav.ros.robot_client import RobotClient
@@ -41,10 +38,7 @@ def start(supervisor: Supervisor) -> Callable[..., None]:
     """Start a node as a process, with its parameter file and what is given."""
 
     def start_node(name: str, **parameters: Any) -> None:
-        settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
-        command = [sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args']
-        command += ['--params-file', str(shipped_config(f'{name}.yaml'))]
-        supervisor.start(name, [*command, *(w for s in settings for w in ('-p', s))])
+        supervisor.start(name, node_command(name, **parameters))
 
     return start_node
 
@@ -65,9 +59,7 @@ def play(domain_id: int) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
     players = []
 
     def play_bag(bag: Path, rate: float = 1.0) -> subprocess.Popen[bytes]:
-        parameters = {'bag': json.dumps(str(bag)), 'rate': rate, 'start_delay_s': 3.0}
-        words = (w for key, value in parameters.items() for w in ('-p', f'{key}:={value}'))
-        command = [sys.executable, '-m', 'landmark_nav.nodes.bag_player', '--ros-args', *words]
+        command = node_command('bag_player', bag=str(bag), rate=rate, start_delay_s=3.0)
         players.append(subprocess.Popen(command, env=node_environment(domain_id)))
         return players[-1]
 
