@@ -72,11 +72,9 @@ def match_template(
     *,
     min_score: float = 0.7,
     max_second_ratio: float = 0.9,
-    search_blur: Pair = (0.0, 0.0),
 ) -> Match | Refusal:
     """Find one template: `match_templates` of one `Query`."""
-    query = Query(search, template, min_score, max_second_ratio, search_blur)
-    return match_templates([query])[0]
+    return match_templates([Query(search, template, min_score, max_second_ratio)])[0]
 
 
 def match_templates(queries: Sequence[Query]) -> list[Match | Refusal]:

@@ -31,9 +31,9 @@ def default_typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def rosbag_factory(typestore: Typestore | None = None) -> MessageFactory:
+def rosbag_factory() -> MessageFactory:
     """Return a factory of messages that rosbags serialises."""
-    store = default_typestore() if typestore is None else typestore
+    store = default_typestore()
 
     def build(type_name: str, **fields: Any) -> Any:
         _, definitions = store.fielddefs[type_name]

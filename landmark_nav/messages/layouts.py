@@ -74,9 +74,7 @@ LANDMARK_FIELDS: list[tuple[str, str] | tuple[str, str, tuple[int]]] = [
 ]
 
 
-def landmark_layout(
-    factors: int, walls: int, name_bytes: int, views: int = 0
-) -> np.dtype[np.void]:
+def landmark_layout(factors: int, walls: int, name_bytes: int, views: int) -> np.dtype[np.void]:
     """
     Return the layout of ``landmarks``.
 

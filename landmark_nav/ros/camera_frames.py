@@ -77,7 +77,7 @@ class CameraFrames:
         return JointHistory(tuple(self._joints)).at(stamp_ns + self._delay_ns)
 
     def complete(
-        self, message: Any, seconds: float, also: Callable[[int], bool], late_s: float = 0.0
+        self, message: Any, seconds: float, also: Callable[[int], bool], late_s: float
     ) -> CameraFrame:
         """
         Frame of an image message.

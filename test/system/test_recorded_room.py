@@ -12,7 +12,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast
-from landmark_nav.storage.bags import BagWriter, read_bag
+from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
 
@@ -86,7 +86,7 @@ def test_joint_states_that_are_stamped_late_are_told_and_put_right(
 ) -> None:
     late_ns, store = 40_000_000, default_typestore()
     with BagWriter(tmp_path / 'late') as late:
-        for entry in read_bag(BAGS / 'drive'):
+        for entry in Bag(BAGS / 'drive').messages():
             data, stamp_ns = entry.data, entry.stamp_ns
             if entry.topic == '/joint_states':
                 message = store.deserialize_cdr(data, entry.type_name)

@@ -25,12 +25,12 @@ def odometry(stamp, pose, **frames):
     return encode.odometry(FACTORY, OdometrySample(stamp, np.asarray(pose, float)), **frames)
 
 
-def write_sweep(bag, start, pans, *, keep=None, trajectory=True, topic='sweep/image', step=SECOND):
-    samples = [JointSample(start + k * step, float(p)) for k, p in enumerate(pans)]
+def write_sweep(bag, start, pans, *, keep=None, trajectory=True):
+    samples = [JointSample(start + k * SECOND, float(p)) for k, p in enumerate(pans)]
     for k, sample in enumerate(samples):
         stamp = sample.stamp_ns
         if keep is None or keep(k):
-            bag.write(topic, encode.image(FACTORY, picture(k), stamp, 'cam'), stamp)
+            bag.write('sweep/image', encode.image(FACTORY, picture(k), stamp, 'cam'), stamp)
             info = encode.camera_info(FACTORY, CAMERA, stamp, 'cam')
             bag.write('sweep/camera_info', info, stamp)
         bag.write('joint_states', encode.joint_state(FACTORY, sample, MOUNT), stamp)

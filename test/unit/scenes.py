@@ -220,17 +220,14 @@ def draw_panorama(
     center_map: FloatArray,
     heading_rad: float,
     *,
-    px_per_rad: float = 250.0,
-    tan_limit: float = 0.4,
     covariance: FloatArray | None = None,
     rng: np.random.Generator | None = None,
-    stamp_ns: int = 0,
 ) -> Panorama:
     """Panorama with its true pose."""
-    cylinder = Cylinder.with_resolution(px_per_rad, -tan_limit, tan_limit)
+    cylinder = Cylinder.with_resolution(250.0, -0.4, 0.4)
     image = with_noise(draw_cylinder(scene, cylinder, center_map, heading_rad), rng, 2.0)
     return Panorama(
-        stamp_ns,
+        0,
         image,
         np.ones(image.shape[:2], bool),
         cylinder,

@@ -25,8 +25,8 @@ def views_of(scene: Scene, seed: int | None = 0) -> list[Panorama]:
     ]
 
 
-def patch_at(panorama: Panorama, point: FloatArray, size: int = 32) -> WallPatch | Refusal:
-    return hypothesize(candidate_at(panorama, point, size), 0, panorama, ROOM, CONFIG)
+def patch_at(panorama: Panorama, point: FloatArray) -> WallPatch | Refusal:
+    return hypothesize(candidate_at(panorama, point, 32), 0, panorama, ROOM, CONFIG)
 
 
 def match_at(

@@ -50,9 +50,9 @@ def target(diameter, slant_deg=0.0, rings=5):
     return cv2.resize(board, size, interpolation=cv2.INTER_AREA)
 
 
-def poster(rng, width, height, grain=2.5):
+def poster(rng, width, height):
     """Random texture: nowhere the same."""
-    texture = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), grain)
+    texture = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 2.5)
     return 128.0 + 50.0 * texture / texture.std()
 
 
@@ -71,9 +71,9 @@ def paste(gray, patch, column, row):
     gray[row : row + height, columns] = patch
 
 
-def clutter(rng, count=14):
+def clutter(rng):
     gray = plaster(rng)
-    for k in range(count):
+    for k in range(14):
         width, height = (int(v) for v in rng.integers(40, 130, 2))
         patch = (poster, text)[k % 2](rng, width, height)
         paste(gray, patch, int(rng.integers(WIDTH)), int(rng.integers(HEIGHT - height)))

@@ -29,10 +29,10 @@ def rectangle():
     return gray
 
 
-def rings(slant_deg=0.0, radius=40.0, dark=False):
+def rings(slant_deg, dark):
     y, x = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2.0
     distance = np.hypot(x / np.cos(np.radians(slant_deg)), y)
-    inside = (distance < radius) & (np.floor(distance / 8.0) % 2 == int(dark))
+    inside = (distance < 40.0) & (np.floor(distance / 8.0) % 2 == int(dark))
     return cv2.GaussianBlur(np.where(inside, 220, 40).astype(np.uint8), (0, 0), 0.7)
 
 

@@ -11,7 +11,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.messages import encode
-from landmark_nav.storage.bags import Bag, BagWriter, read_bag, sensor_events
+from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate
 
 
@@ -41,7 +41,7 @@ def test_ground_truth_in_another_frame_than_the_map_is_told(tmp_path, caplog):
 def test_raw_pictures_are_preferred_to_compressed_ones(tmp_path):
     path = write_drive(tmp_path / 'drive')
     with BagWriter(tmp_path / 'both') as both:
-        for entry in read_bag(path):
+        for entry in Bag(path).messages():
             both.write_serialized(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
         stamp = START + SECOND
         both.write('camera/image_raw', encode.image(FACTORY, picture(9), stamp, ''), stamp)
@@ -53,7 +53,7 @@ def test_raw_pictures_are_preferred_to_compressed_ones(tmp_path):
 
 def test_of_one_moment_pictures_come_last(tmp_path):
     moment = 50_000_000
-    entries = list(read_bag(write_drive(tmp_path / 'drive')))
+    entries = list(Bag(write_drive(tmp_path / 'drive')).messages())
     with BagWriter(tmp_path / 'same') as same:
         for entry in sorted(entries, key=lambda e: 'image' not in e.topic):
             log_ns = entry.stamp_ns // moment * moment

@@ -12,7 +12,7 @@ import yaml
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag, BagWriter, read_bag, sensor_events
+from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.bags.topics import relative_name
 
 
@@ -44,9 +44,9 @@ def test_bag_is_a_rosbag2_folder_and_comes_back_in_order(odometry_bag):
 
 def test_lone_file_and_serialised_copy_hold_the_same(odometry_bag, tmp_path):
     with BagWriter(tmp_path / 'copy') as copy:
-        for entry in read_bag(odometry_bag / 'odometry.mcap'):
+        for entry in Bag(odometry_bag / 'odometry.mcap').messages():
             copy.write_serialized(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
-    first, second = list(read_bag(odometry_bag)), list(read_bag(tmp_path / 'copy'))
+    first, second = (list(Bag(k).messages()) for k in (odometry_bag, tmp_path / 'copy'))
     assert [(e.topic, e.stamp_ns, e.data) for e in first] == [
         (e.topic, e.stamp_ns, e.data) for e in second
     ]
@@ -162,7 +162,7 @@ def test_types_come_from_the_bag_itself(tmp_path):
     with foreign_bag(path) as add:
         pair = ('my_msgs/msg/Pair', 'ros2msg', b'int32 a\nint32 b\n')
         add('/pair', pair, 'cdr', [b'\0\1\0\0\7\0\0\0\x09\0\0\0'])
-    (entry,) = read_bag(path)
+    (entry,) = Bag(path).messages()
     assert (entry.message.a, entry.message.b) == (7, 9)
 
 

@@ -12,10 +12,10 @@ SIZE = 28 + 2 * MARGIN
 
 
 def two_views(
-    rng: np.random.Generator, larger: float, *, blur: float = 0.0, feature: float = 0.04
+    rng: np.random.Generator, larger: float, *, blur: float = 0.0
 ) -> tuple[Float32Array, Float32Array]:
     """A pattern, and the same a little beside and `larger`, darker and blurred."""
-    texture = smooth_texture(rng, 1.0, 1.0, feature)
+    texture = smooth_texture(rng, 1.0, 1.0, 0.04)
     # Finer than the views: OpenCV knows 32 steps a pixel.
     wide = cv2.resize(texture[..., 0], None, fx=4.0, fy=4.0, interpolation=cv2.INTER_CUBIC)
     middle = 0.5 * (np.array(wide.shape[::-1]) - 1.0)

@@ -125,9 +125,8 @@ def test_noise_of_a_blurred_picture_counts_as_far_as_it_is_blurred() -> None:
         shift = rng.uniform(8.0, 16.0, 2)
         search = texture.sample(56, 52) + 24.0 * rng.standard_normal((52, 56))
         template = blur_to(texture.sample(60, 56, *(shift - 14.0)), step)[14:-14, 14:-14]
-        found = match_template(
-            blur_to(search.astype(np.float32), step), template, search_blur=blur_sigmas(step)
-        )
+        soft = blur_to(search.astype(np.float32), step)
+        (found,) = match_templates([Query(soft, template, search_blur=blur_sigmas(step))])
         assert isinstance(found, Match)
         error = found.xy - shift - [15.5, 13.5]
         nees.append(error @ np.linalg.solve(found.covariance, error))

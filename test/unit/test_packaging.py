@@ -71,8 +71,8 @@ def names(requirements: list[str]) -> set[str]:
     return {re.split(r'[\[=<>]', requirement)[0] for requirement in requirements}
 
 
-def depends(kind: str = 'exec_depend') -> set[str]:
-    return {str(element.text) for element in MANIFEST.iter(kind)}
+def depends() -> set[str]:
+    return {str(element.text) for element in MANIFEST.iter('exec_depend')}
 
 
 def test_the_manifest_is_format_3_for_ament_python() -> None:

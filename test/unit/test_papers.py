@@ -30,9 +30,9 @@ def color_of(name: str, saturation: int = 200, value: int = 190) -> FloatArray:
     return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0], dtype=np.float64)
 
 
-def wall_with(rectangles: list[Rectangle], grey: float = 160.0) -> FloatArray:
+def wall_with(rectangles: list[Rectangle]) -> FloatArray:
     """Grey wall with rectangles of (colour, left, top, width, height), sub-pixel, wrapped."""
-    image = np.full((*SHAPE, 3), grey)
+    image = np.full((*SHAPE, 3), 160.0)
     columns, rows = np.arange(SHAPE[1]), np.arange(SHAPE[0])
     for color, left, top, width, height in rectangles:
         # Share of each pixel that the rectangle covers.

@@ -59,10 +59,9 @@ def sweep(
     scene: Scene,
     pose: Sequence[float],
     pans: FloatArray = PANS,
-    seed: int = 3,
     tilt_rad: float = 0.0,
 ) -> list[CameraFrame]:
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(3)
     return [
         draw_frame(
             scene, LENS, MOUNT, np.array(pose), float(p), tilt_rad, stamp_ns=k * 10**8, rng=rng

@@ -29,7 +29,7 @@ def texture(rng, blank=0.0):
     return wall.astype(np.float32)
 
 
-def view(wall, pan, rng, mount=LEVEL, blur=None, gain=1.0, noise=2.0):
+def view(wall, pan, rng, mount=LEVEL, blur=None, gain=1.0):
     """What the camera sees of the wall, on a cylinder of 400 px per radian."""
     rays = RAYS @ mount.camera_pose_base(pan)[0].T
     x = 800.0 - 250.0 * np.arctan2(rays[..., 1], rays[..., 0])
@@ -43,7 +43,7 @@ def view(wall, pan, rng, mount=LEVEL, blur=None, gain=1.0, noise=2.0):
     )
     if blur is not None:
         image = cv2.filter2D(image, -1, blur)
-    image = gain * image + rng.normal(0.0, noise, image.shape)
+    image = gain * image + rng.normal(0.0, 2.0, image.shape)
     return np.clip(image, 0, 255).astype(np.uint8)
 
 

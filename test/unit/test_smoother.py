@@ -41,10 +41,10 @@ MAP_SIGMA = 0.01
 PLACES = np.array([[0.0, 0.0], [5.0, -0.2], [6.0, 3.0], [4.0, 5.0], [1.0, 5.2], [-1.0, 2.5]])
 
 
-def surveyed(places: FloatArray, sigma: float = MAP_SIGMA) -> LandmarkMap:
+def surveyed(places: FloatArray) -> LandmarkMap:
     return LandmarkMap(
         tuple(
-            bare_landmark(10 + k, np.array([*place, 0.0]), sigma**2 * np.eye(3))
+            bare_landmark(10 + k, np.array([*place, 0.0]), MAP_SIGMA**2 * np.eye(3))
             for k, place in enumerate(places)
         )
     )

@@ -63,13 +63,13 @@ def test_the_search_is_as_wide_as_places_are_uncertain(panoramas: list[Panorama]
     assert found[1].tangent == pytest.approx(usual.tangent, abs=5e-4)
 
 
-def points_on_walls(count: int = 24) -> FloatArray:
+def points_on_walls() -> FloatArray:
     rng = np.random.default_rng(5)
     return np.array(
         [
             ((6.0, rng.uniform(0.8, 4.2)), (rng.uniform(1.5, 5.0), 5.0))[k % 2]
             + (rng.uniform(0.8, 1.4),)
-            for k in range(count)
+            for k in range(24)
         ]
     )
 

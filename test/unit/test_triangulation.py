@@ -39,9 +39,9 @@ def expect_refusal(found: Fix | Refusal, reason: str) -> None:
     assert reason in str(found)
 
 
-def joint_map_covariance(n: int, shared: float = 0.01, own: float = 0.006) -> FloatArray:
-    loading = np.tile(np.eye(2), (n, 1)) * shared
-    return np.asarray(loading @ loading.T + own**2 * np.eye(2 * n))
+def joint_map_covariance(n: int) -> FloatArray:
+    loading = np.tile(np.eye(2), (n, 1)) * 0.01
+    return np.asarray(loading @ loading.T + 0.006**2 * np.eye(2 * n))
 
 
 class TestRecovery:

@@ -34,11 +34,11 @@ def wallpaper(seed: int) -> np.ndarray:
     return 128 + 40 * blurred / blurred.std()
 
 
-def landmark(identity, true_xz, *, texel_m=TEXEL_M, size_m=0.32, error_m=(0.0, 0.0), paper=0):
+def landmark(identity, true_xz, *, texel_m=TEXEL_M, error_m=(0.0, 0.0), paper=0):
     """A patch of the south wall whose map puts it `error_m` (right, down) from where it is."""
     normal = WALLS[0].normal
     center = np.array([true_xz[0], 0.0, true_xz[1]])
-    count = round(size_m / texel_m)
+    count = round(0.32 / texel_m)
     points = patch_points(center, normal, (count, count), texel_m)
     texture = cv2.GaussianBlur(wallpaper(paper), (0, 0), max(0.1, 0.4 * texel_m / TEXEL_M))
     patch = cv2.remap(

@@ -61,11 +61,11 @@ def inspect(picture):
 class Robot:
     """A lightly damped pan joint, joint states at 50 Hz, a frame with every third of them."""
 
-    def __init__(self, config=SHORT, sweep=None, limits=(-4.0, 4.0)):
+    def __init__(self, config=SHORT, limits=(-4.0, 4.0)):
         self.pan, self.rate, self.target = 0.0, 0.0, 0.0
         self.limits, self.k, self.rates, self.commands = limits, 0, {}, 0
         self.stuck = self.mute = False
-        self.sweep = sweep or SweepCapture(config, inspect, 0)
+        self.sweep = SweepCapture(config, inspect, 0)
         self.x = 0.0
         self.past = [0.0]
 

@@ -12,7 +12,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
 
 STORE = default_typestore()
-FACTORY = rosbag_factory(STORE)
+FACTORY = rosbag_factory()
 MOUNT = PanTiltMount()
 STAMP = 5_000_000_000_123
 

@@ -64,8 +64,8 @@ def bearing_frame(
     detections: Detections,
     columns: Mapping[int, int],
     config: FusionConfig,
-    pan_sigma_rad: float = 0.0,
-    scores_before: npt.ArrayLike = (),
+    pan_sigma_rad: float,
+    scores_before: npt.ArrayLike,
 ) -> BearingFrame:
     """
     Sort out what no filter can use.

@@ -76,8 +76,8 @@ def update_bearings(
     lever: FloatArray,
     probability: float,
     odometry: OdometryNoiseConfig,
-    least: int = 1,
-    refine: bool = False,
+    least: int,
+    refine: bool,
     expected: MeasurementModel | None = None,
 ) -> tuple[FilterState, FusionUpdate]:
     """

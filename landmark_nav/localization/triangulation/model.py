@@ -120,10 +120,10 @@ def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[flo
 
 
 @lru_cache(maxsize=256)
-def triples(n: int, limit: int | None = None) -> npt.NDArray[np.intp]:
+def triples(n: int, limit: int) -> npt.NDArray[np.intp]:
     """Index triples (m, 3) out of n, evenly thinned to `limit`."""
     found = np.array(list(combinations(range(n), 3)), dtype=np.intp).reshape(-1, 3)
-    if limit is not None and len(found) > limit:
+    if len(found) > limit:
         found = found[np.linspace(0, len(found) - 1, limit).astype(np.intp)]
     found.flags.writeable = False  # it is remembered
     return found

@@ -1,7 +1,7 @@
 """Bags: reading, writing, and what a bag holds in terms of this package."""
 
 from landmark_nav.storage.bags.folder import read_sweep_folder
-from landmark_nav.storage.bags.reader import Bag, BagMessage, read_bag
+from landmark_nav.storage.bags.reader import Bag, BagMessage
 from landmark_nav.storage.bags.sensors import sensor_events, SensorEvent
 from landmark_nav.storage.bags.sweeps import read_sweeps
 from landmark_nav.storage.bags.writer import BagWriter
@@ -11,7 +11,6 @@ __all__ = [
     'BagMessage',
     'BagWriter',
     'SensorEvent',
-    'read_bag',
     'read_sweep_folder',
     'read_sweeps',
     'sensor_events',

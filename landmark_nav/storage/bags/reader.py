@@ -20,7 +20,7 @@ from landmark_nav.storage.bags.container import ChannelInfo, McapFile, RawMessag
 from landmark_nav.storage.bags.topics import find_topic
 from landmark_nav.storage.setup_files import read_yaml_mapping
 
-__all__ = ['Bag', 'BagMessage', 'read_bag']
+__all__ = ['Bag', 'BagMessage']
 
 _LOG = logging.getLogger(__name__)
 
@@ -199,15 +199,6 @@ class Bag:
                 f'{info.message_encoding or "nothing"} with {info.schema_encoding or "no"} '
                 'schema, not as cdr with ros2msg: record it with ros2 bag'
             )
-
-
-def read_bag(
-    path: Path | str,
-    topics: Collection[str] | None = None,
-    on_warning: Callable[[str], None] = _LOG.warning,
-) -> Iterator[BagMessage]:
-    """Messages of a bag by log time: `Bag.messages` for who reads it once."""
-    yield from Bag(path, on_warning).messages(topics)
 
 
 def _standard_definition(type_name: str) -> str:
