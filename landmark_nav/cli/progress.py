@@ -17,15 +17,6 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
     """
     Pass items through and show how far it is.
 
-    Parameters
-    ----------
-    iterable : iterable
-        What is worked through.
-    description : str
-        What is being done.
-    total : int, optional
-        How many there are, if `iterable` does not know.
-
     Yields
     ------
     object

@@ -146,10 +146,6 @@ def replay(
     start_covariance : ndarray, shape (3, 3), optional
         How sure the start is; goes with it.
 
-    Returns
-    -------
-    Replay
-
     Raises
     ------
     LandmarkNavError

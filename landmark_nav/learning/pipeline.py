@@ -100,21 +100,6 @@ def learn_from_panoramas(
     """
     Learn landmarks from two panoramas or more.
 
-    Parameters
-    ----------
-    panoramas : sequence of Panorama
-        From different places.
-    room : Room
-        Walls that carry landmarks.
-    config : LearningConfig
-        Parameters.
-    log : StageLog, optional
-        Where times go.
-
-    Returns
-    -------
-    LearningResult
-
     Raises
     ------
     LandmarkNavError

@@ -81,10 +81,6 @@ def panorama_from_sweep(
     log : StageLog, optional
         Where times go.
 
-    Returns
-    -------
-    Panorama
-
     Raises
     ------
     LandmarkNavError

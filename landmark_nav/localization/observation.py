@@ -96,18 +96,6 @@ class Observer:
 
     With triplets in one view each picture gives a fix of its own. With several views sightings
     are gathered, and give a fix when the chosen triplet is complete.
-
-    Parameters
-    ----------
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : ObservationConfig
-        Parameters.
-    odometry : OdometryNoiseConfig, optional
-        How far odometry is trusted with carrying sightings along.
-
     """
 
     def __init__(

@@ -85,16 +85,6 @@ class Localizer:
 
     Without `initialize`, and when lost or without a landmark in sight, it gathers pictures until
     they fit one place only.
-
-    Parameters
-    ----------
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : LocalizationConfig
-        Parameters.
-
     """
 
     def __init__(

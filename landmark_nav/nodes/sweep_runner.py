@@ -37,21 +37,7 @@ _Frame = tuple[Any, Any]
 
 
 class SweepRunner:
-    """
-    The sweep under way, or the last one, and the pan unit that it turns.
-
-    Parameters
-    ----------
-    config : CaptureConfig
-        How it is taken.
-    commander : PanCommander
-        Turns it.
-    output : SweepOutput
-        Gets the frames.
-    camera_roll_rad : float
-        How the camera is turned about its optical axis.
-
-    """
+    """The sweep under way, or the last one, and the pan unit that it turns."""
 
     def __init__(
         self,

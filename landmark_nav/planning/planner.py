@@ -122,10 +122,6 @@ def plan_positions(
     show : callable
         Shows progress: passes items through, with what is done and how many there are.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     LandmarkNavError

@@ -60,15 +60,6 @@ def furnish(room: Room, rng: Generator, seed: int) -> Scene:
     """
     Hang and place things.
 
-    Parameters
-    ----------
-    room : Room
-        Walls and papers.
-    rng : numpy.random.Generator
-        Chance.
-    seed : int
-        Of the scene's surfaces.
-
     Returns
     -------
     Scene

@@ -29,15 +29,6 @@ def as_measured(
     """
     Room and mount as a person would write them down.
 
-    Parameters
-    ----------
-    room : Room
-        As it is.
-    mount : PanTiltMount
-        As it is.
-    rng : numpy.random.Generator
-        Chance.
-
     Returns
     -------
     room : Room

@@ -28,14 +28,6 @@ class Renderer:
     and without an image in between; so a point of a wall appears where `CameraModel` projects
     it. Rectangles are painted from the farthest to the nearest, with the share of each pixel
     that they cover.
-
-    Parameters
-    ----------
-    scene : Scene
-        What to draw.
-    camera : CameraModel
-        The lens.
-
     """
 
     def __init__(self, scene: Scene, camera: CameraModel) -> None:

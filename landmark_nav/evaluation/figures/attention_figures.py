@@ -37,19 +37,7 @@ _PATCH_PX = 96
 
 
 def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> str:
-    """
-    Draw the way from a part of a panorama to its candidates, map by map; return the caption.
-
-    Parameters
-    ----------
-    panorama : Panorama
-        The picture.
-    config : AttentionConfig
-        Weights and sizes.
-    path : Path
-        PNG to write.
-
-    """
+    """Draw the way from a part of a panorama to its candidates, map by map; return the caption."""
     attended = attend(panorama, config)
     strip = _strip(panorama, attended.candidates[:30])
     maps = attention_maps(_grey(panorama), config)
@@ -97,21 +85,7 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
 def draw_features_alone(
     panorama: Panorama, config: AttentionConfig, path: Path, names: Sequence[str] = FEATURES
 ) -> str:
-    """
-    Draw what each feature alone selects: conspicuity above, patches below; return the caption.
-
-    Parameters
-    ----------
-    panorama : Panorama
-        The picture.
-    config : AttentionConfig
-        All but the weights.
-    path : Path
-        PNG to write.
-    names : sequence of str
-        Features to show.
-
-    """
+    """Draw what each feature alone selects, conspicuity above, patches below; the caption."""
     grey = _grey(panorama)
     strip = _strip(panorama, attend(panorama, config).candidates[:30])
     columns = min(len(names), _COLUMNS)

@@ -40,19 +40,7 @@ _MARGIN_M = 0.4
 
 
 def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -> None:
-    """
-    Draw a map.
-
-    Parameters
-    ----------
-    landmarks : LandmarkMap
-        What was learned.
-    path : Path
-        PNG to write.
-    papers : iterable of Paper
-        The reference area, if it is to be seen.
-
-    """
+    """Draw a map."""
     figure = new_figure(9.0, 6.6)
     axes = figure.add_subplot()
     draw_walls(axes, landmarks.walls, _MARGIN_M)

@@ -28,23 +28,7 @@ def draw_panorama(
     number: int,
     path: Path,
 ) -> None:
-    """
-    Draw a panorama with its candidates thin and its elected landmarks bold, with their ids.
-
-    Parameters
-    ----------
-    panorama : Panorama
-        Picture and geometry.
-    candidates : sequence of Candidate
-        What attention proposed in it.
-    outcomes : sequence of Landmark or Refusal
-        What became of each.
-    number : int
-        Of the panorama, for the title.
-    path : Path
-        PNG to write.
-
-    """
+    """Draw a panorama with its candidates thin and its elected landmarks bold, with their ids."""
     rows, columns = panorama.image.shape[:2]
     # Pixel for pixel: nothing has to be resampled.
     left, bottom, right, top = _MARGINS_IN

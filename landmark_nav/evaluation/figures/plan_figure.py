@@ -29,19 +29,7 @@ _MARGIN_M = 0.35
 
 
 def draw_plan(plan: Plan, room: Room, path: Path) -> None:
-    """
-    Draw the map of expected accuracy with the proposed places.
-
-    Parameters
-    ----------
-    plan : Plan
-        What is proposed.
-    room : Room
-        Walls and papers.
-    path : Path
-        PNG to write.
-
-    """
+    """Draw the map of expected accuracy with the proposed places."""
     width, height = np.ptp(room.bounds, axis=0) + 2.0 * _MARGIN_M
     scale = 7.0 / max(width, height)
     figure = new_figure(scale * width + 1.5, scale * height + 1.5)

@@ -27,24 +27,7 @@ _LINE_PT = 20.0
 def draw_sweeps(
     sweeps: Sequence[Sweep], panoramas: Sequence[Panorama], room: Room, path: Path
 ) -> str:
-    """
-    Draw panoramas with how many frames show each column, and where the papers are.
-
-    Parameters
-    ----------
-    sweeps, panoramas : sequence
-        Frames, and what was made of them.
-    room : Room
-        With its papers.
-    path : Path
-        PNG to write.
-
-    Returns
-    -------
-    str
-        The caption.
-
-    """
+    """Draw panoramas with how many frames show each column, and papers; the caption."""
     shape = panoramas[0].image.shape
     height = len(sweeps) * (_WIDTH_IN * shape[0] / shape[1] + 1.3) + 1.0
     figure = new_figure(_WIDTH_IN, height)

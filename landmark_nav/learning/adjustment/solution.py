@@ -166,11 +166,6 @@ def adjust(
         The walls; what hangs on them lies near them, not on them.
     config : AdjustmentConfig
         Standard deviations to expect.
-
-    Returns
-    -------
-    Adjustment
-
     """
     stretch = wall_stretches(start, walls, room, config.hanging_length_m)
     problem = Problem(sightings, walls, stretch, panoramas, places, room)

@@ -66,17 +66,6 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
     """
     Mend pan, tilt and roll of each frame and the common camera.
 
-    Parameters
-    ----------
-    sweep : Sweep
-        Frames that overlap their neighbours.
-    mount : PanTiltMount
-        Where the camera turns.
-
-    Returns
-    -------
-    SweepAlignment
-
     Raises
     ------
     LandmarkNavError

@@ -23,13 +23,6 @@ def begin_or_resume(
     """
     Go on with a sweep if something is missing and the robot still stands there, or begin one.
 
-    Parameters
-    ----------
-    before : SweepCapture or None
-        The last one.
-    config, inspect, now_ns
-        As of `SweepCapture`.
-
     Returns
     -------
     sweep : SweepCapture

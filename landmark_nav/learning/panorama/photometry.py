@@ -78,11 +78,6 @@ def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
         Frames that overlap, with angles right to a few pixels.
     mount : PanTiltMount
         Where the camera turns.
-
-    Returns
-    -------
-    Photometry
-
     """
     count = len(sweep.frames)
     place, frame, square, level = _samples(sweep, mount)

@@ -85,11 +85,6 @@ def synthesize_cylinder(
     range_m : callable, optional
         Horizontal distance of what is seen at azimuths (n,) in the base frame. It matters only
         if the optical centre lies off the axis: each frame then sees the room from elsewhere.
-
-    Returns
-    -------
-    CylinderImage
-
     """
     cylinder = sweep_cylinder(sweep, mount, config.crop_px, config.px_per_rad)
     reach = _reach_rad(sweep, _NEIGHBOURS[config.blend])

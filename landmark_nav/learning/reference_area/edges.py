@@ -77,11 +77,6 @@ def locate_edges(
     gamma : float
         Power of the pixels' values that is light: lens and sensor blur light, so that edges of
         what the camera made of it seem moved towards the darker side.
-
-    Returns
-    -------
-    EdgeSamples
-
     """
     offset = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
     where = points[:, None] + offset[:, None] * outwards[:, None]

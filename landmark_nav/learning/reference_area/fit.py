@@ -99,21 +99,7 @@ class _Measured:
 
 
 class PaperFitter:
-    """
-    Fits places to the frames of one sweep.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        Its frames.
-    room : Room
-        Papers and walls.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : ReferenceAreaConfig
-        How well everything else is known.
-
-    """
+    """Fits places to the frames of one sweep."""
 
     def __init__(
         self, sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig

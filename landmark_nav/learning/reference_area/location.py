@@ -104,10 +104,6 @@ def locate_sweep(
     config : ReferenceAreaConfig
         Prior standard deviations.
 
-    Returns
-    -------
-    SweepPlace
-
     Raises
     ------
     LandmarkNavError

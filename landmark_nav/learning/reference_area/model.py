@@ -55,18 +55,6 @@ class PaperModel:
 
     Unknowns are one array, see the indices below; of points, `points` (papers, n, 3) lie on the
     edges in turn, `outwards` (papers, n, 3) are their directions from the paper to the wall.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        Its frames.
-    room : Room
-        Papers and walls.
-    mount : PanTiltMount
-        Where the camera turns.
-    per_edge : int
-        Points on each edge.
-
     """
 
     def __init__(self, sweep: Sweep, room: Room, mount: PanTiltMount, per_edge: int) -> None:

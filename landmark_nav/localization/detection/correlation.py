@@ -97,11 +97,6 @@ def detect_landmarks(
     blur_px2 : ndarray, shape (2,)
         By how much more the picture is blurred than those that were learned, across and down:
         variance of a Gaussian; negative if less.
-
-    Returns
-    -------
-    DetectionResult
-
     """
     view = View(frame, prior, mount)
     refused: dict[int, Refusal] = {}

@@ -40,19 +40,6 @@ def narrowed(
     """
     Find the one place, of those that a prior allows, which a picture speaks for.
 
-    Parameters
-    ----------
-    frame : CameraFrame
-        The picture.
-    prior : PoseEstimate
-        Of the base at its stamp.
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    looking : LookingConfig
-        Parameters.
-
     Returns
     -------
     PoseEstimate or Refusal

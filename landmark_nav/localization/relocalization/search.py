@@ -134,11 +134,6 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
         Different places, the one with most landmarks first.
     proposed : int
         How many they were chosen from.
-
-    Returns
-    -------
-    Verification or Refusal
-
     """
     if not places:
         return Refusal(

@@ -87,11 +87,6 @@ def verify(
         What was learned, where the camera turns.
     looking : LookingConfig
         Parameters of the stages.
-
-    Returns
-    -------
-    Verification or Refusal
-
     """
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
     for sigmas in _SIGMAS:

@@ -106,10 +106,6 @@ def triangulate(
     config : TriangulationConfig, optional
         Limits.
 
-    Returns
-    -------
-    Fix or Refusal
-
     Raises
     ------
     LandmarkNavError

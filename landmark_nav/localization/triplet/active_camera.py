@@ -49,16 +49,6 @@ class ActiveCamera:
 
     With several views a triplet is kept until all its landmarks were found, or looked for in
     vain; the camera goes on to the nearest that is left.
-
-    Parameters
-    ----------
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : TripletConfig
-        Parameters.
-
     """
 
     def __init__(

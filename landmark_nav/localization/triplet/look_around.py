@@ -68,17 +68,7 @@ def views_around(
 
 
 class LookAround:
-    """
-    Leads the camera around for as long as the pose is not known.
-
-    Parameters
-    ----------
-    config : LookAroundConfig
-        Parameters.
-    limits_rad : tuple of float
-        Least and largest pan of the joint.
-
-    """
+    """Leads the camera around for as long as the pose is not known."""
 
     def __init__(self, config: LookAroundConfig, limits_rad: tuple[float, float]) -> None:
         self._config, self._limits = config, limits_rad

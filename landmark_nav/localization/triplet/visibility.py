@@ -88,19 +88,6 @@ def visible_landmarks(
     """
     Landmarks to be expected whole in a given view.
 
-    Parameters
-    ----------
-    prior : PoseEstimate
-        Of the base in map.
-    landmark_map : LandmarkMap
-        What was learned.
-    camera, mount : CameraModel, PanTiltMount
-        What looks.
-    pan_rad, tilt_rad : float
-        Measured joint angles.
-    config : TripletConfig
-        What counts as visible.
-
     Returns
     -------
     ndarray of int, shape (m,)
