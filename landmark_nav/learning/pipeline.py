@@ -16,12 +16,17 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig, told_by_sizes
+from landmark_nav.learning.adjustment import (
+    adjust,
+    Adjustment,
+    AdjustmentConfig,
+    told_by_sizes,
+    WallFitConfig,
+)
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     doubtful_walls,
     wall_residuals,
-    WallFitConfig,
     WallResidual,
 )
 from landmark_nav.learning.attention import attend, AttentionConfig

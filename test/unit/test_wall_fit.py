@@ -7,12 +7,11 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
+from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig, WallFitConfig
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     doubtful_walls,
     wall_residuals,
-    WallFitConfig,
     WallResidual,
 )
 

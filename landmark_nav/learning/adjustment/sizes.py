@@ -13,7 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.learning.adjustment.solution import Adjustment, AdjustmentConfig
+from landmark_nav.learning.adjustment.config import AdjustmentConfig
+from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray
 

@@ -16,12 +16,12 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment.config import AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
 from landmark_nav.learning.stereo.wall_patch import Sighting
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['Adjustment', 'AdjustmentConfig', 'adjust']
+__all__ = ['Adjustment', 'adjust']
 
 _MAX_ITERATIONS = 15
 # Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
@@ -38,63 +38,6 @@ _MOST_FACTORS = 16
 # Among the sigmas that are estimated.
 _RELIEF, _SPREAD, _HANGING = 2, slice(3, 8), slice(5, 8)
 _PLACES = np.array([3, 4])
-
-
-@dataclass(frozen=True)
-class AdjustmentConfig(Config):
-    """What is expected before there are sightings; they tell more."""
-
-    azimuth_sigma_rad: float = parameter(
-        1.5e-4, 'what a panorama adds to each azimuth', minimum=0, maximum=0.1
-    )
-    tangent_sigma: float = parameter(
-        1e-3, 'what a panorama adds to each tangent of elevation', minimum=0, maximum=0.1
-    )
-    nearness_sigma: float = parameter(
-        1.5e-3,
-        'what two panoramas add to the ratio of their distances that sizes tell',
-        minimum=0,
-        maximum=0.1,
-    )
-    relief_sigma_m: float = parameter(
-        0.015,
-        'how differently far from the wall things on one stretch of it hang',
-        minimum=1e-4,
-        maximum=1,
-    )
-    hanging_sigma_m: float = parameter(
-        0.015, 'how differently far from the wall stretches of it hang', minimum=1e-4, maximum=1
-    )
-    hanging_length_m: float = parameter(
-        0.6,
-        'how long a stretch of wall hangs together, as a picture does',
-        minimum=0.05,
-        maximum=10,
-    )
-    common_hanging_sigma_m: float = parameter(
-        0.015, 'how far from the wall things hang on average', minimum=1e-4, maximum=1
-    )
-    wall_sigma_m: float = parameter(
-        0.005, 'how far a wall lies from where the room says', minimum=1e-4, maximum=1
-    )
-    camera_weight: float = parameter(
-        1.0,
-        'how many measurements the expected sigmas of panoramas and of relief count for',
-        minimum=1e-3,
-        maximum=1e9,
-    )
-    place_weight: float = parameter(
-        10.0,
-        'how many measurements the expected sigmas of their places count for',
-        minimum=1e-3,
-        maximum=1e9,
-    )
-    room_weight: float = parameter(
-        0.05,
-        'how many measurements the expected sigmas of walls and hanging count for',
-        minimum=1e-3,
-        maximum=1e9,
-    )
 
 
 @dataclass(frozen=True, eq=False)

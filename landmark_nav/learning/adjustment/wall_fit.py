@@ -18,12 +18,12 @@ from scipy.special import chdtrc
 from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment.config import AdjustmentConfig, WallFitConfig
 from landmark_nav.learning.adjustment.problem import wall_stretches
-from landmark_nav.learning.adjustment.solution import Adjustment, AdjustmentConfig
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.types import FloatArray
 
-__all__ = ['WallFitConfig', 'WallResidual', 'check_walls', 'doubtful_walls', 'wall_residuals']
+__all__ = ['WallResidual', 'check_walls', 'doubtful_walls', 'wall_residuals']
 
 
 # Chance that walls which a person measured are doubted, and patches that doubt takes.
@@ -41,21 +41,6 @@ _MAX_DISTANCE_M = 0.2
 _MAX_SIGMA_M = 0.02
 # Distance from one plane that three quarters of the things on a wall keep.
 _MAX_SPREAD_M = 0.025
-
-
-@dataclass(frozen=True)
-class WallFitConfig(Config):
-    """When a wall of the map is called wrong."""
-
-    max_before_m: float = parameter(
-        0.045, 'farthest that things hang before a wall, median, metres', minimum=0, maximum=1
-    )
-    max_behind_m: float = parameter(
-        0.02, 'farthest that they seem to hang behind it, median, metres', minimum=0, maximum=1
-    )
-    max_turn_rad: float = parameter(
-        0.03, 'greatest angle between patches and their wall', minimum=0, maximum=1
-    )
 
 
 def check_walls(

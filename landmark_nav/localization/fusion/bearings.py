@@ -30,11 +30,12 @@ class BearingFrame:
     """
     The bearings of one picture, ready for the filter.
 
-    `columns` (m,) are places of the landmarks in the map, `variance` (m,) what each bearing claims
-    of itself and `common_variance` what all of them share, `scores` (m,) their correlations,
-    `unusable` what was sorted out before; `config` says what sightings repeat.
+    `columns` (m,) are places of the landmarks `ids` (m,) in the map, `variance` (m,) what each
+    bearing claims of itself and `common_variance` what all of them share, `scores` (m,) their
+    correlations, `unusable` what was sorted out before; `config` says how they are used.
     """
 
+    ids: npt.NDArray[np.int64]
     columns: IndexArray
     bearing_rad: FloatArray
     variance: FloatArray
@@ -102,6 +103,7 @@ def bearing_frame(
             chosen[landmark] = k
     rows = list(chosen.values())
     return BearingFrame(
+        np.array(list(chosen), dtype=np.int64),
         np.array([columns[k] for k in chosen], dtype=np.intp),
         detections.bearing_rad[rows],
         variance[rows],

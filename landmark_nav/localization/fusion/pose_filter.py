@@ -232,21 +232,18 @@ class PoseFilter:
             partial(
                 update_turning,
                 frame=frame,
-                ids=self._map.ids,
                 lever=self._lever,
                 probability=self._health.level(
                     len(frame.columns), self._config.bearing_probability
                 ),
                 odometry=self._odometry,
                 least=self._health.least(expected),
-                refine=self._config.landmarks == 'refine',
-                turn_sigma=self._config.turn_sigma_rad,
             ),
         )
         # Of bearings that were not used, nothing tells which are the wrong ones.
         elsewhere = len(update.rejected) - len(frame.unusable) if update.degrees else 0
         self._health.look(stamp, update.degrees, missed, elsewhere)
-        agree = np.isin(self._map.ids[frame.columns], update.accepted_ids)
+        agree = np.isin(frame.ids, update.accepted_ids)
         self._witnesses.hear(frame.columns[agree])
         return update
 

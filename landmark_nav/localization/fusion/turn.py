@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.measurement import expected_bearings, MeasurementModel
@@ -36,20 +35,17 @@ _REACH_S, _LATE_SHARE, LATE_S = 0.3, 0.5, 0.15
 def update_turning(
     prior: FilterState,
     frame: BearingFrame,
-    ids: npt.NDArray[np.int64],
     lever: FloatArray,
     probability: float,
     odometry: OdometryNoiseConfig,
     least: int,
-    refine: bool,
-    turn_sigma: float,
 ) -> tuple[FilterState, FusionUpdate]:
     """
     Use the bearings of a frame as `update_bearings` does, or as those of a camera that turned.
 
     If they agree with each other but not with the prior's direction, either the camera turned
     against the base, or the base against the odometry, or the wheels slipped: at these few places
-    that looks alike. So heading and boresight become uncertain by that angle, `turn_sigma` [rad]
+    that looks alike. So heading and boresight become uncertain by that angle, `turn_sigma_rad`
     at most, and the position by what shows it from here; so does the lateness of the joints'
     stamps, if the camera turns so fast that it may be that. Other bearings, other rates, and the
     direction in which the robot drives on, tell them apart. An angle that is only too large for
@@ -57,9 +53,8 @@ def update_turning(
     """
     prior = looking_again(prior, frame.config.repeat_length_m)
     expected = expected_bearings(prior, frame, lever)
-    state, update = update_bearings(
-        prior, frame, ids, lever, probability, odometry, least, refine, expected
-    )
+    state, update = update_bearings(prior, frame, lever, probability, odometry, least, expected)
+    turn_sigma = frame.config.turn_sigma_rad
     if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
         return state, update
     angle, sigma = _common_turn(expected)
@@ -80,7 +75,7 @@ def update_turning(
             covariance[DELAY, DELAY] += LATE_S**2
     loose = replace(prior, covariance=covariance)
     loose_state, loose_update = update_bearings(
-        loose, frame, ids, lever, probability, odometry, max(least, _LEAST), refine
+        loose, frame, lever, probability, odometry, max(least, _LEAST)
     )
     if loose_update.refusal is not None or loose_update.degrees < update.degrees:
         return state, update

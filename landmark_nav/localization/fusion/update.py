@@ -72,12 +72,10 @@ class FusionUpdate:
 def update_bearings(
     prior: FilterState,
     frame: BearingFrame,
-    ids: npt.NDArray[np.int64],
     lever: FloatArray,
     probability: float,
     odometry: OdometryNoiseConfig,
     least: int,
-    refine: bool,
     expected: MeasurementModel | None = None,
 ) -> tuple[FilterState, FusionUpdate]:
     """
@@ -89,8 +87,6 @@ def update_bearings(
         State at the frame's time.
     frame : BearingFrame
         What was seen.
-    ids : ndarray of int, shape (n,)
-        Of all landmarks of the map.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
     probability : float
@@ -99,13 +95,11 @@ def update_bearings(
         How far noise may be learned.
     least : int
         Fewer agreeing bearings, or fewer than two thirds, are not used.
-    refine : bool
-        Improve the landmarks' places too.
     expected : MeasurementModel, optional
         What `expected_bearings` says of prior and frame, if it is known.
 
     """
-    seen = ids[frame.columns]
+    seen, refine = frame.ids, frame.config.landmarks == 'refine'
     rejected = dict(frame.unusable)
     before = expected or expected_bearings(prior, frame, lever)
     chosen = _inside_gate(before, seen, probability, rejected)
