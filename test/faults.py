@@ -102,6 +102,18 @@ def frozen(name: str) -> Change:
     return change
 
 
+def standing() -> Change:
+    """Odometry that stays where it is and says that it stands."""
+    stays = frozen('pose')
+
+    def change(message: Any) -> Any:
+        twist = message.twist.twist
+        twist.linear.x = twist.angular.z = 0.0
+        return stays(message)
+
+    return change
+
+
 def longer_focus(message: Any) -> Any:
     """A calibration of another zoom, 10 % off."""
     message.k = np.array(message.k) * [1.1, 1.0, 1.0, 1.0, 1.1, 1.0, 1.0, 1.0, 1.0]
@@ -153,6 +165,7 @@ def faults(bag: Bag) -> dict[str, Fault]:
         'odometry repeats a sample': Fault(repeated(), (ODOMETRY,)),
         'odometry stops': Fault(nothing, (ODOMETRY,)),
         'odometry freezes': Fault(frozen('pose'), (ODOMETRY,)),
+        'odometry freezes and says it stands': Fault(standing(), (ODOMETRY,)),
         'odometry is not a number': Fault(no_number, (ODOMETRY,)),
         'odometry stamps 30 s back': Fault(later(-30.0), (ODOMETRY,)),
         'picture stamps 30 s back': Fault(later(-30.0), (CAMERA, INFO)),

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 import pickle
 
 from hypothesis import given
@@ -59,6 +60,33 @@ class TestTrack:
         np.testing.assert_allclose(motion.increment, expected, atol=1e-9)
         assert motion.seconds == pytest.approx(0.538)
         assert motion.blind_seconds == 0.0
+
+    def test_a_pose_that_freezes_counts_as_none_from_then_on(self) -> None:
+        track, whole = circle_track(), circle_track(until=2.0)
+        there = twist_motion(SPEED, RATE, 1.0)
+        outcomes = [track.add(sample(1.0 + 0.05 * k, there)) for k in range(1, 11)]
+        assert outcomes[:2] == [None, None]
+        assert {o.reason for o in outcomes[2:] if o is not None} == {'odometry has frozen'}
+        assert None not in outcomes[2:]
+        assert track.stamps_ns == (0, 10**9)
+        np.testing.assert_allclose(
+            track.motion(0, 12 * 10**8).increment, whole.motion(0, 12 * 10**8).increment
+        )
+        assert track.add(sample(1.6)) is None
+        np.testing.assert_allclose(
+            track.motion(0, 16 * 10**8).increment, whole.motion(0, 16 * 10**8).increment
+        )
+
+    def test_a_robot_that_stands_has_not_frozen(self) -> None:
+        track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
+        for k in range(1, 100):
+            still = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.01, angular_rad_s=-0.01)
+            assert track.add(still) is None
+        # Speeds may tell of a start before the pose does.
+        assert track.add(sample(6.0, here)) is None
+        assert track.add(sample(6.05, here)) is None
+        assert track.add(sample(6.1, here)) is not None
+        assert track.stamps_ns == (0, round(1e9 * (1.0 + 0.05 * 99)))
 
     def test_predicts_by_the_last_twist_for_a_while(self) -> None:
         track = circle_track()

@@ -110,11 +110,12 @@ class History:
         refusal = self._track.add(sample)
         if not self._events:
             self._track.trim(sample.stamp_ns - self._span_ns)
-        if not self._events or self._track.stamps_ns == known:
+        now_known = self._track.stamps_ns
+        if not self._events or now_known is None or now_known == known:
             return refusal
         if sample.stamp_ns > self.begin_ns:
-            # What was predicted since the sample before is now known better.
-            since = known[1] if known is not None else self.begin_ns
+            # What was predicted since the sample before is now known better, or not at all.
+            since = min(known[1], now_known[1]) if known is not None else self.begin_ns
             first = max(1, self._place(since))
             if sample.stamp_ns // _STRIDE_NS != since // _STRIDE_NS:
                 self._events.insert(self._place(sample.stamp_ns), _Event(sample.stamp_ns))

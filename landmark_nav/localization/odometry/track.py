@@ -21,14 +21,18 @@ __all__ = ['HORIZON_S', 'OdometryTrack']
 # How far the last twist predicts beyond the last sample, and the first one before the first.
 HORIZON_S = 0.25
 
+# A pose that stays the same to the last bit over so many samples and so much of a motion (m or
+# rad) that their speeds tell has frozen: coarse encoders stay for less. Slower is noise.
+_FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
+
 
 class OdometryTrack:
     """
     Odometry without its jumps, that can be asked for the motion between any two times.
 
-    Where a source jumps, the motion goes on with the last twist and counts as blind. Beyond the
-    last sample, and before the first, its twist is followed for a short while; then the robot
-    stands, blind.
+    Where a source jumps, the motion goes on with the last twist and counts as blind. Samples whose
+    pose has frozen count as none. Beyond the last sample, and before the first, its twist is
+    followed for a short while; then the robot stands, blind.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:
@@ -39,6 +43,9 @@ class OdometryTrack:
         self._blind_ns: list[int] = []  # of the time until each
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
+        # The last whose pose and speeds agree, and how far speeds lead from there.
+        self._agreed: OdometrySample | None = None
+        self._claimed, self._staying = 0.0, 0
 
     @property
     def stamps_ns(self) -> tuple[int, int] | None:
@@ -61,6 +68,7 @@ class OdometryTrack:
             return Refusal('odometry is not a number')
         last = self._last
         if last is None:
+            self._agreed = sample
             self._append(sample, np.asarray(sample.pose_odom_base, dtype=np.float64), False)
             return None
         seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
@@ -79,11 +87,38 @@ class OdometryTrack:
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
         blind = jumped or seconds > self._config.max_gap_s
         stands = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
+        if not stands:
+            self._agreed, self._claimed, self._staying = sample, 0.0, 0
+        elif self._freezes(sample, seconds):
+            return Refusal('odometry has frozen', 'its pose stays while its speeds say it moves')
         pose = self._poses[-1] if stands else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:
             return Refusal('odometry jumped', f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s')
         return None
+
+    @property
+    def _frozen(self) -> bool:
+        return self._staying >= _FROZEN_SAMPLES and self._claimed > _FROZEN_WAY
+
+    def _freezes(self, sample: OdometrySample, seconds: float) -> bool:
+        """Whether a pose stays though its speeds move on; then that time is taken back."""
+        speed = max(abs(sample.linear_m_s), abs(sample.angular_rad_s))
+        if speed < _SLOW and not self._frozen:
+            self._agreed, self._claimed, self._staying = sample, 0.0, 0
+            return False
+        self._claimed += speed * seconds
+        self._staying += 1
+        if not self._frozen:
+            return False
+        agreed, pose = self._agreed, self._poses[-1]
+        assert agreed is not None, 'one came before'
+        while len(self._stamps) > 1 and self._stamps[-1] > agreed.stamp_ns:
+            del self._stamps[-1], self._poses[-1], self._blind_ns[-1]
+        if self._stamps[-1] < agreed.stamp_ns:
+            self._append(agreed, pose, blind=False)
+        self._last = agreed
+        return True
 
     def motion(self, from_ns: int, to_ns: int) -> Motion:
         """Motion between two times."""
