@@ -101,6 +101,18 @@ def test_a_heading_from_a_turning_camera_leaves_the_lateness_of_its_joints_open(
     assert fused.late.delay_s == pytest.approx(-0.1, abs=0.01)
 
 
+@pytest.mark.parametrize(('off_rad', 'open_'), [(0.0, False), (0.02, False), (0.4, True)])
+def test_joints_that_led_to_the_heading_that_is_found_are_in_time(
+    off_rad: float, open_: bool
+) -> None:
+    fused = started()
+    moment, _ = run(fused, 60)
+    pose = moment.pose + np.array([0.0, 0.0, off_rad])
+    place = PoseEstimate(moment.odometry.stamp_ns, pose, np.diag(np.square([0.02, 0.02, 0.2])))
+    fused.initialize(place, witnesses=MAP.ids)
+    assert (fused.late.sigma_s > 0.1) == open_
+
+
 def test_one_that_lies_just_within_its_gate_is_no_evidence_after_many_in_vain() -> None:
     """A normalized innovation squared of 7: 0.8 % of those of a right pose are as large."""
 
@@ -119,6 +131,27 @@ def test_one_that_lies_just_within_its_gate_is_no_evidence_after_many_in_vain() 
     barely = float(np.sqrt(7.0) / per_rad) - offset
     assert seen(barely).degrees == 1
     assert seen(barely, vain=3).refusal is not None
+
+
+def test_who_told_a_place_does_not_vouch_for_where_the_robot_went_blindly() -> None:
+    """From metres about, landmarks of one wall fit at a wrong place."""
+    walls = on_walls([EAST] * 5 + [NORTH] * 5)
+    fused = started(true_map=walls)
+    moment, _ = run(fused, 60)
+    assert fused.status == ('tracking', '')
+    stands = replace(moment.odometry, linear_m_s=0.0, angular_rad_s=0.0)
+    blind_ns = stands.stamp_ns + 6 * NS
+    fused.add_odometry(replace(stands, stamp_ns=blind_ns))
+    assert fused.status[0] == 'lost'
+    told = []
+    for k in range(10):
+        stamp = blind_ns + (k + 1) * NS // 5
+        fused.add_odometry(replace(stands, stamp_ns=stamp))
+        seen = range(5) if k < 5 else range(10)
+        fused.add_detections(detections(walls, moment.pose, stamp, seen, SIGMA))
+        told.append(fused.status)
+    assert 'only one wall' in told[4][1]
+    assert told[-1] == ('tracking', '')
 
 
 def test_turns_that_are_told_again_and_again_are_doubted_for_longer() -> None:

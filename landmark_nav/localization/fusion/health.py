@@ -9,15 +9,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.localization.fusion.config import HealthConfig
 from landmark_nav.localization.fusion.contradictions import Contradictions
 from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.fusion.views import AGREE, FOUND_SHARE, Views
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Health', 'HealthConfig', 'Status']
 
-# So many landmarks have a say of their own.
-_AGREE = 3
 # Correlation of a match that is not mistaken: seen from wrong poses (0.15 to 1 m off) a twentieth
 # of all mistaken matches reached it, and never three in one picture of 784.
 _SURE_SCORE = 0.95
@@ -28,16 +28,8 @@ _IN_VAIN, _DOUBTFUL_LEVEL = 3, 0.95
 _NIS_WINDOW, _NIS_LEVEL, _NIS_REPEATS = 10, 0.999, 5.0
 # Measurements accepted in a row until no longer lost.
 _FOUND_AFTER_ACCEPTANCES = 3
-# Share of what should be in a picture that has to be found for it to be used; and to be no longer
-# lost.
-_USABLE_SHARE, _FOUND_SHARE = 0.3, 0.4
-# Lost is who finds next to nothing, this share, of what should be in view, so many landmarks at
-# least, in so many seconds. What is missing must reach further along the walls than that: one
-# picture may be exchanged.
-_MISSING_SHARE, _MISSING_EXPECTED, _MISSING_S, _MISSING_EXTENT_M = 0.15, 10, 1.4, 1.5
-# Share of those seen whose bearings may contradict the others. It is 0.06 at most over five
-# pictures of right poses.
-_ELSEWHERE_SHARE = 0.15
+# Share of what should be in a picture that has to be found for it to be used.
+_USABLE_SHARE = 0.3
 # How long trouble with the odometry is told, and what pictures contradict; that, for as long as it
 # was contradicted before, but for no longer than this.
 _TROUBLE_S, _MOST_TROUBLE_S = 2.0, 6.0
@@ -53,15 +45,6 @@ class _Trouble(NamedTuple):
     reason: str
 
 
-class _View(NamedTuple):
-    """What a picture showed."""
-
-    stamp_ns: int
-    found: int
-    elsewhere: int
-    missed: FloatArray
-
-
 class Health:
     """Counts what was accepted and rejected."""
 
@@ -74,7 +57,7 @@ class Health:
         self._astray: str = ''
         self._last_refusal: str = ''
         self._window: deque[tuple[float, int]] = deque(maxlen=_NIS_WINDOW)
-        self._views: deque[_View] = deque()
+        self._views = Views()
         self._doubts = 0
         self._trouble = _Trouble(-(10**18), 0.0, '')
         self._contradictions = Contradictions()
@@ -115,8 +98,8 @@ class Health:
         a say of their own.
         """
         if self._astray:
-            return max(_AGREE, ceil(_FOUND_SHARE * expected))
-        return min(_AGREE, max(expected, 1)) if self._rejections else 1
+            return max(AGREE, ceil(FOUND_SHARE * expected))
+        return min(AGREE, max(expected, 1)) if self._rejections else 1
 
     def level(self, found: int, usual: float) -> float:
         """
@@ -126,11 +109,11 @@ class Health:
         no evidence for it that a few lie just within what could be.
         """
         doubtful = self._rejections > 0 or self._vain >= _IN_VAIN
-        return min(usual, _DOUBTFUL_LEVEL) if doubtful and found < _AGREE else usual
+        return min(usual, _DOUBTFUL_LEVEL) if doubtful and found < AGREE else usual
 
     def too_few(self, scores: FloatArray, expected: int) -> bool:
         """Whether those found among so many that are missing may be mistaken themselves."""
-        sure = np.count_nonzero(scores >= _SURE_SCORE) >= _AGREE
+        sure = np.count_nonzero(scores >= _SURE_SCORE) >= AGREE
         return not sure and len(scores) < _USABLE_SHARE * expected
 
     def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
@@ -142,39 +125,38 @@ class Health:
         seconds = max(_TROUBLE_S, min(self._contradictions.note(stamp_ns), _MOST_TROUBLE_S))
         self._trouble = _Trouble(stamp_ns, seconds, str(refusal))
 
-    def look(self, stamp_ns: int, found: int, missed: FloatArray, elsewhere: int = 0) -> None:
+    def look(
+        self,
+        stamp_ns: int,
+        found: IndexArray,
+        missed: IndexArray,
+        places: FloatArray,
+        elsewhere: int = 0,
+    ) -> None:
         """
-        Count what a picture showed of the landmarks that should be in view.
+        Take note of what a picture showed of the landmarks that should be in view.
 
-        A wrong pose finds next to nothing where it looks, for as long as it is wrong; a covered
-        landmark or an exchanged picture leaves the others. `missed` (n, 3) are the places of those
-        not found. Those that many others contradict lie `elsewhere`: of a right pose, and a camera
-        as it was calibrated, hardly any do.
+        Parameters
+        ----------
+        stamp_ns : int
+            Of the picture.
+        found, missed : ndarray of int, shape (m,), (n,)
+            Those that agree with the pose, and those not found.
+        places : ndarray, shape (n, 3)
+            Where those not found should be.
+        elsewhere : int
+            How many contradict many others. Of a right pose, and a camera as it was calibrated,
+            hardly any do.
+
         """
-        if not found and not len(missed):
+        if not len(found) and not len(missed):
             return
-        self._vain = 0 if found else self._vain + 1
-        self._views.append(_View(stamp_ns, found, elsewhere, missed))
-        while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > _MISSING_S:
-            self._views.popleft()
-        elsewhere = sum(view.elsewhere for view in self._views)
-        seen = elsewhere + sum(view.found for view in self._views)
-        if elsewhere >= _AGREE and elsewhere > _ELSEWHERE_SHARE * seen:
-            many = f'{elsewhere} of {seen}, the pose or the calibration may be wrong'
+        self._vain = 0 if len(found) else self._vain + 1
+        self._views.add(stamp_ns, found, missed, places, elsewhere)
+        if many := self._views.elsewhere():
             self.note_surprise(stamp_ns, Refusal('landmarks lie elsewhere', many))
-        places = np.concatenate([view.missed for view in self._views])
-        found = sum(view.found for view in self._views)
-        expected = found + len(places)
-        lasts = (stamp_ns - self._views[0].stamp_ns) * 1e-9 >= 0.6 * _MISSING_S
-        enough = lasts and expected >= _MISSING_EXPECTED
-        if not enough or found > _MISSING_SHARE * expected:
-            return
-        if np.linalg.norm(np.ptp(places[:, :2], axis=0)) > _MISSING_EXTENT_M:
-            self.doubt(
-                stamp_ns,
-                f'{found} of {expected} landmarks that should be in the last '
-                f'{len(self._views)} pictures were found',
-            )
+        if few := self._views.missing():
+            self.doubt(stamp_ns, few)
 
     def note(self, refusal: Refusal) -> None:
         """Remember why a measurement could not even be tried."""
@@ -242,12 +224,7 @@ class Health:
         if estimate is None or self._accepted_ns is None:
             return 'lost', 'no start pose: give one on initialpose or call relocalize'
         blind = self._blind(estimate.stamp_ns, odometry_ns)
-        sigma = float(np.sqrt(np.trace(estimate.covariance[:2, :2])))
-        sigma_heading = float(np.sqrt(estimate.covariance[2, 2]))
-        astray = self._astray
-        if sigma > self._config.lost_sigma_m or sigma_heading > self._config.lost_sigma_rad:
-            astray = astray or f'sigma is {sigma:.2f} m and {np.degrees(sigma_heading):.1f} deg'
-        if astray:
+        if astray := self._astray or self.too_wide(estimate):
             return 'lost', f'{astray}; {blind}' if blind else astray
         waited = (estimate.stamp_ns - self._accepted_ns) * 1e-9
         if odometry_ns is not None and waited > self._config.coasting_after_s:
@@ -257,6 +234,14 @@ class Health:
         if 0.0 <= (estimate.stamp_ns - self._trouble.stamp_ns) * 1e-9 < self._trouble.seconds:
             return 'coasting', self._trouble.reason
         return 'tracking', ''
+
+    def too_wide(self, estimate: PoseEstimate) -> str:
+        """How wide an estimate is, if landmarks of elsewhere may fit it."""
+        sigma = float(np.sqrt(np.trace(estimate.covariance[:2, :2])))
+        sigma_heading = float(np.sqrt(estimate.covariance[2, 2]))
+        if sigma <= self._config.lost_sigma_m and sigma_heading <= self._config.lost_sigma_rad:
+            return ''
+        return f'sigma is {sigma:.2f} m and {np.degrees(sigma_heading):.1f} deg'
 
     def _blind(self, stamp_ns: int, odometry_ns: int | None) -> str:
         """Say whether odometry is missing, and why it may be."""

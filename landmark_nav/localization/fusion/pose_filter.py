@@ -22,6 +22,7 @@ from landmark_nav.localization.fusion.doubt import (
     doubted_estimate,
     doubted_state,
     is_elsewhere,
+    is_headed,
 )
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
@@ -90,6 +91,7 @@ class PoseFilter:
         self._odometry = odometry or OdometryNoiseConfig()
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
+        self._was_narrow = False
         self.change_map(landmark_map)
 
     @property
@@ -141,7 +143,8 @@ class PoseFilter:
         A stamp outside the odometry of the last seconds (RViz on another clock) is taken as now:
         `now_ns`, or the time of the last odometry. A pose that nobody vouches for rests on
         landmarks alone, its `witnesses` (ids) and others: it takes two walls of them to be sure,
-        and a heading that is so unsure was told by a turning camera, whose joints may be late.
+        and a heading that is so unsure was told by a turning camera, whose joints may be late
+        unless odometry led to the same heading.
 
         Raises
         ------
@@ -158,17 +161,20 @@ class PoseFilter:
             now_ns = max(known[1], now_ns or 0)
             if not known[0] <= start.stamp_ns <= max(now_ns, known[1] + 10**9):
                 start = replace(start, stamp_ns=now_ns)
+        led = False
         if self._history.started:
-            state = moved_to(self._history.at(start.stamp_ns), start)
+            before = self._history.at(start.stamp_ns)
+            state, led = moved_to(before, start), is_headed(before, start)
         else:
             config = self._config
             sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
-        measured = 0.0 < state.late.sigma_s < _MEASURED_S
+        measured = led or 0.0 < state.late.sigma_s < _MEASURED_S
         turning = start.covariance[2, 2] > _TURNING_RAD**2
         if witnesses is not None and turning and not measured:
             state = with_late_joints(state, LATE_S)
         self._history.restart(state)
+        self._was_narrow = False
         self._health.restart(start.stamp_ns)
         self._witnesses.restart(vouched=witnesses is None)
         if witnesses is not None:
@@ -212,12 +218,13 @@ class PoseFilter:
             self._health.note(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         self._scores.extend(frame.scores.tolist())
-        known = [k for k in detections.missed.tolist() if k in self._columns]
-        missed = self._map.positions[[self._columns[k] for k in known]]
+        columns = [self._columns[k] for k in detections.missed.tolist() if k in self._columns]
+        missed = np.array(columns, dtype=np.intp)
+        places = self._map.positions[missed]
         expected = len(frame.columns) + len(missed)
         if self._config.mode != 'bearings':
             self._makings.add(Seen(stamp, frame.columns, expected))
-            self._health.look(stamp, len(frame.columns), missed)
+            self._health.look(stamp, frame.columns, missed, places)
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         if not len(frame.columns):
             refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
@@ -225,7 +232,7 @@ class PoseFilter:
             refusal = Refusal('too few found', f'{len(frame.columns)} of {expected} landmarks')
         if refusal is not None:
             self._health.note(refusal)
-            self._health.look(stamp, 0, missed)
+            self._health.look(stamp, frame.columns[:0], missed, places)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         update = self._measure(
             stamp,
@@ -242,9 +249,9 @@ class PoseFilter:
         )
         # Of bearings that were not used, nothing tells which are the wrong ones.
         elsewhere = len(update.rejected) - len(frame.unusable) if update.degrees else 0
-        self._health.look(stamp, update.degrees, missed, elsewhere)
-        agree = np.isin(frame.ids, update.accepted_ids)
-        self._witnesses.hear(frame.columns[agree])
+        agree = frame.columns[np.isin(frame.ids, update.accepted_ids)]
+        self._health.look(stamp, agree, missed, places, elsewhere)
+        self._witnesses.hear(agree)
         return update
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:
@@ -315,6 +322,11 @@ class PoseFilter:
         return Refusal('too late', f'{late:.3f} s before the history') if late > 0.0 else None
 
     def _measure(self, stamp_ns: int, step: Step) -> FusionUpdate:
+        wide = bool(self._health.too_wide(self._history.at(stamp_ns).estimate()))
+        if wide and self._was_narrow:
+            # Who told the place vouches no more for where the robot went since.
+            self._witnesses.restart(vouched=False)
+        self._was_narrow = not wide
         update = self._history.insert(stamp_ns, step)
         assert update is not None
         self._health.observe(update)

@@ -1,0 +1,113 @@
+"""What the last pictures showed of the landmarks that should have been in them."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.arrays import BoolArray, FloatArray, IndexArray
+
+__all__ = ['AGREE', 'FOUND_SHARE', 'Views']
+
+# So many landmarks have a say of their own; and this share of what should be in a picture speaks
+# for the pose.
+AGREE, FOUND_SHARE = 3, 0.4
+# Lost is who finds next to nothing, this share, of what should be in view, so many landmarks at
+# least. What is missing must reach further along the walls than that: one picture may be
+# exchanged.
+_MISSING_SHARE, _MISSING_EXPECTED, _MISSING_EXTENT_M = 0.15, 10, 1.5
+# In so many seconds, if those count that pictures have shown since the pose is known. A wall of
+# pictures that were exchanged may be looked at for longer: they count when no picture has spoken
+# for the pose since then.
+_FAMILIAR_S, _ALL_S = 1.4, 4.0
+# Pictures of so much of that time tell.
+_LASTING_SHARE = 0.6
+# Share of those seen whose bearings may contradict the others. It is 0.06 at most over five
+# pictures of right poses.
+_ELSEWHERE_SHARE = 0.15
+
+
+class _View(NamedTuple):
+    """
+    What a picture showed.
+
+    How many landmarks, and whether these speak for the pose; how many lie elsewhere; places (n, 3)
+    of those missed, and which of them (n,) are familiar.
+    """
+
+    stamp_ns: int
+    found: int
+    confirms: bool
+    elsewhere: int
+    places: FloatArray
+    familiar: BoolArray
+
+
+class Views:
+    """Whether pictures contradict the pose by what they do not show, or show elsewhere."""
+
+    def __init__(self) -> None:
+        self._views: deque[_View] = deque()
+        self._familiar: set[int] = set()
+
+    def clear(self) -> None:
+        """Judge no more by what was seen so far."""
+        self._views.clear()
+        self._familiar.clear()
+
+    def add(
+        self,
+        stamp_ns: int,
+        found: IndexArray,
+        missed: IndexArray,
+        places: FloatArray,
+        elsewhere: int,
+    ) -> None:
+        """Take note of a picture: landmarks that agree with the pose, and those not found."""
+        confirms = len(found) >= max(AGREE, FOUND_SHARE * (len(found) + len(missed)))
+        if confirms:
+            self._familiar.update(found.tolist())
+        known = self._familiar
+        familiar = np.array([not known or k in known for k in missed.tolist()], dtype=np.bool_)
+        self._views.append(_View(stamp_ns, len(found), confirms, elsewhere, places, familiar))
+        while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > _ALL_S:
+            self._views.popleft()
+
+    def elsewhere(self) -> str:
+        """How many lie elsewhere, if that are too many."""
+        views = self._within(_FAMILIAR_S)
+        elsewhere = sum(view.elsewhere for view in views)
+        seen = elsewhere + sum(view.found for view in views)
+        if elsewhere < AGREE or elsewhere <= _ELSEWHERE_SHARE * seen:
+            return ''
+        return f'{elsewhere} of {seen}, the pose or the calibration may be wrong'
+
+    def missing(self) -> str:
+        """
+        How few of those that should be there were found, if that are too few.
+
+        A wrong pose finds next to nothing where it looks, for as long as it is wrong; a covered
+        landmark or an exchanged picture leaves the others.
+        """
+        confirmed = any(view.confirms for view in self._views)
+        few = self._missing(_FAMILIAR_S, unfamiliar=False)
+        return few if few or confirmed else self._missing(_ALL_S, unfamiliar=True)
+
+    def _missing(self, seconds: float, unfamiliar: bool) -> str:
+        views = self._within(seconds)
+        places = np.concatenate([view.places[view.familiar | unfamiliar] for view in views])
+        found = sum(view.found for view in views)
+        expected = found + len(places)
+        lasts = (views[-1].stamp_ns - views[0].stamp_ns) * 1e-9 >= _LASTING_SHARE * seconds
+        if not lasts or expected < _MISSING_EXPECTED or found > _MISSING_SHARE * expected:
+            return ''
+        if np.linalg.norm(np.ptp(places[:, :2], axis=0)) <= _MISSING_EXTENT_M:
+            return ''
+        which = f'{found} of {expected} landmarks that should be in the last {len(views)} pictures'
+        return f'{which} were found'
+
+    def _within(self, seconds: float) -> list[_View]:
+        newest_ns = self._views[-1].stamp_ns
+        return [view for view in self._views if abs(newest_ns - view.stamp_ns) * 1e-9 <= seconds]
