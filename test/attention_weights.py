@@ -25,6 +25,7 @@ from landmark_truth import TrueWalls
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.learning.attention import attend, AttentionConfig, AttentionMaps, FEATURES
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.stereo import hypothesize, StereoConfig
@@ -183,7 +184,7 @@ def look(view: View, learned: LandmarkMap, later: Scene, table: FloatArray) -> N
     seen = observable(axis, learned, TripletConfig())
     seen &= later.sees(axis[:2], learned.positions[:, :2], float(axis[2]))
     way = learned.positions - axis
-    pans = wrap_rad(np.arctan2(way[:, 1], way[:, 0]) - pose[2])
+    pans = bearings(np.array([*axis[:2], pose[2]]), learned.positions[:, :2])
     gap = np.abs(wrap_rad(pans[:, None] - [frame.pan_rad for frame in view.frames]))
     for k, frame in enumerate(view.frames):
         index = visible_landmarks(

@@ -20,6 +20,8 @@ from as_a_user import learned_room
 import numpy as np
 
 from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour
 from landmark_nav.simulation.renderer import Renderer
@@ -108,17 +110,14 @@ class _Random:
         self._until_s = 0.0
 
     def __call__(self, update: LocalizationUpdate, time_s: float) -> float | None:
-        x, y, heading = update.fused.pose
-        offset = self._positions - [x, y]
-        pan = np.angle(np.exp(1j * (np.arctan2(offset[:, 1], offset[:, 0]) - heading)))
+        pan = bearings(update.fused.pose, self._positions)
         if self._target is None or time_s >= self._until_s:
             first = int(self._rng.integers(len(pan)))
-            near = np.flatnonzero(np.abs(np.angle(np.exp(1j * (pan - pan[first])))) < 0.35)
+            near = np.flatnonzero(np.abs(wrap_rad(pan - pan[first])) < 0.35)
             chosen = self._rng.choice(near, min(3, len(near)), replace=False)
             self._target = self._positions[chosen].mean(axis=0)
             self._until_s = time_s + 2.0
-        dx, dy = self._target - [x, y]
-        return float(np.angle(np.exp(1j * (np.arctan2(dy, dx) - heading))))
+        return float(bearings(update.fused.pose, self._target))
 
 
 def _drive(

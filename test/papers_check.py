@@ -101,9 +101,8 @@ def places_of(scene: Scene, count: int, rng: np.random.Generator) -> FloatArray:
 def take_sweep(world: RobotWorld, pose: FloatArray, gamma: float) -> Sweep:
     """The frames of a turn that look towards papers, as JPEG."""
     table = np.rint(255.0 * (np.arange(256) / 255.0) ** (1.0 / gamma)).astype(np.uint8)
-    axis = se2.compose(pose, [*world.mount.axis_xyz[:2], 0.0])
-    away = np.array([p.center[:2] for p in world.scene.room.papers]) - axis[:2]
-    azimuth = np.arctan2(away[:, 1], away[:, 0]) - axis[2]
+    axis = world.mount.axis_pose_map(pose)
+    azimuth = se2.bearings(axis, np.array([p.center[:2] for p in world.scene.room.papers]))
     frames = []
     for pan in PANS:
         if np.abs(wrap_rad(pan - azimuth)).min() > np.radians(26.0):

@@ -31,7 +31,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.se2 import compose
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.pipeline import (
@@ -161,10 +161,9 @@ def localize(
     config = PlanConfig()
     base = np.array([*cell, rng.uniform(-np.pi, np.pi)])
     mount: PanTiltMount = DEFAULT_MOUNT
-    axis = compose(base, [*mount.axis_xyz[:2], 0.0])
+    axis = mount.axis_pose_map(base)
     index = np.flatnonzero(observable(axis_position(base, mount), result.map, config.triplet))
-    delta = truth[index] - axis[:2]
-    bearing = np.arctan2(delta[:, 1], delta[:, 0]) - axis[2]
+    bearing = bearings(axis, truth[index])
     whole = whole_in_view(
         patch_corners(result.map)[index],
         base,

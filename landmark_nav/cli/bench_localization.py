@@ -56,7 +56,7 @@ def localization_comparisons(world: World) -> Iterator[Comparison]:
 def _triplet(world: World) -> Comparison:
     config = TripletConfig()
     positions = world.learned.map.positions[:, :2]
-    axis = se2.compose(world.prior.pose, [*MOUNT.axis_xyz[:2], 0.0])[:2]
+    axis = MOUNT.axis_pose_map(world.prior.pose)[:2]
     # A fifth of all landmarks is about what one view shows.
     triplets = list(combinations(range(len(positions)), 3))[::5]
 
@@ -141,9 +141,7 @@ def _triangulation(world: World) -> Comparison:
     start = se2.compose(world.prior.pose, [0.1, -0.1, 0.05])
 
     def residuals(pose: FloatArray) -> FloatArray:
-        offset = positions - pose[:2]
-        expected = np.arctan2(offset[:, 1], offset[:, 0]) - pose[2]
-        return wrap_rad(bearings - expected) / _BEARING_SIGMA_RAD
+        return wrap_rad(bearings - se2.bearings(pose, positions)) / _BEARING_SIGMA_RAD
 
     return Comparison(
         f'triangulation of {len(positions)} bearings',

@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
@@ -122,9 +121,8 @@ class World:
     @cached_property
     def bearings(self) -> FloatArray:
         """True bearings of all landmarks at the pan axis."""
-        axis = se2.compose(self.prior.pose, [*MOUNT.axis_xyz[:2], 0.0])
-        offset = self.learned.map.positions[:, :2] - axis[:2]
-        return wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - axis[2])
+        axis = MOUNT.axis_pose_map(self.prior.pose)
+        return se2.bearings(axis, self.learned.map.positions[:, :2])
 
 
 def _estimate(pose: FloatArray, sigma_m: float) -> PoseEstimate:

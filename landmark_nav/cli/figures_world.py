@@ -9,6 +9,7 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures.area_figure import AreaTest
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.detection import (
     detect_landmarks,
@@ -109,8 +110,7 @@ class FiguresWorld:
     ) -> bool:
         """Whether it is found within a pixel of the truth when the camera looks its way."""
         pose = np.append(place, rng.uniform(-np.pi, np.pi))
-        away = landmark.position[:2] - place
-        pan = float(np.arctan2(away[1], away[0]) - pose[2])
+        pan = float(bearings(pose, landmark.position[:2]))
         rotation, center = self.mount.camera_pose_map(pose, pan)
         noise = rng.normal(0.0, 2.0, (camera.height, camera.width, 1))
         image = np.clip(renderer.render(rotation, center) + noise, 0, 255).astype(np.uint8)

@@ -9,7 +9,6 @@ import numpy as np
 
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import PoseFilter
 from landmark_nav.localization.pipeline import LocalizationConfig
@@ -99,7 +98,5 @@ def _without_noise(
     seen: Detections, pose: FloatArray, landmark_map: LandmarkMap, mount: PanTiltMount
 ) -> Detections:
     """Give a sighting the bearings that the true pose would have shown."""
-    axis = se2.compose(pose, [*mount.axis_xyz[:2], 0.0])
-    delta = landmark_map.positions[landmark_map.indices(seen.ids), :2] - axis[:2]
-    bearing = wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - axis[2])
-    return replace(seen, bearing_rad=bearing)
+    places = landmark_map.positions[landmark_map.indices(seen.ids), :2]
+    return replace(seen, bearing_rad=se2.bearings(mount.axis_pose_map(pose), places))

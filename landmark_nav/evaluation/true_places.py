@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from landmark_nav.evaluation.tracks import PoseTrack
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.messages import decode
@@ -60,7 +59,7 @@ def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMo
     for pose, panorama, candidates, outcomes in zip(
         true_poses, result.panoramas, result.candidates, result.outcomes, strict=True
     ):
-        axis = se2.compose(pose, [*mount.axis_xyz[:2], 0.0])[:2]
+        axis = mount.axis_pose_map(pose)[:2]
         for candidate, outcome in zip(candidates, outcomes, strict=True):
             if isinstance(outcome, Landmark):
                 azimuth = float(panorama.cylinder.azimuth_rad(candidate.column)) + pose[2]

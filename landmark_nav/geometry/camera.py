@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.se2 import compose
 
 __all__ = ['CameraModel', 'PanTiltMount', 'rotation_rpy']
 
@@ -276,6 +277,10 @@ class PanTiltMount:
     @cached_property
     def _axis_rotation(self) -> FloatArray:
         return rotation_rpy(self.axis_rpy)
+
+    def axis_pose_map(self, pose_map_base: npt.ArrayLike) -> FloatArray:
+        """Pan axis with the orientation of the base, planar, (..., 3), for bases at poses."""
+        return compose(pose_map_base, [*self.axis_xyz[:2], 0.0])
 
     def camera_pose_base(
         self,

@@ -14,7 +14,15 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.angles import wrap_one_rad, wrap_rad
 
-__all__ = ['compose', 'compose_jacobians', 'inverse', 'relative', 'rotation', 'transform_points']
+__all__ = [
+    'bearings',
+    'compose',
+    'compose_jacobians',
+    'inverse',
+    'relative',
+    'rotation',
+    'transform_points',
+]
 
 
 def rotation(theta_rad: npt.ArrayLike) -> FloatArray:
@@ -93,3 +101,9 @@ def transform_points(pose_a_b: npt.ArrayLike, points_b: npt.ArrayLike) -> FloatA
     pose = np.asarray(pose_a_b, dtype=np.float64)
     points = np.asarray(points_b, dtype=np.float64)
     return np.asarray(points @ rotation(pose[2]).T + pose[:2])
+
+
+def bearings(pose_a_b: FloatArray, points_a: FloatArray) -> FloatArray:
+    """Bearings (...) of points (..., 2) in a, counter-clockwise from the heading of b."""
+    delta = points_a - pose_a_b[:2]
+    return wrap_rad(np.arctan2(delta[..., 1], delta[..., 0]) - pose_a_b[2])

@@ -204,7 +204,7 @@ def _place(
 
 def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
     """The panorama's viewpoint: the pan axis at the height of the optical centre."""
-    axis = se2.compose(place.pose_map_base, [*mount.axis_xyz[:2], 0.0])
+    axis = mount.axis_pose_map(place.pose_map_base)
     return np.array([axis[0], axis[1], place.height_m])
 
 

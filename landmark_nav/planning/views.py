@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.se2 import compose
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area import LEAST_PAPERS, pose_errors
 from landmark_nav.planning.config import PlanConfig
@@ -129,7 +128,7 @@ def look(
         Of the places that see enough papers; the others can't be measured and are left out.
 
     """
-    axis = compose(poses_map_base, [*mount.axis_xyz[:2], 0.0])[:, :2]
+    axis = mount.axis_pose_map(poses_map_base)[:, :2]
     eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])
     middle = poses_map_base[:, 2] + _azimuth_base(
         mount, np.array([0.5 * (config.pan_min_rad + config.pan_max_rad)])

@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
@@ -222,9 +223,8 @@ class PathFollower:
         distance = np.linalg.norm(self._path[self._at :] - pose_map_base[:2], axis=1)
         beyond = np.flatnonzero(distance > _LOOK_AHEAD_M)
         goal = self._path[self._at + (int(beyond[0]) if len(beyond) else len(distance) - 1)]
-        offset = goal - pose_map_base[:2]
-        error = float(wrap_rad(np.arctan2(offset[1], offset[0]) - pose_map_base[2]))
-        reach = max(float(np.linalg.norm(offset)), 0.2)
+        error = float(bearings(pose_map_base, goal))
+        reach = max(float(np.linalg.norm(goal - pose_map_base[:2])), 0.2)
         if abs(error) > 1.0:
             return 0.0, float(np.clip(1.5 * error, -0.8, 0.8))
         speed = self._speed_m_s * max(np.cos(1.3 * error), 0.15)

@@ -1,4 +1,4 @@
-"""Landmarks of which the place alone matters, and the bearings at which they are seen."""
+"""Landmarks of which the place alone matters."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.types import FloatArray, Landmark
 
-__all__ = ['bare_landmark', 'bearings']
+__all__ = ['bare_landmark']
 
 
 def bare_landmark(
@@ -26,9 +25,3 @@ def bare_landmark(
         'threshold': 0.7,
     }
     return Landmark(number, position, covariance, **(fields | given))
-
-
-def bearings(pose: FloatArray, places: FloatArray) -> FloatArray:
-    """Counter-clockwise angles (n,) from the heading of `pose` (3,) to `places` (n, 2)."""
-    delta = places - pose[:2]
-    return wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - pose[2])

@@ -60,9 +60,8 @@ def detect(
 
 def bearing_at(pose: FloatArray, landmark: Landmark) -> float:
     """Bearing at the pan axis."""
-    axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
-    d = landmark.position[:2] - axis[:2]
-    return float(wrap_rad(np.arctan2(d[1], d[0]) - pose[2]))
+    axis = MOUNT.axis_pose_map(pose)
+    return float(se2.bearings(axis, landmark.position[:2]))
 
 
 def errors_of(

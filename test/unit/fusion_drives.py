@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
@@ -69,9 +70,8 @@ def as_surveyed(true_map: LandmarkMap, rng: np.random.Generator) -> LandmarkMap:
 
 def bearings(true_map: LandmarkMap, pose: FloatArray) -> FloatArray:
     """Bearings (n,) at the pan axis."""
-    axis = compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
-    delta = true_map.positions[:, :2] - axis[:2]
-    return wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - axis[2])
+    axis = MOUNT.axis_pose_map(pose)
+    return se2.bearings(axis, true_map.positions[:, :2])
 
 
 def detections(

@@ -55,9 +55,8 @@ def sweep_at(
     pan_sigma_rad: float = 0.0,
 ) -> Sweep:
     """Frames that look towards some papers, as JPEG with halved colours."""
-    axis = se2.compose(pose, [*mount.axis_xyz[:2], 0.0])
-    away = np.array([p.center[:2] for p in towards]) - axis[:2]
-    azimuth = np.arctan2(away[:, 1], away[:, 0]) - axis[2]
+    axis = mount.axis_pose_map(pose)
+    azimuth = se2.bearings(axis, np.array([p.center[:2] for p in towards]))
     raised = replace(mount, axis_xyz=(*mount.axis_xyz[:2], mount.axis_xyz[2] + rise_m))
     frames = []
     for pan in TURN:

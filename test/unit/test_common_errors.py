@@ -19,7 +19,6 @@ from paper_sweeps import CAMERA, EAST, error_of, locate, MOUNT, scene_of, sweep_
 import pytest
 from scenes import rectangle_room
 
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust
@@ -46,7 +45,7 @@ def test_a_paper_that_hangs_elsewhere_moves_sweeps_as_told() -> None:
     for pose in np.array([[3.6, 2.2, 0.1], [4.4, 3.4, -0.4]]):
         truly = error_of(locate(sweep_at(scene_of(told), pose), told), pose)
         off = error_of(locate(sweep_at(scene_of(told, hung), pose), told), pose) - truly
-        eye = [*se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])[:2], 1.1]
+        eye = [*MOUNT.axis_pose_map(pose)[:2], 1.1]
         _, by_papers = pose_errors(np.array([eye]), told, CONFIG, CAMERA.fx)
         # Size first, then how far along the wall and up each paper hangs; it runs along +y.
         expected = -by_papers[0, :, 3] * moved_m / CONFIG.paper_sigma_m

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bare_landmarks import bare_landmark, bearings
+from bare_landmarks import bare_landmark
 import numpy as np
 import pytest
 
@@ -44,7 +44,7 @@ def run() -> Replay:
         events.append(PoseEstimate(stamp - 1_000_003, pose, np.zeros((3, 3))))
         events.append(OdometrySample(stamp, reckoned))
         if k % 5 == 0:
-            bearing = bearings(pose, POSTS) + rng.normal(0, 0.01, 4)
+            bearing = se2.bearings(pose, POSTS) + rng.normal(0, 0.01, 4)
             events.append(
                 Detections(
                     stamp,

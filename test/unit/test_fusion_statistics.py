@@ -21,7 +21,6 @@ import pytest
 from scipy.stats import chi2
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.fusion.state import BORESIGHT, HEADING
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -261,7 +260,7 @@ def test_repeated_sightings_never_claim_more_than_the_map() -> None:
     assert estimate is not None
     used = np.array([0, 2, 3, 5])
     rows = np.stack([2 * used, 2 * used + 1], -1).reshape(-1)
-    axis = compose(moment.pose, [*MOUNT.axis_xyz[:2], 0.0])
+    axis = MOUNT.axis_pose_map(moment.pose)
     fix = triangulate(
         true_map.positions[used, :2],
         detections(true_map, moment.pose, 0, used, 1e-6).bearing_rad,

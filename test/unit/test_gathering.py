@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bare_landmarks import bearings
 import numpy as np
 import pytest
 from triplet_room import random_map
@@ -41,8 +40,8 @@ def way(steps: int) -> FloatArray:
 
 
 def sighted(pose: FloatArray, places: list[int], landmarks: FloatArray) -> FloatArray:
-    axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
-    return bearings(axis, landmarks[places])
+    axis = MOUNT.axis_pose_map(pose)
+    return se2.bearings(axis, landmarks[places])
 
 
 def picture(stamp_ns: int, places: list[int], bearing: FloatArray, sigma_rad: float) -> Detections:

@@ -80,3 +80,12 @@ def test_many_poses_at_once_equal_one_by_one() -> None:
     np.testing.assert_allclose(
         se2.compose(first[0, 0], second)[2, 3], se2.compose(first[0, 0], second[2, 3])
     )
+
+
+@given(POSES, st.lists(st.floats(-3.1, 3.1), min_size=1, max_size=4), st.floats(0.1, 50.0))
+def test_bearings_are_those_at_which_points_were_put(
+    pose: FloatArray, angles: list[float], away: float
+) -> None:
+    ahead = away * np.column_stack([np.cos(angles), np.sin(angles)])
+    found = se2.bearings(pose, se2.transform_points(pose, ahead))
+    np.testing.assert_allclose(found, angles, atol=1e-9)

@@ -73,7 +73,7 @@ def sweep_at(pose: FloatArray, mount: PanTiltMount = MOUNT, known: bool = False)
 
 def axis_of(pose: FloatArray) -> FloatArray:
     """Viewpoint (3,) of a panorama taken by the base at `pose`."""
-    x, y, _ = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
+    x, y, _ = MOUNT.axis_pose_map(pose)
     return np.array([x, y, MOUNT.axis_xyz[2]])
 
 

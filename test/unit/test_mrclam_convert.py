@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 import shlex
 
-from bare_landmarks import bearings
 import numpy as np
 import pytest
 
@@ -44,7 +43,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     times = BEGIN_S + STEP_S * np.arange(count)
     seen = []
     for time, pose in zip(times[2::5], truth[2::5], strict=True):
-        bearing = bearings(pose, POSTS)
+        bearing = se2.bearings(pose, POSTS)
         bearing += rng.normal(0.0, 0.008, len(POSTS))
         for k in np.flatnonzero(np.abs(bearing) < 0.8):
             # One reading in fifty is mistaken for another post.

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bare_landmarks import bearings
 import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
 from landmark_nav.localization.odometry.commanded import command_delay_s, integrate_commands
 from landmark_nav.localization.odometry.noise import twist_motion
 from landmark_nav.types import Detections
@@ -41,7 +41,7 @@ def late_robot(delay_s: float) -> tuple[np.ndarray, np.ndarray, list[Detections]
     posts = np.array([[4.0, 0.0], [0.0, 4.0], [-4.0, -1.0]])
     sightings = []
     for sample in samples[::10]:
-        bearing = bearings(sample.pose_odom_base, posts)
+        bearing = se2.bearings(sample.pose_odom_base, posts)
         seen = np.abs(bearing) < 0.9
         bearing = bearing + rng.normal(0.0, 0.01, 3)
         none = np.zeros(3)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bare_landmarks import bare_landmark, bearings
+from bare_landmarks import bare_landmark
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -85,8 +85,8 @@ class Drive:
     def _seen(
         self, k: int, pose: FloatArray, rng: np.random.Generator, noise: float
     ) -> Detections:
-        axis = se2.compose(pose, [*MOUNT.axis_xyz[:2], 0.0])
-        bearing = bearings(axis, self.real) + self.boresight
+        axis = MOUNT.axis_pose_map(pose)
+        bearing = se2.bearings(axis, self.real) + self.boresight
         kept, share = np.exp(-0.2 / FUSION.repeat_length_m), FUSION.repeated_share
         self._repeated = kept * self._repeated + np.sqrt(1.0 - kept**2) * rng.normal(size=6)
         alone = np.sqrt(share) * self._repeated + np.sqrt(1.0 - share) * rng.normal(size=6)

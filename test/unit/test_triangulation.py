@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from bare_landmarks import bearings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -10,6 +9,7 @@ from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.model import (
     axis_from_base,

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from bare_landmarks import bearings
 from hypothesis import assume, given
 from hypothesis import strategies as st
 import numpy as np
@@ -9,6 +8,7 @@ from scipy.optimize import least_squares
 
 from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
 from landmark_nav.localization.triangulation.three import triangulate_three
 

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import patch_axes, rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
@@ -32,7 +31,7 @@ class View:
         self.rotation, self.center = mount.camera_pose_map(
             prior.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad
         )
-        self.axis = se2.compose(prior.pose, [*mount.axis_xyz[:2], 0.0])[:2]
+        self.axis = mount.axis_pose_map(prior.pose)[:2]
 
 
 class Expectation(NamedTuple):

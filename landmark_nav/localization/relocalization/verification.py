@@ -98,8 +98,7 @@ def verify(
         estimate = base_from_axis(fix.at(carried.stamp_ns), mount)
     assert isinstance(fix, Fix)
     landmark = np.unique(found.landmark[fix.used])
-    offset = landmark_map.positions[landmark, :2] - fix.pose[:2]
-    bearing = wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - fix.pose[2])
+    bearing = se2.bearings(fix.pose, landmark_map.positions[landmark, :2])
     return Verification(estimate, landmark_map.ids[landmark], bearing, expected)
 
 

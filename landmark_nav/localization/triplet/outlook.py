@@ -11,6 +11,7 @@ import numpy.typing as npt
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_gradients
 from landmark_nav.localization.triplet.ranking import Standing
 from landmark_nav.localization.triplet.views import PanWindows
@@ -136,8 +137,7 @@ class Outlook:
     def expected_bearings(self, index: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Bearings (n,) at the pan axis and their sigmas (n,) by prior and map."""
         position = self.landmark_map.positions[index, :2]
-        delta = position - self.axis.pose[:2]
-        bearing = wrap_rad(np.arctan2(delta[:, 1], delta[:, 0]) - self.axis.pose[2])
+        bearing = bearings(self.axis.pose, position)
         gradient = bearing_gradients(self.axis.pose, position)
         jacobian = np.column_stack([gradient, np.full(len(index), -1.0)])
         own = self.landmark_map.covariances[index, :2, :2]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.observation import observed_well
-from landmark_nav.geometry.se2 import compose, rotation
+from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.localization.triplet.ranking import Standing
 from landmark_nav.parameters import Config, parameter
@@ -103,7 +103,7 @@ def visible_landmarks(
 
 def axis_position(pose_map_base: FloatArray, mount: PanTiltMount) -> FloatArray:
     """Pan axis (3,) in map."""
-    x, y, _ = compose(pose_map_base, [*mount.axis_xyz[:2], 0.0])
+    x, y, _ = mount.axis_pose_map(pose_map_base)
     return np.array([x, y, mount.axis_xyz[2]])
 
 
