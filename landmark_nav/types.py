@@ -204,10 +204,8 @@ class Landmark:
         Where it was learned from, in map: sets the observation area.
     threshold : float
         Least normalized cross-correlation that counts as found.
-    wall_id : str
-        The wall that carries it.
-    saliency : float
-        Of its candidate.
+    wall_id, saliency
+        Of the wall that carries it, of its candidate.
     views : tuple of PatchView
         What other panoramas show of it; old maps do not tell.
 
@@ -230,11 +228,7 @@ class Landmark:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
-    """
-    What was learned, with where it came from.
-
-    The arrays below are stacked over landmarks in the order of `landmarks`.
-    """
+    """What was learned, and where; the arrays are stacked over `landmarks` in their order."""
 
     landmarks: tuple[Landmark, ...]
     frame_id: str = 'map'
@@ -289,10 +283,14 @@ class LandmarkMap:
         """Joint covariance of all (x, y), (2n, 2n), with the part that landmarks share."""
         n = len(self.landmarks)
         loading = self.shared_loadings[:, :2].reshape(2 * n, self.shared_loadings.shape[2])
-        joint = loading @ loading.T
-        for k in range(n):
-            joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = self.covariances[k, :2, :2]
-        return np.asarray(joint)
+        joint = (loading @ loading.T).reshape(n, 2, n, 2)
+        joint[range(n), :, range(n)] = self.covariances[:, :2, :2]
+        return np.asarray(joint.reshape(2 * n, 2 * n))
+
+    def joint_covariance_of(self, places: npt.NDArray[np.integer]) -> FloatArray:
+        """Joint covariance (2m, 2m) of the (x, y) of some landmarks (m,), by their places."""
+        rows = np.stack([2 * places, 2 * places + 1], -1).reshape(-1)
+        return np.asarray(self.joint_covariance_xy[np.ix_(rows, rows)])
 
 
 @dataclass(frozen=True, eq=False)

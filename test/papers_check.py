@@ -24,6 +24,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig
+from landmark_nav.simulation.measuring import moved_paper
 from landmark_nav.simulation.places import view_quality
 from landmark_nav.simulation.room_generator import generate_room, generate_scene
 from landmark_nav.simulation.scene import Lamp, Scene, WallItem
@@ -47,9 +48,8 @@ def draw_papers(room: Room, count: int, walls: int, rng: np.random.Generator) ->
     papers: list[Paper] = []
     for k in range(count):
         wall = longest[k % walls]
-        start, side = np.array(wall.start), np.subtract(wall.end, wall.start) / wall.length
         for along in rng.uniform(0.5, wall.length - 0.5, 50):
-            x, y = start + along * side
+            x, y = wall.start + along * wall.along
             if all(np.hypot(p.center[0] - x, p.center[1] - y) > 0.6 for p in papers):
                 size = SIZES[int(rng.integers(len(SIZES)))]
                 center = (float(x), float(y), float(rng.uniform(1.2, 1.65)))
@@ -114,13 +114,8 @@ def take_sweep(world: RobotWorld, pose: FloatArray, gamma: float) -> Sweep:
 
 def told(room: Room, sweep: Sweep, rng: np.random.Generator) -> tuple[Room, Sweep, PanTiltMount]:
     """What a robot is told: all a little wrong."""
-    papers = []
-    for paper in room.papers:
-        wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
-        side = np.subtract(wall.end, wall.start) / wall.length
-        along, up = rng.normal(0.0, CONFIG.paper_sigma_m, 2)
-        x, y = paper.center[:2] + along * side
-        papers.append(replace(paper, center=(float(x), float(y), paper.center[2] + float(up))))
+    shifts = rng.normal(0.0, CONFIG.paper_sigma_m, (len(room.papers), 2))
+    papers = tuple(moved_paper(p, room, s) for p, s in zip(room.papers, shifts, strict=True))
     slips = rng.normal(0.0, DEFAULT_MOUNT.pan_sigma_rad, (len(sweep.frames), 2))
     frames = tuple(
         replace(f, pan_rad=f.pan_rad + float(a), tilt_rad=f.tilt_rad + float(b))
@@ -133,7 +128,7 @@ def told(room: Room, sweep: Sweep, rng: np.random.Generator) -> tuple[Room, Swee
         axis_xyz=(x, y, z + float(rng.normal(0.0, CONFIG.height_sigma_m))),
         axis_rpy=(float(lean[0]), float(lean[1]), 0.0),
     )
-    return replace(room, papers=tuple(papers)), replace(sweep, frames=frames), mount
+    return replace(room, papers=papers), replace(sweep, frames=frames), mount
 
 
 def main() -> int:

@@ -175,12 +175,11 @@ def localize(
     )
     index, bearing = index[whole], bearing[whole]
     sigma = config.triplet.bearing_sigma_rad
-    rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
     fix = triangulate(
         result.map.positions[index, :2],
         bearing + rng.normal(0.0, sigma, len(bearing)),
         np.full(len(bearing), sigma**2),
-        result.map.joint_covariance_xy[np.ix_(rows, rows)],
+        result.map.joint_covariance_of(index),
         PoseEstimate(0, axis, np.diag([0.3, 0.3, 0.1]) ** 2),
     )
     if isinstance(fix, Refusal):

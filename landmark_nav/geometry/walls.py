@@ -33,6 +33,11 @@ class Wall:
         return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
 
     @property
+    def along(self) -> FloatArray:
+        """Unit vector from start to end, (2,)."""
+        return np.asarray(np.subtract(self.end, self.start) / self.length)
+
+    @property
     def normal(self) -> FloatArray:
         """Unit normal into the room, (3,)."""
         dx, dy = (self.end[0] - self.start[0], self.end[1] - self.start[1])

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.walls import Room
+from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.types import FloatArray
 
-__all__ = ['as_measured']
+__all__ = ['as_measured', 'moved_paper']
 
 
 # Standard deviations, metres: of a tape through a room, of a ruler along a wall, of the height of
@@ -48,15 +48,17 @@ def as_measured(
         replace(wall, start=start, end=end)
         for wall, (start, end) in zip(room.walls, moved, strict=True)
     )
-    papers = []
-    for paper in room.papers:
-        wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
-        along, up = rng.normal(0.0, _PAPER_M, 2)
-        x, y = paper.center[:2] + along * np.subtract(wall.end, wall.start) / wall.length
-        papers.append(replace(paper, center=(float(x), float(y), paper.center[2] + float(up))))
+    papers = tuple(moved_paper(p, room, rng.normal(0.0, _PAPER_M, 2)) for p in room.papers)
     x, y, z = mount.axis_xyz
     higher = replace(mount, axis_xyz=(x, y, z + float(rng.normal(0.0, _HEIGHT_M))))
-    return replace(room, walls=walls, papers=tuple(papers)), higher
+    return replace(room, walls=walls, papers=papers), higher
+
+
+def moved_paper(paper: Paper, room: Room, shift_m: FloatArray) -> Paper:
+    """Paper that hangs elsewhere on its wall: so far along it and up, (2,)."""
+    wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
+    x, y = paper.center[:2] + shift_m[0] * np.subtract(wall.end, wall.start) / wall.length
+    return replace(paper, center=(float(x), float(y), paper.center[2] + float(shift_m[1])))
 
 
 def _corner(

@@ -129,8 +129,7 @@ def test_a_hundred_patches_of_a_few_pictures_say_no_more_of_the_walls_than_a_few
         ):
             wall = ROOM.walls[index]
             along = 0.3 + CONFIG.hanging_length_m * (2, 5)[k // 4 % 2] + at
-            side = np.subtract(wall.end, wall.start) / wall.length
-            points[k, :2] = wall.start + along * side
+            points[k, :2] = wall.start + along * wall.along
         world = world_hung(replace(world, points=points), rng, 0.01, 2e-4)
         found = solve(world, sightings_of(world, rng, (2e-4, 2e-4)), told_poses(world, rng))
         error = found.poses - world.poses

@@ -36,12 +36,11 @@ def fix_of(
     pose: FloatArray, stamp_ns: int, places: list[int], off_rad: FloatArray | float = 0.0
 ) -> PoseEstimate:
     """Triangulate from the bearings of some landmarks."""
-    both = np.array([[2 * k, 2 * k + 1] for k in places]).ravel()
     fix = triangulate(
         MAP.positions[places, :2],
         bearings(MAP, pose)[places] + off_rad,
         np.full(len(places), SIGMA**2),
-        MAP.joint_covariance_xy[np.ix_(both, both)],
+        MAP.joint_covariance_of(np.array(places)),
     )
     assert isinstance(fix, Fix)
     return base_from_axis(fix.at(stamp_ns), MOUNT)

@@ -259,13 +259,12 @@ def test_repeated_sightings_never_claim_more_than_the_map() -> None:
     estimate = fused.estimate()
     assert estimate is not None
     used = np.array([0, 2, 3, 5])
-    rows = np.stack([2 * used, 2 * used + 1], -1).reshape(-1)
     axis = MOUNT.axis_pose_map(moment.pose)
     fix = triangulate(
         true_map.positions[used, :2],
         detections(true_map, moment.pose, 0, used, 1e-6).bearing_rad,
         np.full(4, 1e-12),
-        true_map.joint_covariance_xy[np.ix_(rows, rows)],
+        true_map.joint_covariance_of(used),
     )
     assert not isinstance(fix, Refusal)
     np.testing.assert_allclose(fix.pose, axis, atol=1e-6)

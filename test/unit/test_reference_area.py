@@ -23,10 +23,10 @@ from paper_sweeps import (
 import pytest
 from scenes import Board, flat_texture, rectangle_room
 
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.reference_area.blobs import hue_direction
 from landmark_nav.learning.reference_area.edges import EdgeSamples, locate_edges
-from landmark_nav.types import FloatArray
+from landmark_nav.simulation.measuring import moved_paper
 
 
 @pytest.mark.parametrize('papers', [EAST, CORNER], ids=['one wall', 'two walls'])
@@ -50,8 +50,7 @@ def test_noise_and_papers_that_hang_askew_stay_within_the_covariance() -> None:
     for _ in range(4):
         pose = np.array([*rng.uniform((2.8, 1.6), (4.2, 3.6)), rng.uniform(-np.pi, np.pi)])
         hung = tuple(
-            replace(p, center=_moved(p, room, rng.normal(0.0, CONFIG.paper_sigma_m, 2)))
-            for p in CORNER
+            moved_paper(p, room, rng.normal(0.0, CONFIG.paper_sigma_m, 2)) for p in CORNER
         )
         rise = float(rng.normal(0.0, CONFIG.height_sigma_m))
         sweep = sweep_at(
@@ -71,13 +70,6 @@ def test_noise_and_papers_that_hang_askew_stay_within_the_covariance() -> None:
         assert sigma[:2].max() < 0.02
         assert sigma[3] < np.radians(0.3)
     assert 0.3 < np.mean(nees) / 4.0 < 2.0
-
-
-def _moved(paper: Paper, room: Room, shift: FloatArray) -> tuple[float, float, float]:
-    wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
-    along = np.subtract(wall.end, wall.start) / wall.length
-    x, y = np.array(paper.center[:2]) + shift[0] * along
-    return (float(x), float(y), paper.center[2] + float(shift[1]))
 
 
 @pytest.mark.parametrize(('scale', 'words'), [(1.0, ''), (1.03, 'larger'), (0.975, 'smaller')])

@@ -34,12 +34,11 @@ class TestSelection:
         landmark_map = random_map(40)
         triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
         places = triplet.ids - 100
-        rows = np.stack([2 * places, 2 * places + 1], -1).reshape(-1)
         fix = triangulate(
             landmark_map.positions[places, :2],
             triplet.bearing_rad,
             np.full(3, CONFIG.bearing_sigma_rad**2),
-            landmark_map.joint_covariance_xy[np.ix_(rows, rows)],
+            landmark_map.joint_covariance_of(places),
         )
         assert not isinstance(fix, Refusal), str(fix)
         axis = axis_from_base(PRIOR, MOUNT)

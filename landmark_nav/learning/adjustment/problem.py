@@ -258,7 +258,7 @@ def wall_stretches(
     twenty patches of a picture say no more of how things hang than one does.
     """
     start = np.array([room.walls[w].start for w in walls])
-    side = np.array([np.subtract(w.end, w.start) / w.length for w in room.walls])[list(walls)]
+    side = np.array([wall.along for wall in room.walls])[list(walls)]
     along = np.sum((points[:, :2] - start) * side, 1)
     cells = np.stack([np.asarray(walls), np.floor(along / length_m)], 1)
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1], np.intp).ravel()

@@ -185,7 +185,7 @@ def _judged(
     tells = (sigma < _MAX_SIGMA_M) & (np.abs(adjustment.off_wall_m) < _MAX_DISTANCE_M)
     for k, wall in enumerate(room.walls):
         on = (index == k) & tells
-        along = adjustment.positions[on, :2] @ np.subtract(wall.end, wall.start) / wall.length
+        along = adjustment.positions[on, :2] @ wall.along
         if on.sum() >= least and np.ptp(along) >= _MIN_EXTENT_M:
             yield k, on
 
@@ -199,7 +199,7 @@ def _things(
     Patches of one thing say no more of its wall than one of them.
     """
     wall, positions = room.walls[k], adjustment.positions[on]
-    along = (positions[:, :2] - wall.start) @ np.subtract(wall.end, wall.start) / wall.length
+    along = (positions[:, :2] - wall.start) @ wall.along
     patches = np.stack([along, adjustment.off_wall_m[on]], 1)
     stretch = wall_stretches(positions, [k] * len(positions), room, length_m)
     return np.array([np.median(patches[stretch == n], 0) for n in range(stretch.max() + 1)])

@@ -176,7 +176,7 @@ def edge_sigma_px(config: ReferenceAreaConfig, bright: IndexArray) -> FloatArray
 def _outline(paper: Paper, room: Room, per_edge: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points on the four edges (n, 3) in map, the outward direction of each, and the wall's."""
     wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
-    along = np.append(np.subtract(wall.end, wall.start) / wall.length, 0.0)
+    along = np.append(wall.along, 0.0)
     up = np.array([0.0, 0.0, 1.0])
     share = np.linspace(-0.5, 0.5, per_edge)[:, None]
     center = np.asarray(paper.center)

@@ -176,8 +176,7 @@ def _solve(
     moved = se2.relative(axis, se2.compose(carried.poses_last_base, axis))[found.frame]
     position = landmark_map.positions[found.landmark, :2]
     start = axis_from_base(prior, mount)
-    rows = np.stack([2 * found.landmark, 2 * found.landmark + 1], -1).reshape(-1)
-    covariance = landmark_map.joint_covariance_xy[np.ix_(rows, rows)]
+    covariance = landmark_map.joint_covariance_of(found.landmark)
     covariance += _drift(position - start.pose[:2], carried.variances[found.frame])
     heading = float(start.pose[2])
     for _ in range(_HEADING_PASSES):

@@ -149,8 +149,7 @@ class SightingGatherer:
         start: PoseEstimate,
     ) -> Fix | Refusal:
         """Fix of the axis with virtual landmarks, again and again with the heading it gives."""
-        rows = (2 * index[:, None] + [0, 1]).reshape(-1)
-        map_covariance = self._map.joint_covariance_xy[np.ix_(rows, rows)]
+        map_covariance = self._map.joint_covariance_of(index)
         position = self._map.positions[index, :2]
         turned = rotation(motions[:, 2])
         aside = motions[:, :2] + turned @ self._lever - self._lever
