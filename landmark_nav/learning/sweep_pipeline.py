@@ -128,7 +128,7 @@ def panorama_from_sweep(
         _axis(place, found.mount),
         float(place.pose_map_base[2]),
         _axis_covariance(place, found.mount),
-        replace(found.quality, calibration=(*found.terms, *lean)).of(
+        replace(found.quality, calibration=(*found.quality.calibration, *lean)).of(
             tenengrad(view), photometry.vignetting, photometry.gain_spread
         ),
     )

@@ -41,12 +41,12 @@ def test_wrong_angles_and_focal_length_are_mended() -> None:
         ),
     )
     aligned = align_sweep(wrong, MOUNT)
-    assert aligned.residual_px < 0.1 < 1.0 < aligned.before_px
+    assert aligned.quality.residual_px < 0.1 < 1.0 < aligned.quality.before_px
     # The turn closes, so the focal length is absolute; where pan 0 points is not.
     focal = aligned.sweep.frames[0].camera.fx
     assert focal == pytest.approx(TRUE.fx, rel=2e-3)
     assert aligned.sweep.frames[0].camera.distortion[0] == pytest.approx(-0.06, abs=0.01)
-    assert abs(np.degrees(aligned.closure_rad)) < 0.05
+    assert abs(np.degrees(aligned.quality.closure_rad)) < 0.05
     pan = np.array([frame.pan_rad for frame in aligned.sweep.frames]) - PANS
     assert np.std(pan) < 2e-4
     roll = np.array([frame.roll_rad for frame in aligned.sweep.frames])
@@ -74,7 +74,7 @@ def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
 def test_right_angles_stay() -> None:
     sweep = turn_sweep(TRUE, MOUNT, PANS)
     aligned = align_sweep(sweep, MOUNT)
-    assert aligned.residual_px < 0.05
+    assert aligned.quality.residual_px < 0.05
     assert aligned.focal_scale == pytest.approx(1.0, abs=1e-3)
     for before, after in zip(sweep.frames, aligned.sweep.frames, strict=True):
         assert abs(after.pan_rad - before.pan_rad) < 3e-4

@@ -48,7 +48,7 @@ def told(
 
 
 def used(found: SweepCalibration) -> set[str]:
-    return {term.name for term in found.terms if term.used}
+    return {term.name for term in found.quality.calibration if term.used}
 
 
 def test_what_is_right_is_left_alone(turn: Sweep) -> None:
@@ -57,9 +57,9 @@ def test_what_is_right_is_left_alone(turn: Sweep) -> None:
     assert found.sweep.frames[5].camera == TRUE
     assert found.sweep.frames[5].pan_rad == PANS[5]
     assert found.mount == MOUNT
-    assert found.closure_rad is not None
-    assert abs(np.degrees(found.closure_rad)) < 0.05
-    for term in found.terms:
+    assert found.quality.closure_rad is not None
+    assert abs(np.degrees(found.quality.closure_rad)) < 0.05
+    for term in found.quality.calibration:
         assert abs(term.value) < 4.0 * term.sigma, term
 
 
@@ -77,10 +77,10 @@ def test_a_wrong_figure_is_found_and_mended(
 ) -> None:
     found = calibrate_sweep(told(turn, **wrong), MOUNT, CalibrationConfig())
     assert used(found) == {name}
-    term = next(term for term in found.terms if term.name == name)
+    term = next(term for term in found.quality.calibration if term.name == name)
     assert term.value == pytest.approx(value, abs=within)
     assert abs(term.value - value) < 4.0 * term.sigma < 0.25 * abs(value)
-    assert found.residual_px < 0.15 < found.before_px
+    assert found.quality.residual_px < 0.15 < found.quality.before_px
     frame = found.sweep.frames[3]
     assert frame.camera.fx == pytest.approx(TRUE.fx, rel=5e-4)
     assert (frame.pan_rad, frame.tilt_rad, frame.roll_rad) == pytest.approx(
@@ -103,23 +103,23 @@ def test_nothing_is_used_unless_asked_for(turn: Sweep) -> None:
     found = calibrate_sweep(sweep, MOUNT, CalibrationConfig(enabled=False))
     assert used(found) == set()
     assert found.sweep.frames[0].camera == sweep.frames[0].camera
-    assert next(t for t in found.terms if t.name == 'focal_length').value < -0.01
+    assert next(t for t in found.quality.calibration if t.name == 'focal_length').value < -0.01
 
 
 def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
     part = told(replace(turn, frames=turn.frames[5:20]), scale=1.005)
     found = calibrate_sweep(part, MOUNT, CalibrationConfig())
-    assert found.closure_rad is None
+    assert found.quality.closure_rad is None
     # Pan scale and focal length are one number there; the encoder is believed.
-    assert 'pan_scale' not in {term.name for term in found.terms}
+    assert 'pan_scale' not in {term.name for term in found.quality.calibration}
 
 
 def test_a_blank_wall_leaves_the_closure_unknown_and_is_told(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     frames = [replace(f, image=blank) if 15 <= k < 21 else f for k, f in enumerate(turn.frames)]
     found = calibrate_sweep(replace(turn, frames=tuple(frames)), MOUNT, CalibrationConfig())
-    assert found.terms
-    assert found.closure_rad is None
+    assert found.quality.calibration
+    assert found.quality.closure_rad is None
     gaps_deg = np.degrees(found.quality.gaps_rad)
     assert len(gaps_deg)
     assert np.all((gaps_deg > -50.0) & (gaps_deg < 50.0))
@@ -134,7 +134,7 @@ def test_frames_that_share_nothing_tell_nothing(turn: Sweep) -> None:
     plain = replace(turn, frames=tuple(replace(f, image=blank) for f in turn.frames))
     for sweep in (plain, replace(turn, frames=turn.frames[:2])):
         found = calibrate_sweep(sweep, MOUNT, CalibrationConfig())
-        assert found.terms == ()
+        assert found.quality.calibration == ()
         assert found.sweep is sweep
 
 

@@ -14,7 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.calibration.overlap import track_overlaps
 from landmark_nav.learning.calibration.overlap_fit import COMMON, corrected, OverlapProblem
 from landmark_nav.learning.calibration.sweep_calibration import fit_significant
-from landmark_nav.quality import CalibrationTerm, PanoramaQuality
+from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import Sweep
 
 __all__ = ['SweepAlignment', 'align_sweep']
@@ -34,32 +34,14 @@ class SweepAlignment:
 
     `focal_px` is its focal length, `sigma_px` of it, that of the lens without distortion that
     turns by the same angles; `focal_scale` is what the given one, the median over the frames, was
-    multiplied by for it. `terms` has the focal length's and the distortion's correction.
-    `residual_px` is the median distance of matches afterwards, `before_px` before.
-    `closure_rad` is by how much the turn, each link by its own matches, fails to close; None for
-    a part of a turn, and where there is too little to match, at the pans `gaps_rad`.
+    multiplied by for it. `quality` has the corrections of focal length and distortion.
     """
 
     sweep: Sweep
     focal_px: float
     focal_sigma_px: float
     focal_scale: float
-    terms: tuple[CalibrationTerm, ...]
-    before_px: float
-    residual_px: float
-    closure_rad: float | None
-    gaps_rad: tuple[float, ...]
-
-    @property
-    def quality(self) -> PanoramaQuality:
-        """What is worth telling of it."""
-        return PanoramaQuality(
-            closure_rad=self.closure_rad,
-            gaps_rad=self.gaps_rad,
-            residual_px=self.residual_px,
-            before_px=self.before_px,
-            calibration=self.terms,
-        )
+    quality: PanoramaQuality
 
 
 def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
@@ -97,11 +79,13 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
         camera.fx * scale,
         camera.fx * focal.sigma,
         scale,
-        terms,
-        problem.misfit_px(np.zeros(len(COMMON))),
-        problem.misfit_px(fit.common, fit.frames),
-        problem.closure_rad(fit.common, fit.frames, fit.weight),
-        overlaps.gaps_rad,
+        PanoramaQuality(
+            closure_rad=problem.closure_rad(fit.common, fit.frames, fit.weight),
+            gaps_rad=overlaps.gaps_rad,
+            residual_px=problem.misfit_px(fit.common, fit.frames),
+            before_px=problem.misfit_px(np.zeros(len(COMMON))),
+            calibration=terms,
+        ),
     )
 
 

@@ -75,30 +75,14 @@ class SweepCalibration:
     """
     A sweep and its mount, corrected by `common` (7,) in the order of `COMMON`, and what was found.
 
-    `closure_rad` is by how much the turn fails to close afterwards, None where it is no full
-    turn; `residual_px` the median distance of matches, `before_px` as the sweep was told to be.
     `overlaps` can be calibrated from again.
     """
 
     sweep: Sweep
     mount: PanTiltMount
     common: FloatArray
-    terms: tuple[CalibrationTerm, ...]
-    closure_rad: float | None
-    residual_px: float
-    before_px: float
+    quality: PanoramaQuality
     overlaps: Overlaps
-
-    @property
-    def quality(self) -> PanoramaQuality:
-        """What is worth telling of it."""
-        return PanoramaQuality(
-            closure_rad=self.closure_rad,
-            gaps_rad=self.overlaps.gaps_rad,
-            residual_px=self.residual_px,
-            before_px=self.before_px,
-            calibration=self.terms,
-        )
 
 
 def calibrate_sweep(
@@ -136,10 +120,8 @@ def calibrate_sweep(
         overlaps = track_overlaps(sweep, mount) if len(sweep.frames) > 2 else Overlaps.none()
     links = len(np.unique(overlaps.pair))
     if not links or len(overlaps) < _LEAST_PER_LINK * links or not _one_camera(sweep):
-        nothing = Overlaps.none()
-        return SweepCalibration(
-            sweep, mount, np.zeros(len(COMMON)), (), None, np.nan, np.nan, nothing
-        )
+        nothing = np.zeros(len(COMMON)), PanoramaQuality(), Overlaps.none()
+        return SweepCalibration(sweep, mount, *nothing)
     camera = sweep.frames[0].camera
     problem = OverlapProblem(overlaps, sweep, mount, range_m or _usual_range)
     free = [_FOCAL, _TILT, _ROLL]
@@ -157,10 +139,13 @@ def calibrate_sweep(
     return SweepCalibration(
         *corrected(sweep, mount, common),
         common,
-        terms,
-        problem.closure_rad(common, fit.frames, fit.weight),
-        problem.misfit_px(common),
-        problem.misfit_px(np.zeros(len(COMMON))),
+        PanoramaQuality(
+            closure_rad=problem.closure_rad(common, fit.frames, fit.weight),
+            gaps_rad=overlaps.gaps_rad,
+            residual_px=problem.misfit_px(common),
+            before_px=problem.misfit_px(np.zeros(len(COMMON))),
+            calibration=terms,
+        ),
         overlaps,
     )
 
