@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -84,17 +83,13 @@ def run(args: argparse.Namespace) -> int:
     )
     room, mount = load_room(args.room), load_robot(args.robot)
     rng = np.random.default_rng(0)
-    plan = plan_positions(room, mount, args.positions, config, rng, _show)
+    plan = plan_positions(room, mount, args.positions, config, rng, progress)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     draw_plan(plan, room, picture)
     write_whole(args.out, _text(plan, config, room.frame_id))
     print(_summary(plan))
     print(f'{args.out}, {picture}')
     return 0
-
-
-def _show(items: Iterable[Any], description: str, total: int) -> Iterator[Any]:
-    return progress(items, description, total)
 
 
 def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
