@@ -6,8 +6,6 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 PACKAGE = Path(__file__).resolve().parents[2] / 'landmark_nav'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 MAX_LINES = 350
@@ -50,9 +48,12 @@ def part(module: Path) -> str:
     return module.relative_to(PACKAGE).parts[0].removesuffix('.py')
 
 
+TREES = {module: ast.parse(module.read_text(encoding='utf-8')) for module in MODULES}
+
+
 def imports(module: Path) -> Iterator[str]:
     """Full names of all modules imported anywhere in a file."""
-    for node in ast.walk(ast.parse(module.read_text(encoding='utf-8'))):
+    for node in ast.walk(TREES[module]):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -68,25 +69,30 @@ def is_ros(name: str) -> bool:
     return top in ROS_MODULES or top.endswith(('_msgs', '_srvs'))
 
 
-@pytest.mark.parametrize('module', MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-class TestModule:
-    def test_imports_run_downward(self, module: Path) -> None:
-        if module == PACKAGE / '__init__.py':
-            assert not list(imports(module))
-            return
-        allowed = {*BELOW[part(module)], part(module)}
-        used = {name.split('.')[1] for name in imports(module) if name.startswith('landmark_nav.')}
-        assert used <= allowed, f'{used - allowed} lie above or beside {part(module)}'
+def test_imports_run_downward() -> None:
+    """No module imports what lies above or beside its part."""
+    wrong = {
+        str(module): name
+        for module in MODULES
+        for name in imports(module)
+        if name.startswith('landmark_nav.')
+        and name.split('.')[1] not in {part(module), *BELOW.get(part(module), ())}
+    }
+    assert not wrong
 
-    def test_ros_stays_behind_its_door(self, module: Path) -> None:
-        if part(module) not in ROS_PARTS:
-            assert not [name for name in imports(module) if is_ros(name)]
 
-    def test_says_what_it_is_for(self, module: Path) -> None:
-        assert ast.get_docstring(ast.parse(module.read_text(encoding='utf-8')))
+def test_ros_stays_behind_its_door() -> None:
+    outside = [module for module in MODULES if part(module) not in ROS_PARTS]
+    assert not {str(m): name for m in outside for name in imports(m) if is_ros(name)}
 
-    def test_is_one_thing(self, module: Path) -> None:
-        assert len(module.read_text(encoding='utf-8').splitlines()) <= MAX_LINES
+
+def test_modules_say_what_they_are_for() -> None:
+    assert not [str(module) for module, tree in TREES.items() if not ast.get_docstring(tree)]
+
+
+def test_modules_are_one_thing() -> None:
+    lines = {str(m): len(m.read_text(encoding='utf-8').splitlines()) for m in MODULES}
+    assert not {name: count for name, count in lines.items() if count > MAX_LINES}
 
 
 def test_every_part_has_its_place() -> None:
