@@ -203,7 +203,8 @@ class OdometryFusionNode(LandmarkNode):
             return False
         ahead_s = found.joint_delay_s + (late.delay_s if settled else _PATIENCE_S)
         newest = self._last.stamp_ns if self._last is not None else 0
-        if 1e-9 * (newest - found.stamp_ns) > _PATIENCE_S:
+        if 1e-9 * abs(newest - found.stamp_ns) > _PATIENCE_S:
+            # It waited for long, or is of another clock than the odometry.
             return False
         return not self._frames.reaches(found.stamp_ns + round(1e9 * ahead_s))
 
