@@ -49,10 +49,6 @@ class FiguresWorld:
 
     Parameters
     ----------
-    scene : Scene
-        The room.
-    mount : PanTiltMount
-        Where the camera turns.
     poses : ndarray, shape (2, 3)
         Of the base at the two sweeps.
 

@@ -36,8 +36,6 @@ def learning_report(
 
     Parameters
     ----------
-    result : LearningResult
-        What was learned.
     measured : sequence of Panorama
         The panoramas as they were before: their poses are those that the papers tell alone, or
         ``sweep/pose``.
@@ -45,8 +43,6 @@ def learning_report(
         How many frames each sweep had.
     truth : PoseTrack
         Ground truth of ``base_link``, for the errors alone; may be empty.
-    mount : PanTiltMount
-        Where the camera turns.
     log : StageLog
         Times and memory.
     seconds : float

@@ -134,12 +134,6 @@ def replay(
     ----------
     events : iterable of SensorEvent
         What was sensed, in the order of its arrival. Ground truth is kept aside.
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : LocalizationConfig
-        Parameters.
     start_pose : ndarray, shape (3,), optional
         Pose of the base in map at the first picture or odometry; without it the robot finds its
         own place.

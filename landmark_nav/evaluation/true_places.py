@@ -42,12 +42,8 @@ def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMo
 
     Parameters
     ----------
-    result : LearningResult
-        What was learned.
     true_poses : ndarray, shape (k, 3)
         Of the base, one a panorama.
-    mount : PanTiltMount
-        Where the camera turns.
 
     Returns
     -------

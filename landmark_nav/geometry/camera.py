@@ -260,8 +260,6 @@ class PanTiltMount:
         Turn of the camera about its optical axis, clockwise as it looks: pi upside down.
     pan_sigma_rad : float
         Error of the measured joint angles, which all of a picture share.
-    base_frame, pan_joint, tilt_joint : str
-        Names.
 
     """
 

@@ -89,10 +89,6 @@ def elect(
         With adjusted poses.
     greys : sequence of ndarray, shape (height, width)
         Their images in grey, float32.
-    room : Room
-        The walls.
-    config : ElectionConfig
-        Bounds.
 
     Returns
     -------

@@ -74,10 +74,6 @@ def panorama_from_sweep(
         Frames of one turn, or of a part of one; its place too, if it is known from elsewhere.
     room : Room
         Walls and reference papers.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : PanoramaStages
-        Parameters.
     log : StageLog, optional
         Where times go.
 

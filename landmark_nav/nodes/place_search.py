@@ -58,10 +58,6 @@ class PlaceSearch:
     ----------
     node : LandmarkNode
         Whose service it is.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : PlaceSearchConfig
-        Parameters.
     map_frame : str
         Frame of the place.
     fused : callable

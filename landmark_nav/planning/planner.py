@@ -109,8 +109,6 @@ def plan_positions(
 
     Parameters
     ----------
-    room : Room
-        Walls and papers.
     mount : PanTiltMount
         Where the camera turns on the robot.
     count : int

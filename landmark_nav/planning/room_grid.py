@@ -29,8 +29,6 @@ def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> F
 
     Parameters
     ----------
-    room : Room
-        The walls.
     clearance_m : float
         Least distance from them.
     spacing_m : float

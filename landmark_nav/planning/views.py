@@ -115,10 +115,6 @@ def look(
         Where the robot would stand.
     samples : WallSamples
         What there is to see.
-    room : Room
-        Walls and papers.
-    mount : PanTiltMount
-        Where the camera turns.
     config : PlanConfig
         The camera, and what the learning stages accept.
 

@@ -121,8 +121,6 @@ def view_quality(
 
     Parameters
     ----------
-    scene : Scene
-        The room.
     places_xy : array_like, shape (n, 2)
         From where.
     points : array_like, shape (m, 3)

@@ -48,8 +48,6 @@ class RobotWorld:
 
     Parameters
     ----------
-    scene : Scene
-        The room.
     pose_map_base : array_like, shape (3,)
         Where the robot starts.
     seed : int

@@ -70,12 +70,6 @@ def draw_observation_areas(
 
     Parameters
     ----------
-    landmarks : LandmarkMap
-        What was learned.
-    room : Room
-        Walls and papers.
-    path : Path
-        PNG to write.
     tests : sequence of AreaTest
         From where the landmarks were found, if that was tried.
 

@@ -43,10 +43,6 @@ def draw_learned(
     ----------
     result : LearningResult
         What was learned; its first panorama is shown.
-    room : Room
-        Walls and papers.
-    path : Path
-        PNG to write.
     truth : ndarray, shape (n, 2), optional
         Where true rays meet the landmarks of the map, as far off their walls as those lie.
 

@@ -49,10 +49,6 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
     ----------
     result : LearningResult
         Two panoramas or more, of which the first two are drawn, with their landmarks.
-    room : Room
-        The walls.
-    path : Path
-        PNG to write.
 
     """
     source, candidate, landmark = _example(result)

@@ -63,8 +63,6 @@ def check_walls(
         The wall map.
     expected : AdjustmentConfig
         How things hang on walls.
-    config : WallFitConfig
-        Bounds.
 
     Raises
     ------
@@ -140,8 +138,6 @@ def doubtful_walls(
         How differently far things hang in this room.
     expected : AdjustmentConfig
         How exactly walls are measured.
-    config : WallFitConfig
-        Bounds.
 
     Returns
     -------

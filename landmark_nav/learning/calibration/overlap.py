@@ -61,8 +61,6 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
     ----------
     sweep : Sweep
         Frames whose angles are right to a few pixels.
-    mount : PanTiltMount
-        Where the camera turns.
     every_frame : bool
         Whether all frames are links of the chain, or just enough of them.
 

@@ -76,8 +76,6 @@ def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
     ----------
     sweep : Sweep
         Frames that overlap, with angles right to a few pixels.
-    mount : PanTiltMount
-        Where the camera turns.
     """
     count = len(sweep.frames)
     place, frame, square, level = _samples(sweep, mount)

@@ -57,8 +57,6 @@ def sweep_cylinder(
     ----------
     sweep : Sweep
         Frames with their joint angles.
-    mount : PanTiltMount
-        Where the camera turns.
     crop_px : int
         Side of the central square used of each frame; 0 uses all.
     px_per_rad : float
@@ -106,8 +104,6 @@ def frame_slab(
     ----------
     frame : CameraFrame
         BGR or grey; the slab is alike.
-    mount : PanTiltMount
-        Where the camera turns.
     cylinder : Cylinder
         Around the pan axis.
     crop_px : int

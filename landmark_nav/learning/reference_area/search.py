@@ -73,8 +73,6 @@ def find_places(blobs: list[PaperBlobs], room: Room, eye_height_m: float) -> lis
     ----------
     blobs : list of PaperBlobs
         Of each paper of the room.
-    room : Room
-        Papers and walls.
     eye_height_m : float
         Height of the optical centre.
 

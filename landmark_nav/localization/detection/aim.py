@@ -45,12 +45,6 @@ class AimedDetector:
 
     Parameters
     ----------
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : DetectionConfig
-        Parameters.
     knock_rad : float
         How far beside to search; 0 does not.
 

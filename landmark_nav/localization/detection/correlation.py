@@ -86,12 +86,6 @@ def detect_landmarks(
         Picture with the joint angles at its stamp.
     prior : PoseEstimate
         Expected pose of the base at its stamp.
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : DetectionConfig
-        Parameters.
     indices : ndarray of int, shape (n,)
         Which landmarks of the map to look for: those expected in this view.
     blur_px2 : ndarray, shape (2,)

@@ -31,8 +31,6 @@ def most_telling(
     ----------
     axis : PoseEstimate
         Expected pose of the pan axis.
-    landmark_map : LandmarkMap
-        What was learned.
     index : ndarray of int, shape (n,)
         Places in the map to choose from.
     bearing_sigma : float

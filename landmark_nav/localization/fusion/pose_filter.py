@@ -71,8 +71,6 @@ class PoseFilter:
         Landmarks with their joint covariance.
     mount : PanTiltMount
         Where the pan axis, the apex of all bearings, sits on the base.
-    config, odometry, health : optional
-        Parameters.
 
     """
 

@@ -48,8 +48,6 @@ def propose(sightings: Sightings, landmark_map: LandmarkMap) -> Hypotheses:
     ----------
     sightings : Sightings
         All in one base frame.
-    landmark_map : LandmarkMap
-        What was learned.
 
     Returns
     -------

@@ -69,12 +69,6 @@ def locate(
         Pictures, and where odometry has the base at each.
     sightings : sequence of Sightings
         What each shows of the map, whatever the place.
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    config, looking : RelocalizationConfig, LookingConfig
-        Parameters.
 
     Returns
     -------

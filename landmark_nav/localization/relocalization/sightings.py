@@ -89,12 +89,6 @@ def find_sightings(
 
     Parameters
     ----------
-    frame : CameraFrame
-        The picture.
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
     prior : PoseEstimate, optional
         Of the base at that time: only what can be seen from where it allows is looked for, where
         and as it may appear.

@@ -79,12 +79,6 @@ class Relocalizer:
 
     Parameters
     ----------
-    landmark_map : LandmarkMap
-        What was learned.
-    mount : PanTiltMount
-        Where the camera turns.
-    config : RelocalizationConfig, optional
-        Parameters.
     odometry : OdometryNoiseConfig, optional
         How far the odometry is to be trusted.
     looking : LookingConfig, optional

@@ -83,10 +83,6 @@ def verify(
         Hypothesis: the base at the pictures' common time, good to some 10 cm and 2 degrees.
     carried : CarriedFrames
         The pictures.
-    landmark_map, mount : LandmarkMap, PanTiltMount
-        What was learned, where the camera turns.
-    looking : LookingConfig
-        Parameters of the stages.
     """
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
     for sigmas in _SIGMAS:

@@ -106,8 +106,6 @@ def smooth(
         Landmarks and their joint covariance.
     mount : PanTiltMount
         Where the pan axis is.
-    fusion, noise : optional
-        Parameters.
     tolerance : float
         Largest step, metres and radians, that ends it.
 

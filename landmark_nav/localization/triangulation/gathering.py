@@ -56,14 +56,10 @@ class SightingGatherer:
 
     Parameters
     ----------
-    landmark_map : LandmarkMap
-        What was learned.
     mount : PanTiltMount
         Where the pan axis, the apex of all bearings, sits on the base.
     window_s : float
         For how long a sighting counts; 0 leaves those of the last picture.
-    odometry, triangulation : OdometryNoiseConfig, TriangulationConfig
-        Parameters.
 
     """
 

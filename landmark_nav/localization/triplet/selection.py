@@ -55,8 +55,6 @@ def rank_triplets(
     ----------
     prior : PoseEstimate
         Of the base in map; its spread widens the margins and averages the promise.
-    landmark_map : LandmarkMap
-        What was learned.
     camera, mount : CameraModel, PanTiltMount
         What looks.
     config : TripletConfig
