@@ -23,6 +23,7 @@ from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.geometry.walls import Room
+from landmark_nav.localization.fusion import FusionConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.config_files import load_config
@@ -118,11 +119,12 @@ def run(args: argparse.Namespace) -> int:
     if args.config:
         config = load_config(args.config, config)
 
-    def localized(joint_delay_s: float) -> Replay:
+    def localized(joint_delay_s: float, fusion: FusionConfig) -> Replay:
         events = progress(sensor_events(bag, mount, joint_delay_s), 'localizing', total)
-        return replay(events, landmarks, mount, config, start, covariance)
+        known = replace(config, fusion=fusion)
+        return replay(events, landmarks, mount, known, start, covariance)
 
-    done = localized(0.0)
+    done = localized(0.0, config.fusion)
     learned = replace(config, odometry=done.odometry_noise)
     offsets = camera_offsets(done, landmarks, mount, learned)
     delay_s = offsets.delay_s if offsets.delay_matters else 0.0
@@ -132,7 +134,9 @@ def run(args: argparse.Namespace) -> int:
             f'{1e3 * offsets.delay_sigma_s:.1f} ms): taken into account; on the robot set '
             f'joint_delay_s of triangulation_localizer to {delay_s:.4f}'
         )
-        done = localized(delay_s)
+        # What was measured is not known exactly.
+        sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
+        done = localized(delay_s, replace(config.fusion, delay_sigma_s=sigma_s))
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     check_truth_frame(bag, landmarks.frame_id)

@@ -65,7 +65,6 @@ def camera_offsets(
         mode='bearings',
         boresight_sigma_rad=_BORESIGHT_SIGMA_RAD,
         delay_sigma_s=_DELAY_SIGMA_S,
-        turn_sigma_rad=0.0,
     )
     fused = PoseFilter(landmark_map, mount, fusion, config.odometry, config.health)
     fused.initialize(run.start)

@@ -9,6 +9,7 @@ import numpy as np
 from landmark_nav.evaluation.metrics import consistency, error_summary, pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.lateness import seen_in_time
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.localization.smoother import smooth, Smoothed
 from landmark_nav.types import LandmarkMap, OdometrySample
@@ -19,12 +20,17 @@ __all__ = ['smooth_run', 'smoothed_report']
 def smooth_run(
     run: Replay, landmark_map: LandmarkMap, mount: PanTiltMount, config: LocalizationConfig
 ) -> Smoothed:
-    """Smooth over what was detected, also what the filter refused; it begins at its poses."""
+    """
+    Smooth over what was detected, also what the filter refused; it begins at its poses.
+
+    Bearings are those of the pan that stamps as late as they turned out to be tell: the filter
+    takes back itself what it thought meanwhile.
+    """
     track = run.odometry
     return smooth(
         run.start,
         [OdometrySample(int(t), p) for t, p in zip(track.stamps_ns, track.poses, strict=True)],
-        [update.observation.detections for update in run.updates],
+        [seen_in_time(update.observation.detections, run.late) for update in run.updates],
         run.fused,
         landmark_map,
         mount,

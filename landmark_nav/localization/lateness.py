@@ -7,9 +7,9 @@ from math import hypot
 from typing import NamedTuple
 
 from landmark_nav.geometry.pan_track import PanTrack
-from landmark_nav.types import CameraFrame
+from landmark_nav.types import CameraFrame, Detections
 
-__all__ = ['STILL', 'Lag', 'Lateness', 'in_time']
+__all__ = ['STILL', 'Lag', 'Lateness', 'in_time', 'seen_in_time']
 
 # A slope of the pan over less than that is its noise.
 _LEAST_STEP_S = 0.02
@@ -67,3 +67,9 @@ def in_time(frame: CameraFrame, late: Lateness) -> tuple[CameraFrame, float]:
     lag = late.lag(frame.pan_rate_rad_s, frame.pan_track)
     sigma = hypot(frame.pan_sigma_rad, lag.rate_rad_s * late.sigma_s, lag.bend_rad)
     return replace(frame, pan_rad=frame.pan_rad + lag.shift_rad), sigma
+
+
+def seen_in_time(seen: Detections, late: Lateness) -> Detections:
+    """Return bearings of the pan that joint states so late tell, whatever was thought before."""
+    lag = late.lag(seen.pan_rate_rad_s, seen.pan_track, seen.pan_delay_s)
+    return replace(seen, bearing_rad=seen.bearing_rad + lag.shift_rad, pan_delay_s=late.delay_s)

@@ -20,6 +20,7 @@ from spoiled_drives import (
 
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.replay import replay as replay_events
+from landmark_nav.geometry import se2
 from landmark_nav.localization.fusion import PoseFilter
 from landmark_nav.localization.pipeline import (
     LocalizationConfig,
@@ -149,6 +150,26 @@ def test_joint_states_that_are_late_are_measured(sensed: list[Sensed], late_s: f
     assert abs(offsets.delay_s - late_s) < 4.0 * offsets.delay_sigma_s
     assert offsets.delay_matters == (late_s != 0.0)
     assert abs(offsets.boresight_rad) < 4.0 * offsets.boresight_sigma_rad
+
+
+def test_a_wheel_that_slips_tells_of_no_late_joints(sensed: list[Sensed]) -> None:
+    events: list[CameraFrame | OdometrySample] = []
+    told, before = sensed[0][0].odometry.pose_odom_base, sensed[0][0].odometry.pose_odom_base
+    for step, frame in sensed:
+        odometry, seconds = step.odometry, step.stamp_ns * 1e-9
+        moved, before = se2.relative(before, odometry.pose_odom_base), odometry.pose_odom_base
+        slips = 7.0 < seconds < 7.6
+        told = se2.compose(told, moved + np.array([0.0, 0.0, -0.003 if slips else 0.0]))
+        events.append(replace(odometry, pose_odom_base=told))
+        if frame is None or seconds > 9.0:
+            continue
+        rate = (pan_rad(seconds + 0.025) - pan_rad(seconds - 0.025)) / 0.05
+        events.append(replace(frame, pan_rad=pan_rad(seconds), pan_rate_rad_s=rate))
+    config = LocalizationConfig()
+    done = replay_events(events, MAP, MOUNT, config, START, np.diag(START_SIGMA**2))
+    offsets = camera_offsets(done, MAP, MOUNT, config)
+    assert abs(offsets.delay_s) < 4.0 * offsets.delay_sigma_s
+    assert not offsets.delay_matters
 
 
 def test_joint_states_far_too_late_lose_the_pose_for_as_long_as_they_last(

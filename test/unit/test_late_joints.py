@@ -11,9 +11,9 @@ from spoiled_drives import check_honest, FAULT_S, first, pan_rad, run, Sensed
 
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.frozen import FrozenPicture
-from landmark_nav.localization.lateness import in_time, Lateness
+from landmark_nav.localization.lateness import in_time, Lateness, seen_in_time
 from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
-from landmark_nav.types import CameraFrame, PoseEstimate
+from landmark_nav.types import CameraFrame, Detections, PoseEstimate
 
 LATE_S = 0.2
 
@@ -123,3 +123,16 @@ def test_without_a_track_the_pan_goes_on_at_its_rate(sensed: list[Sensed]) -> No
     later, sigma = in_time(frame, Lateness(0.1, 0.02))
     assert later.pan_rad - frame.pan_rad == pytest.approx(0.05)
     assert sigma == pytest.approx(0.01)
+
+
+def test_what_was_thought_meanwhile_is_taken_back_from_bearings() -> None:
+    about = np.linspace(-0.4, 0.4, 81)
+    track = PanTrack(about, about**2)
+    ids, nothing = np.arange(2), np.zeros(2)
+    told = np.array([0.3, 0.7])
+    seen = Detections(
+        0, ids, told + 0.01, nothing, nothing, np.zeros((2, 2)), pan_track=track, pan_delay_s=0.1
+    )
+    in_the_end = seen_in_time(seen, Lateness(0.2))
+    np.testing.assert_allclose(in_the_end.bearing_rad, told + 0.04)
+    np.testing.assert_allclose(seen_in_time(in_the_end, Lateness()).bearing_rad, told)
