@@ -14,7 +14,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.lateness import Lateness
+from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import SensorEvent
@@ -56,7 +56,7 @@ class Replay:
         How far the odometry was to be trusted, as it turned out in the end.
     sighting_sigma : float
         Factor on what sightings claimed as their sigmas, as it turned out in the end.
-    late : Lateness
+    late : JointDelay
         Of the stamps of the joints, as it turned out in the end.
 
     """
@@ -70,7 +70,7 @@ class Replay:
     seconds: float
     odometry_noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     sighting_sigma: float = 1.0
-    late: Lateness = field(default_factory=Lateness)
+    late: JointDelay = field(default_factory=JointDelay)
 
     @property
     def begin_ns(self) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from landmark_nav.evaluation.metrics import consistency, error_summary, pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.lateness import seen_in_time
+from landmark_nav.localization.joint_delay import seen_in_time
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.localization.smoother import smooth, Smoothed
 from landmark_nav.types import LandmarkMap, OdometrySample

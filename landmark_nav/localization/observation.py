@@ -13,9 +13,9 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.correlation import DetectionResult
-from landmark_nav.localization.detection.worth import most_telling
+from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.frozen import FrozenPicture
-from landmark_nav.localization.lateness import in_time, Lateness
+from landmark_nav.localization.joint_delay import in_time, JointDelay
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization.narrowing import narrowed
@@ -50,7 +50,7 @@ _MOST = 0.75
 # What a landmark tells that was looked for in the picture before is half as new; that wears off
 # by a fifth a picture.
 _NEW, _STILL_KNOWN = 0.5, 0.8
-_IN_TIME = Lateness()
+_IN_TIME = JointDelay()
 _FROZEN = Refusal('picture is the one before', 'though the camera has moved: it hangs')
 
 
@@ -152,7 +152,7 @@ class Observer:
         frame: CameraFrame,
         prior: PoseEstimate,
         triplet: Triplet | Refusal | None = None,
-        late: Lateness = _IN_TIME,
+        late: JointDelay = _IN_TIME,
     ) -> Observation:
         """
         Detect what should be in view and triangulate.
@@ -166,7 +166,7 @@ class Observer:
         triplet : Triplet, optional
             What the camera is after: looked for before all else, and with several views a fix
             waits for all three.
-        late : Lateness, optional
+        late : JointDelay, optional
             Of the stamps of the joints.
 
         """
@@ -236,7 +236,9 @@ class Observer:
         enough, most = min(config.enough, config.max_count), config.max_count
         few_first = self._found_most and enough < min(most, len(visible))
         for count in (enough, most) if few_first else (most,):
-            expected = most_telling(axis, self._map, visible, sigma, count, wanted, self._novelty)
+            expected = most_informative(
+                axis, self._map, visible, sigma, count, wanted, self._novelty
+            )
             result = self._detector.detect(frame, prior, expected, knocked=known and count == most)
             self._found_most = len(result.detections) >= _MOST * len(expected)
             if self._found_most:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
-from landmark_nav.localization.lateness import in_time, Lateness
+from landmark_nav.localization.joint_delay import in_time, JointDelay
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import (
@@ -140,7 +140,7 @@ class Localizer:
         return self._filter.sighting_sigma
 
     @property
-    def late(self) -> Lateness:
+    def late(self) -> JointDelay:
         """Of the stamps of the joints, as far as it was measured."""
         return self._filter.late
 

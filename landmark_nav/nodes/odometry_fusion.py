@@ -30,8 +30,8 @@ from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEsti
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
-# Lateness of joint states with a larger sigma is open, and matters to a camera that turns so far:
-# where it looked may be told long after its picture. So long that is waited for.
+# A joint delay with a larger sigma is open, and matters to a camera that turns so far: where it
+# looked may be told long after its picture. So long that is waited for.
 _SETTLED_S, _SWING_RAD, _PATIENCE_S = 0.005, 0.1, 0.4
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 

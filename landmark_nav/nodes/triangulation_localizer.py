@@ -15,7 +15,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.detection.aim import degrees_aside
 from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.fusion.delay import delay_matters
-from landmark_nav.localization.lateness import in_time, Lateness
+from landmark_nav.localization.joint_delay import in_time, JointDelay
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
@@ -95,7 +95,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None
-        self._late = Lateness()
+        self._late = JointDelay()
         self._source: ImageSource | None = None
         # Joint states and odometry come in while a picture is looked at.
         self._pictures = NewestFirst(self.guarded('camera/image_raw', self._on_image))
@@ -135,8 +135,9 @@ class TriangulationLocalizerNode(LandmarkNode):
     def _on_joint_delay(self, message: Any) -> None:
         delay_s, sigma_s = decode.joint_delay(message)
         # A picture does not wait for joint states because of what may be chance.
-        late = delay_matters(delay_s, sigma_s)
-        self._late = Lateness(delay_s, sigma_s) if late else Lateness(0.0, hypot(delay_s, sigma_s))
+        if not delay_matters(delay_s, sigma_s):
+            delay_s, sigma_s = 0.0, hypot(delay_s, sigma_s)
+        self._late = JointDelay(delay_s, sigma_s)
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         config = self._config
@@ -211,7 +212,9 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._observer.add_odometry(self._odometry.popleft())
         return self._observer.look(frame, prior, self._triplet, late)
 
-    def _complete(self, message: Any, also: Callable[[int], bool]) -> tuple[CameraFrame, Lateness]:
+    def _complete(
+        self, message: Any, also: Callable[[int], bool]
+    ) -> tuple[CameraFrame, JointDelay]:
         """Picture with all that belongs to it, and how late its joint states are."""
         late = self._late
         return self._frames.complete(message, self._config.max_wait_s, also, late.delay_s), late

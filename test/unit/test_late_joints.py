@@ -11,7 +11,7 @@ from spoiled_drives import check_honest, FAULT_S, first, pan_rad, run, Sensed
 
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.frozen import FrozenPicture
-from landmark_nav.localization.lateness import in_time, Lateness, seen_in_time
+from landmark_nav.localization.joint_delay import in_time, JointDelay, seen_in_time
 from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
 from landmark_nav.types import CameraFrame, Detections, PoseEstimate
 
@@ -104,11 +104,11 @@ def test_a_picture_may_stay_the_same_while_nothing_moves(sensed: list[Sensed]) -
 def test_the_lag_of_a_pan_is_exact_where_it_speeds_up() -> None:
     about = np.linspace(-0.4, 0.4, 81)
     track = PanTrack(about, about**3)
-    lag = Lateness(0.2).lag(0.0, track)
+    lag = JointDelay(0.2).lag(0.0, track)
     assert lag.shift_rad == pytest.approx(0.008)
     assert lag.rate_rad_s == pytest.approx(0.12, rel=0.01)
     # What is open says so: the slope within it, and what that leaves out.
-    wide = Lateness(0.2, 0.1).lag(0.0, track)
+    wide = JointDelay(0.2, 0.1).lag(0.0, track)
     assert wide.rate_rad_s == pytest.approx((0.3**3 - 0.1**3) / 0.2)
     assert wide.bend_rad == pytest.approx(0.5 * (0.3**3 + 0.1**3) - 0.2**3)
 
@@ -117,10 +117,10 @@ def test_without_a_track_the_pan_goes_on_at_its_rate(sensed: list[Sensed]) -> No
     _, frame = next(pair for pair in sensed if pair[1] is not None)
     assert frame is not None
     frame = replace(frame, pan_rate_rad_s=0.5, pan_track=None)
-    same, sigma = in_time(frame, Lateness())
+    same, sigma = in_time(frame, JointDelay())
     assert same is frame
     assert sigma == frame.pan_sigma_rad
-    later, sigma = in_time(frame, Lateness(0.1, 0.02))
+    later, sigma = in_time(frame, JointDelay(0.1, 0.02))
     assert later.pan_rad - frame.pan_rad == pytest.approx(0.05)
     assert sigma == pytest.approx(0.01)
 
@@ -133,6 +133,6 @@ def test_what_was_thought_meanwhile_is_taken_back_from_bearings() -> None:
     seen = Detections(
         0, ids, told + 0.01, nothing, nothing, np.zeros((2, 2)), pan_track=track, pan_delay_s=0.1
     )
-    in_the_end = seen_in_time(seen, Lateness(0.2))
+    in_the_end = seen_in_time(seen, JointDelay(0.2))
     np.testing.assert_allclose(in_the_end.bearing_rad, told + 0.04)
-    np.testing.assert_allclose(seen_in_time(in_the_end, Lateness()).bearing_rad, told)
+    np.testing.assert_allclose(seen_in_time(in_the_end, JointDelay()).bearing_rad, told)

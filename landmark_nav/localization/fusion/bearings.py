@@ -11,7 +11,7 @@ import numpy.typing as npt
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.fusion.config import FusionConfig
-from landmark_nav.localization.lateness import Lag, Lateness
+from landmark_nav.localization.joint_delay import JointDelay, Lag
 from landmark_nav.types import Detections, FloatArray, Refusal
 
 __all__ = ['BearingFrame', 'bearing_frame']
@@ -48,7 +48,7 @@ class BearingFrame:
     pan_track: PanTrack | None = None
     pan_delay_s: float = 0.0
 
-    def lag(self, late: Lateness) -> Lag:
+    def lag(self, late: JointDelay) -> Lag:
         """What joint states that are so late make of all bearings."""
         return late.lag(self.pan_rate, self.pan_track, self.pan_delay_s)
 

@@ -13,7 +13,7 @@ from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.lens import straightened
 from landmark_nav.localization.fusion.noise import LEARNED, SIGHTING
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, FilterState, LENS, STATES
-from landmark_nav.localization.lateness import Lag, STILL
+from landmark_nav.localization.joint_delay import Lag, STILL
 from landmark_nav.localization.triangulation.model import bearing_gradients, bearing_residuals
 from landmark_nav.types import FloatArray
 

@@ -25,9 +25,9 @@ from landmark_nav.localization.fusion.doubt import (
     is_headed,
 )
 from landmark_nav.localization.fusion.fix import update_pose
+from landmark_nav.localization.fusion.fix_sources import FixSources, Seen
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
-from landmark_nav.localization.fusion.makings import Makings, Seen
 from landmark_nav.localization.fusion.state import (
     among,
     FilterState,
@@ -38,7 +38,7 @@ from landmark_nav.localization.fusion.state import (
 from landmark_nav.localization.fusion.turn import LATE_S, update_turning
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
-from landmark_nav.localization.lateness import Lateness
+from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import (
     Detections,
@@ -110,9 +110,9 @@ class PoseFilter:
         return 1.0 if state is None else state.scales.sighting_sigma
 
     @property
-    def late(self) -> Lateness:
+    def late(self) -> JointDelay:
         """Of the stamps of the joints, as far as it was measured."""
-        return self._history.last.late if self._history.started else Lateness()
+        return self._history.last.late if self._history.started else JointDelay()
 
     @property
     def status(self) -> tuple[Status, str]:
@@ -183,7 +183,7 @@ class PoseFilter:
         self._map = landmark_map
         self._scores: deque[float] = deque(maxlen=_SCORES)
         self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
-        self._makings = Makings(len(landmark_map.landmarks))
+        self._fix_sources = FixSources(len(landmark_map.landmarks))
         self._witnesses = Witnesses(landmark_map)
         if self._history.started:
             self._history.restart(among(self._history.at(), landmark_map))
@@ -221,7 +221,7 @@ class PoseFilter:
         places = self._map.positions[missed]
         expected = len(frame.columns) + len(missed)
         if self._config.mode != 'bearings':
-            self._makings.add(Seen(stamp, frame.columns, expected))
+            self._fix_sources.add(Seen(stamp, frame.columns, expected))
             self._health.look(stamp, frame.columns, missed, places)
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         if not len(frame.columns):
@@ -264,7 +264,7 @@ class PoseFilter:
             refusal = self._too_few(stamp)
         if refusal is not None:
             return self.no_pose(stamp, refusal)
-        columns = self._makings.columns(stamp)
+        columns = self._fix_sources.columns(stamp)
         update = self._measure(
             stamp,
             partial(
@@ -293,7 +293,7 @@ class PoseFilter:
 
     def _too_few(self, stamp_ns: int) -> Refusal | None:
         """Why a pose is not believed once others were contradicted: chance made it of a few."""
-        seen = self._makings.picture(stamp_ns)
+        seen = self._fix_sources.picture(stamp_ns)
         if seen is None or len(seen.columns) >= self._health.least(seen.expected):
             return None
         return Refusal('too few found', f'{len(seen.columns)} of {seen.expected} landmarks')

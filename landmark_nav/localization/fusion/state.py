@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
 from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales, SLIP, WHEELS
-from landmark_nav.localization.lateness import Lateness
+from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
     Motion,
@@ -98,9 +98,9 @@ class FilterState:
         return PoseEstimate(self.stamp_ns, self.mean[:3].copy(), self.covariance[:3, :3].copy())
 
     @property
-    def late(self) -> Lateness:
+    def late(self) -> JointDelay:
         """Of the stamps of the joints."""
-        return Lateness(float(self.mean[DELAY]), float(np.sqrt(self.covariance[DELAY, DELAY])))
+        return JointDelay(float(self.mean[DELAY]), float(np.sqrt(self.covariance[DELAY, DELAY])))
 
 
 def initial_state(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import rectangle_room, textured_room, true_landmark
 
-from landmark_nav.localization.detection.worth import most_telling
+from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
@@ -37,7 +37,7 @@ def information(index: FloatArray) -> float:
 
 
 def test_three_are_nearly_as_good_as_the_best_three() -> None:
-    chosen = most_telling(AXIS, LANDMARKS, EVERY, SIGMA, 3)
+    chosen = most_informative(AXIS, LANDMARKS, EVERY, SIGMA, 3)
     assert len(set(chosen)) == 3
     nothing = float(np.linalg.slogdet(np.linalg.inv(AXIS.covariance))[1])
     gains = [information(np.array(three)) - nothing for three in combinations(EVERY, 3)]
@@ -46,37 +46,37 @@ def test_three_are_nearly_as_good_as_the_best_three() -> None:
 
 def test_what_is_not_more_than_asked_for_is_taken_as_it_is() -> None:
     some = np.array([5, 2, 9])
-    np.testing.assert_array_equal(most_telling(AXIS, LANDMARKS, some, SIGMA, 3), some)
+    np.testing.assert_array_equal(most_informative(AXIS, LANDMARKS, some, SIGMA, 3), some)
     none = np.array([], dtype=np.intp)
-    assert len(most_telling(AXIS, LANDMARKS, none, SIGMA, 3)) == 0
+    assert len(most_informative(AXIS, LANDMARKS, none, SIGMA, 3)) == 0
 
 
 @pytest.mark.parametrize('worse', [0, 7])
 def test_landmarks_whose_place_is_uncertain_are_passed_over(worse: int) -> None:
     doubtful = replace(LANDMARKS.landmarks[worse], covariance=np.eye(3))
     landmarks = tuple(doubtful if k == worse else LANDMARKS.landmarks[k] for k in EVERY)
-    assert worse not in most_telling(AXIS, LandmarkMap(landmarks), EVERY, SIGMA, 12)
+    assert worse not in most_informative(AXIS, LandmarkMap(landmarks), EVERY, SIGMA, 12)
 
 
 def test_what_is_wanted_comes_first() -> None:
-    best = most_telling(AXIS, LANDMARKS, EVERY, SIGMA, 4)
+    best = most_informative(AXIS, LANDMARKS, EVERY, SIGMA, 4)
     wanted = np.setdiff1d(EVERY, best)[:3]
-    chosen = most_telling(AXIS, LANDMARKS, EVERY, SIGMA, 4, wanted)
+    chosen = most_informative(AXIS, LANDMARKS, EVERY, SIGMA, 4, wanted)
     assert set(wanted) < set(chosen)
     assert len(chosen) == 4
     # What is not in view can't be had.
-    assert set(most_telling(AXIS, LANDMARKS, EVERY[:6], SIGMA, 4, [9])) <= set(EVERY[:6])
+    assert set(most_informative(AXIS, LANDMARKS, EVERY[:6], SIGMA, 4, [9])) <= set(EVERY[:6])
 
 
 def test_what_was_looked_for_before_gives_way_to_what_tells_about_as_much() -> None:
     novelty = np.ones(len(EVERY))
     looked_for: set[int] = set()
     for _ in range(4):
-        chosen = most_telling(AXIS, LANDMARKS, EVERY, SIGMA, 4, novelty=novelty)
+        chosen = most_informative(AXIS, LANDMARKS, EVERY, SIGMA, 4, novelty=novelty)
         looked_for |= set(chosen.tolist())
         novelty[chosen] *= 0.5
     assert len(looked_for) >= 10
     # But not to what tells next to nothing.
     doubtful = replace(LANDMARKS.landmarks[0], covariance=np.eye(3))
     landmarks = LandmarkMap((doubtful, *LANDMARKS.landmarks[1:]))
-    assert 0 not in most_telling(AXIS, landmarks, EVERY, SIGMA, 4, novelty=novelty)
+    assert 0 not in most_informative(AXIS, landmarks, EVERY, SIGMA, 4, novelty=novelty)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.types import CameraFrame, Detections
 
-__all__ = ['STILL', 'Lag', 'Lateness', 'in_time', 'seen_in_time']
+__all__ = ['STILL', 'JointDelay', 'Lag', 'in_time', 'seen_in_time']
 
 # A slope of the pan over less than that is its noise.
 _LEAST_STEP_S = 0.02
@@ -32,7 +32,7 @@ STILL = Lag(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Lateness:
+class JointDelay:
     """By how much joint states are stamped later than pictures of the same moment, s."""
 
     delay_s: float = 0.0
@@ -60,7 +60,7 @@ class Lateness:
         return Lag(at - given, 0.5 * (after - before) / step, 0.5 * (after + before) - at)
 
 
-def in_time(frame: CameraFrame, late: Lateness) -> tuple[CameraFrame, float]:
+def in_time(frame: CameraFrame, late: JointDelay) -> tuple[CameraFrame, float]:
     """Return a picture with the pan that joint states so late tell, and the sigma of that, rad."""
     if not (late.delay_s or late.sigma_s):
         return frame, frame.pan_sigma_rad
@@ -69,7 +69,7 @@ def in_time(frame: CameraFrame, late: Lateness) -> tuple[CameraFrame, float]:
     return replace(frame, pan_rad=frame.pan_rad + lag.shift_rad), sigma
 
 
-def seen_in_time(seen: Detections, late: Lateness) -> Detections:
+def seen_in_time(seen: Detections, late: JointDelay) -> Detections:
     """Return bearings of the pan that joint states so late tell, whatever was thought before."""
     lag = late.lag(seen.pan_rate_rad_s, seen.pan_track, seen.pan_delay_s)
     return replace(seen, bearing_rad=seen.bearing_rad + lag.shift_rad, pan_delay_s=late.delay_s)

@@ -8,10 +8,10 @@ import numpy.typing as npt
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['most_telling']
+__all__ = ['most_informative']
 
 
-def most_telling(
+def most_informative(
     axis: PoseEstimate,
     landmark_map: LandmarkMap,
     index: npt.NDArray[np.intp],

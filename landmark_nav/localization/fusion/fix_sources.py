@@ -9,7 +9,7 @@ import numpy as np
 
 from landmark_nav.arrays import IndexArray
 
-__all__ = ['Makings', 'Seen']
+__all__ = ['FixSources', 'Seen']
 
 # So many of the last pictures tell of which landmarks a pose was made, and so many it is made of.
 _PICTURES, _LEAST = 10, 3
@@ -23,7 +23,7 @@ class Seen(NamedTuple):
     expected: int
 
 
-class Makings:
+class FixSources:
     """
     The last pictures, which poses were made of.
 
