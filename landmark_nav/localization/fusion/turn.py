@@ -28,7 +28,7 @@ _LEAST = 3
 # What has a variance that is this share of what a surprise brings is doubted already.
 _DOUBTED = 0.25
 # Stamps of joints may be late by so much; they are suspected where that explains so much of an
-# angle, and then have this sigma at most.
+# angle, and then have this sigma.
 _REACH_S, _LATE_SHARE, LATE_S = 0.3, 0.5, 0.15
 
 
@@ -70,11 +70,9 @@ def update_turning(
             covariance[BORESIGHT, BORESIGHT] += variance
         away = prior.landmarks[frame.columns] - prior.mean[:2]
         covariance[[0, 1], [0, 1]] += variance * np.mean(np.sum(away**2, axis=1))
-        swing = frame.swing_rad(_REACH_S)
-        swings = swing > _LATE_SHARE * abs(angle)
+        swings = frame.swing_rad(_REACH_S) > _LATE_SHARE * abs(angle)
         if swings and covariance[DELAY, DELAY] < _DOUBTED * LATE_S**2:
-            # No later than what makes that angle: else most of it would be laid to the joints.
-            covariance[DELAY, DELAY] += min(LATE_S, abs(angle) / swing * _REACH_S) ** 2
+            covariance[DELAY, DELAY] += LATE_S**2
     loose = replace(prior, covariance=covariance)
     loose_state, loose_update = update_bearings(
         loose, frame, lever, probability, odometry, max(least, _LEAST)
