@@ -33,6 +33,9 @@ __all__ = ['PlaceSearch', 'PlaceSearchConfig']
 # Ten seconds at 50 Hz: what may come between two pictures that are looked at.
 _BACKLOG = 500
 _NAP_S = 0.005
+# A fused pose that stays away for less is on its way: whoever fuses waits for the processor, and a
+# search would take a second of it.
+_LATE_S = 2.0
 
 
 class _Nap:
@@ -61,7 +64,7 @@ class PlaceSearch:
     map_frame : str
         Frame of the place.
     fused : callable
-        Gives the newest fused pose, None where that is too far from a time to tell of it.
+        Gives the newest fused pose, None where that is farther from a time than so many seconds.
     odometry : OdometryNoiseConfig
         How far the odometry is to be trusted.
     looking : LookingConfig
@@ -75,7 +78,7 @@ class PlaceSearch:
         mount: PanTiltMount,
         config: PlaceSearchConfig,
         map_frame: str,
-        fused: Callable[[int], PoseEstimate | None],
+        fused: Callable[[int, float], PoseEstimate | None],
         odometry: OdometryNoiseConfig,
         looking: LookingConfig,
     ) -> None:
@@ -117,7 +120,7 @@ class PlaceSearch:
         wanted = self._config.when_lost and self._moves and self.landmarks.landmarks
         if self._asked or not wanted:
             return
-        fused = self._fused(stamp_ns)
+        fused = self._fused(stamp_ns, _LATE_S)
         if fused is not None and is_known(fused) and not self._unseen.lasts:
             self._relocalizer = None
         elif self._relocalizer is None:

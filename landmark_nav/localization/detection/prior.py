@@ -40,10 +40,11 @@ class PriorTrack:
             self._known.clear()
         self._known.append((pose, speeds.linear_m_s, speeds.angular_rad_s))
 
-    def recent(self, stamp_ns: int) -> PoseEstimate | None:
-        """The last one; None where that is too far from a time to tell of it, or none came."""
+    def recent(self, stamp_ns: int, max_age_s: float | None = None) -> PoseEstimate | None:
+        """The last one; None where that is farther from a time (as above), or none came."""
         newest = self._known[-1][0] if self._known else None
-        return newest if newest and abs(stamp_ns - newest.stamp_ns) <= self._max_age_ns else None
+        age_ns = self._max_age_ns if max_age_s is None else round(1e9 * max_age_s)
+        return newest if newest and abs(stamp_ns - newest.stamp_ns) <= age_ns else None
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether a pose is known from which the speeds lead to that time well enough."""
