@@ -16,7 +16,7 @@ from landmark_nav.arrays import FloatArray, ImageArray
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.pan_track import PanTrack
-from landmark_nav.geometry.patches import PatchView
+from landmark_nav.geometry.patches import patch_corners, PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.quality import PanoramaQuality
 
@@ -163,11 +163,7 @@ class Panorama:
 
 @dataclass(frozen=True)
 class Candidate:
-    """
-    A texture patch that attention proposes, in panorama pixels.
-
-    `column`, `row` are its centre; `saliency` is relative to the strongest one.
-    """
+    """A patch about a pixel of a panorama, as attention proposes it; `saliency` 1 is the best."""
 
     column: float
     row: float
@@ -267,6 +263,11 @@ class LandmarkMap:
         return np.array([(k.width_m, k.height_m) for k in self.landmarks]).reshape(-1, 2)
 
     @cached_property
+    def corners(self) -> FloatArray:
+        """Corners of the patches on the wall in map, (n, 4, 3)."""
+        return patch_corners(self.positions, self.normals, self.sizes_m)
+
+    @cached_property
     def covariances(self) -> FloatArray:
         """Total covariances, (n, 3, 3)."""
         return np.array([k.covariance for k in self.landmarks]).reshape(-1, 3, 3)
@@ -274,9 +275,8 @@ class LandmarkMap:
     @cached_property
     def shared_loadings(self) -> FloatArray:
         """What they have in common, (n, 3, m)."""
-        if not self.landmarks:
-            return np.zeros((0, 3, 0))
-        return np.array([k.shared_loading for k in self.landmarks], dtype=np.float64)
+        loadings = [k.shared_loading for k in self.landmarks]
+        return np.array(loadings, dtype=np.float64) if loadings else np.zeros((0, 3, 0))
 
     @cached_property
     def joint_covariance_xy(self) -> FloatArray:

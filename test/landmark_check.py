@@ -38,7 +38,6 @@ from landmark_nav.localization.detection import detect_landmarks, DetectionConfi
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
     observable,
-    patch_corners,
     TripletConfig,
     whole_in_view,
 )
@@ -95,7 +94,7 @@ class Looker:
         scene = another_day(room.walls.scene, self.rng)
         self.room, self.walls = room, TrueWalls(scene)
         self.world = RobotWorld(scene, next(free_poses(scene, 1, self.rng)), room.seed + 3)
-        self.corners = patch_corners(room.learned)
+        self.corners = room.learned.corners
         self.there = np.isfinite(room.error_m)
 
     def in_view(self, pose: FloatArray, pan: float) -> npt.NDArray[np.bool_]:

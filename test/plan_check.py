@@ -45,7 +45,6 @@ from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
     observable,
-    patch_corners,
     whole_in_view,
 )
 from landmark_nav.planning.config import PlanConfig
@@ -165,7 +164,7 @@ def localize(
     index = np.flatnonzero(observable(axis_position(base, mount), result.map, config.triplet))
     bearing = bearings(axis, truth[index])
     whole = whole_in_view(
-        patch_corners(result.map)[index],
+        result.map.corners[index],
         base,
         DEFAULT_CAMERA,
         mount,

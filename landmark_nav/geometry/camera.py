@@ -312,15 +312,15 @@ class PanTiltMount:
     def camera_pose_map(
         self,
         pose_map_base: FloatArray,
-        pan_rad: float,
-        tilt_rad: float = 0.0,
-        roll_rad: float = 0.0,
+        pan_rad: npt.ArrayLike,
+        tilt_rad: npt.ArrayLike = 0.0,
+        roll_rad: npt.ArrayLike = 0.0,
     ) -> tuple[FloatArray, FloatArray]:
-        """Rotation (3, 3) optical frame -> map and centre (3,), of a base at a pose (3,)."""
+        """As `camera_pose_base`, in map, of a base at a pose (3,)."""
         rotation, center = self.camera_pose_base(pan_rad, tilt_rad, roll_rad)
         x, y, heading = pose_map_base
         turn = _rot_z(heading)
-        return turn @ rotation, turn @ center + [x, y, 0.0]
+        return turn @ rotation, center @ turn.T + [x, y, 0.0]
 
 
 def _rot_x(angle: Any) -> FloatArray:

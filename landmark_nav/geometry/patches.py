@@ -9,7 +9,10 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray
 
-__all__ = ['PatchView', 'patch_axes', 'rays_to_patch']
+__all__ = ['PatchView', 'patch_axes', 'patch_corners', 'rays_to_patch']
+
+# Where corners are, to the right and down: clockwise from the upper left.
+_SIDES = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,15 @@ def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     right[..., 0], right[..., 1] = -n[..., 1], n[..., 0]
     down[..., 2] = -1.0
     return right, down
+
+
+def patch_corners(positions: FloatArray, normals: FloatArray, sizes_m: FloatArray) -> FloatArray:
+    """Corners (n, 4, 3) in map of patches by their centres and normals (n, 3) and sizes (n, 2)."""
+    right, down = patch_axes(normals)
+    half = 0.5 * sizes_m[:, None]
+    sideways = _SIDES[:, :1] * half[..., :1] * right[:, None]
+    downward = _SIDES[:, 1:] * half[..., 1:] * down[:, None]
+    return np.asarray(positions[:, None] + (sideways + downward))
 
 
 def rays_to_patch(

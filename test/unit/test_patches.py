@@ -7,7 +7,7 @@ from patch_texels import patch_points
 import pytest
 
 from landmark_nav.geometry.camera import rotation_rpy
-from landmark_nav.geometry.patches import patch_axes, rays_to_patch
+from landmark_nav.geometry.patches import patch_axes, patch_corners, rays_to_patch
 
 BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -87,3 +87,12 @@ def test_patches_are_worked_on_together() -> None:
     for k in range(3):
         alone = rays_to_patch(position[k : k + 1], normal[k : k + 1], rotation, center)
         np.testing.assert_allclose(together[k], alone[0])
+
+
+def test_corners_lie_half_a_size_from_the_centre() -> None:
+    centre, normal = np.array([[1.0, 2.0, 1.5]]), np.array([[0.0, 1.0, 0.0]])
+    corners = patch_corners(centre, normal, np.array([[0.4, 0.2]]))[0] - centre
+    # Its right is that of who looks at it, along -y: -x, so the upper left is at +x.
+    np.testing.assert_allclose(
+        corners, [[0.2, 0.0, 0.1], [-0.2, 0.0, 0.1], [-0.2, 0.0, -0.1], [0.2, 0.0, -0.1]]
+    )

@@ -9,14 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.patches import patch_axes, rays_to_patch
+from landmark_nav.geometry.patches import rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = ['Expectation', 'View', 'expect', 'quadratic']
-
-# The centre of a patch and its corners, clockwise from the upper left.
-_CORNERS = np.array([[0.0, 0.0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 class View:
@@ -71,12 +68,7 @@ def expect(
     if not len(indices):
         return []
     position, normal = landmark_map.positions[indices], landmark_map.normals[indices]
-    half = 0.5 * landmark_map.sizes_m[indices]
-    right, down = patch_axes(normal)
-    points = position[:, None] + (
-        _CORNERS[:, :1] * half[:, None, :1] * right[:, None]
-        + _CORNERS[:, 1:] * half[:, None, 1:] * down[:, None]
-    )
+    points = np.concatenate([position[:, None], landmark_map.corners[indices]], axis=1)
     pixels = view.camera.project((points - view.center) @ view.rotation)
     # Left and upper sides first, also where the camera hangs upside down.
     u, v = np.sort(pixels[:, 1:], axis=1).transpose(2, 0, 1)

@@ -56,15 +56,13 @@ def most_informative(
     variance = bearing_sigma**2 + np.sum((gradient[:, None] @ own)[:, 0] * gradient, -1)
     rows = np.column_stack([gradient, np.full(len(index), -1.0)]) / np.sqrt(variance)[:, None]
     covariance: FloatArray = axis.covariance
-    chosen: list[int] = []
-    first = np.where(np.isin(index, wanted), np.inf, 0.0)
+    gain = np.sum(rows @ covariance * rows, -1)
+    first = np.where((index[:, None] == np.asarray(wanted)).any(axis=1), np.inf, 0.0)
     news = np.ones(len(index)) if novelty is None else novelty[index]
     for _ in range(count):
-        spread = rows @ covariance
-        gain = np.sum(spread * rows, -1)
-        worth = news * gain + first
-        worth[chosen] = -1.0
-        best = int(np.argmax(worth))
-        chosen.append(best)
-        covariance = covariance - np.outer(spread[best], spread[best]) / (1.0 + gain[best])
-    return np.asarray(index[np.sort(chosen)], dtype=np.intp)
+        best = int(np.argmax(news * gain + first))
+        first[best] = -np.inf
+        spread = covariance @ rows[best] / np.sqrt(1.0 + gain[best])
+        covariance = covariance - np.outer(spread, spread)
+        gain -= (rows @ spread) ** 2
+    return np.asarray(index[first == -np.inf], dtype=np.intp)

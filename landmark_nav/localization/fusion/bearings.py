@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 import numpy.typing as npt
@@ -131,6 +132,6 @@ def _unlike_the_others(score: FloatArray, before: FloatArray) -> npt.NDArray[np.
     others = score if len(score) >= _FEW else np.append(score, before)
     if len(others) < _FEW:
         return np.zeros(len(score), dtype=np.bool_)
-    limit = _UNLIKE_TIMES * np.median(1.0 - others**2) + _UNLIKE_ANYWAY
+    limit = _UNLIKE_TIMES * median((1.0 - others**2).tolist()) + _UNLIKE_ANYWAY
     unlike = np.asarray(1.0 - score**2 > limit)
     return unlike & ~unlike.all()

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion.bearings import bearing_frame
@@ -176,7 +177,7 @@ class PoseFilter:
         self._health.restart(start.stamp_ns)
         self._witnesses.restart(vouched=witnesses is None)
         if witnesses is not None:
-            self._witnesses.hear(np.flatnonzero(np.isin(self._map.ids, witnesses)))
+            self._witnesses.hear(self._columns_of(witnesses))
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """Go on among other landmarks from where the robot is, believed as much as before."""
@@ -216,8 +217,7 @@ class PoseFilter:
             self._health.note(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         self._scores.extend(frame.scores.tolist())
-        columns = [self._columns[k] for k in detections.missed.tolist() if k in self._columns]
-        missed = np.array(columns, dtype=np.intp)
+        missed = self._columns_of(detections.missed)
         places = self._map.positions[missed]
         expected = len(frame.columns) + len(missed)
         if self._config.mode != 'bearings':
@@ -247,10 +247,14 @@ class PoseFilter:
         )
         # Of bearings that were not used, nothing tells which are the wrong ones.
         elsewhere = len(update.rejected) - len(frame.unusable) if update.degrees else 0
-        agree = frame.columns[np.isin(frame.ids, update.accepted_ids)]
+        agree = self._columns_of(update.accepted_ids)
         self._health.look(stamp, agree, missed, places, elsewhere)
         self._witnesses.hear(agree)
         return update
+
+    def _columns_of(self, ids: npt.NDArray[np.int64]) -> IndexArray:
+        """Places in the map of those landmarks that it holds."""
+        return np.array([self._columns[k] for k in ids.tolist() if k in self._columns], np.intp)
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:
         """Correct by a triangulated pose of the base, at its time."""

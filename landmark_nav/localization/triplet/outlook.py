@@ -17,7 +17,6 @@ from landmark_nav.localization.triplet.ranking import Standing
 from landmark_nav.localization.triplet.views import PanWindows
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
-    patch_corners,
     standings,
     TripletConfig,
     whole_in_view,
@@ -84,11 +83,6 @@ class Outlook:
         """Expected pose of the pan axis, with the orientation of the base."""
         return axis_from_base(self.prior, self.mount)
 
-    @cached_property
-    def corners(self) -> FloatArray:
-        """Of the patches, (n, 4, 3)."""
-        return patch_corners(self.landmark_map)
-
     def standing(self) -> npt.NDArray[np.int8]:
         """`Standing` of each landmark (n,)."""
         viewer = axis_position(self.prior.pose, self.mount)
@@ -101,7 +95,7 @@ class Outlook:
         azimuth = self._azimuth_and_reach[0, index]
         straight = np.clip(azimuth, *self.gaze.limits_rad)
         ahead = np.abs(straight - azimuth) < 1e-9
-        whole = self.whole(self.corners[index], straight) | ~ahead
+        whole = self.whole(self.landmark_map.corners[index], straight) | ~ahead
         standing[index[~whole]] = Standing.CUT
         standing[index[~reachable]] = Standing.BEYOND_LIMITS
         return standing
@@ -115,11 +109,11 @@ class Outlook:
     @cached_property
     def _azimuth_and_reach(self) -> FloatArray:
         """Pans straight at landmarks, and how far off these a pan may be, (2, n)."""
-        bearing, sigma = self.expected_bearings(np.arange(len(self.corners)))
+        bearing, sigma = self.expected_bearings(np.arange(len(self.landmark_map.corners)))
         half_fov = self.camera.half_fov_rad
         # However wide the prior, some of the picture stays to be used.
         margin = np.minimum(self.config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
-        reach = half_fov - margin - _half_width(self.axis.pose, self.corners)
+        reach = half_fov - margin - _half_width(self.axis.pose, self.landmark_map.corners)
         return np.stack([wrap_rad(bearing - self.mount.axis_rpy[2]), reach])
 
     def whole(self, corners: FloatArray, pan_rad: FloatArray) -> npt.NDArray[np.bool_]:

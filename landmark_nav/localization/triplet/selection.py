@@ -91,7 +91,7 @@ class _Contest:
         self._windows = outlook.windows(index)
         # From here on a landmark counts once for each turn of the axis that sees it.
         self._index, self._chance = index[self._windows.place], chance[self._windows.place]
-        self._corners = outlook.corners[self._index]
+        self._corners = self._map.corners[self._index]
         delta = self._map.positions[self._index, :2] - outlook.axis.pose[:2]
         points = _viewpoints(outlook.axis, float(np.hypot(*delta.T).min()))
         sigma = self._config.bearing_sigma_rad

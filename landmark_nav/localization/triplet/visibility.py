@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.observation import observed_well
-from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.localization.triplet.ranking import Standing
 from landmark_nav.parameters import Config, parameter
@@ -20,7 +19,6 @@ __all__ = [
     'TripletConfig',
     'axis_position',
     'observable',
-    'patch_corners',
     'standings',
     'visible_landmarks',
     'whole_in_view',
@@ -96,8 +94,15 @@ def visible_landmarks(
     """
     seen = observable(axis_position(prior.pose, mount), landmark_map, config)
     index = np.flatnonzero(seen)
-    corners = patch_corners(landmark_map)[index]
-    inside = whole_in_view(corners, prior.pose, camera, mount, pan_rad, tilt_rad, config.border_px)
+    inside = whole_in_view(
+        landmark_map.corners[index],
+        prior.pose,
+        camera,
+        mount,
+        pan_rad,
+        tilt_rad,
+        config.border_px,
+    )
     return index[inside]
 
 
@@ -146,18 +151,6 @@ def standings(
     return standing
 
 
-@lru_cache(maxsize=8)
-def patch_corners(landmark_map: LandmarkMap) -> FloatArray:
-    """Corners (n, 4, 3) of the patches on the wall, map frame."""
-    normal = landmark_map.normals
-    along = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], -1)
-    half = 0.5 * landmark_map.sizes_m
-    signs = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
-    sideways = (signs[:, 0] * half[:, :1])[..., None] * along[:, None]
-    upward = (signs[:, 1] * half[:, 1:])[..., None] * np.array([0.0, 0.0, 1.0])
-    return np.asarray(landmark_map.positions[:, None] + sideways + upward)
-
-
 def whole_in_view(
     points_map: FloatArray,
     pose_map_base: FloatArray,
@@ -172,10 +165,8 @@ def whole_in_view(
 
     `pan_rad` gives each its own pan (m,), or all the same.
     """
-    from_base, center_base = mount.camera_pose_base(pan_rad, tilt_rad)
-    points_base = points_map - [pose_map_base[0], pose_map_base[1], 0.0]
-    points_base[..., :2] = points_base[..., :2] @ rotation(pose_map_base[2])
-    points = (points_base - center_base[..., None, :]) @ from_base
+    rotation, center = mount.camera_pose_map(pose_map_base, pan_rad, tilt_rad)
+    points = (points_map - center[..., None, :]) @ rotation
     inside = camera.contains(camera.project(points), border_px)
     return np.asarray(inside.all(axis=-1))
 
