@@ -17,7 +17,7 @@ from spoiled_drives import (
 
 from landmark_nav.geometry import se2
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
-from landmark_nav.types import CameraFrame, PoseEstimate
+from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate
 
 
 def jumping(k: int, step: Step) -> Step | None:
@@ -29,6 +29,12 @@ def jumping(k: int, step: Step) -> Step | None:
 def standing(k: int, step: Step) -> Step | None:
     """Odometry that repeats its last sample."""
     return replace(step, odometry=replace(step.odometry, stamp_ns=round(FAULT_S * 1e9)))
+
+
+def at_rest(step: Step, pose: FloatArray) -> Step:
+    """Odometry that stays where it is and says that it stands."""
+    odometry = replace(step.odometry, pose_odom_base=pose, linear_m_s=0.0, angular_rad_s=0.0)
+    return replace(step, odometry=odometry)
 
 
 def silent(k: int, step: Step) -> Step | None:
@@ -104,6 +110,22 @@ def test_wheels_that_spin_are_not_taken_for_a_turned_camera_alone(
     assert all(m.nees < 25.0 for m in moments if m.after_s >= 0.0)
     assert {m.status for m in moments if m.after_s > 2.5} == {'tracking'}
     assert all(np.hypot(*m.error[:2]) < 0.03 for m in moments if m.after_s > 1.5)
+
+
+def test_odometry_that_says_it_stands_is_not_believed_while_pictures_show_motion(
+    sensed: list[Sensed],
+) -> None:
+    here = sensed[round(FAULT_S * 20)][0].odometry.pose_odom_base
+
+    def stuck(step: Step, frame: CameraFrame | None) -> Sensed:
+        return (at_rest(step, here) if step.stamp_ns * 1e-9 < FAULT_S + 4.0 else step), frame
+
+    moments = [m for m in run(sensed[: round(20 * (FAULT_S + 7.5))], stuck) if m.after_s > 0.0]
+    assert 'odometry stands' in first(moments, 'coasting').reason
+    assert {m.status for m in moments if 1.0 < m.after_s < 4.0} == {'coasting'}
+    assert all(m.nees < 25.0 for m in moments)
+    assert all(np.hypot(*m.error[:2]) < 0.03 for m in moments if m.after_s > 5.0)
+    assert {m.status for m in moments if m.after_s > 6.5} == {'tracking'}
 
 
 def test_a_clock_set_back_by_a_second_is_no_second_of_silence(sensed: list[Sensed]) -> None:

@@ -88,6 +88,27 @@ class TestTrack:
         assert track.add(sample(6.1, here)) is not None
         assert track.stamps_ns == (0, round(1e9 * (1.0 + 0.05 * 99)))
 
+    def test_a_stand_that_is_doubted_is_blind_until_it_moves(self) -> None:
+        track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
+        assert track.stands_since_ns is None
+        for k in range(1, 11):
+            still = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.0, angular_rad_s=0.0)
+            outcome = track.add(still)
+            if k == 5:
+                assert track.stands_since_ns == 10**9
+                track.doubt_stand(11 * 10**8, 21 * 10**8)
+                assert track.stands_since_ns is None
+        assert outcome is not None
+        assert outcome.reason == 'odometry stands'
+        track.add(sample(1.55))
+        assert track.add(sample(1.6)) is None
+        assert track.motion(0, 11 * 10**8).blind_seconds == 0.0
+        assert track.motion(10**9, 16 * 10**8).blind_seconds == pytest.approx(0.45)
+        whole = circle_track(until=2.0).motion(155 * 10**7, 16 * 10**8)
+        np.testing.assert_allclose(
+            track.motion(155 * 10**7, 16 * 10**8).increment, whole.increment, atol=1e-12
+        )
+
     def test_predicts_by_the_last_twist_for_a_while(self) -> None:
         track = circle_track()
         motion = track.motion(1_000_000_000, 1_100_000_000)

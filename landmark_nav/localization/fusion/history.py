@@ -23,7 +23,7 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
 )
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.types import OdometrySample, Refusal
+from landmark_nav.types import FloatArray, OdometrySample, Refusal
 
 __all__ = ['History', 'Step']
 
@@ -38,6 +38,8 @@ _LATE_IN_A_ROW = 5
 _STRIDE_NS = 100_000_000
 # What may have happened while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
+# A stand that pictures contradicted is doubted for so long.
+_DOUBT_NS = 2 * 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +130,36 @@ class History:
         """Put a step in its place and repeat what follows; what became of the step."""
         place = self._place(stamp_ns)
         self._events.insert(place, _Event(stamp_ns, step))
-        update = self._repeat(place)
+        update = self._repeat(place)[0]
+        if update is not None and (update.refusal is not None or update.turned_rad):
+            update = self._without_stand(place) or update
         self._forget()
         return update
+
+    def _without_stand(self, place: int) -> FusionUpdate | None:
+        """
+        Take the robot for moved where odometry says that it stands, if event `place` says so.
+
+        Odometry that froze stands, and that of a robot that is pushed. A turn on the spot is no
+        proof: a camera that was knocked looks alike. What became of the event then.
+        """
+        stands_ns, event = self._track.stands_since_ns, self._events[place]
+        before = next((k for k in range(place - 1, 0, -1) if self._events[k].step), 0)
+        if stands_ns is None or event.step is None or stands_ns >= event.stamp_ns:
+            return None
+        since_ns = max(stands_ns, self._events[before].stamp_ns)
+        prior = self._moved(self._states[place - 1], event.stamp_ns)
+        seconds = 1e-9 * (event.stamp_ns - since_ns)
+        blind = motion_variances(Motion(np.zeros(3), seconds, seconds), self._config)
+        _, moved = event.step(_widened(prior, blind))
+        _, turned = event.step(_widened(prior, blind * [0.0, 0.0, 1.0]))
+        assert moved is not None
+        assert turned is not None
+        enough = 1 if self._track.stand_was_doubted else turned.degrees + 1
+        if moved.turned_rad or moved.degrees < enough:
+            return None
+        self._track.doubt_stand(since_ns, event.stamp_ns + _DOUBT_NS)
+        return self._repeat(before + 1)[place - before - 1]
 
     def at(self, stamp_ns: int | None = None) -> FilterState:
         """
@@ -154,8 +183,8 @@ class History:
         motion = self._track.motion(state.stamp_ns, stamp_ns)
         return propagate(state, stamp_ns, motion, self._config)
 
-    def _repeat(self, first: int) -> FusionUpdate | None:
-        """Compute the states from event `first` on; what became of that event."""
+    def _repeat(self, first: int) -> list[FusionUpdate | None]:
+        """Compute the states from event `first` on; what became of these events."""
         del self._states[first:]
         updates = []
         for event in self._events[first:]:
@@ -164,7 +193,7 @@ class History:
                 state, update = event.step(state)
             self._states.append(state)
             updates.append(update)
-        return updates[0]
+        return updates
 
     def _forget(self) -> None:
         """Drop events older than the span, all but the last of them."""
@@ -187,3 +216,9 @@ class History:
             'clock was set back',
             f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
         )
+
+
+def _widened(state: FilterState, variances: FloatArray) -> FilterState:
+    covariance = state.covariance.copy()
+    covariance[range(3), range(3)] += variances
+    return replace(state, covariance=covariance)

@@ -30,9 +30,9 @@ class OdometryTrack:
     """
     Odometry without its jumps, that can be asked for the motion between any two times.
 
-    Where a source jumps, the motion goes on with the last twist and counts as blind. Samples whose
-    pose has frozen count as none. Beyond the last sample, and before the first, its twist is
-    followed for a short while; then the robot stands, blind.
+    Where a source jumps, the motion goes on with the last twist and counts as blind, as does a
+    stand that is doubted. Samples whose pose has frozen count as none. Beyond the last sample, and
+    before the first, its twist is followed for a short while; then the robot stands, blind.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:
@@ -46,11 +46,35 @@ class OdometryTrack:
         # The last whose pose and speeds agree, and how far speeds lead from there.
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
+        self._doubted_until_ns = 0
 
     @property
     def stamps_ns(self) -> tuple[int, int] | None:
         """First and last time; None while empty."""
         return (self._stamps[0], self._stamps[-1]) if self._stamps else None
+
+    @property
+    def stands_since_ns(self) -> int | None:
+        """When the stand began that it ends with; None if it moves, or that is doubted."""
+        stands = len(self._poses) > 1 and self._poses[-1] is self._poses[-2]
+        if not stands or self._stamps[-1] <= self._doubted_until_ns:
+            return None
+        return self._stamps[-2]
+
+    @property
+    def stand_was_doubted(self) -> bool:
+        """Whether this stand was doubted already."""
+        return self._doubted_until_ns > 0
+
+    def doubt_stand(self, since_ns: int, until_ns: int) -> None:
+        """Take the stand that it ends with as blind from a time on, and what follows of it."""
+        pose, blind_ns = self._poses[-1], self._stamps[-1] - max(since_ns, self._stamps[-2])
+        if since_ns > self._stamps[-2]:
+            self._stamps.insert(-1, since_ns)
+            self._poses.insert(-1, pose)
+            self._blind_ns.insert(-1, self._blind_ns[-1])
+        self._blind_ns[-1] += blind_ns
+        self._doubted_until_ns = until_ns
 
     def add(self, sample: OdometrySample) -> Refusal | None:
         """
@@ -59,8 +83,8 @@ class OdometryTrack:
         Returns
         -------
         Refusal or None
-            ``odometry jumped`` was appended with what the last twist predicts; any other reason
-            means that the sample was dropped.
+            ``odometry jumped`` was appended with what the last twist predicts, ``odometry stands``
+            as blind; any other reason means that the sample was dropped.
 
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
@@ -85,16 +109,20 @@ class OdometryTrack:
         if jumped:
             known = min(seconds, HORIZON_S)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
-        blind = jumped or seconds > self._config.max_gap_s
+        doubted = sample.stamp_ns <= self._doubted_until_ns
+        blind = jumped or doubted or seconds > self._config.max_gap_s
         stands = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
         if not stands:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
+            self._doubted_until_ns = 0
         elif self._freezes(sample, seconds):
             return Refusal('odometry has frozen', 'its pose stays while its speeds say it moves')
         pose = self._poses[-1] if stands else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:
             return Refusal('odometry jumped', f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s')
+        if doubted and stands:
+            return Refusal('odometry stands', 'while pictures show that the robot moves')
         return None
 
     @property
