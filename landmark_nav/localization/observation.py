@@ -251,8 +251,8 @@ class Observer:
         """The place near the expected one that a picture shows; now and then if it is in vain."""
         if self._vain > _EAGER and self._vain % _PATIENT:
             return Refusal('nothing recognised', 'neither in the pictures before')
-        aimed = self._detector.aimed(frame)
-        return narrowed(aimed, prior, self._map, self._mount, self._config)
+        levelled = self._detector.levelled(frame)
+        return narrowed(levelled, prior, self._map, self._mount, self._config)
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:
         """Triangulate landmarks that were found elsewhere; what the map lacks is refused."""

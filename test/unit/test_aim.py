@@ -77,6 +77,18 @@ def test_a_camera_is_tilted_where_most_landmarks_say_so(strangers: int) -> None:
     assert detector.tilt_rad == pytest.approx(0.0 if strangers else knock_rad, abs=1e-3)
 
 
+def test_a_heading_that_is_put_right_is_no_camera_that_looks_beside() -> None:
+    """Also where it is not known whether that may be why landmarks are missing."""
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.035)
+    wrong = PoseEstimate(frame.stamp_ns, HERE + np.array([0.0, 0.0, 0.1]), PRIOR)
+    right = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
+    assert len(detector.detect(frame, wrong, np.arange(4)).detections) == 4
+    found = detector.detect(frame, right, np.arange(4), knocked=False)
+    assert len(found.detections) == 4
+    assert np.abs(errors_of(found, HERE)).max() < 1e-4
+
+
 def test_heights_that_are_a_centimetre_off_are_no_tilt() -> None:
     """From 1.6 m, elevations say 6 mrad."""
     pose = HERE + np.array([1.6, 0.0, 0.0])

@@ -60,6 +60,18 @@ def test_a_prior_that_is_sure_of_one_direction(sigma: tuple[float, ...]) -> None
     assert len(seen.detections) == 4
 
 
+def test_a_place_that_is_known_leaves_a_heading_that_is_not_to_the_picture() -> None:
+    """What is proposed is rougher than the prior is of the place."""
+    sigma = np.array([0.01, 0.01, 0.2])
+    for turned in np.arange(-0.3, 0.31, 0.1):
+        for heading in (0.4, 1.0, 2.0, -1.2):
+            truth = np.array([*TRUTH[:2], heading])
+            frame = picture(truth, -0.2, np.random.default_rng(4))
+            usual = look(told(np.zeros(3), SURE, truth), frame)
+            seen = look(told(np.array([0.0, 0.0, turned]), sigma, truth), frame)
+            assert set(seen.detections.ids) == set(usual.detections.ids), (turned, heading)
+
+
 def test_a_pose_that_is_claimed_to_be_known_is_taken_at_its_word() -> None:
     seen = look(told(np.array([0.6, 0.3, 0.2]), SURE))
     assert len(seen.detections) <= 1

@@ -99,6 +99,10 @@ class AimedDetector:
         """
         knock, config = self._knock if knocked else 0.0, self._config
         result = self._search(frame, prior, expected, config, self._aim)
+        if len(result.detections) <= _HARDLY_ANY * len(expected) and self._aim[0]:
+            # It may have been the heading, which was put right since.
+            ahead = self._search(frame, prior, expected, config, self._aim * [0.0, 1.0, 1.0])
+            result = max(ahead, result, key=lambda found: len(found.detections))
         few = len(result.detections) <= _HARDLY_ANY * len(expected) or _leans(result)
         if not few or len(expected) < _LEAST or not knock:
             if self._tells(result, expected):

@@ -38,8 +38,8 @@ _LATE_IN_A_ROW = 5
 _STRIDE_NS = 100_000_000
 # What may have happened while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
-# A stand that pictures contradicted is doubted for so long.
-_DOUBT_NS = 2 * 10**9
+# A stand is doubted for so long after a picture that contradicted it.
+_DOUBT_NS = 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,35 +131,46 @@ class History:
         place = self._place(stamp_ns)
         self._events.insert(place, _Event(stamp_ns, step))
         update = self._repeat(place)[0]
-        if update is not None and (update.refusal is not None or update.turned_rad):
-            update = self._without_stand(place) or update
+        stands_ns = self._track.stands_since_ns
+        if update is not None and stands_ns is not None and stands_ns < stamp_ns:
+            update = self._stand_doubted(place, stands_ns, update)
         self._forget()
         return update
 
-    def _without_stand(self, place: int) -> FusionUpdate | None:
+    def _stand_doubted(self, place: int, stands_ns: int, update: FusionUpdate) -> FusionUpdate:
         """
         Take the robot for moved where odometry says that it stands, if event `place` says so.
 
-        Odometry that froze stands, and that of a robot that is pushed. A turn on the spot is no
-        proof: a camera that was knocked looks alike. What became of the event then.
+        Odometry that froze stands, and that of a robot that is pushed. Of a turn on the spot the
+        event itself may be right, as a camera that was knocked looks alike; then the stand is
+        doubted from there on. What became of the event.
         """
-        stands_ns, event = self._track.stands_since_ns, self._events[place]
+        event, until_ns = self._events[place], self._track.stand_doubted_until_ns
+        assert event.step is not None
         before = next((k for k in range(place - 1, 0, -1) if self._events[k].step), 0)
-        if stands_ns is None or event.step is None or stands_ns >= event.stamp_ns:
-            return None
         since_ns = max(stands_ns, self._events[before].stamp_ns)
-        prior = self._moved(self._states[place - 1], event.stamp_ns)
         seconds = 1e-9 * (event.stamp_ns - since_ns)
+        if event.stamp_ns <= until_ns:
+            still = Motion(np.zeros(3), seconds)
+            prior = propagate(self._states[before], event.stamp_ns, still, self._config)
+            if _contradicts(event.step(prior)[1]):
+                self._track.doubt_stand(event.stamp_ns, event.stamp_ns + _DOUBT_NS)
+            return update
+        if not _contradicts(update):
+            return update
+        prior = self._moved(self._states[place - 1], event.stamp_ns)
         blind = motion_variances(Motion(np.zeros(3), seconds, seconds), self._config)
         _, moved = event.step(_widened(prior, blind))
         _, turned = event.step(_widened(prior, blind * [0.0, 0.0, 1.0]))
         assert moved is not None
         assert turned is not None
-        enough = 1 if self._track.stand_was_doubted else turned.degrees + 1
+        enough = 1 if until_ns else turned.degrees + 1
         if moved.turned_rad or moved.degrees < enough:
-            return None
+            if update.turned_rad:
+                self._track.doubt_stand(event.stamp_ns, event.stamp_ns + _DOUBT_NS)
+            return update
         self._track.doubt_stand(since_ns, event.stamp_ns + _DOUBT_NS)
-        return self._repeat(before + 1)[place - before - 1]
+        return self._repeat(before + 1)[place - before - 1] or update
 
     def at(self, stamp_ns: int | None = None) -> FilterState:
         """
@@ -216,6 +227,10 @@ class History:
             'clock was set back',
             f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
         )
+
+
+def _contradicts(update: FusionUpdate | None) -> bool:
+    return update is not None and (update.refusal is not None or update.turned_rad != 0.0)
 
 
 def _widened(state: FilterState, variances: FloatArray) -> FilterState:

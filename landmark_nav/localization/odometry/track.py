@@ -55,26 +55,25 @@ class OdometryTrack:
 
     @property
     def stands_since_ns(self) -> int | None:
-        """When the stand began that it ends with; None if it moves, or that is doubted."""
+        """When the stand began that it ends with; None if it moves."""
         stands = len(self._poses) > 1 and self._poses[-1] is self._poses[-2]
-        if not stands or self._stamps[-1] <= self._doubted_until_ns:
-            return None
-        return self._stamps[-2]
+        return self._stamps[-2] if stands else None
 
     @property
-    def stand_was_doubted(self) -> bool:
-        """Whether this stand was doubted already."""
-        return self._doubted_until_ns > 0
+    def stand_doubted_until_ns(self) -> int:
+        """Until when that stand is doubted, or was; 0 if it never was."""
+        return self._doubted_until_ns
 
     def doubt_stand(self, since_ns: int, until_ns: int) -> None:
         """Take the stand that it ends with as blind from a time on, and what follows of it."""
-        pose, blind_ns = self._poses[-1], self._stamps[-1] - max(since_ns, self._stamps[-2])
+        self._doubted_until_ns = until_ns
+        if since_ns >= self._stamps[-1]:
+            return
         if since_ns > self._stamps[-2]:
             self._stamps.insert(-1, since_ns)
-            self._poses.insert(-1, pose)
+            self._poses.insert(-1, self._poses[-1])
             self._blind_ns.insert(-1, self._blind_ns[-1])
-        self._blind_ns[-1] += blind_ns
-        self._doubted_until_ns = until_ns
+        self._blind_ns[-1] += self._stamps[-1] - self._stamps[-2]
 
     def add(self, sample: OdometrySample) -> Refusal | None:
         """

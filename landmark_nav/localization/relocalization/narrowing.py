@@ -20,14 +20,15 @@ from landmark_nav.localization.relocalization.hypotheses import propose
 from landmark_nav.localization.relocalization.search import best_place, verified_places
 from landmark_nav.localization.relocalization.sightings import find_sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames
-from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Refusal
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = ['narrowed']
 
 # What the prior excludes: one in a thousand lies there.
 _EXCLUDED = 0.001
-# No pose is better known than this, whatever a prior says of one of its directions, m and rad.
-_LEAST_SIGMA = (1e-3, 1e-3, 1e-3)
+# No pose is better known than this, whatever a prior says of one of its directions; and how exact
+# proposed ones are, m and rad.
+_LEAST_SIGMA, _PROPOSED_SIGMA = (1e-3, 1e-3, 1e-3), (0.1, 0.1, 0.035)
 
 
 def narrowed(
@@ -46,15 +47,24 @@ def narrowed(
         Of the base, out of the picture alone; why there is none, such as too few landmarks.
 
     """
-    covariance = prior.covariance + np.diag(np.square(_LEAST_SIGMA))
-    prior = replace(prior, covariance=covariance)
+    prior = replace(prior, covariance=prior.covariance + np.diag(np.square(_LEAST_SIGMA)))
     sightings = find_sightings(frame, landmark_map, mount, prior)
     poses = propose(sightings, landmark_map).poses
-    offset = poses - prior.pose
-    offset[:, 2] = wrap_rad(offset[:, 2])
-    distance = np.sum(offset * np.linalg.solve(covariance, offset.T).T, axis=1)
-    allowed = poses[distance < chdtri(3, _EXCLUDED)]
+    rough = np.diag(np.square(_PROPOSED_SIGMA))
+    likely = poses[[_allows(prior, pose, rough) for pose in poses]]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
-    places = verified_places(allowed, still, landmark_map, mount, looking)
-    best = best_place(places, len(allowed))
+    places = [
+        place
+        for place in verified_places(likely, still, landmark_map, mount, looking)
+        if _allows(prior, place.estimate.pose, place.estimate.covariance)
+    ]
+    best = best_place(places, len(likely))
     return best if isinstance(best, Refusal) else best.estimate
+
+
+def _allows(prior: PoseEstimate, pose: FloatArray, covariance: FloatArray) -> bool:
+    """Whether a pose (3,) of such a covariance may be the one that the prior is of."""
+    offset = pose - prior.pose
+    offset[2] = wrap_rad(offset[2])
+    distance = offset @ np.linalg.solve(prior.covariance + covariance, offset)
+    return bool(distance < chdtri(3, _EXCLUDED))
