@@ -89,6 +89,19 @@ def test_a_heading_that_is_put_right_is_no_camera_that_looks_beside() -> None:
     assert np.abs(errors_of(found, HERE)).max() < 1e-4
 
 
+def test_a_place_that_is_hardly_known_tells_no_tilt() -> None:
+    """From half a metre nearer by, what is high is higher."""
+    low = replace(MOUNT, axis_xyz=(*MOUNT.axis_xyz[:2], 0.75))
+    frame = draw_frame(SCENE, LENS, low, HERE, 0.05)
+    detector = AimedDetector(LANDMARKS, low, CONFIG, 0.03)
+    wide = np.diag(np.square([0.3, 0.3, 0.1]))
+    prior = PoseEstimate(frame.stamp_ns, HERE - np.array([0.5, 0.0, 0.0]), wide)
+    for _ in range(2):
+        found = detector.detect(frame, prior, np.arange(4), knocked=False)
+        assert len(found.detections) >= 3
+        assert detector.tilt_rad == 0.0
+
+
 def test_heights_that_are_a_centimetre_off_are_no_tilt() -> None:
     """From 1.6 m, elevations say 6 mrad."""
     pose = HERE + np.array([1.6, 0.0, 0.0])

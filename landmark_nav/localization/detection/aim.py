@@ -138,8 +138,13 @@ class AimedDetector:
         if roll:
             roll += _ROLL_SHARE * (self._seen_roll(result, frame, prior) - roll)
         aim = self._seen_aim(result, frame, prior, roll)
-        away = self._map.positions[self._map.indices(result.detections.ids), :2] - prior.pose[:2]
-        doubt_rad = _HEIGHT_M / median(np.hypot(away[:, 0], away[:, 1]).tolist())
+        away, _ = self._expected(result, frame, prior, roll)
+        reach = np.hypot(away[:, 0], away[:, 1])
+        doubt_rad = _HEIGHT_M / median(reach.tolist())
+        sigma_m = np.sqrt(np.trace(prior.covariance[:2, :2]))
+        if sigma_m * median((np.abs(away[:, 2]) / reach**2).tolist()) > _TILTED_RAD:
+            # From nearer by, high things are higher.
+            aim[1:] = self._aim[1:]
         tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD + doubt_rad
         if tilted:
             self._told_rad = aim[1]
