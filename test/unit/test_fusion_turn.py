@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
-from fusion_drives import detections, drive, landmark_map, Moment, MOUNT, start_estimate
+from dataclasses import replace
+
+from fusion_drives import (
+    as_surveyed,
+    detections,
+    drive,
+    error_of,
+    landmark_map,
+    Moment,
+    MOUNT,
+    start_estimate,
+    START_SIGMA,
+)
 import numpy as np
 import pytest
 
+from landmark_nav.arrays import FloatArray
+from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.fusion import FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.state import BORESIGHT, HEADING
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 
 MAP = landmark_map(10)
 SIGMA_RAD = 5e-4
@@ -62,3 +77,53 @@ def test_a_larger_one_is_doubted_by_as_much_as_was_seen(
     status, reason = fused.status
     assert status == 'coasting'
     assert 'turned' in reason
+
+
+def slipped(seed: int, slip_deg: float, late_s: float) -> tuple[PoseFilter, FloatArray]:
+    """
+    Drive for 4 m; half way, while the pan swings, wheels turn the base for half a second.
+
+    Errors of the heading, degrees: at the last picture of that swing, and in the end.
+    """
+    rng = np.random.default_rng(seed)
+    fused = PoseFilter(as_surveyed(MAP, rng), MOUNT)
+    fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
+    pivot, errors = np.zeros(3), {}
+    for k, moment in enumerate(drive(200, rng, OdometryNoiseConfig())):
+        wheels = moment.odometry.pose_odom_base
+        pivot = wheels if k <= 100 else pivot
+        turned = [0.0, 0.0, np.clip((k - 100) / 10, 0.0, 1.0) * np.radians(slip_deg)]
+        wheels = compose(pivot, compose(turned, compose(inverse(pivot), wheels)))
+        fused.add_odometry(replace(moment.odometry, pose_odom_base=wheels))
+        if k % 4 == 0:
+            rate = 2.0 if k % 60 >= 40 else 0.0
+            off = rng.normal(0.0, SIGMA_RAD, 4) - late_s * rate * (k > 100)
+            places, stamp_ns = (k // 4 + np.arange(4)) % 10, moment.odometry.stamp_ns
+            seen = detections(MAP, moment.pose, stamp_ns, places, SIGMA_RAD, off)
+            fused.add_detections(replace(seen, pan_rate_rad_s=rate))
+            found = fused.estimate()
+            assert found is not None
+            error = error_of(found, moment.pose)
+            nees = error @ np.linalg.solve(found.covariance, error)
+            assert fused.status[0] != 'tracking' or nees < 40.0
+            errors[k] = np.degrees(error[2])
+    return fused, np.array([errors[116], errors[200]])
+
+
+@pytest.mark.parametrize('slip_deg', [2.0, -1.5])
+def test_wheels_that_slip_while_the_camera_swings_are_not_laid_to_the_joints(
+    slip_deg: float,
+) -> None:
+    """Most likely they are not late, and the next swing says so."""
+    runs = [slipped(seed, slip_deg, 0.0) for seed in range(8)]
+    assert max(abs(fused.late.delay_s) for fused, _ in runs) < 0.005
+    at_once, later = np.sqrt(np.mean(np.square([errors for _, errors in runs]), axis=0))
+    assert at_once < 0.5 * abs(slip_deg)
+    assert later < 0.25 * abs(slip_deg)
+
+
+def test_joints_that_are_late_are_told_from_wheels_that_slip() -> None:
+    for seed in range(4):
+        fused, errors = slipped(seed, 0.0, 0.2)
+        assert fused.late.delay_s == pytest.approx(0.2, abs=0.01)
+        assert abs(errors[1]) < 1.2

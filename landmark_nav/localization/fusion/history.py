@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from landmark_nav.localization.fusion.mixture import Mixture
 from landmark_nav.localization.fusion.state import FilterState, propagate
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.odometry.noise import (
@@ -27,7 +28,7 @@ from landmark_nav.types import FloatArray, OdometrySample, Refusal
 
 __all__ = ['History', 'Step']
 
-Step = Callable[[FilterState], tuple[FilterState, FusionUpdate | None]]
+Step = Callable[[Mixture], tuple[Mixture, FusionUpdate | None]]
 
 # Odometry older by this is not late: the clock was set back, or the start pose had another one.
 _CLOCK_STEP_NS = 10**9
@@ -68,7 +69,7 @@ class History:
         self._span_ns = int(span_s * 1e9)
         self._track = OdometryTrack(config)
         self._events: list[_Event] = []
-        self._states: list[FilterState] = []  # after each event
+        self._states: list[Mixture] = []  # after each event
         self._late_ns = self._late_in_a_row = 0
 
     @property
@@ -79,7 +80,7 @@ class History:
     @property
     def last(self) -> FilterState:
         """The state after the newest event: what does not change as the robot moves on."""
-        return self._states[-1]
+        return self._states[-1].merged()
 
     @property
     def begin_ns(self) -> int:
@@ -94,7 +95,7 @@ class History:
     def restart(self, state: FilterState) -> None:
         """Begin anew with a state; odometry that came after it is kept."""
         self._events = [_Event(state.stamp_ns)]
-        self._states = [state]
+        self._states = [Mixture((state,))]
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what was wrong with the sample, if anything."""
@@ -152,7 +153,7 @@ class History:
         seconds = 1e-9 * (event.stamp_ns - since_ns)
         if event.stamp_ns <= until_ns:
             still = Motion(np.zeros(3), seconds)
-            prior = propagate(self._states[before], event.stamp_ns, still, self._config)
+            prior = self._propagated(self._states[before], event.stamp_ns, still)
             if _contradicts(event.step(prior)[1]):
                 self._track.doubt_stand(event.stamp_ns, event.stamp_ns + _DOUBT_NS)
             return update
@@ -160,8 +161,9 @@ class History:
             return update
         prior = self._moved(self._states[place - 1], event.stamp_ns)
         blind = motion_variances(Motion(np.zeros(3), seconds, seconds), self._config)
-        _, moved = event.step(_widened(prior, blind))
-        _, turned = event.step(_widened(prior, blind * [0.0, 0.0, 1.0]))
+        turn = blind * [0.0, 0.0, 1.0]
+        _, moved = event.step(prior.each(lambda state: _widened(state, blind)))
+        _, turned = event.step(prior.each(lambda state: _widened(state, turn)))
         assert moved is not None
         assert turned is not None
         enough = 1 if until_ns else turned.degrees + 1
@@ -183,16 +185,19 @@ class History:
             known = self._track.stamps_ns
             stamp_ns = max(self._events[-1].stamp_ns, known[1] if known is not None else 0)
         state = self._states[max(self._place(stamp_ns) - 1, 0)]
-        return self._moved(state, max(stamp_ns, state.stamp_ns))
+        return self._moved(state, max(stamp_ns, state.stamp_ns)).merged()
 
     def _place(self, stamp_ns: int) -> int:
         return bisect_right(self._events, stamp_ns, key=lambda event: event.stamp_ns)
 
-    def _moved(self, state: FilterState, stamp_ns: int) -> FilterState:
+    def _moved(self, state: Mixture, stamp_ns: int) -> Mixture:
         if stamp_ns == state.stamp_ns:
             return state
         motion = self._track.motion(state.stamp_ns, stamp_ns)
-        return propagate(state, stamp_ns, motion, self._config)
+        return self._propagated(state, stamp_ns, motion)
+
+    def _propagated(self, state: Mixture, stamp_ns: int, motion: Motion) -> Mixture:
+        return state.each(lambda one: propagate(one, stamp_ns, motion, self._config))
 
     def _repeat(self, first: int) -> list[FusionUpdate | None]:
         """Compute the states from event `first` on; what became of these events."""
@@ -218,11 +223,9 @@ class History:
         self._track = OdometryTrack(self._config)
         self._track.add(sample)
         if self._states:
-            covariance = self._states[-1].covariance.copy()
+            covariance = self.last.covariance.copy()
             covariance[:3, :3] += np.diag(motion_variances(_BLIND_SECOND, self._config))
-            self.restart(
-                replace(self._states[-1], stamp_ns=sample.stamp_ns, covariance=covariance)
-            )
+            self.restart(replace(self.last, stamp_ns=sample.stamp_ns, covariance=covariance))
         return Refusal(
             'clock was set back',
             f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',

@@ -29,6 +29,7 @@ from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.fix_sources import FixSources, Seen
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
+from landmark_nav.localization.fusion.mixture import Outcome, weighed
 from landmark_nav.localization.fusion.state import (
     among,
     FilterState,
@@ -57,7 +58,7 @@ _POSE_PROBABILITY = 0.99
 # So many correlations of the pictures before tell what to expect.
 _SCORES = 12
 # How late joint states are is known from what was measured to this sigma.
-_MEASURED_S = 0.03
+_MEASURED_S = 0.01
 # A place is found with a heading at least as good as this unless the camera turns.
 _TURNING_RAD = 0.02
 
@@ -269,16 +270,16 @@ class PoseFilter:
         if refusal is not None:
             return self.no_pose(stamp, refusal)
         columns = self._fix_sources.columns(stamp)
+        at_state = partial(
+            update_pose,
+            measured=measured,
+            columns=columns,
+            lever=self._lever,
+            probability=_POSE_PROBABILITY,
+            turn_sigma=self._config.turn_sigma_rad,
+        )
         update = self._measure(
-            stamp,
-            partial(
-                update_pose,
-                measured=measured,
-                columns=columns,
-                lever=self._lever,
-                probability=_POSE_PROBABILITY,
-                turn_sigma=self._config.turn_sigma_rad,
-            ),
+            stamp, lambda mixture: weighed(mixture, lambda state: [Outcome(*at_state(state))])
         )
         if update.degrees:
             self._witnesses.hear(columns)
@@ -337,7 +338,7 @@ class PoseFilter:
             reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
             self._health.note_surprise(stamp_ns, Refusal(reason, angle))
         if self._health.astray and update.refusal is not None:
-            self._history.insert(stamp_ns, lambda state: (doubted_state(state), None))
+            self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubted_state), None))
             self._witnesses.restart(vouched=False)
         return update
 

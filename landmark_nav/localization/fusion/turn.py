@@ -8,6 +8,7 @@ import numpy as np
 
 from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.measurement import expected_bearings, MeasurementModel
+from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
     DELAY,
@@ -25,67 +26,108 @@ __all__ = ['LATE_S', 'update_turning']
 _SURPRISE = 5.0
 # So many bearings tell a common angle from a wrong place.
 _LEAST = 3
-# What has a variance that is this share of what a surprise brings is doubted already.
-_DOUBTED = 0.25
+# What has a sigma that is this share of what a surprise brings is doubted already.
+_DOUBTED = 0.5
+# Wheels slip more often than cameras are knocked: sigma of that angle beside that of the heading.
+_KNOCKED = 0.7
 # Stamps of joints may be late by so much; they are suspected where that explains so much of an
-# angle, and then have this sigma.
+# angle, and then have this sigma. That is so likely beside all else.
 _REACH_S, _LATE_SHARE, LATE_S = 0.3, 0.5, 0.15
+_LATE = float(np.log(0.5))
+# A delay that is known as well as this is not open.
+_KNOWN_S = 0.005
 
 
 def update_turning(
-    prior: FilterState,
+    prior: Mixture,
     frame: BearingFrame,
     lever: FloatArray,
     probability: float,
     odometry: OdometryNoiseConfig,
     least: int,
-) -> tuple[FilterState, FusionUpdate]:
+) -> tuple[Mixture, FusionUpdate]:
     """
     Use the bearings of a frame as `update_bearings` does, or as those of a camera that turned.
 
-    If they agree with each other but not with the prior's direction, either the camera turned
-    against the base, or the base against the odometry, or the wheels slipped: at these few places
-    that looks alike. So heading and boresight become uncertain by that angle, `turn_sigma_rad`
-    at most, and the position by what shows it from here; so does the lateness of the joints'
-    stamps, if the camera turns so fast that it may be that. Other bearings, other rates, and the
-    direction in which the robot drives on, tell them apart. An angle that is only too large for
-    the gates of single bearings is laid to the odometry.
+    If they agree with each other but not with the prior's direction, either the base turned
+    against the odometry, or the camera against the base: in this picture that looks alike. So
+    heading and boresight become uncertain by that angle, `turn_sigma_rad` at most, and the
+    position by what shows it from here; other bearings, and the direction in which the robot
+    drives on, tell them apart. If the camera turns so fast that it may be that, there is another
+    state, in which the joints' stamps are late: other rates tell which is true. An angle that is
+    only too large for the gates of single bearings is laid to the odometry.
     """
-    prior = looking_again(prior, frame.config.repeat_length_m)
-    expected = expected_bearings(prior, frame, lever)
-    state, update = update_bearings(prior, frame, lever, probability, odometry, least, expected)
-    turn_sigma = frame.config.turn_sigma_rad
-    if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
-        return state, update
-    angle, sigma = _common_turn(expected)
-    surprising = abs(angle) > _SURPRISE * sigma
-    if update.refusal is None and not surprising:
-        return state, update
-    covariance = prior.covariance.copy()
-    variance = min(angle**2, turn_sigma**2)
-    covariance[HEADING, HEADING] += variance
-    if surprising:
-        # Wheels may go on slipping, but a camera is knocked once.
-        if covariance[BORESIGHT, BORESIGHT] < _DOUBTED * turn_sigma**2:
-            covariance[BORESIGHT, BORESIGHT] += variance
-        away = prior.landmarks[frame.columns] - prior.mean[:2]
-        covariance[[0, 1], [0, 1]] += variance * np.mean(np.sum(away**2, axis=1))
+
+    def updated(state: FilterState, enough: int, model: MeasurementModel | None = None) -> Outcome:
+        return Outcome(*update_bearings(state, frame, lever, probability, odometry, enough, model))
+
+    def outcomes(state: FilterState) -> list[Outcome]:
+        state = looking_again(state, frame.config.repeat_length_m)
+        expected = expected_bearings(state, frame, lever)
+        as_before = updated(state, least, expected)
+        turn_sigma = frame.config.turn_sigma_rad
+        if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
+            return [as_before]
+        angle, sigma = _common_turn(expected)
+        surprising = abs(angle) > _SURPRISE * sigma
+        if as_before.update.refusal is None and not surprising:
+            return [as_before]
+        turned = _turned(state, frame, min(abs(angle), turn_sigma), surprising)
+        loose = [(0.0, turned)]
         swings = frame.swing_rad(_REACH_S) > _LATE_SHARE * abs(angle)
-        if swings and covariance[DELAY, DELAY] < _DOUBTED * LATE_S**2:
-            covariance[DELAY, DELAY] += LATE_S**2
-    loose = replace(prior, covariance=covariance)
-    loose_state, loose_update = update_bearings(
-        loose, frame, lever, probability, odometry, max(least, _LEAST)
-    )
-    if loose_update.refusal is not None or loose_update.degrees < update.degrees:
-        return state, update
+        if surprising and swings and state.late.sigma_s < _DOUBTED * LATE_S:
+            late = _loosened(turned, DELAY, LATE_S)
+            # A delay that is known stays, most likely; else it would be told out of a slip.
+            loose = (
+                [(0.0, turned), (_LATE, late)] if state.late.sigma_s < _KNOWN_S else [(0.0, late)]
+            )
+        found = [
+            updated(other, max(least, _LEAST))._replace(log_prior=log) for log, other in loose
+        ]
+        believed = [one for one in found if _explains(one.update, as_before.update)]
+        if not surprising:
+            return believed or [as_before]
+        told = [
+            one._replace(update=replace(one.update, turned_rad=_median_turn(one.update)))
+            for one in believed
+            # Else it was one that is far off, and not the others with it.
+            if as_before.update.refusal or abs(_median_turn(one.update)) > _SURPRISE * sigma
+        ]
+        return told or [as_before]
+
+    return weighed(prior, outcomes)
+
+
+def _turned(
+    state: FilterState, frame: BearingFrame, turn_rad: float, surprising: bool
+) -> FilterState:
+    """Doubt heading, boresight and position by an angle; the heading alone if no surprise."""
+    loose = _loosened(state, HEADING, turn_rad)
     if not surprising:
-        return loose_state, loose_update
-    angle = float(np.median(loose_update.innovation_rad))
-    if update.refusal is None and abs(angle) <= _SURPRISE * sigma:
-        # It was one that is far off, and not the others with it.
-        return state, update
-    return loose_state, replace(loose_update, turned_rad=angle)
+        return loose
+    away = state.landmarks[frame.columns] - state.mean[:2]
+    loose = _loosened(loose, [0, 1], turn_rad * float(np.sqrt(np.mean(np.sum(away**2, axis=1)))))
+    # Wheels may go on slipping, but a camera is knocked once.
+    knock_rad, most_rad = _KNOCKED * turn_rad, _KNOCKED * frame.config.turn_sigma_rad
+    if state.covariance[BORESIGHT, BORESIGHT] < (_DOUBTED * most_rad) ** 2:
+        loose = _loosened(loose, BORESIGHT, knock_rad)
+    return loose
+
+
+def _loosened(state: FilterState, which: int | list[int], sigma: float) -> FilterState:
+    """Add so much to the uncertainty of some of the numbers."""
+    covariance = state.covariance.copy()
+    covariance[which, which] += sigma**2
+    return replace(state, covariance=covariance)
+
+
+def _explains(update: FusionUpdate, before: FusionUpdate) -> bool:
+    """Whether a doubt makes no fewer bearings fit than there were without it."""
+    return update.refusal is None and update.degrees >= before.degrees
+
+
+def _median_turn(update: FusionUpdate) -> float:
+    return float(np.median(update.innovation_rad))
 
 
 def _common_turn(model: MeasurementModel) -> tuple[float, float]:

@@ -1,0 +1,94 @@
+"""Several states of one time: merged by their moments, weighed by what they expected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from fusion_drives import landmark_map, start_estimate
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
+from landmark_nav.localization.fusion.state import (
+    FilterState,
+    HEADING,
+    initial_state,
+    STATES,
+)
+from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+
+MAP = landmark_map(4)
+
+
+def state(seed: int, heading_rad: float = 0.0) -> FilterState:
+    """Return a state with some mean and covariance."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(0.0, 0.1, (STATES, STATES))
+    mean = rng.normal(0.0, 0.5, STATES)
+    mean[HEADING] = heading_rad
+    start = initial_state(start_estimate(), MAP, OdometryNoiseConfig(), 0.0)
+    return replace(
+        start,
+        mean=mean,
+        covariance=root @ root.T,
+        cross=rng.normal(0.0, 0.01, (STATES, 3 * len(MAP.landmarks))),
+    )
+
+
+def found(one: FilterState, log_likelihood: float) -> Outcome:
+    """Return what a measurement makes of a state."""
+    return Outcome(one, FusionUpdate(one.stamp_ns, log_likelihood=log_likelihood))
+
+
+@given(st.floats(0.05, 0.95), st.integers(0, 50))
+def test_merged_states_have_the_moments_of_what_is_drawn_from_them(
+    weight: float, seed: int
+) -> None:
+    states, weights = (state(seed), state(seed + 1, 0.3)), np.array([weight, 1.0 - weight])
+    together = Mixture(states, weights).merged()
+    mean = sum(w * s.mean for w, s in zip(weights, states, strict=True))
+    second = sum(
+        w * (s.covariance + np.outer(s.mean, s.mean)) for w, s in zip(weights, states, strict=True)
+    )
+    np.testing.assert_allclose(together.mean, mean, atol=1e-12)
+    np.testing.assert_allclose(together.covariance, second - np.outer(mean, mean), atol=1e-12)
+    assert np.linalg.eigvalsh(together.covariance)[0] > -1e-12
+
+
+def test_headings_are_merged_across_the_half_turn() -> None:
+    """Of 179 and -177 degrees the mean is -179, not 1."""
+    east, west = np.radians([179.0, -177.0])
+    together = Mixture((state(1, east), state(1, west)), np.array([0.5, 0.5])).merged()
+    assert np.degrees(together.mean[HEADING]) == pytest.approx(-179.0)
+    spread = together.covariance[HEADING, HEADING] - state(1).covariance[HEADING, HEADING]
+    assert np.degrees(np.sqrt(spread)) == pytest.approx(2.0)
+
+
+def test_one_state_stays_as_it_is() -> None:
+    one = state(3)
+    assert Mixture((one,)).merged() is one
+
+
+def test_weights_follow_from_what_each_expected() -> None:
+    """Bayes: before times likelihood."""
+    states = state(1), state(2)
+    densities = dict(zip(map(id, states), [0.0, np.log(3.0)], strict=True))
+
+    def outcomes(one: FilterState) -> list[Outcome]:
+        return [found(one, densities[id(one)])]
+
+    after, update = weighed(Mixture(states, np.array([0.6, 0.4])), outcomes)
+    np.testing.assert_allclose(after.weights, [1.2 / 1.8, 0.6 / 1.8])
+    assert after.states == states[::-1]
+    assert update.log_likelihood == pytest.approx(np.log(3.0))
+
+
+def test_what_is_unlikely_did_not_happen() -> None:
+    likely, unlikely = state(1), state(2)
+    outcomes = [found(likely, 0.0), found(unlikely, -5.0)]
+    after, _ = weighed(Mixture((likely,)), lambda _: outcomes)
+    assert after.states == (likely,)
+    np.testing.assert_allclose(after.weights, [1.0])
