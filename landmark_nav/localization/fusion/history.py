@@ -166,7 +166,8 @@ class History:
         _, turned = event.step(prior.each(lambda state: _widened(state, turn)))
         assert moved is not None
         assert turned is not None
-        enough = 1 if until_ns else turned.degrees + 1
+        # What fits a heading that is open only where the place is open as well is no turn.
+        enough = 1 if until_ns or turned.turned_rad else turned.degrees + 1
         if moved.turned_rad or moved.degrees < enough:
             if update.turned_rad:
                 self._track.doubt_stand(event.stamp_ns, event.stamp_ns + _DOUBT_NS)
