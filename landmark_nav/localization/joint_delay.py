@@ -13,6 +13,8 @@ __all__ = ['STILL', 'JointDelay', 'Lag', 'in_time', 'seen_in_time']
 
 # A slope of the pan over less than that is its noise.
 _LEAST_STEP_S = 0.02
+# At the rate of a fast pan, 2 rad/s, half a degree.
+_KNOWN_S = 0.005
 
 
 class Lag(NamedTuple):
@@ -37,6 +39,11 @@ class JointDelay:
 
     delay_s: float = 0.0
     sigma_s: float = 0.0
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is known as well as is of use."""
+        return self.sigma_s < _KNOWN_S
 
     def lag(self, rate_rad_s: float, track: PanTrack | None, given_s: float = 0.0) -> Lag:
         """

@@ -32,7 +32,7 @@ __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
 # A joint delay with a larger sigma is open, and matters to a camera that turns so far: where it
 # looked may be told long after its picture. So long that is waited for.
-_SETTLED_S, _SWING_RAD, _PATIENCE_S = 0.005, 0.1, 0.4
+_SWING_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 
 
@@ -198,7 +198,7 @@ class OdometryFusionNode(LandmarkNode):
     def _waits(self, found: Detections) -> bool:
         """Whether joint states that may tell where the camera looked are still to come."""
         late = self._filter.late
-        settled = late.sigma_s < _SETTLED_S or self._frames.swing_rad < _SWING_RAD
+        settled = late.is_known or self._frames.swing_rad < _SWING_RAD
         if settled and not delay_matters(late.delay_s, late.sigma_s):
             return False
         ahead_s = found.joint_delay_s + (late.delay_s if settled else _PATIENCE_S)

@@ -122,8 +122,14 @@ def test_wheels_that_slip_while_the_camera_swings_are_not_laid_to_the_joints(
     assert later < 0.25 * abs(slip_deg)
 
 
-def test_joints_that_are_late_are_told_from_wheels_that_slip() -> None:
+@pytest.mark.parametrize(
+    ('late_s', 'slip_deg'), [(0.03, 0.0), (0.06, 0.0), (0.2, 0.0), (0.2, 2.0)]
+)
+def test_joints_that_are_late_are_told_from_wheels_that_slip(
+    late_s: float, slip_deg: float
+) -> None:
+    """At once where that moves bearings by far more than wheels turn the base, else by and by."""
     for seed in range(4):
-        fused, errors = slipped(seed, 0.0, 0.2)
-        assert fused.late.delay_s == pytest.approx(0.2, abs=0.01)
+        fused, errors = slipped(seed, slip_deg, late_s)
+        assert fused.late.delay_s == pytest.approx(late_s, abs=0.01)
         assert abs(errors[1]) < 1.2

@@ -41,7 +41,7 @@ class PriorTrack:
         self._known.append((pose, speeds.linear_m_s, speeds.angular_rad_s))
 
     def recent(self, stamp_ns: int, max_age_s: float | None = None) -> PoseEstimate | None:
-        """The last one; None where that is farther from a time (as above), or none came."""
+        """The last one; None where that is farther from a time than `max_age_s`, or none came."""
         newest = self._known[-1][0] if self._known else None
         age_ns = self._max_age_ns if max_age_s is None else round(1e9 * max_age_s)
         return newest if newest and abs(stamp_ns - newest.stamp_ns) <= age_ns else None

@@ -30,7 +30,7 @@ def update_pose(
     Use a triangulated pose, if it agrees with the prior.
 
     Where its heading alone does not, the camera was turned against the base or the base against
-    the odometry: both become uncertain by that angle, as `update_turning` has it for bearings.
+    the odometry: both become uncertain by that angle.
 
     Parameters
     ----------

@@ -38,6 +38,8 @@ class Mixture:
     """
     States of one time, the likeliest first, and their weights, which add up to one.
 
+    All have the landmarks at the same places.
+
     Parameters
     ----------
     states : tuple of FilterState

@@ -1,8 +1,8 @@
 """
 Fusion of bearings with odometry: a Schmidt-Kalman filter that knows when it is lost.
 
-`state` and `measurement` hold the equations, `update` the gates, `history` the order of time and
-`health` the verdict.
+`state` and `measurement` hold the equations, `update` the gates, `mixture` what else may have
+happened, `history` the order of time and `health` the verdict.
 """
 
 from __future__ import annotations
@@ -57,8 +57,6 @@ __all__ = ['PoseFilter']
 _POSE_PROBABILITY = 0.99
 # So many correlations of the pictures before tell what to expect.
 _SCORES = 12
-# How late joint states are is known from what was measured to this sigma.
-_MEASURED_S = 0.01
 # A place is found with a heading at least as good as this unless the camera turns.
 _TURNING_RAD = 0.02
 
@@ -169,7 +167,7 @@ class PoseFilter:
             config = self._config
             sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
-        measured = led or 0.0 < state.late.sigma_s < _MEASURED_S
+        measured = led or (state.late.sigma_s > 0.0 and state.late.is_known)
         turning = start.covariance[2, 2] > _TURNING_RAD**2
         if witnesses is not None and turning and not measured:
             state = with_late_joints(state, LATE_S)

@@ -31,11 +31,9 @@ _DOUBTED = 0.5
 # Wheels slip more often than cameras are knocked: sigma of that angle beside that of the heading.
 _KNOCKED = 0.7
 # Stamps of joints may be late by so much; they are suspected where that explains so much of an
-# angle, and then have this sigma. That is so likely beside all else.
+# angle, and then have this sigma. So likely is that, and that they are not.
 _REACH_S, _LATE_SHARE, LATE_S = 0.3, 0.5, 0.15
-_LATE = float(np.log(0.5))
-# A delay that is known as well as this is not open.
-_KNOWN_S = 0.005
+_LATE, _IN_TIME = np.log([1.0 / 3.0, 2.0 / 3.0]).tolist()
 
 
 def update_turning(
@@ -50,12 +48,13 @@ def update_turning(
     Use the bearings of a frame as `update_bearings` does, or as those of a camera that turned.
 
     If they agree with each other but not with the prior's direction, either the base turned
-    against the odometry, or the camera against the base: in this picture that looks alike. So
-    heading and boresight become uncertain by that angle, `turn_sigma_rad` at most, and the
-    position by what shows it from here; other bearings, and the direction in which the robot
-    drives on, tell them apart. If the camera turns so fast that it may be that, there is another
-    state, in which the joints' stamps are late: other rates tell which is true. An angle that is
-    only too large for the gates of single bearings is laid to the odometry.
+    against the odometry, or the camera against the base: in this picture that looks alike. So the
+    heading becomes uncertain by that angle, `turn_sigma_rad` at most, the boresight by a part of
+    it, and the position by what shows it from here; other bearings, and the direction in which
+    the robot drives on, tell them apart. If the camera turns so fast that it may be that, there is
+    another state, in which the joints' stamps are late as well: other rates tell which is true. A
+    delay that is open anyway, or landmarks that are refined, take no second state. An angle that
+    is only too large for the gates of single bearings is laid to the odometry.
     """
 
     def updated(state: FilterState, enough: int, model: MeasurementModel | None = None) -> Outcome:
@@ -77,10 +76,9 @@ def update_turning(
         swings = frame.swing_rad(_REACH_S) > _LATE_SHARE * abs(angle)
         if surprising and swings and state.late.sigma_s < _DOUBTED * LATE_S:
             late = _loosened(turned, DELAY, LATE_S)
-            # A delay that is known stays, most likely; else it would be told out of a slip.
-            loose = (
-                [(0.0, turned), (_LATE, late)] if state.late.sigma_s < _KNOWN_S else [(0.0, late)]
-            )
+            known = state.late.is_known and frame.config.landmarks == 'consider'
+            # A delay that is known stays, most likely; one that is open would be told by a slip.
+            loose = [(_IN_TIME, turned), (_LATE, late)] if known else [(0.0, late)]
         found = [
             updated(other, max(least, _LEAST))._replace(log_prior=log) for log, other in loose
         ]
