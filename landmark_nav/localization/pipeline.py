@@ -122,7 +122,7 @@ class Localizer:
         self._unseen.restart()
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
-        """Move on; why the sample was left out, if it was."""
+        """Move on; why the sample was left out, or is `Distrusted`."""
         self._odometry = sample
         self._observer.add_odometry(sample)
         if self._relocalizer is not None:

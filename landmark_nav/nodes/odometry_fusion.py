@@ -15,6 +15,7 @@ from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.messages import decode, encode
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
@@ -175,7 +176,9 @@ class OdometryFusionNode(LandmarkNode):
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
         self._odom_frame = message.header.frame_id
         refusal = self._filter.add_odometry(sample)
-        if refusal is not None:
+        if isinstance(refusal, Distrusted):
+            self.note(str(refusal))
+        elif refusal is not None:
             raise LandmarkNavError(str(refusal))
         self._use_waiting()
         estimate = self._filter.estimate(sample.stamp_ns)

@@ -126,8 +126,11 @@ class LandmarkNode(Node):
         self.create_service(Trigger, service, answer, callback_group=group)
 
     def drop(self, what: str, error: object) -> None:
-        """Note that something was not used, and why; the same words are logged once."""
-        text = f'{what} dropped: {error}'
+        """Note that something was not used, and why."""
+        self.note(f'{what} dropped: {error}')
+
+    def note(self, text: str) -> None:
+        """Tell a problem in ``/diagnostics``; the same words are logged once."""
         self._last_problem = text
         words = re.sub(r'[-+.\d]+', '#', text)
         if words not in self._warned:

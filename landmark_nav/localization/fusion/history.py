@@ -23,7 +23,7 @@ from landmark_nav.localization.odometry.noise import (
     motion_variances,
     OdometryNoiseConfig,
 )
-from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
 from landmark_nav.types import FloatArray, OdometrySample, Refusal
 
 __all__ = ['History', 'Step']
@@ -98,7 +98,7 @@ class History:
         self._states = [Mixture((state,))]
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
-        """Move on; what was wrong with the sample, if anything."""
+        """Move on; what was wrong with the sample, if anything: `Distrusted` if it was used."""
         known = self._track.stamps_ns
         newest_ns = self._events[-1].stamp_ns if self._events else known[1] if known else 0
         if known is not None and sample.stamp_ns <= known[1]:
@@ -227,7 +227,7 @@ class History:
             covariance = self.last.covariance.copy()
             covariance[:3, :3] += np.diag(motion_variances(_BLIND_SECOND, self._config))
             self.restart(replace(self.last, stamp_ns=sample.stamp_ns, covariance=covariance))
-        return Refusal(
+        return Distrusted(
             'clock was set back',
             f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
         )

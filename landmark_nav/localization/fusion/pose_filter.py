@@ -196,7 +196,8 @@ class PoseFilter:
         Returns
         -------
         Refusal or None
-            What was wrong with the sample; the filter goes on without it.
+            What was wrong with the sample; the filter goes on without it, unless that is
+            `Distrusted`.
 
         """
         refusal = self._history.add_odometry(sample)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
 import math
 
 import numpy as np
@@ -16,7 +17,7 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import FloatArray, OdometrySample, Refusal
 
-__all__ = ['HORIZON_S', 'OdometryTrack']
+__all__ = ['HORIZON_S', 'Distrusted', 'OdometryTrack']
 
 # How far the last twist predicts beyond the last sample, and the first one before the first.
 HORIZON_S = 0.25
@@ -24,6 +25,11 @@ HORIZON_S = 0.25
 # A pose that stays the same to the last bit over so many samples and so much of a motion (m or
 # rad) that their speeds tell has frozen: coarse encoders stay for less. Slower is noise.
 _FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
+
+
+@dataclass(frozen=True)
+class Distrusted(Refusal):
+    """What is wrong with a sample that is used all the same, though not as it says."""
 
 
 class OdometryTrack:
@@ -82,8 +88,8 @@ class OdometryTrack:
         Returns
         -------
         Refusal or None
-            ``odometry jumped`` was appended with what the last twist predicts, ``odometry stands``
-            as blind; any other reason means that the sample was dropped.
+            Why the sample was dropped; if `Distrusted`, why it was appended with what the last
+            twist predicts (``odometry jumped``) or as blind (``odometry stands``).
 
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
@@ -119,9 +125,10 @@ class OdometryTrack:
         pose = self._poses[-1] if stands else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:
-            return Refusal('odometry jumped', f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s')
+            what = f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s'
+            return Distrusted('odometry jumped', what)
         if doubted and stands:
-            return Refusal('odometry stands', 'while pictures show that the robot moves')
+            return Distrusted('odometry stands', 'while pictures show that the robot moves')
         return None
 
     @property

@@ -103,9 +103,10 @@ class Relocalizer:
         self._outcome = Refusal('nothing seen yet', 'no picture came')
         self._witnesses = np.empty(0, dtype=np.int64)
 
-    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
-        """Move on; why the sample was left out, if it was."""
-        refusal = self._track.add(sample)
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Move on."""
+        # What is wrong with it is the filter's to tell.
+        self._track.add(sample)
         known = self._track.stamps_ns
         if known is not None and known[1] - sample.stamp_ns > _CLOCK_STEP_NS:
             # What was seen by another clock helps no more.
@@ -114,7 +115,6 @@ class Relocalizer:
         # A picture may still come that is older than the odometry.
         oldest_ns = sample.stamp_ns - _CLOCK_STEP_NS
         self._track.trim(min([oldest_ns, *(kept.frame.stamp_ns for kept in self._kept[:1])]))
-        return refusal
 
     def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """
