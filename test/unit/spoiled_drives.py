@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -64,8 +65,14 @@ def run(
     landmarks: LandmarkMap = MAP,
     start: FloatArray = START,
     config: LocalizationConfig | None = None,
+    late: int = 0,
 ) -> Iterator[Moment]:
-    """Drive with what `change` makes of each moment after the fault begins."""
+    """
+    Drive with what `change` makes of each moment after the fault begins.
+
+    Pictures come after so many samples of odometry that are newer.
+    """
+    on_the_way: deque[Sensed] = deque()
     localizer = Localizer(landmarks, MOUNT, config or LocalizationConfig())
     localizer.initialize(PoseEstimate(0, start, np.diag(START_SIGMA**2)))
     for step, frame in sensed:
@@ -73,8 +80,13 @@ def run(
         if seconds >= 0.0:
             step, frame = change(step, frame)
         localizer.add_odometry(step.odometry)
+        on_the_way.append((step, frame))
+        if len(on_the_way) <= late:
+            continue
+        step, frame = on_the_way.popleft()
         if frame is None:
             continue
+        seconds = step.stamp_ns * 1e-9 - FAULT_S
         update = localizer.add_frame(frame)
         assert isinstance(update, LocalizationUpdate)
         assert np.isfinite(update.fused.pose).all()

@@ -60,6 +60,38 @@ class TestTime:
         np.testing.assert_allclose(delayed.pose, in_order.pose, atol=1e-9)
         np.testing.assert_allclose(delayed.covariance, in_order.covariance, atol=1e-12)
 
+    @pytest.mark.parametrize('moved_m', [0.0, 0.1])
+    def test_a_late_picture_that_contradicts_a_stand_counts_as_in_order(
+        self, moved_m: float
+    ) -> None:
+        """A camera is knocked, or a robot is pushed as well, that stands as odometry says."""
+        found = []
+        for late in (0, 3):
+            rng, fused = np.random.default_rng(0), started()
+            for k in range(28):
+                fused.add_odometry(OdometrySample(k * PERIOD_NS, np.zeros(3)))
+                seen = k - late
+                if seen >= 0 and seen % EVERY == 0:
+                    knocked = seen == 20
+                    pose = START + moved_m * knocked * np.array([1.0, 0.0, 0.0])
+                    noise = rng.normal(0.0, SIGMA, 4) + 0.03 * knocked
+                    places = (seen + np.arange(4)) % 10
+                    fused.add_detections(
+                        detections(MAP, pose, seen * PERIOD_NS, places, SIGMA, noise)
+                    )
+                if seen == 20:
+                    break
+            for j in range(k + 1, 25):
+                fused.add_odometry(OdometrySample(j * PERIOD_NS, np.zeros(3)))
+            found.append(fused.estimate(24 * PERIOD_NS))
+        in_order, delayed = found
+        assert in_order is not None
+        assert delayed is not None
+        # It is not known any more where the robot goes.
+        assert in_order.covariance[0, 0] > 0.1**2
+        np.testing.assert_allclose(delayed.pose, in_order.pose, atol=1e-9)
+        np.testing.assert_allclose(delayed.covariance, in_order.covariance, atol=1e-9)
+
     def test_too_late(self) -> None:
         fused = started(FusionConfig(history_s=0.5))
         moment, _ = run(fused, 40)

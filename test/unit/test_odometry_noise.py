@@ -69,6 +69,7 @@ class TestTrack:
         assert {o.reason for o in outcomes[2:] if o is not None} == {'odometry has frozen'}
         assert None not in outcomes[2:]
         assert track.stamps_ns == (0, 10**9)
+        assert track.stands_since_ns is None
         np.testing.assert_allclose(
             track.motion(0, 12 * 10**8).increment, whole.motion(0, 12 * 10**8).increment
         )
@@ -107,6 +108,23 @@ class TestTrack:
         np.testing.assert_allclose(
             track.motion(155 * 10**7, 16 * 10**8).increment, whole.increment, atol=1e-12
         )
+
+    def test_a_stand_is_doubted_once_however_often_pictures_say_so(self) -> None:
+        track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
+        for k in range(1, 100):
+            stamp_ns = 10**9 + k * 20_000_000
+            track.add(OdometrySample(stamp_ns, here))
+            # Pictures are late: most is doubted already, not the last of it.
+            if k >= 15 and k % 5 == 0:
+                track.doubt_stand(stamp_ns - 130_000_000, stamp_ns + 200_000_000)
+            assert track.stands_since_ns == 10**9
+        since_s, end_s = 1.17, 2.98
+        assert track.motion(0, 1_170_000_000).blind_seconds == 0.0
+        for to_s in (1.3, 1.555, 2.0, end_s):
+            blind = track.motion(0, round(1e9 * to_s)).blind_seconds
+            assert blind == pytest.approx(to_s - since_s)
+        track.add(sample(3.0))
+        assert track.stands_since_ns is None
 
     def test_predicts_by_the_last_twist_for_a_while(self) -> None:
         track = circle_track()

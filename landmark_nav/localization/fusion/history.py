@@ -2,7 +2,8 @@
 The last seconds of a filter: every measurement in its time, whenever it arrives.
 
 What came in is kept sorted by stamp, with the state after each. What comes late is inserted and
-all after it is repeated, so the result does not depend on the order of arrival. A measurement
+all after it is repeated, so the result does not depend on the order of arrival: but for a stand
+that is doubted, which each measurement judges once, by what is known when it comes. A measurement
 newer than the odometry is first used where the last twist leads, then again where the odometry
 says.
 """
@@ -155,7 +156,7 @@ class History:
             still = Motion(np.zeros(3), seconds)
             prior = self._propagated(self._states[before], event.stamp_ns, still)
             if _contradicts(event.step(prior)[1]):
-                self._track.doubt_stand(event.stamp_ns, event.stamp_ns + _DOUBT_NS)
+                self._doubt_stand_after(place)
             return update
         if not _contradicts(update):
             return update
@@ -170,10 +171,16 @@ class History:
         enough = 1 if until_ns or turned.turned_rad else turned.degrees + 1
         if moved.turned_rad or moved.degrees < enough:
             if update.turned_rad:
-                self._track.doubt_stand(event.stamp_ns, event.stamp_ns + _DOUBT_NS)
+                self._doubt_stand_after(place)
             return update
         self._track.doubt_stand(since_ns, event.stamp_ns + _DOUBT_NS)
         return self._repeat(before + 1)[place - before - 1] or update
+
+    def _doubt_stand_after(self, place: int) -> None:
+        """Take the robot for moved after event `place`, which is right itself."""
+        stamp_ns = self._events[place].stamp_ns
+        self._track.doubt_stand(stamp_ns, stamp_ns + _DOUBT_NS)
+        self._repeat(place + 1)
 
     def at(self, stamp_ns: int | None = None) -> FilterState:
         """

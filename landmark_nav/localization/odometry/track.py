@@ -52,6 +52,7 @@ class OdometryTrack:
         # The last whose pose and speeds agree, and how far speeds lead from there.
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
+        self._stands_since_ns: int | None = None
         self._doubted_until_ns = 0
 
     @property
@@ -62,8 +63,7 @@ class OdometryTrack:
     @property
     def stands_since_ns(self) -> int | None:
         """When the stand began that it ends with; None if it moves."""
-        stands = len(self._poses) > 1 and self._poses[-1] is self._poses[-2]
-        return self._stamps[-2] if stands else None
+        return self._stands_since_ns
 
     @property
     def stand_doubted_until_ns(self) -> int:
@@ -72,14 +72,14 @@ class OdometryTrack:
 
     def doubt_stand(self, since_ns: int, until_ns: int) -> None:
         """Take the stand that it ends with as blind from a time on, and what follows of it."""
-        self._doubted_until_ns = until_ns
-        if since_ns >= self._stamps[-1]:
+        self._doubted_until_ns = max(until_ns, self._doubted_until_ns)
+        end_ns, pose = self._stamps[-1], self._poses[-1]
+        if since_ns >= end_ns:
             return
-        if since_ns > self._stamps[-2]:
-            self._stamps.insert(-1, since_ns)
-            self._poses.insert(-1, self._poses[-1])
-            self._blind_ns.insert(-1, self._blind_ns[-1])
-        self._blind_ns[-1] += self._stamps[-1] - self._stamps[-2]
+        first, blind_ns = bisect_left(self._stamps, since_ns), self._blind_until_ns(since_ns)
+        self._stamps[first:] = [since_ns, end_ns]
+        self._poses[first:] = [pose, pose]
+        self._blind_ns[first:] = [blind_ns, blind_ns + end_ns - since_ns]
 
     def add(self, sample: OdometrySample) -> Refusal | None:
         """
@@ -119,9 +119,11 @@ class OdometryTrack:
         stands = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
         if not stands:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
-            self._doubted_until_ns = 0
+            self._stands_since_ns, self._doubted_until_ns = None, 0
         elif self._freezes(sample, seconds):
             return Refusal('odometry has frozen', 'its pose stays while its speeds say it moves')
+        elif self._stands_since_ns is None:
+            self._stands_since_ns = last.stamp_ns
         pose = self._poses[-1] if stands else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:
@@ -152,6 +154,8 @@ class OdometryTrack:
         if self._stamps[-1] < agreed.stamp_ns:
             self._append(agreed, pose, blind=False)
         self._last = agreed
+        if self._stands_since_ns == agreed.stamp_ns:
+            self._stands_since_ns = None
         return True
 
     def motion(self, from_ns: int, to_ns: int) -> Motion:
