@@ -102,6 +102,23 @@ def test_a_place_that_is_hardly_known_tells_no_tilt() -> None:
         assert detector.tilt_rad == 0.0
 
 
+def test_a_knock_is_found_from_a_place_that_is_hardly_known_and_told_from_a_known_one() -> None:
+    """From there it would be told as 64 mrad."""
+    tilt_rad = 0.08
+    low = replace(MOUNT, axis_xyz=(*MOUNT.axis_xyz[:2], 0.75))
+    frame = draw_frame(SCENE, LENS, low, HERE, 0.05)
+    frame = replace(frame, tilt_rad=frame.tilt_rad - tilt_rad)
+    detector = AimedDetector(LANDMARKS, low, CONFIG, 0.03)
+    wide = np.diag(np.square([0.3, 0.3, 0.1]))
+    prior = PoseEstimate(frame.stamp_ns, HERE - np.array([0.3, 0.0, 0.0]), wide)
+    for _ in range(2):
+        assert len(detector.detect(frame, prior, np.arange(4)).detections) >= 3
+        assert detector.tilt_rad == 0.0
+    prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
+    assert len(detector.detect(frame, prior, np.arange(4)).detections) == 4
+    assert detector.tilt_rad == pytest.approx(tilt_rad, abs=1e-3)
+
+
 def test_heights_that_are_a_centimetre_off_are_no_tilt() -> None:
     """From 1.6 m, elevations say 6 mrad."""
     pose = HERE + np.array([1.6, 0.0, 0.0])

@@ -116,14 +116,14 @@ class AimedDetector:
             return result
         # What is there by chance is not found again at one height.
         for roll in (float(self._aim[2]), self._seen_roll(beside, frame, prior)):
-            aim = self._seen_aim(beside, frame, prior, roll)
+            aim, _ = self._seen_aim(beside, frame, prior, roll)
             again = self._search(frame, wide, expected, config, aim)
             more = len(again.detections) > len(result.detections)
             if more and self._tells(again, expected) and not _leans(again):
-                if roll != self._aim[2]:
-                    _LOG.warning('camera leans %.1f deg %s', *degrees_aside(roll))
-                self._aim = aim
-                self._follow(again, frame, prior)
+                leant = self.leaning_rad
+                self._follow(again, frame, prior, roll)
+                if leant != roll and leant != self.leaning_rad:
+                    _LOG.warning('camera leans %.1f deg %s', *degrees_aside(self.leaning_rad))
                 return again
         return result
 
@@ -132,13 +132,18 @@ class AimedDetector:
         """Whether enough was found to tell how the camera looks."""
         return len(result.detections) >= max(_LEAST, _MOST * len(expected))
 
-    def _follow(self, result: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> None:
-        """Aim where a picture was found to look, once that is beside."""
-        roll = float(self._aim[2])
+    def _follow(
+        self,
+        result: DetectionResult,
+        frame: CameraFrame,
+        prior: PoseEstimate,
+        knock_roll: float | None = None,
+    ) -> None:
+        """Aim where a picture was found to look, once that is beside, as it is by a knock."""
+        roll = self.leaning_rad if knock_roll is None else knock_roll
         if roll:
             roll += _ROLL_SHARE * (self._seen_roll(result, frame, prior) - roll)
-        aim = self._seen_aim(result, frame, prior, roll)
-        away, _ = self._expected(result, frame, prior, roll)
+        aim, away = self._seen_aim(result, frame, prior, roll)
         reach = np.hypot(away[:, 0], away[:, 1])
         doubt_rad = _HEIGHT_M / median(reach.tolist())
         sigma_m = np.sqrt(np.trace(prior.covariance[:2, :2]))
@@ -151,7 +156,7 @@ class AimedDetector:
             side = 'above' if aim[1] > 0.0 else 'below'
             degrees = np.degrees(abs(aim[1]))
             _LOG.warning('camera looks %.1f deg %s where its joints say', degrees, side)
-        if tilted or self._aim.any():
+        if knock_roll is not None or tilted or self._aim.any():
             self._aim = aim
 
     def _search(
@@ -173,16 +178,17 @@ class AimedDetector:
 
     def _seen_aim(
         self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
-    ) -> FloatArray:
+    ) -> tuple[FloatArray, FloatArray]:
         """
         Pan and tilt by which a picture is off with a roll, and that, (3,) in radians.
 
         They are medians over what was found; pan holds the error of the expected heading as well.
+        And where landmarks are from the camera, (n, 3) in metres.
         """
         expected, rotation = self._expected(found, frame, prior, roll)
         seen = found.rays @ rotation.T
         off = wrap_rad(_angles(expected) - _angles(seen)).tolist()
-        return np.array([*map(median, off), roll])
+        return np.array([*map(median, off), roll]), expected
 
     def _seen_roll(self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> float:
         """
