@@ -31,8 +31,8 @@ from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEsti
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
-# A joint delay with a larger sigma is open, and matters to a camera that turns so far: where it
-# looked may be told long after its picture. So long that is waited for.
+# A joint delay that is open matters to a camera that turns so far: where it looked may be told
+# long after its picture. So long that is waited for.
 _SWING_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 

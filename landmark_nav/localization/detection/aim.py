@@ -77,10 +77,6 @@ class AimedDetector:
         """By how much the camera leans to its right, 0 unless a knock made it."""
         return float(self._aim[2])
 
-    def aimed(self, frame: CameraFrame) -> CameraFrame:
-        """A picture with its joints as they turned out to be."""
-        return _turned(frame, self._aim)
-
     def levelled(self, frame: CameraFrame) -> CameraFrame:
         """A picture with its tilt and roll as they turned out to be, the pan as it is measured."""
         return _turned(frame, self._aim * [0.0, 1.0, 1.0])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.fusion.state import FilterState, HEADING
+from landmark_nav.localization.fusion.state import FilterState, HEADING, POSE, widened
 from landmark_nav.types import PoseEstimate
 
 __all__ = ['doubted_estimate', 'doubted_state', 'is_elsewhere', 'is_headed']
@@ -24,10 +24,8 @@ _LED_SHARE = 0.3
 
 def doubted_state(state: FilterState) -> FilterState:
     """Widen a state that measurements keep contradicting, until they can fit again."""
-    covariance = state.covariance.copy()
-    if np.trace(covariance[:2, :2]) < _DOUBT_LIMIT_M**2:
-        covariance[range(3), range(3)] += _DOUBT
-    return replace(state, covariance=covariance)
+    wide = np.trace(state.covariance[:2, :2]) >= _DOUBT_LIMIT_M**2
+    return state if wide else widened(state, POSE, _DOUBT)
 
 
 def doubted_estimate(found: PoseEstimate, doubts: int) -> PoseEstimate:

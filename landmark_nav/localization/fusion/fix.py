@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.special import chdtri
 
@@ -11,7 +9,7 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.fusion.measurement import bearing_model, correct, MeasurementModel
 from landmark_nav.localization.fusion.noise import LEARNED
-from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING
+from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING, widened
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
@@ -55,9 +53,7 @@ def update_pose(
     loose = prior
     if nis > limit and turn_sigma:
         turned = -float(model.innovation[HEADING])
-        covariance, both = prior.covariance.copy(), [HEADING, BORESIGHT]
-        covariance[both, both] += min(turned**2, turn_sigma**2)
-        loose = replace(prior, covariance=covariance)
+        loose = widened(prior, [HEADING, BORESIGHT], min(turned**2, turn_sigma**2))
         model = _pose_model(loose, measured, columns, lever)
         nis = _nis(model)
     if nis > limit:

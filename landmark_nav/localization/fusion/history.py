@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from landmark_nav.localization.fusion.mixture import Mixture
-from landmark_nav.localization.fusion.state import FilterState, propagate
+from landmark_nav.localization.fusion.state import FilterState, POSE, propagate, widened
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.odometry.noise import (
     Motion,
@@ -25,7 +25,7 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
 )
 from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
-from landmark_nav.types import FloatArray, OdometrySample, Refusal
+from landmark_nav.types import OdometrySample, Refusal
 
 __all__ = ['History', 'Step']
 
@@ -163,8 +163,8 @@ class History:
         prior = self._moved(self._states[place - 1], event.stamp_ns)
         blind = motion_variances(Motion(np.zeros(3), seconds, seconds), self._config)
         turn = blind * [0.0, 0.0, 1.0]
-        _, moved = event.step(prior.each(lambda state: _widened(state, blind)))
-        _, turned = event.step(prior.each(lambda state: _widened(state, turn)))
+        _, moved = event.step(prior.each(lambda state: widened(state, POSE, blind)))
+        _, turned = event.step(prior.each(lambda state: widened(state, POSE, turn)))
         assert moved is not None
         assert turned is not None
         # What fits a heading that is open only where the place is open as well is no turn.
@@ -231,9 +231,8 @@ class History:
         self._track = OdometryTrack(self._config)
         self._track.add(sample)
         if self._states:
-            covariance = self.last.covariance.copy()
-            covariance[:3, :3] += np.diag(motion_variances(_BLIND_SECOND, self._config))
-            self.restart(replace(self.last, stamp_ns=sample.stamp_ns, covariance=covariance))
+            moved = widened(self.last, POSE, motion_variances(_BLIND_SECOND, self._config))
+            self.restart(replace(moved, stamp_ns=sample.stamp_ns))
         return Distrusted(
             'clock was set back',
             f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
@@ -242,9 +241,3 @@ class History:
 
 def _contradicts(update: FusionUpdate | None) -> bool:
     return update is not None and (update.refusal is not None or update.turned_rad != 0.0)
-
-
-def _widened(state: FilterState, variances: FloatArray) -> FilterState:
-    covariance = state.covariance.copy()
-    covariance[range(3), range(3)] += variances
-    return replace(state, covariance=covariance)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from landmark_nav.geometry.angles import wrap_rad
@@ -33,6 +34,7 @@ __all__ = [
     'DELAY',
     'HEADING',
     'LENS',
+    'POSE',
     'STATES',
     'TURN_LOSS',
     'FilterState',
@@ -41,6 +43,7 @@ __all__ = [
     'looking_again',
     'moved_to',
     'propagate',
+    'widened',
     'with_late_joints',
 ]
 
@@ -49,6 +52,8 @@ __all__ = [
 STATES = 11
 HEADING, BORESIGHT, DELAY, LENS, TURN_LOSS = 2, 7, 8, 9, 10
 _SCALE, _DRIFT, _TURN_SCALE, _SLIP = 3, 4, 5, 6
+# Of those, the pose.
+POSE = [0, 1, HEADING]
 _BIASES = slice(_SCALE, _SLIP)
 
 
@@ -154,6 +159,13 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
         cross=kept @ state.cross,
         by_noise=kept @ state.by_noise @ kept.T,
     )
+
+
+def widened(state: FilterState, which: int | list[int], variance: npt.ArrayLike) -> FilterState:
+    """Return the state with so much added to the variances of some of its numbers."""
+    covariance = state.covariance.copy()
+    covariance[which, which] += variance
+    return replace(state, covariance=covariance)
 
 
 def with_late_joints(state: FilterState, sigma_s: float) -> FilterState:

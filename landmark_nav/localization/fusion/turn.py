@@ -15,6 +15,7 @@ from landmark_nav.localization.fusion.state import (
     FilterState,
     HEADING,
     looking_again,
+    widened,
 )
 from landmark_nav.localization.fusion.update import FusionUpdate, update_bearings
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -55,6 +56,8 @@ def update_turning(
     another state, in which the joints' stamps are late as well: other rates tell which is true. A
     delay that is open anyway, or landmarks that are refined, take no second state. An angle that
     is only too large for the gates of single bearings is laid to the odometry.
+
+    Parameters are those of `update_bearings`, but for the prior: all that may have happened.
     """
 
     def updated(state: FilterState, enough: int, model: MeasurementModel | None = None) -> Outcome:
@@ -75,7 +78,7 @@ def update_turning(
         loose = [(0.0, turned)]
         swings = frame.swing_rad(_REACH_S) > _LATE_SHARE * abs(angle)
         if surprising and swings and state.late.sigma_s < _DOUBTED * LATE_S:
-            late = _loosened(turned, DELAY, LATE_S)
+            late = widened(turned, DELAY, LATE_S**2)
             known = state.late.is_known and frame.config.landmarks == 'consider'
             # A delay that is known stays, most likely; one that is open would be told by a slip.
             loose = [(_IN_TIME, turned), (_LATE, late)] if known else [(0.0, late)]
@@ -86,11 +89,14 @@ def update_turning(
         if not surprising:
             return believed or [as_before]
         told = [
-            one._replace(update=replace(one.update, turned_rad=_median_turn(one.update)))
+            one._replace(
+                update=replace(one.update, turned_rad=float(np.median(one.update.innovation_rad)))
+            )
             for one in believed
-            # Else it was one that is far off, and not the others with it.
-            if as_before.update.refusal or abs(_median_turn(one.update)) > _SURPRISE * sigma
         ]
+        if as_before.update.refusal is None:
+            # Else it was one that is far off, and not the others with it.
+            told = [one for one in told if abs(one.update.turned_rad) > _SURPRISE * sigma]
         return told or [as_before]
 
     return weighed(prior, outcomes)
@@ -100,32 +106,21 @@ def _turned(
     state: FilterState, frame: BearingFrame, turn_rad: float, surprising: bool
 ) -> FilterState:
     """Doubt heading, boresight and position by an angle; the heading alone if no surprise."""
-    loose = _loosened(state, HEADING, turn_rad)
+    loose = widened(state, HEADING, turn_rad**2)
     if not surprising:
         return loose
     away = state.landmarks[frame.columns] - state.mean[:2]
-    loose = _loosened(loose, [0, 1], turn_rad * float(np.sqrt(np.mean(np.sum(away**2, axis=1)))))
+    loose = widened(loose, [0, 1], turn_rad**2 * np.mean(np.sum(away**2, axis=1)))
     # Wheels may go on slipping, but a camera is knocked once.
     knock_rad, most_rad = _KNOCKED * turn_rad, _KNOCKED * frame.config.turn_sigma_rad
     if state.covariance[BORESIGHT, BORESIGHT] < (_DOUBTED * most_rad) ** 2:
-        loose = _loosened(loose, BORESIGHT, knock_rad)
+        loose = widened(loose, BORESIGHT, knock_rad**2)
     return loose
-
-
-def _loosened(state: FilterState, which: int | list[int], sigma: float) -> FilterState:
-    """Add so much to the uncertainty of some of the numbers."""
-    covariance = state.covariance.copy()
-    covariance[which, which] += sigma**2
-    return replace(state, covariance=covariance)
 
 
 def _explains(update: FusionUpdate, before: FusionUpdate) -> bool:
     """Whether a doubt makes no fewer bearings fit than there were without it."""
     return update.refusal is None and update.degrees >= before.degrees
-
-
-def _median_turn(update: FusionUpdate) -> float:
-    return float(np.median(update.innovation_rad))
 
 
 def _common_turn(model: MeasurementModel) -> tuple[float, float]:
