@@ -18,9 +18,9 @@ AGREE, FOUND_SHARE = 3, 0.4
 # least. What is missing must reach further along the walls than that: one picture may be
 # exchanged.
 _MISSING_SHARE, _MISSING_EXPECTED, _MISSING_EXTENT_M = 0.15, 10, 1.5
-# In so many seconds, if those count that pictures have shown since the pose is known. A wall of
-# pictures that were exchanged may be looked at for longer: they count when no picture has spoken
-# for the pose since then.
+# In so many seconds, if those count that pictures have shown since the pose is known. The others
+# may hang on a wall whose pictures were exchanged. They count when no picture has spoken for the
+# pose for longer, unless as many have been found in their places as it takes to contradict it.
 _FAMILIAR_S, _ALL_S = 1.4, 4.0
 # Pictures of so much of that time tell.
 _LASTING_SHARE = 0.6
@@ -93,7 +93,9 @@ class Views:
         """
         confirmed = any(view.confirms for view in self._views)
         few = self._missing(_FAMILIAR_S, unfamiliar=False)
-        return few if few or confirmed else self._missing(_ALL_S, unfamiliar=True)
+        if few or confirmed or len(self._familiar) >= _MISSING_EXPECTED:
+            return few
+        return self._missing(_ALL_S, unfamiliar=True)
 
     def _missing(self, seconds: float, unfamiliar: bool) -> str:
         views = self._within(seconds)
