@@ -71,6 +71,7 @@ class History:
         self._track = OdometryTrack(config)
         self._events: list[_Event] = []
         self._states: list[Mixture] = []  # after each event
+        self._trusted: Mixture | None = None
         self._late_ns = self._late_in_a_row = 0
 
     @property
@@ -195,6 +196,16 @@ class History:
         state = self._states[max(self._place(stamp_ns) - 1, 0)]
         return self._moved(state, max(stamp_ns, state.stamp_ns)).merged()
 
+    def trust(self, stamp_ns: int) -> None:
+        """Remember the state of a time as the last from which odometry is known to lead on."""
+        self._trusted = self._states[max(self._place(stamp_ns) - 1, 0)]
+
+    def led(self, stamp_ns: int) -> FilterState | None:
+        """State to which odometry alone leads from the one that was trusted last, if any."""
+        if self._trusted is None or self._trusted.stamp_ns > stamp_ns:
+            return None
+        return self._moved(self._trusted, stamp_ns).merged()
+
     def _place(self, stamp_ns: int) -> int:
         return bisect_right(self._events, stamp_ns, key=lambda event: event.stamp_ns)
 
@@ -224,12 +235,15 @@ class History:
         drop = self._place(self._events[-1].stamp_ns - self._span_ns) - 1
         if drop > 0:
             del self._events[:drop], self._states[:drop]
+            if self._trusted is not None and self._trusted.stamp_ns < self.begin_ns:
+                self._trusted = self._moved(self._trusted, self.begin_ns)
             self._track.trim(self.begin_ns)
 
     def _turn_back(self, sample: OdometrySample, last_ns: int) -> Refusal:
         """Go on from the newest state where time has gone back (a bag that starts over)."""
         self._track = OdometryTrack(self._config)
         self._track.add(sample)
+        self._trusted = None
         if self._states:
             moved = widened(self.last, POSE, motion_variances(_BLIND_SECOND, self._config))
             self.restart(replace(moved, stamp_ns=sample.stamp_ns))

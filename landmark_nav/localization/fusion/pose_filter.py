@@ -33,11 +33,17 @@ from landmark_nav.localization.fusion.mixture import Outcome, weighed
 from landmark_nav.localization.fusion.state import (
     among,
     FilterState,
+    HEADING,
     initial_state,
     moved_to,
     with_late_joints,
 )
-from landmark_nav.localization.fusion.turn import LATE_S, update_turning
+from landmark_nav.localization.fusion.turn import (
+    doubted_turn,
+    LATE_S,
+    turned_since,
+    update_turning,
+)
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
 from landmark_nav.localization.joint_delay import JointDelay
@@ -90,6 +96,7 @@ class PoseFilter:
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
         self._was_narrow = False
+        self._was_doubted = False
         self.change_map(landmark_map)
 
     @property
@@ -172,7 +179,7 @@ class PoseFilter:
         if witnesses is not None and turning and not measured:
             state = with_late_joints(state, LATE_S)
         self._history.restart(state)
-        self._was_narrow = False
+        self._was_narrow, self._was_doubted = False, True
         self._health.restart(start.stamp_ns)
         self._witnesses.restart(vouched=witnesses is None)
         if witnesses is not None:
@@ -333,13 +340,37 @@ class PoseFilter:
         assert update is not None
         self._health.observe(update)
         if update.turned_rad:
-            angle = f'{np.degrees(update.turned_rad):+.2f} deg'
-            reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
-            self._health.note_surprise(stamp_ns, Refusal(reason, angle))
+            self._note_turn(stamp_ns, update.turned_rad)
         if self._health.astray and update.refusal is not None:
             self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubted_state), None))
             self._witnesses.restart(vouched=False)
+        if self._health.astray:
+            self._was_doubted = True
+        elif update.degrees:
+            self._trust(stamp_ns)
         return update
+
+    def _note_turn(self, stamp_ns: int, angle_rad: float) -> None:
+        reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
+        refusal = Refusal(reason, f'{np.degrees(angle_rad):+.2f} deg')
+        self._health.note_surprise(stamp_ns, refusal)
+
+    def _trust(self, stamp_ns: int) -> None:
+        """Believe the pose of a time, and, if it was not believed before, ask odometry as well."""
+        if self._was_doubted:
+            found, led = self._history.at(stamp_ns), self._history.led(stamp_ns)
+            if found.covariance[HEADING, HEADING] > _TURNING_RAD**2:
+                return
+            most_rad = self._config.turn_sigma_rad
+            angle = turned_since(found, led) if led is not None and most_rad > 0.0 else 0.0
+            if angle:
+                doubt = partial(
+                    doubted_turn, angle_rad=angle, lever=self._lever, most_rad=most_rad
+                )
+                self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
+                self._note_turn(stamp_ns, angle)
+            self._was_doubted = False
+        self._history.trust(stamp_ns)
 
 
 def _is_finite(estimate: PoseEstimate) -> bool:
