@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from fusion_drives import detections, drive, error_of, landmark_map, Moment, MOUNT, start_estimate
 import numpy as np
 import pytest
 
+from landmark_nav.arrays import FloatArray
+from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.fusion import PoseFilter
 from landmark_nav.localization.fusion.state import BORESIGHT, HEADING
 from landmark_nav.types import PoseEstimate
@@ -94,3 +98,75 @@ def test_a_new_map_does_not_make_a_lost_pose_believed() -> None:
     assert verdict[0] == 'lost'
     fused.change_map(landmark_map(6, seed=1))
     assert fused.status == verdict
+
+
+def found_after(
+    bumped_rad: float = 0.0, moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> tuple[PoseFilter, FloatArray, FloatArray]:
+    """
+    Drive, see nothing for 2 s while the camera is bumped or the base moved, and find the place.
+
+    The filter, and errors and sigmas of the heading at all pictures since, degrees.
+    """
+    fused, last = driven(160)
+    away, headings = np.zeros(3), []
+    for k, here in enumerate(drive(400, biases=(0.03, 0.0, 0.0))):
+        if k == 180:
+            away = compose(compose(here.pose, moved), inverse(here.pose))
+        if here.odometry.stamp_ns <= last.odometry.stamp_ns:
+            continue
+        fused.add_odometry(here.odometry)
+        true = compose(away, here.pose) if away.any() else here.pose
+        if k == 200:
+            found = true - np.array([0.0, 0.0, bumped_rad])
+            start = PoseEstimate(here.odometry.stamp_ns, found, np.diag(FOUND_SIGMA**2))
+            fused.initialize(start, witnesses=MAP.ids[:5])
+        elif k > 200 and k % 4 == 0:
+            see(fused, replace(here, pose=true), k, bumped_rad)
+            found = fused.estimate()
+            assert found is not None
+            headings.append([error_of(found, true)[2], np.sqrt(found.covariance[2, 2])])
+    errors, sigmas = np.degrees(headings).T
+    return fused, np.abs(errors), sigmas
+
+
+def boresight(fused: PoseFilter) -> tuple[float, float]:
+    """And its sigma; degrees."""
+    state = fused.state
+    assert state is not None
+    variance = state.covariance[BORESIGHT, BORESIGHT]
+    return float(np.degrees(state.mean[BORESIGHT])), float(np.degrees(np.sqrt(variance)))
+
+
+@pytest.mark.parametrize(
+    ('bumped_rad', 'moved'),
+    [
+        (BUMP_RAD, (0.0, 0.0, 0.0)),
+        (-BUMP_RAD, (0.05, 0.05, 0.0)),
+        (0.0, (0.0, 0.0, BUMP_RAD)),
+        (0.0, (0.05, 0.0, -BUMP_RAD)),
+    ],
+)
+def test_what_happened_unseen_to_the_camera_or_the_base_is_told_by_the_way_after_it(
+    bumped_rad: float, moved: tuple[float, float, float]
+) -> None:
+    fused, errors, sigmas = found_after(bumped_rad, moved)
+    assert sigmas[0] > 0.5
+    assert (errors < 3.0 * sigmas + 0.05).all()
+    angle, sigma = boresight(fused)
+    assert abs(angle - np.degrees(bumped_rad)) < 3.0 * sigma + 0.05
+    assert fused.status == ('tracking', '')
+
+
+def test_a_heading_to_which_odometry_led_leaves_the_camera_beyond_doubt() -> None:
+    fused, errors, sigmas = found_after()
+    assert boresight(fused) == (0.0, 0.0)
+    assert max(sigmas) < 0.2
+    assert (errors < 3.0 * sigmas).all()
+
+
+def test_a_robot_that_was_carried_elsewhere_tells_nothing_of_its_camera() -> None:
+    fused, errors, sigmas = found_after(moved=(1.0, 0.5, 0.1))
+    assert boresight(fused) == (0.0, 0.0)
+    assert max(sigmas) < 0.2
+    assert (errors < 3.0 * sigmas).all()

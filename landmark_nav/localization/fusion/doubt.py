@@ -10,7 +10,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.fusion.state import FilterState, HEADING, POSE, widened
 from landmark_nav.types import PoseEstimate
 
-__all__ = ['doubted_estimate', 'doubted_state', 'is_elsewhere', 'is_headed']
+__all__ = ['doubted_estimate', 'doubted_state', 'is_elsewhere']
 
 # Variances (3,) that each picture adds which contradicts a pose that is not believed, and the
 # position sigma at which that ends.
@@ -18,8 +18,6 @@ _DOUBT = np.square([0.15, 0.15, 0.05])
 _DOUBT_LIMIT_M = 2.0
 # Variances (3,) that poses of one place may differ by anyway; beyond five sigmas is another one.
 _SAME_PLACE, _ELSEWHERE = np.square([0.1, 0.1, 0.04]), 25.0
-# Part of what late joints leave open of a heading (sigmas) to which odometry tells it.
-_LED_SHARE = 0.3
 
 
 def doubted_state(state: FilterState) -> FilterState:
@@ -39,18 +37,6 @@ def doubted_estimate(found: PoseEstimate, doubts: int) -> PoseEstimate:
     doubt = doubts * _DOUBT
     doubt *= min(1.0, _DOUBT_LIMIT_M**2 / (doubt[0] + 1e-300))
     return replace(found, covariance=found.covariance + np.diag(doubt))
-
-
-def is_headed(state: FilterState, found: PoseEstimate) -> bool:
-    """
-    Whether odometry led to the heading of a place that a turning camera found.
-
-    Joints that may be late leave much of that open. Where what they told until now leads to the
-    same heading to a part of it, they are not.
-    """
-    away = wrap_rad(found.pose[HEADING] - state.mean[HEADING])
-    spread = state.covariance[HEADING, HEADING]
-    return bool(away**2 + spread < _LED_SHARE**2 * found.covariance[HEADING, HEADING])
 
 
 def is_elsewhere(here: PoseEstimate, there: PoseEstimate) -> bool:

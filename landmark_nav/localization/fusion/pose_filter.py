@@ -8,14 +8,12 @@ happened, `history` the order of time and `health` the verdict.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion.bearings import bearing_frame
 from landmark_nav.localization.fusion.config import FusionConfig
@@ -23,27 +21,27 @@ from landmark_nav.localization.fusion.doubt import (
     doubted_estimate,
     doubted_state,
     is_elsewhere,
-    is_headed,
 )
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.fix_sources import FixSources, Seen
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
 from landmark_nav.localization.fusion.mixture import Outcome, weighed
+from landmark_nav.localization.fusion.start import (
+    checked_start,
+    doubted_turn,
+    found_by_camera,
+    is_finite,
+    is_headed,
+    turned_since,
+)
 from landmark_nav.localization.fusion.state import (
     among,
     FilterState,
-    HEADING,
     initial_state,
     moved_to,
-    with_late_joints,
 )
-from landmark_nav.localization.fusion.turn import (
-    doubted_turn,
-    LATE_S,
-    turned_since,
-    update_turning,
-)
+from landmark_nav.localization.fusion.turn import update_turning
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
 from landmark_nav.localization.joint_delay import JointDelay
@@ -63,8 +61,6 @@ __all__ = ['PoseFilter']
 _POSE_PROBABILITY = 0.99
 # So many correlations of the pictures before tell what to expect.
 _SCORES = 12
-# A place is found with a heading at least as good as this unless the camera turns.
-_TURNING_RAD = 0.02
 
 
 class PoseFilter:
@@ -95,8 +91,7 @@ class PoseFilter:
         self._odometry = odometry or OdometryNoiseConfig()
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
-        self._was_narrow = False
-        self._was_doubted = False
+        self._was_narrow = self._was_doubted = False
         self.change_map(landmark_map)
 
     @property
@@ -157,27 +152,15 @@ class PoseFilter:
             A pose or covariance that is not finite, or a covariance that is not positive.
 
         """
-        if not _is_finite(start):
-            raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')
-        if np.linalg.eigvalsh(start.covariance)[0] < -1e-9:
-            raise LandmarkNavError('start pose: its covariance is not positive semidefinite')
-        known = self._history.odometry_ns
-        if known is not None:
-            now_ns = max(known[1], now_ns or 0)
-            if not known[0] <= start.stamp_ns <= max(now_ns, known[1] + 10**9):
-                start = replace(start, stamp_ns=now_ns)
-        led = False
+        start = checked_start(start, self._history.odometry_ns, now_ns)
         if self._history.started:
-            before = self._history.at(start.stamp_ns)
-            state, led = moved_to(before, start), is_headed(before, start)
+            state = moved_to(self._history.at(start.stamp_ns), start)
         else:
             config = self._config
             sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
-        measured = led or (state.late.sigma_s > 0.0 and state.late.is_known)
-        turning = start.covariance[2, 2] > _TURNING_RAD**2
-        if witnesses is not None and turning and not measured:
-            state = with_late_joints(state, LATE_S)
+        if witnesses is not None:
+            state = found_by_camera(state, start, self._history.led(start.stamp_ns))
         self._history.restart(state)
         self._was_narrow, self._was_doubted = False, True
         self._health.restart(start.stamp_ns)
@@ -269,10 +252,10 @@ class PoseFilter:
         if self._config.mode != 'poses':
             return FusionUpdate(stamp, refusal=Refusal('mode is bearings', 'poses are not used'))
         refusal = self._untimely(stamp)
-        if refusal is None and not _is_finite(measured):
+        if refusal is None and not is_finite(measured):
             refusal = Refusal('pose is not a number')
         elif refusal is None and self._health.astray:
-            refusal = self._too_few(stamp)
+            refusal = self._fix_sources.too_few(stamp, self._health.least)
         if refusal is not None:
             return self.no_pose(stamp, refusal)
         columns = self._fix_sources.columns(stamp)
@@ -301,13 +284,6 @@ class PoseFilter:
         here = self.estimate(elsewhere.stamp_ns)
         if here is not None and is_elsewhere(here, elsewhere):
             self._health.doubt(elsewhere.stamp_ns, why)
-
-    def _too_few(self, stamp_ns: int) -> Refusal | None:
-        """Why a pose is not believed once others were contradicted: chance made it of a few."""
-        seen = self._fix_sources.picture(stamp_ns)
-        if seen is None or len(seen.columns) >= self._health.least(seen.expected):
-            return None
-        return Refusal('too few found', f'{len(seen.columns)} of {seen.expected} landmarks')
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
         """
@@ -339,39 +315,30 @@ class PoseFilter:
         update = self._history.insert(stamp_ns, step)
         assert update is not None
         self._health.observe(update)
-        if update.turned_rad:
-            self._note_turn(stamp_ns, update.turned_rad)
-        if self._health.astray and update.refusal is not None:
-            self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubted_state), None))
-            self._witnesses.restart(vouched=False)
+        turn_rad = update.turned_rad
         if self._health.astray:
             self._was_doubted = True
+            if update.refusal is not None:
+                self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubted_state), None))
+                self._witnesses.restart(vouched=False)
         elif update.degrees:
-            self._trust(stamp_ns)
+            if self._was_doubted:
+                turn_rad = self._reconsider(stamp_ns)
+            if not self._was_doubted:
+                self._history.trust(stamp_ns)
+        if turn_rad:
+            angle = f'{np.degrees(turn_rad):+.2f} deg'
+            reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
+            self._health.note_surprise(stamp_ns, Refusal(reason, angle))
         return update
 
-    def _note_turn(self, stamp_ns: int, angle_rad: float) -> None:
-        reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
-        refusal = Refusal(reason, f'{np.degrees(angle_rad):+.2f} deg')
-        self._health.note_surprise(stamp_ns, refusal)
-
-    def _trust(self, stamp_ns: int) -> None:
-        """Believe the pose of a time, and, if it was not believed before, ask odometry as well."""
-        if self._was_doubted:
-            found, led = self._history.at(stamp_ns), self._history.led(stamp_ns)
-            if found.covariance[HEADING, HEADING] > _TURNING_RAD**2:
-                return
-            most_rad = self._config.turn_sigma_rad
-            angle = turned_since(found, led) if led is not None and most_rad > 0.0 else 0.0
-            if angle:
-                doubt = partial(
-                    doubted_turn, angle_rad=angle, lever=self._lever, most_rad=most_rad
-                )
-                self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
-                self._note_turn(stamp_ns, angle)
-            self._was_doubted = False
-        self._history.trust(stamp_ns)
-
-
-def _is_finite(estimate: PoseEstimate) -> bool:
-    return bool(np.isfinite(estimate.pose).all() and np.isfinite(estimate.covariance).all())
+    def _reconsider(self, stamp_ns: int) -> float:
+        """Ask odometry about a pose that is believed again; by how much it led elsewhere, rad."""
+        found, most_rad = self._history.at(stamp_ns), self._config.turn_sigma_rad
+        self._was_doubted = not is_headed(found)
+        if self._was_doubted or not most_rad:
+            return 0.0
+        if turn_rad := turned_since(found, self._history.led(stamp_ns)):
+            doubt = partial(doubted_turn, turn_rad=turn_rad, lever=self._lever, most_rad=most_rad)
+            self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
+        return turn_rad

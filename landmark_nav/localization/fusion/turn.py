@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.measurement import expected_bearings, MeasurementModel
 from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
@@ -16,26 +15,22 @@ from landmark_nav.localization.fusion.state import (
     FilterState,
     HEADING,
     looking_again,
-    STATES,
     widened,
 )
 from landmark_nav.localization.fusion.update import FusionUpdate, update_bearings
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
 
-__all__ = ['LATE_S', 'doubted_turn', 'turned_since', 'update_turning']
+__all__ = ['KNOCKED', 'LATE_S', 'update_turning']
 
 # An angle that all bearings share is a surprise beyond this many standard deviations.
-_SURPRISE = 5.0
+_SURPRISE = 4.0
 # So many bearings tell a common angle from a wrong place.
 _LEAST = 3
 # What has a sigma that is this share of what a surprise brings is doubted already.
 _DOUBTED = 0.5
 # Wheels slip more often than cameras are knocked: sigma of that angle beside that of the heading.
-_KNOCKED = 0.7
-# Where a pose is believed again that was not, it is so much nearer to where odometry led, in
-# standard deviations, and as many metres beside them, if it was not carried elsewhere.
-_LED_SURPRISE, _NEAR_M = 3.0, 0.1
+KNOCKED = 0.7
 # Stamps of joints may be late by so much; they are suspected where that explains so much of an
 # angle, and then have this sigma. So likely is that, and that they are not.
 _REACH_S, _LATE_SHARE, LATE_S = 0.3, 0.5, 0.15
@@ -107,59 +102,6 @@ def update_turning(
     return weighed(prior, outcomes)
 
 
-def turned_since(found: FilterState, led: FilterState) -> float:
-    """
-    Angle by which a heading that was found anew is off from where odometry led it, radians.
-
-    Parameters
-    ----------
-    found, led : FilterState
-        Of one time: as landmarks tell it, and as odometry alone leads to it from where the pose
-        was believed last.
-
-    Returns
-    -------
-    float
-        0 where both agree, or the robot was carried elsewhere: that tells nothing of the camera.
-
-    """
-    away = found.mean[:3] - led.mean[:3]
-    angle = float(wrap_rad(away[HEADING]))
-    spread = found.covariance[:3, :3] + led.covariance[:3, :3]
-    near = away[:2] @ np.linalg.solve(spread[:2, :2] + _NEAR_M**2 * np.eye(2), away[:2])
-    surprising = abs(angle) > _LED_SURPRISE * np.sqrt(spread[HEADING, HEADING])
-    return angle if surprising and near < _LED_SURPRISE**2 else 0.0
-
-
-def doubted_turn(
-    found: FilterState, angle_rad: float, lever: FloatArray, most_rad: float
-) -> FilterState:
-    """
-    Lay part of an angle to the camera that was laid to the base, and doubt both as one.
-
-    What landmarks tell fits any of it: where the pan axis is, and how the camera is directed.
-
-    Parameters
-    ----------
-    lever : ndarray, shape (2,)
-        Pan axis in the base frame, metres.
-    most_rad : float
-        How far to doubt at most.
-
-    """
-    forward, left = lever
-    cosine, sine = np.cos(found.mean[HEADING]), np.sin(found.mean[HEADING])
-    by_turn = np.zeros(STATES)
-    by_turn[:2] = cosine * left + sine * forward, sine * left - cosine * forward
-    by_turn[[HEADING, BORESIGHT]] = 1.0
-    camera_share = _KNOCKED**2 / (1.0 + _KNOCKED**2)
-    mean = found.mean - camera_share * angle_rad * by_turn
-    mean[HEADING] = wrap_rad(mean[HEADING])
-    variance = camera_share * min(abs(angle_rad), most_rad) ** 2
-    covariance = found.covariance + variance * np.outer(by_turn, by_turn)
-    return replace(found, mean=mean, covariance=covariance)
-
-
 def _turned(
     state: FilterState, frame: BearingFrame, turn_rad: float, surprising: bool
 ) -> FilterState:
@@ -170,7 +112,7 @@ def _turned(
     away = state.landmarks[frame.columns] - state.mean[:2]
     loose = widened(loose, [0, 1], turn_rad**2 * np.mean(np.sum(away**2, axis=1)))
     # Wheels may go on slipping, but a camera is knocked once.
-    knock_rad, most_rad = _KNOCKED * turn_rad, _KNOCKED * frame.config.turn_sigma_rad
+    knock_rad, most_rad = KNOCKED * turn_rad, KNOCKED * frame.config.turn_sigma_rad
     if state.covariance[BORESIGHT, BORESIGHT] < (_DOUBTED * most_rad) ** 2:
         loose = widened(loose, BORESIGHT, knock_rad**2)
     return loose
