@@ -24,7 +24,7 @@ from landmark_nav.types import FloatArray
 __all__ = ['KNOCKED', 'LATE_S', 'update_turning']
 
 # An angle that all bearings share is a surprise beyond this many standard deviations.
-_SURPRISE = 4.0
+_SURPRISE = 5.0
 # So many bearings tell a common angle from a wrong place.
 _LEAST = 3
 # What has a sigma that is this share of what a surprise brings is doubted already.
