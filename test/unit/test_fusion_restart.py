@@ -101,10 +101,14 @@ def test_a_new_map_does_not_make_a_lost_pose_believed() -> None:
 
 
 def found_after(
-    bumped_rad: float = 0.0, moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bumped_rad: float = 0.0,
+    moved: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    searched: bool = True,
 ) -> tuple[PoseFilter, FloatArray, FloatArray]:
     """
-    Drive, see nothing for 2 s while the camera is bumped or the base moved, and find the place.
+    Drive, see nothing for 2 s while the camera is bumped or the base moved, and see again.
+
+    The place is searched for, or landmarks are seen where they should be.
 
     The filter, and errors and sigmas of the heading at all pictures since, degrees.
     """
@@ -117,7 +121,7 @@ def found_after(
             continue
         fused.add_odometry(here.odometry)
         true = compose(away, here.pose) if away.any() else here.pose
-        if k == 200:
+        if k == 200 and searched:
             found = true - np.array([0.0, 0.0, bumped_rad])
             start = PoseEstimate(here.odometry.stamp_ns, found, np.diag(FOUND_SIGMA**2))
             fused.initialize(start, witnesses=MAP.ids[:5])
@@ -139,18 +143,20 @@ def boresight(fused: PoseFilter) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(
-    ('bumped_rad', 'moved'),
+    ('bumped_rad', 'moved', 'searched'),
     [
-        (BUMP_RAD, (0.0, 0.0, 0.0)),
-        (-BUMP_RAD, (0.05, 0.05, 0.0)),
-        (0.0, (0.0, 0.0, BUMP_RAD)),
-        (0.0, (0.05, 0.0, -BUMP_RAD)),
+        (BUMP_RAD, (0.0, 0.0, 0.0), True),
+        (-BUMP_RAD, (0.05, 0.05, 0.0), True),
+        (0.0, (0.0, 0.0, BUMP_RAD), True),
+        (0.0, (0.05, 0.0, -BUMP_RAD), True),
+        (BUMP_RAD, (0.0, 0.0, 0.0), False),
+        (0.0, (0.0, 0.0, -BUMP_RAD), False),
     ],
 )
 def test_what_happened_unseen_to_the_camera_or_the_base_is_told_by_the_way_after_it(
-    bumped_rad: float, moved: tuple[float, float, float]
+    bumped_rad: float, moved: tuple[float, float, float], searched: bool
 ) -> None:
-    fused, errors, sigmas = found_after(bumped_rad, moved)
+    fused, errors, sigmas = found_after(bumped_rad, moved, searched)
     assert sigmas[0] > 0.5
     assert (errors < 3.0 * sigmas + 0.05).all()
     angle, sigma = boresight(fused)
@@ -158,8 +164,9 @@ def test_what_happened_unseen_to_the_camera_or_the_base_is_told_by_the_way_after
     assert fused.status == ('tracking', '')
 
 
-def test_a_heading_to_which_odometry_led_leaves_the_camera_beyond_doubt() -> None:
-    fused, errors, sigmas = found_after()
+@pytest.mark.parametrize('searched', [True, False])
+def test_a_heading_to_which_odometry_led_leaves_the_camera_beyond_doubt(searched: bool) -> None:
+    fused, errors, sigmas = found_after(searched=searched)
     assert boresight(fused) == (0.0, 0.0)
     assert max(sigmas) < 0.2
     assert (errors < 3.0 * sigmas).all()

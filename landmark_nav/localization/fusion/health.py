@@ -90,6 +90,11 @@ class Health:
         """
         return self._doubts
 
+    def unseen_s(self, stamp_ns: int) -> float:
+        """How long nothing was accepted before a time, if that is long enough to coast; else 0."""
+        seconds = (stamp_ns - (self._accepted_ns or stamp_ns)) * 1e-9
+        return seconds if seconds > self._config.coasting_after_s else 0.0
+
     def least(self, expected: int) -> int:
         """
         How many bearings must agree with each other where so many should be in view.
@@ -226,8 +231,8 @@ class Health:
         blind = self._blind(estimate.stamp_ns, odometry_ns)
         if astray := self._astray or self.too_wide(estimate):
             return 'lost', f'{astray}; {blind}' if blind else astray
-        waited = (estimate.stamp_ns - self._accepted_ns) * 1e-9
-        if odometry_ns is not None and waited > self._config.coasting_after_s:
+        waited = self.unseen_s(estimate.stamp_ns)
+        if odometry_ns is not None and waited:
             return 'coasting', f'nothing accepted for {waited:.1f} s{self._last_refusal}'
         if blind:
             return 'coasting', blind

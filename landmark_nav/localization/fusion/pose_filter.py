@@ -312,6 +312,7 @@ class PoseFilter:
             # Who told the place vouches no more for where the robot went since.
             self._witnesses.restart(vouched=False)
         self._was_narrow = not wide
+        self._was_doubted |= self._health.unseen_s(stamp_ns) > 0.0
         update = self._history.insert(stamp_ns, step)
         assert update is not None
         self._health.observe(update)
