@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import OdometrySample, PoseEstimate
@@ -164,6 +165,38 @@ class TestStatus:
         assert 'lost' in states[:6]
         assert states[-1] == 'tracking'
         assert np.hypot(*error[:2]) < 0.03
+
+    @pytest.mark.parametrize('seen_once', [False, True])
+    def test_pictures_that_go_blind_as_the_odometry_stands_doubt_the_stand(
+        self, seen_once: bool
+    ) -> None:
+        """They do not where one of that stand has been used: then the camera is to blame."""
+        fused = started()
+        moment, _ = run(fused, 61)
+        for k in range(1, 13):
+            stamp_ns = moment.odometry.stamp_ns + k * PERIOD_NS
+            fused.add_odometry(OdometrySample(stamp_ns, moment.odometry.pose_odom_base))
+            seen = detections(MAP, moment.pose, stamp_ns, range(8), SIGMA)
+            if k == EVERY and seen_once:
+                fused.add_detections(seen)
+            elif k % EVERY == 0:
+                nothing = seen.chosen(np.zeros(8, dtype=np.bool_))
+                fused.add_detections(replace(nothing, missed=MAP.ids))
+        found, (status, reason) = fused.estimate(), fused.status
+        assert found is not None
+        sigma_m = np.sqrt(np.trace(found.covariance[:2, :2]))
+        if seen_once:
+            assert status == 'tracking'
+            assert sigma_m < 0.02
+            return
+        assert status == 'coasting'
+        assert 'odometry stands' in reason
+        assert 0.2 < sigma_m < 1.0
+        # The next picture that shows something tells where the robot went meanwhile.
+        pose = compose(moment.pose, [0.2, 0.0, 0.4])
+        update = fused.add_detections(detections(MAP, pose, stamp_ns, range(8), SIGMA))
+        assert update.degrees == 8
+        assert np.abs(error_of(fused.estimate(stamp_ns), pose)).max() < 0.02
 
     def test_wide_start_is_lost_until_seen(self) -> None:
         fused = PoseFilter(MAP, MOUNT)

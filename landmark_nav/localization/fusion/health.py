@@ -82,6 +82,11 @@ class Health:
         return bool(self._astray)
 
     @property
+    def blinded(self) -> bool:
+        """Whether the last pictures showed nothing of what others have shown."""
+        return self._views.blinded
+
+    @property
     def doubts(self) -> int:
         """
         Pictures since lost that speak against the pose though nothing of them was rejected.

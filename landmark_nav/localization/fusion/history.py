@@ -150,7 +150,7 @@ class History:
         """
         event, until_ns = self._events[place], self._track.stand_doubted_until_ns
         assert event.step is not None
-        before = next((k for k in range(place - 1, 0, -1) if self._events[k].step), 0)
+        before = self._step_before(place)
         since_ns = max(stands_ns, self._events[before].stamp_ns)
         seconds = 1e-9 * (event.stamp_ns - since_ns)
         if event.stamp_ns <= until_ns:
@@ -176,6 +176,25 @@ class History:
             return update
         self._track.doubt_stand(since_ns, event.stamp_ns + _DOUBT_NS)
         return self._repeat(before + 1)[place - before - 1] or update
+
+    def _step_before(self, place: int) -> int:
+        """Last event with a step before a place; else the first of all."""
+        return next((k for k in range(place - 1, 0, -1) if self._events[k].step), 0)
+
+    def doubt_stand(self, stamp_ns: int) -> None:
+        """
+        Take the robot for moved where it stands, as pictures until then show nothing any more.
+
+        Unless one has been used since it stands: then the camera is to blame.
+        """
+        stands_ns = self._track.stands_since_ns
+        if stands_ns is None or stands_ns >= stamp_ns:
+            return
+        before = self._step_before(self._place(stamp_ns))
+        seen_ns = self._events[before].stamp_ns
+        if seen_ns <= stands_ns or stamp_ns <= self._track.stand_doubted_until_ns:
+            self._track.doubt_stand(max(stands_ns, seen_ns), stamp_ns + _DOUBT_NS)
+            self._repeat(before + 1)
 
     def _doubt_stand_after(self, place: int) -> None:
         """Take the robot for moved after event `place`, which is right itself."""

@@ -221,6 +221,8 @@ class PoseFilter:
         if refusal is not None:
             self._health.note(refusal)
             self._health.look(stamp, frame.columns[:0], missed, places)
+            if self._health.blinded:
+                self._history.doubt_stand(stamp)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         update = self._measure(
             stamp,

@@ -22,6 +22,8 @@ _MISSING_SHARE, _MISSING_EXPECTED, _MISSING_EXTENT_M = 0.15, 10, 1.5
 # may hang on a wall whose pictures were exchanged. They count when no picture has spoken for the
 # pose for longer, unless as many have been found in their places as it takes to contradict it.
 _FAMILIAR_S, _ALL_S = 1.4, 4.0
+# One that shows nothing may be blurred; so many are not.
+_BLINDED = 2
 # Pictures of so much of that time tell.
 _LASTING_SHARE = 0.6
 # Share of those seen whose bearings may contradict the others. It is 0.06 at most over five
@@ -74,6 +76,13 @@ class Views:
         self._views.append(_View(stamp_ns, len(found), confirms, elsewhere, places, familiar))
         while abs(stamp_ns - self._views[0].stamp_ns) * 1e-9 > _ALL_S:
             self._views.popleft()
+
+    @property
+    def blinded(self) -> bool:
+        """Whether the last pictures showed nothing of what others have shown."""
+        last = list(self._views)[-_BLINDED:]
+        blind = [not view.found and np.count_nonzero(view.familiar) >= AGREE for view in last]
+        return bool(self._familiar) and len(last) == _BLINDED and all(blind)
 
     def elsewhere(self) -> str:
         """How many lie elsewhere, if that are too many."""

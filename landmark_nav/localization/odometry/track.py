@@ -130,7 +130,7 @@ class OdometryTrack:
             what = f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s'
             return Distrusted('odometry jumped', what)
         if doubted and stands:
-            return Distrusted('odometry stands', 'while pictures show that the robot moves')
+            return Distrusted('odometry stands', 'which pictures do not confirm')
         return None
 
     @property
