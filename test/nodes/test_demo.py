@@ -23,10 +23,10 @@ DEMO = [sys.executable, '-m', 'landmark_nav', 'demo', '--out']
 
 
 @pytest.fixture
-def demo(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+def demo(tmp_path: Path, domain_id: int) -> Iterator[subprocess.Popen[str]]:
     """A demo under way."""
     process = subprocess.Popen(
-        [*DEMO, str(tmp_path / 'demo')],
+        [*DEMO, str(tmp_path / 'demo'), '--domain-id', str(domain_id)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -87,9 +87,10 @@ def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ['letter.txt']
 
 
-def test_learns_drives_and_stays_exact(tmp_path: Path) -> None:
+def test_learns_drives_and_stays_exact(tmp_path: Path, domain_id: int) -> None:
     folder = tmp_path / 'demo'
-    done = subprocess.run([*DEMO, str(folder)], capture_output=True, text=True, timeout=540)
+    command = [*DEMO, str(folder), '--domain-id', str(domain_id)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=540)
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(load_map(folder / 'map').landmarks) >= 20
     bag = Bag(folder / 'recording')

@@ -119,35 +119,25 @@ def sweep_parameters(setup_files: dict[str, str]) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize(
-    ('transport', 'command'),
-    [
-        ('raw', 'JointTrajectory'),
-        ('compressed', 'Float64MultiArray'),
-        ('compressed', 'JointState'),
-    ],
-)
-def test_every_frame_is_there_with_the_pan_it_was_taken_at(
-    transport: str,
-    command: str,
-    robot: Callable[..., SmallRobot],
-    start: Callable[..., None],
-    client: RobotClient,
-    setup_files: dict[str, str],
-) -> None:
-    start('sweep_capture', **sweep_parameters(setup_files), **{'command.type': command})
-    small = robot(transport, command)
-    assert client.call('capture_sweep', 60.0).startswith(f'{FRAMES} frames')
+def check_frames(small: SmallRobot, client: RobotClient) -> None:
+    """Every frame of the first whole sweep is there, with the pan it was taken at."""
     client.wait(lambda: bool(small.trajectories), 20.0, 'the trajectory')
-    client.wait(lambda: len(small.infos) == FRAMES, 20.0, 'all frames')
     samples = decode.sweep_trajectory(small.trajectories[0], MOUNT)
     np.testing.assert_allclose(
         [sample.pan_rad for sample in samples], -1.0 + STEP_RAD * np.arange(FRAMES), atol=0.01
     )
     stamps = [sample.stamp_ns for sample in samples]
-    assert [decode.stamp_ns(message.header) for message in small.images] == stamps
-    assert [decode.stamp_ns(message.header) for message in small.infos] == stamps
-    for sample, message in zip(samples, small.images, strict=True):
+
+    def kept(messages: list[Any]) -> list[Any]:
+        return [each for each in messages if decode.stamp_ns(each.header) >= stamps[0]]
+
+    client.wait(
+        lambda: min(len(kept(small.images)), len(kept(small.infos))) >= FRAMES, 20.0, 'all frames'
+    )
+    images = kept(small.images)
+    assert [decode.stamp_ns(message.header) for message in images] == stamps
+    assert [decode.stamp_ns(message.header) for message in kept(small.infos)] == stamps
+    for sample, message in zip(samples, images, strict=True):
         assert abs(float(decode.image(message).mean()) - (100 + 50 * sample.pan_rad)) < 2.0
 
 
@@ -157,13 +147,19 @@ def test_refusals_say_why_and_leave_the_node_running(
     client: RobotClient,
     setup_files: dict[str, str],
 ) -> None:
-    start('sweep_capture', **sweep_parameters(setup_files), **{'capture.step_timeout_s': 1.0})
+    command = 'Float64MultiArray'
+    own = {'capture.step_timeout_s': 1.0, 'command.type': command}
+    start('sweep_capture', **sweep_parameters(setup_files), **own)
     with pytest.raises(LandmarkNavError, match='nothing yet on joint_states'):
         client.call('capture_sweep', 30.0)
-    robot().stuck = True
+    small = robot('raw', command)
+    small.stuck = True
     client.wait(lambda: client.said('sweep_capture').reason == 'ready', 20.0, 'joint states')
     with pytest.raises(LandmarkNavError, match=r'frame 1 of 8, -57.3 deg.*the pan is 0.00 deg'):
         client.call('capture_sweep', 30.0)
+    small.stuck = False
+    assert client.call('capture_sweep', 60.0).startswith(f'{FRAMES} frames')
+    check_frames(small, client)
 
 
 def measured(small: SmallRobot) -> list[float]:
@@ -202,8 +198,7 @@ def test_it_is_interrupted_goes_on_begins_anew_and_tells(
     frames = len(small.images)
     assert not small.trajectories
     assert f'gone on after {frames} frames' in client.call('capture_sweep', 60.0)
-    client.wait(lambda: len(small.trajectories) == 1, 20.0, 'the trajectory')
-    np.testing.assert_allclose(measured(small), -1.0 + STEP_RAD * np.arange(FRAMES), atol=0.01)
+    check_frames(small, client)
 
     # Another sweep, of a robot that drives away; then one of a joint that stops on its way.
     assert 'the robot moved 50.0 cm' in interrupt(lambda: setattr(small, 'x_m', 0.5))
@@ -226,14 +221,16 @@ def test_a_frozen_camera_is_named_and_a_stop_in_a_sweep_is_clean(
     tmp_path: Path,
 ) -> None:
     quick = {'capture.retakes': 3, 'capture.retake_pause_s': 0.05}
-    start('sweep_capture', **sweep_parameters(setup_files), **quick)
-    small = robot('compressed')
+    command = 'JointState'
+    start('sweep_capture', **sweep_parameters(setup_files), **quick, **{'command.type': command})
+    small = robot('compressed', command)
     small.frozen = True
     with pytest.raises(LandmarkNavError, match='4 frames refused, the last as frozen'):
         client.call('capture_sweep', 60.0)
     assert not small.trajectories
     small.frozen = False
     assert client.call('capture_sweep', 60.0).startswith(f'{FRAMES} frames')
+    check_frames(small, client)
 
     class StoppedError(Exception):
         """The node was told to stop."""
