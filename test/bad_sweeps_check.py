@@ -14,6 +14,7 @@ import argparse
 from collections.abc import Callable
 import contextlib
 from dataclasses import dataclass, replace
+from functools import lru_cache
 import io
 import logging
 from pathlib import Path
@@ -46,6 +47,9 @@ MAX_SIGMAS, MAX_ERROR_M = 5.0, 0.03
 # chi-square of three degrees of freedom: 99 % of honest maps stay below.
 MAX_NEES = 11.3
 LEAST_LANDMARKS = 12
+
+# Most cases are of one scene; to draw its textures takes seconds.
+_renderer, _true_walls = lru_cache(maxsize=4)(Renderer), lru_cache(maxsize=4)(TrueWalls)
 
 
 @dataclass(frozen=True)
@@ -169,12 +173,9 @@ def cases(seed: int) -> list[Case]:
 def record(case: Case, folder: Path, seed: int) -> None:
     """Write the bag of sweeps and what the robot is told."""
     factory = rosbag_factory()
-    renderers: dict[int, Renderer] = {}
     start_ns = 1_000_000_000_000
     with BagWriter(folder / 'learn') as bag:
         for scene, pose in case.sweeps:
-            if id(scene) not in renderers:
-                renderers[id(scene)] = Renderer(scene, case.camera)
             world = TiltedWorld(
                 scene,
                 pose,
@@ -183,7 +184,7 @@ def record(case: Case, folder: Path, seed: int) -> None:
                 mount=case.true_mount,
                 config=WorldConfig(people=case.people),
                 start_ns=start_ns,
-                renderer=renderers[id(scene)],
+                renderer=_renderer(scene, case.camera),
             )
             world.tilt_rad = case.tilt_rad
             world.place(pose, -np.pi, case.tilt_rad)
@@ -220,7 +221,7 @@ def judge(case: Case, folder: Path, seed: int) -> tuple[bool, str]:
         fine = bool(case.refusal) and re.search(case.refusal, refusal) is not None
         return fine, f'refused: {refusal}'
     landmarks = load_map(folder / 'map').landmarks
-    walls = TrueWalls(case.sweeps[0][0])
+    walls = _true_walls(case.sweeps[0][0])
     pairs = [(k, walls.place(k)) for k in landmarks]
     errors = [(k.position - place, k) for k, place in pairs if place is not None]
     size = np.array([np.linalg.norm(error) for error, _ in errors])
