@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from filter_runs import EVERY, EXACT, MAP, sighting, SIGMA, started
+from filter_runs import EVERY, EXACT, MAP, run, sighting, SIGMA, started
 from fusion_drives import (
     bearings,
     detections,
@@ -85,6 +85,43 @@ class TestRecovery:
         assert state is not None
         assert state.mean[BORESIGHT] == pytest.approx(turned, abs=np.radians(0.5))
         assert abs(error_of(fused.estimate(), moment.pose)[2]) < np.radians(0.5)
+
+    def test_what_sightings_repeat_is_estimated_where_landmarks_are_refined(self) -> None:
+        as_told = OdometryNoiseConfig(learning_sigma=0.0)
+        fused = PoseFilter(EXACT, MOUNT, FusionConfig(landmarks='refine'), as_told)
+        fused.initialize(PoseEstimate(0, START, 1e-14 * np.eye(3)))
+        moment = next(drive(1))
+        for k in range(20):
+            fused.add_odometry(replace(moment.odometry, stamp_ns=k * 10**8))
+            off = np.array([SIGMA, 0.0, 0.0, 0.0, 0.0])
+            fused.add_detections(detections(EXACT, moment.pose, k * 10**8, range(5), SIGMA, off))
+        assert fused.state is not None
+        # Over the sigma of the share of a sighting's error that others repeat.
+        first, *others = fused.state.repeated[:5]
+        assert 0.8 < first < 1.0 / np.sqrt(FusionConfig().repeated_share)
+        assert np.abs(others).max() < 0.3 * first
+
+    def test_beyond_the_odometry_it_may_have_sped_up(self) -> None:
+        fused = started()
+        moment, _ = run(fused, 40)
+        stamp, ahead_s = moment.odometry.stamp_ns, 0.2
+        at, ahead = fused.estimate(stamp), fused.estimate(stamp + round(ahead_s * 1e9))
+        assert at is not None
+        assert ahead is not None
+        along = np.array([np.cos(ahead.pose[2]), np.sin(ahead.pose[2])])
+        grown = along @ (ahead.covariance - at.covariance)[:2, :2] @ along
+        # By half an acceleration times time squared.
+        assert np.sqrt(grown) == pytest.approx(0.5 * 0.5 * ahead_s**2, rel=0.2)
+
+    def test_what_is_wrong_with_the_odometry_may_change_on_the_way(self) -> None:
+        config = OdometryNoiseConfig()
+        state = initial_state(start_estimate(), MAP, config, 0.0)
+        known = replace(state, covariance=np.zeros_like(state.covariance))
+        moved = propagate(known, 10**9, Motion(np.array([4.0, 0.0, 0.0]), 1.0), config)
+        sigmas = np.sqrt(np.diag(moved.covariance)[3:6])
+        np.testing.assert_allclose(
+            sigmas, 2.0 * config.bias_change_per_sqrt_m * config.bias_sigmas
+        )
 
 
 class TestJacobians:

@@ -21,6 +21,8 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
+from landmark_nav.localization.fusion.doubt import doubted_state
+from landmark_nav.localization.fusion.state import initial_state
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import OdometrySample, PoseEstimate
 
@@ -47,6 +49,26 @@ class TestDoubt:
         assert list(update.rejected) == [12]
         assert len(update.accepted_ids) == 3
         assert update.degrees == 3
+
+    def test_a_pose_is_doubted_up_to_two_metres(self) -> None:
+        state = initial_state(start_estimate(), MAP, OdometryNoiseConfig(), 0.0)
+        sigmas = []
+        for _ in range(200):
+            state = doubted_state(state)
+            sigmas.append(np.sqrt(np.trace(state.covariance[:2, :2])))
+        assert sigmas[1] > sigmas[0] > 0.15
+        assert 2.0 <= sigmas[-2] == sigmas[-1] < 2.1
+
+    def test_what_leaves_a_bearing_astray_is_less_likely(self) -> None:
+        fused = started()
+        moment, _ = run(fused, 39)
+        seen = sighting(moment, 1, [0.0, 0.05, 0.0, 0.0])
+        with_it = fused.add_detections(seen)
+        other = started()
+        run(other, 39)
+        without = other.add_detections(seen.chosen(np.array([True, False, True, True])))
+        np.testing.assert_array_equal(with_it.accepted_ids, without.accepted_ids)
+        assert with_it.log_likelihood < without.log_likelihood - 1.0
 
     @pytest.mark.parametrize(('score', 'used'), [(0.99, 3), (0.85, 0)])
     def test_few_among_many_missing_are_used_where_they_cannot_be_mistaken(

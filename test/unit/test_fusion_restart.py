@@ -11,7 +11,15 @@ import pytest
 from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.fusion.state import BORESIGHT, HEADING
+from landmark_nav.localization.fusion.state import (
+    BORESIGHT,
+    DELAY,
+    HEADING,
+    initial_state,
+    with_late_joints,
+)
+from landmark_nav.localization.joint_delay import JointDelay
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import PoseEstimate
 
 MAP = landmark_map(10)
@@ -177,3 +185,15 @@ def test_a_robot_that_was_carried_elsewhere_tells_nothing_of_its_camera() -> Non
     assert boresight(fused) == (0.0, 0.0)
     assert max(sigmas) < 0.2
     assert (errors < 3.0 * sigmas).all()
+
+
+def test_joints_of_which_nothing_is_known_any_more_are_taken_as_in_time() -> None:
+    start = PoseEstimate(0, np.zeros(3), 1e-4 * np.eye(3))
+    state = initial_state(start, MAP, OdometryNoiseConfig(), 0.0, 0.02)
+    mean, cross = state.mean.copy(), np.ones_like(state.cross)
+    mean[DELAY] = 0.06
+    late = with_late_joints(replace(state, mean=mean, cross=cross), 0.15)
+    assert late.late == JointDelay(0.0, 0.15)
+    assert not late.cross[DELAY].any()
+    assert late.cross[BORESIGHT].all()
+    np.testing.assert_array_equal(np.delete(late.mean, DELAY), np.delete(mean, DELAY))

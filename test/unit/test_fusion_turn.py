@@ -74,6 +74,8 @@ def test_a_larger_one_is_doubted_by_as_much_as_was_seen(
     assert together == pytest.approx(angle_rad, rel=0.2)
     for k in (HEADING, BORESIGHT):
         assert 0.3 * abs(angle_rad) < np.sqrt(state.covariance[k, k]) < abs(angle_rad)
+    # The camera rested: that tells nothing of the stamps of its joints.
+    assert fused.late.sigma_s == 0.0
     status, reason = fused.status
     assert status == 'coasting'
     assert 'turned' in reason

@@ -172,3 +172,15 @@ def test_what_is_open_of_the_pan_is_open_of_the_heading_alone() -> None:
     # The base turns about the pan axis, which does not move.
     lever = np.hypot(*MOUNT.axis_xyz[:2])
     assert added[:2].sum() == pytest.approx((lever * off) ** 2, rel=1e-2)
+
+
+def test_sightings_of_a_clock_that_was_set_back_since_are_forgotten() -> None:
+    gatherer = SightingGatherer(
+        LANDMARKS, MOUNT, 5.0, OdometryNoiseConfig(), TriangulationConfig()
+    )
+    for stamp_ns, places in ((100 * STEP_NS, [0, 3, 5]), (50 * STEP_NS, [8])):
+        bearing = sighted(START, places, LANDMARKS.positions[:, :2])
+        gatherer.add(picture(stamp_ns, places, bearing, 1e-4))
+    fix = gatherer.fix(PoseEstimate(50 * STEP_NS, START, np.diag([0.1, 0.1, 0.05]) ** 2))
+    assert isinstance(fix, Refusal)
+    assert fix.detail == '1 given'

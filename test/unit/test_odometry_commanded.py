@@ -61,7 +61,7 @@ def test_mistaken_landmarks_do_not_matter() -> None:
     stamps, commands, sightings = late_robot(0.2)
     rng = np.random.default_rng(4)
     mixed = [
-        replace(seen, ids=(seen.ids + 1) % 3) if rng.random() < 0.05 else seen
+        replace(seen, ids=(seen.ids + 1) % 3) if rng.random() < 0.15 else seen
         for seen in sightings
     ]
     assert command_delay_s(stamps, commands, mixed) == pytest.approx(0.2, abs=0.02)

@@ -162,6 +162,22 @@ class TestTrack:
         np.testing.assert_allclose(motion.increment, twist_motion(SPEED, RATE, 0.1), atol=1e-9)
         assert motion.blind_seconds == pytest.approx(0.05)
 
+    def test_a_turn_that_no_robot_makes_is_a_jump(self) -> None:
+        track = circle_track()
+        turned = compose(twist_motion(SPEED, RATE, 1.05), [0.0, 0.0, 2.5])
+        refusal = track.add(sample(1.05, turned))
+        assert refusal is not None
+        assert refusal.reason == 'odometry jumped'
+
+    def test_a_jump_after_a_pause_is_bridged_as_far_as_a_twist_tells(self) -> None:
+        track = circle_track()
+        assert track.add(sample(2.0, np.array([50.0, 0.0, 0.0]))) is not None
+        motion = track.motion(1_000_000_000, 2_000_000_000)
+        np.testing.assert_allclose(
+            motion.increment, twist_motion(SPEED, RATE, HORIZON_S), atol=1e-9
+        )
+        assert motion.blind_seconds == pytest.approx(1.0)
+
     def test_long_pause_is_blind(self) -> None:
         track = circle_track()
         assert track.add(sample(3.0)) is None

@@ -19,8 +19,20 @@ from scenes import (
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.relocalization import Relocalizer
-from landmark_nav.localization.relocalization.sightings import find_sightings
+from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.relocalization import (
+    RelocalizationConfig,
+    Relocalizer,
+    UnsurePlace,
+)
+from landmark_nav.localization.relocalization.hypotheses import propose
+from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
+from landmark_nav.localization.relocalization.verification import (
+    CarriedFrames,
+    Verification,
+    verify,
+)
+from landmark_nav.localization.relocalization.views import shows_new, view_direction
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -237,6 +249,62 @@ def test_sightings_tell_bearing_and_range() -> None:
     assert np.abs(relative).max() < 3.0
 
 
+def test_no_place_is_proposed_behind_a_wall() -> None:
+    """From there the far wall would look as it does from within, but farther away."""
+    behind = np.array([6.0, 2.0, np.pi])
+    west = np.flatnonzero(MAP.normals[:, 0] > 0.9)
+    place = se2.transform_points(se2.inverse(behind), MAP.positions[west, :2])
+    n = len(west)
+    seen = Sightings(
+        west,
+        np.arctan2(place[:, 1], place[:, 0]),
+        np.hypot(*place.T),
+        np.full(n, 0.05),
+        np.zeros((n, 2)),
+        np.ones(n),
+    )
+    without_walls = propose(seen, replace(MAP, walls=()))
+    np.testing.assert_allclose(without_walls.poses[0, :2], behind[:2], atol=0.05)
+    assert without_walls.support[0] == n
+    assert not len(propose(seen, MAP).poses)
+    # Nor where patches would be seen from behind.
+    turned = tuple(replace(landmark, normal=-landmark.normal) for landmark in MAP.landmarks)
+    assert not len(propose(seen, LandmarkMap(turned)).poses)
+
+
+@pytest.mark.parametrize(
+    ('limit', 'words'),
+    [({}, 'look around'), ({'max_sigma_m': 1e-6}, 'sigma'), ({'max_sigma_rad': 1e-7}, 'sigma')],
+)
+def test_what_is_seen_must_tell_the_place_well(limit: dict[str, float], words: str) -> None:
+    """Or all around is looked for more; six landmarks within 0.6 rad tell it hardly."""
+    pose = (4.6, 2.0, np.pi) if not limit else (2.4, 1.9, 0.4)
+    frames = sweep(SCENE, pose, np.zeros(1) if not limit else PANS[::3])
+    config = RelocalizationConfig(**({'max_sigma_m': 9.0, 'max_sigma_rad': 3.0} | limit))
+    relocalizer = Relocalizer(MAP, MOUNT, config)
+    for frame in frames:
+        relocalizer.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
+        outcome = relocalizer.add_frame(frame)
+        assert isinstance(outcome, Refusal)
+    assert isinstance(outcome, UnsurePlace)
+    assert words in outcome.detail
+    assert np.hypot(*(outcome.place.pose - pose)[:2]) < 0.1
+
+
+def test_what_odometry_may_have_erred_by_is_left_open() -> None:
+    pose = np.array([2.4, 1.9, 0.4])
+    frames = sweep(SCENE, pose.tolist(), PANS[::3])
+    sigmas = []
+    for drift_m in (0.0, 0.05):
+        variances = np.zeros((len(frames), 3))
+        variances[:-1] = drift_m**2
+        carried = CarriedFrames(0, frames, np.zeros_like(variances), variances)
+        found = verify(pose, carried, MAP, MOUNT, LookingConfig())
+        assert isinstance(found, Verification), str(found)
+        sigmas.append(np.sqrt(np.trace(found.estimate.covariance[:2, :2])))
+    assert sigmas[1] > 2.0 * sigmas[0]
+
+
 def test_a_stream_gathers_views_until_they_suffice() -> None:
     relocalizer = Relocalizer(MAP, MOUNT)
     wheel = np.array([7.0, -3.0, 2.0])
@@ -263,8 +331,9 @@ def test_a_place_found_while_the_camera_turns_has_an_uncertain_heading() -> None
     relocalizer.add_odometry(OdometrySample(0, np.zeros(3)))
     relocalizer.add_odometry(OdometrySample(10**9, np.zeros(3)))
     rate, outcome = 1.5, Refusal('nothing seen yet')
-    for frame in sweep(SCENE, pose.tolist()):
-        outcome = relocalizer.add_frame(replace(frame, pan_rate_rad_s=rate))
+    for k, frame in enumerate(sweep(SCENE, pose.tolist())):
+        # It rested at first.
+        outcome = relocalizer.add_frame(replace(frame, pan_rate_rad_s=rate if k else 0.0))
         if isinstance(outcome, PoseEstimate):
             break
     assert_right(outcome, pose.tolist())
@@ -281,6 +350,24 @@ def test_a_stream_that_shows_the_same_again_gives_the_same_answer() -> None:
     relocalizer.add_odometry(OdometrySample(0, np.zeros(3)))
     relocalizer.add_odometry(OdometrySample(10**8, np.zeros(3)))
     assert relocalizer.add_frame(replace(dark, stamp_ns=10**8)) is first
+
+
+def test_a_camera_that_froze_shows_nothing_new_wherever_its_joints_say_it_looks() -> None:
+    relocalizer = Relocalizer(MAP, MOUNT)
+    frame, turned = sweep(SCENE, (2.4, 1.9, 0.4), PANS[:2])
+    for k in range(2):
+        relocalizer.add_odometry(OdometrySample(k * 10**8, np.zeros(3)))
+    first = relocalizer.add_frame(frame)
+    assert relocalizer.add_frame(replace(turned, image=frame.image)) is first
+    assert relocalizer.add_frame(turned) is not first
+
+
+def test_the_same_view_from_elsewhere_is_a_new_one() -> None:
+    frame = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
+    ahead = view_direction(frame, MOUNT)
+    for away_m, new in ((0.5, False), (0.7, True)):
+        before = np.array([[away_m, 0.0, 0.0]])
+        assert shows_new(frame, ahead, np.zeros(3), ahead[None], before) == new
 
 
 def test_a_stream_without_pictures_does_not_grow() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -26,6 +27,8 @@ from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import Gaze, TripletConfig, visible_landmarks
 from landmark_nav.localization.triplet.geometry import pair_tables, position_variance
+from landmark_nav.localization.triplet.ranking import Standing
+from landmark_nav.localization.triplet.visibility import standings
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
 
@@ -111,11 +114,11 @@ class TestSelection:
     def test_hysteresis(self) -> None:
         landmark_map = random_map(40)
         first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
-        moved = PoseEstimate(43, PRIOR.pose + np.array([0.02, 0.01, 0.01]), PRIOR.covariance)
-        stay = TripletConfig(hysteresis=100.0)
-        kept = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, stay, previous=first))
+        moved = PoseEstimate(43, PRIOR.pose + np.array([-0.1, 0.0, 0.0]), PRIOR.covariance)
+        kept = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, CONFIG, previous=first))
         assert set(kept.ids) == set(first.ids)
         fresh = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, CONFIG))
+        assert set(fresh.ids) != set(first.ids)
         go = TripletConfig(hysteresis=0.0)
         changed = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, go, previous=first))
         assert set(changed.ids) == set(fresh.ids)
@@ -140,6 +143,25 @@ class TestSelection:
         )
         view = visible_landmarks(PRIOR, landmark_map, CAMERA, mount, triplet.pan_rad, 0.05, CONFIG)
         assert set(triplet.ids) <= set(landmark_map.ids[view])
+
+    def test_too_near_and_too_far(self) -> None:
+        near = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
+        landmark_map = LandmarkMap((replace(near, viewpoint=np.array([WIDTH - 1.0, 2.0, 1.1])),))
+        told = [
+            int(standings(np.array([WIDTH - range_m, 2.0, 1.1]), landmark_map, config)[0])
+            for range_m, config in (
+                (0.6, CONFIG),
+                (0.4, CONFIG),
+                (1.5, CONFIG),
+                (1.5, TripletConfig(max_range_m=1.4)),
+            )
+        ]
+        assert told == [
+            Standing.USABLE,
+            Standing.OUT_OF_RANGE,
+            Standing.USABLE,
+            Standing.OUT_OF_RANGE,
+        ]
 
 
 class TestRefusal:

@@ -9,11 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from triplet_room import CAMERA, chosen, CONFIG, landmark, MOUNT, PRIOR, random_map, WIDTH
+from triplet_room import (
+    CAMERA,
+    chosen,
+    CONFIG,
+    landmark,
+    MOUNT,
+    PRIOR,
+    random_map,
+    select_triplet,
+    WIDTH,
+)
 
 from landmark_nav.localization.triplet import Gaze, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.geometry import pair_tables
-from landmark_nav.localization.triplet.ranking import Standing, Verdict
+from landmark_nav.localization.triplet.ranking import Ranking, Standing, Verdict
 from landmark_nav.localization.triplet.search import best_triplets, mean_variance
 from landmark_nav.localization.triplet.views import travel_s
 from landmark_nav.types import LandmarkMap, PoseEstimate
@@ -133,6 +143,35 @@ class TestRanking:
             PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0, limits_rad=(-0.5, 0.5))
         )
         assert limited.excluded()[Standing.BEYOND_LIMITS.words] > 10
+
+    def test_a_rival_lost_by_what_it_is_worst_in(self) -> None:
+        count = 6
+        covariances = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (count, 1, 1))
+        covariances[1] *= 2.0
+        chance, travel_s = np.full(count, 0.9), np.zeros(count)
+        chance[2], travel_s[3] = 0.5, 1.0
+        score = np.array([1.0, 2.0, 1.8, 2.0, 1.01, 0.9])
+        triplet = chosen(select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, CONFIG))
+        ids = np.tile(triplet.ids, (count, 1))
+        ranking = Ranking(
+            triplet, np.zeros(40, np.int8), ids, covariances, chance, travel_s, ids * 0.0, score
+        )
+        assert ranking.verdicts() == [
+            Verdict.CHOSEN,
+            Verdict.LESS_ACCURATE,
+            Verdict.LESS_LIKELY,
+            Verdict.LONGER_TURN,
+            Verdict.SLIGHTLY_WORSE,
+            Verdict.NOT_BETTER_ENOUGH,
+        ]
+
+    def test_a_tour_begins_at_its_nearer_end(self) -> None:
+        several = TripletConfig(views='several', look_s=100.0)
+        for pan, end in ((-3.0, 0), (3.0, -1)):
+            ranking = rank_triplets(PRIOR, random_map(40), CAMERA, MOUNT, several, Gaze(pan))
+            stops = np.sort(ranking.pan_rad[0])
+            assert stops[0] < stops[-1]
+            assert chosen(ranking.chosen).pan_rad == stops[end]
 
     def test_a_landmark_above_the_picture_is_cut(self) -> None:
         high = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 3.9), *random_map(9).landmarks))

@@ -22,8 +22,6 @@ __all__ = ['command_delay_s', 'integrate_commands']
 _DELAYS_S = np.arange(0.0, 0.601, 0.01)
 # Sightings of one landmark that are compared are at most this far apart, seconds.
 _PAIR_S = 1.0
-# A change of bearing that the commands miss by more is a mistaken landmark, radians.
-_MISTAKEN_RAD = 0.2
 # Fewer pairs, or turns that are more alike, tell nothing.
 _MIN_PAIRS = 30
 _LEAST_TURN_RAD = 0.05
@@ -104,5 +102,6 @@ def command_delay_s(
             'within a second, or the robot never turned then: give it'
         )
     gain = (commanded @ observed) / np.maximum(np.sum(commanded**2, axis=1), 1e-12)
-    missed = np.minimum(np.abs(observed - gain[:, None] * commanded), _MISTAKEN_RAD)
+    # A sum of distances, as some landmarks are mistaken for others.
+    missed = np.abs(observed - gain[:, None] * commanded)
     return float(_DELAYS_S[int(np.argmin(np.mean(missed, axis=1)))])

@@ -1,0 +1,59 @@
+"""What the filter tells of itself, and for how long."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from landmark_nav.localization.fusion.config import HealthConfig
+from landmark_nav.localization.fusion.health import Health
+from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.types import PoseEstimate, Refusal
+
+NS = 10**9
+
+
+def status(health: Health, seconds: float) -> str:
+    here = PoseEstimate(round(seconds * NS), np.zeros(3), 1e-6 * np.eye(3))
+    return health.status(here, here.stamp_ns)[0]
+
+
+def test_what_pictures_contradicted_for_long_is_doubted_for_six_seconds_more() -> None:
+    health = Health(HealthConfig(coasting_after_s=1000.0))
+    health.restart(0)
+    for k in range(61):
+        health.note_surprise(k * NS // 4, Refusal('turned'))
+    assert status(health, 15.0 + 5.9) == 'coasting'
+    assert status(health, 15.0 + 6.1) == 'tracking'
+
+
+def test_trouble_with_the_odometry_is_told_from_then_on() -> None:
+    health = Health(HealthConfig(coasting_after_s=1000.0))
+    health.restart(0)
+    health.note_trouble(10 * NS, Refusal('odometry jumped'))
+    told = [status(health, seconds) for seconds in (9.9, 10.0, 11.9, 12.1)]
+    assert told == ['tracking', 'coasting', 'coasting', 'tracking']
+
+
+def test_a_picture_that_comes_late_makes_those_after_it_no_older() -> None:
+    health = Health(HealthConfig())
+    health.restart(0)
+    for seconds in (10.0, 8.5):
+        health.observe(FusionUpdate(round(seconds * NS), degrees=3))
+    assert status(health, 10.9) == 'tracking'
+    assert status(health, 11.1) == 'coasting'
+
+
+def test_a_pose_that_was_contradicted_for_long_is_doubted_after_it_fits_again() -> None:
+    health = Health(HealthConfig(coasting_after_s=1000.0))
+    health.restart(0)
+    for k in range(21):
+        health.doubt(k * NS // 4, 'nothing is found')
+    assert status(health, 5.0) == 'lost'
+    for k in range(3):
+        health.observe(FusionUpdate(5 * NS + (k + 1) * NS // 10, degrees=3))
+    # For 5.25 s, of which two are nothing.
+    assert [status(health, seconds) for seconds in (5.4, 8.2, 8.3)] == [
+        'coasting',
+        'coasting',
+        'tracking',
+    ]
