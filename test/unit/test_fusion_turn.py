@@ -81,6 +81,23 @@ def test_a_larger_one_is_doubted_by_as_much_as_was_seen(
     assert 'turned' in reason
 
 
+@pytest.mark.parametrize('angle_rad', [0.03, 0.06])
+def test_an_angle_is_told_after_a_second_without_pictures_as_well(
+    fused: PoseFilter, angle_rad: float
+) -> None:
+    for k, moment in enumerate(drive(LAST)):
+        fused.add_odometry(moment.odometry)
+        off_rad = angle_rad if k == LAST - 4 else 0.0
+        if k % 4 == 0 and not LAST - 40 < k < LAST - 4:
+            stamp_ns = moment.odometry.stamp_ns
+            fused.add_detections(
+                detections(MAP, moment.pose, stamp_ns, range(8), SIGMA_RAD, off_rad)
+            )
+    status, reason = fused.status
+    assert status == 'coasting'
+    assert 'turned' in reason
+
+
 def slipped(seed: int, slip_deg: float, late_s: float) -> tuple[PoseFilter, FloatArray]:
     """
     Drive for 4 m; half way, while the pan swings, wheels turn the base for half a second.

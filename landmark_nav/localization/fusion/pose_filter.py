@@ -326,7 +326,7 @@ class PoseFilter:
                 self._witnesses.restart(vouched=False)
         elif update.degrees:
             if self._was_doubted:
-                turn_rad = self._reconsider(stamp_ns)
+                turn_rad = self._reconsider(stamp_ns) or turn_rad
             if not self._was_doubted:
                 self._history.trust(stamp_ns)
         if turn_rad:
