@@ -103,7 +103,7 @@ def main() -> int:
     works = {
         'C, position': lambda: reference(landmarks, bearings, False),
         'C, position and heading': lambda: reference(landmarks, bearings, True),
-        'triangulate_three': lambda: triangulate_three(landmarks, bearings)[0],
+        'triangulate_three': lambda: triangulate_three(landmarks, bearings),
     }
     taken: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(args.repeats):
@@ -117,7 +117,7 @@ def main() -> int:
     ours = best['triangulate_three']
     for name in list(works)[:2]:
         print(f'ratio to {name:<26}{ours / best[name]:6.2f}')
-    found, _ = triangulate_three(landmarks[:20_000], bearings[:20_000])
+    found = triangulate_three(landmarks[:20_000], bearings[:20_000])
     good = np.array(
         [
             danger_distance(p[:2], k)[1] > 0.05

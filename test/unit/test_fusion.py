@@ -20,7 +20,13 @@ import pytest
 from landmark_nav.arrays import FloatArray
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.fusion.measurement import bearing_model
-from landmark_nav.localization.fusion.state import BORESIGHT, initial_state, propagate
+from landmark_nav.localization.fusion.noise import NoiseScales
+from landmark_nav.localization.fusion.state import (
+    BORESIGHT,
+    initial_state,
+    looking_again,
+    propagate,
+)
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.types import PoseEstimate
 
@@ -101,6 +107,18 @@ class TestRecovery:
         assert 0.8 < first < 1.0 / np.sqrt(FusionConfig().repeated_share)
         assert np.abs(others).max() < 0.3 * first
 
+    def test_slip_and_what_sightings_repeat_stay_as_large_as_told(self) -> None:
+        config = OdometryNoiseConfig(learning_sigma=0.0)
+        state = initial_state(start_estimate(), MAP, config, 0.0)
+        state = replace(state, repeated=np.ones_like(state.repeated))
+        before = state.considered_covariance
+        for k in range(1, 6):
+            motion = Motion(np.array([0.7, 0.0, 0.0]), 1.0)
+            state = looking_again(propagate(state, k * 10**9, motion, config), 0.5)
+        slip = BORESIGHT - 1
+        assert np.sqrt(state.covariance[slip, slip]) == pytest.approx(config.slip_sigma)
+        np.testing.assert_allclose(state.considered_covariance, before, atol=1e-12)
+
     def test_beyond_the_odometry_it_may_have_sped_up(self) -> None:
         fused = started()
         moment, _ = run(fused, 40)
@@ -112,6 +130,16 @@ class TestRecovery:
         grown = along @ (ahead.covariance - at.covariance)[:2, :2] @ along
         # By half an acceleration times time squared.
         assert np.sqrt(grown) == pytest.approx(0.5 * 0.5 * ahead_s**2, rel=0.2)
+
+    def test_how_noisy_it_is_is_forgotten_on_the_way(self) -> None:
+        config = OdometryNoiseConfig()
+        learned = NoiseScales(np.full(4, 0.8), np.zeros((4, 4)))
+        shares = [learned.moved(way_m, config).log_scale[0] / 0.8 for way_m in (0.0, 10.0, 1000.0)]
+        assert shares[0] == 1.0
+        assert 0.5 < shares[1] < 0.95
+        assert shares[2] == pytest.approx(0.0, abs=1e-6)
+        fresh = NoiseScales.unknown(config).covariance
+        np.testing.assert_allclose(learned.moved(1000.0, config).covariance, fresh, atol=1e-6)
 
     def test_what_is_wrong_with_the_odometry_may_change_on_the_way(self) -> None:
         config = OdometryNoiseConfig()

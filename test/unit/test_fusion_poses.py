@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from fusion_drives import (
     bearings,
     detections,
@@ -152,3 +154,17 @@ def test_why_no_pose_came_is_told() -> None:
     status, reason = fused.status
     assert status == 'coasting'
     assert 'fewer than three bearings: 2 given' in reason
+
+
+def test_a_pose_of_a_few_that_chance_may_have_made_does_not_end_the_search() -> None:
+    fused, told = started(), []
+    for k, moment in enumerate(drive(60)):
+        fused.add_odometry(moment.odometry)
+        if k % 4 == 0:
+            stamp_ns = moment.odometry.stamp_ns
+            carried = moment.pose + np.array([0.8, 0.6, 0.0])
+            seen = detections(MAP, carried, stamp_ns, [0, 1, 3], SIGMA)
+            fused.add_detections(replace(seen, missed=np.delete(MAP.ids, [0, 1, 3])))
+            told.append(fused.add_pose(fix_of(carried, stamp_ns, [0, 1, 3])).refusal)
+    assert fused.status[0] == 'lost'
+    assert str(told[-1]) == 'too few found: 3 of 10 landmarks'

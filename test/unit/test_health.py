@@ -57,3 +57,14 @@ def test_a_pose_that_was_contradicted_for_long_is_doubted_after_it_fits_again() 
         'coasting',
         'tracking',
     ]
+
+
+def test_once_contradicted_chance_must_be_excluded() -> None:
+    """Of so many that should be in view, these must agree with each other."""
+    health = Health(HealthConfig())
+    health.restart(0)
+    assert [health.least(expected) for expected in (3, 20)] == [1, 1]
+    health.observe(FusionUpdate(NS, refusal=Refusal('pose does not fit')))
+    assert [health.least(expected) for expected in (0, 2, 20)] == [1, 2, 3]
+    health.doubt(NS, 'nothing is found')
+    assert [health.least(expected) for expected in (3, 20)] == [3, 8]

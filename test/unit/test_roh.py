@@ -49,8 +49,7 @@ def readings(shared_data: Path) -> tuple[FloatArray, FloatArray]:
 
 def subset_poses(beacons: FloatArray, bearings: FloatArray) -> FloatArray:
     """Poses (n, 4, 3) by each three of the beacons."""
-    poses, _ = triangulate_three(beacons[SUBSETS], bearings[:, SUBSETS])
-    return poses
+    return triangulate_three(beacons[SUBSETS], bearings[:, SUBSETS])
 
 
 def test_every_subset_finds_the_place(

@@ -53,6 +53,14 @@ class TestSearch:
         assert {tuple(t) for t in triplets} == {tuple(t) for t in every[order]}
         assert len(scores) == min(10, np.isfinite(score).sum())
 
+    @pytest.mark.parametrize('seed', range(3))
+    def test_nothing_good_is_left_out_of_many(self, seed: int) -> None:
+        """With closer bounds, by groups of third landmarks."""
+        tables = pair_tables(PRIOR.pose[None, :2], random_map(90, seed), np.arange(90), 4e-4)
+        scores, _ = best_triplets(tables, np.ones(90), np.ones((90, 90)), 300)
+        every = np.array(list(combinations(range(90), 3)))
+        np.testing.assert_allclose(scores, np.sort(mean_variance(tables, every))[:300], rtol=1e-9)
+
     @pytest.mark.filterwarnings('error')
     def test_landmarks_one_above_the_other_are_as_good_as_one(self) -> None:
         landmark_map = random_map(90, 4)

@@ -97,7 +97,7 @@ class Health:
 
     def unseen_s(self, stamp_ns: int) -> float:
         """How long nothing was accepted before a time, if that is long enough to coast; else 0."""
-        seconds = (stamp_ns - (self._accepted_ns or stamp_ns)) * 1e-9
+        seconds = 0.0 if self._accepted_ns is None else (stamp_ns - self._accepted_ns) * 1e-9
         return seconds if seconds > self._config.coasting_after_s else 0.0
 
     def least(self, expected: int) -> int:

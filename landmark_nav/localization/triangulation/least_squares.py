@@ -45,7 +45,7 @@ def best_start(
 ) -> FloatArray | None:
     """Pose (3,) of the triple, or the prior, at which the bearings agree best, outliers aside."""
     index = triples(len(bearing), _MAX_STARTS)
-    poses, _ = triangulate_three(position[index], bearing[index])
+    poses = triangulate_three(position[index], bearing[index])
     if start is not None:
         poses = np.vstack([poses, start.pose])
     poses = poses[np.isfinite(poses).all(axis=-1)]

@@ -21,9 +21,7 @@ __all__ = ['triangulate_three']
 _BLOCK = 8192
 
 
-def triangulate_three(
-    positions: npt.ArrayLike, bearings: npt.ArrayLike
-) -> tuple[FloatArray, FloatArray]:
+def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> FloatArray:
     """
     Poses out of three bearings each.
 
@@ -36,11 +34,9 @@ def triangulate_three(
 
     Returns
     -------
-    poses : ndarray, shape (..., 3)
+    ndarray, shape (..., 3)
         x, y [m] and heading [rad]. Not finite where nothing is determined. The equations hold for
         a landmark's opposite direction too: check `bearing_residuals` before use.
-    reliability : ndarray, shape (...)
-        1 / abs(D) of the paper, in 1/m^2: large near the circle through the three landmarks.
 
     """
     position = np.asarray(positions, dtype=np.float64)
@@ -49,15 +45,14 @@ def triangulate_three(
     position = np.broadcast_to(position, (*shape, 3, 2)).reshape(-1, 3, 2)
     bearing = np.broadcast_to(bearing, (*shape, 3)).reshape(-1, 3)
     poses = np.empty((len(bearing), 3))
-    reliability = np.empty(len(bearing))
     for start in range(0, len(bearing), _BLOCK):
         block = slice(start, start + _BLOCK)
-        poses[block], reliability[block] = _power_center(position[block], bearing[block])
-    return poses.reshape((*shape, 3)), reliability.reshape(shape)
+        poses[block] = _power_center(position[block], bearing[block])
+    return poses.reshape((*shape, 3))
 
 
-def _power_center(position: FloatArray, bearing: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses (m, 3) and 1 / abs(D), (m,), of landmarks (m, 3, 2) and bearings (m, 3)."""
+def _power_center(position: FloatArray, bearing: FloatArray) -> FloatArray:
+    """Poses (m, 3) of landmarks (m, 3, 2) and bearings (m, 3)."""
     (x1, y1), (x2, y2), (x3, y3) = (np.ascontiguousarray(p.T) for p in np.moveaxis(position, 1, 0))
     b1, b2, b3 = np.ascontiguousarray(bearing.T)
     b12, b23 = b2 - b1, b3 - b2
@@ -88,5 +83,4 @@ def _power_center(position: FloatArray, bearing: FloatArray) -> tuple[FloatArray
         imaginary = ya * c12 + xa * s12 - y + yc * c23 - xc * s23
         poses[:, 0], poses[:, 1] = x + x2, y + y2
         poses[:, 2] = wrap_rad(np.arctan2(imaginary, real) - b2)
-        reliability = np.abs(s12 * s23 * s31 / determinant)
-    return poses, reliability
+    return poses
