@@ -82,6 +82,46 @@ def test_what_the_search_saw_speaks_as_well() -> None:
     assert fused.status == ('tracking', '')
 
 
+def last_status(
+    fused: PoseFilter,
+    landmark_map: LandmarkMap,
+    first: int,
+    last: int,
+    seen: range,
+    off_rad: float,
+) -> tuple[str, str]:
+    """Drive on and look, 20 times a second, with all bearings off by one angle."""
+    for moment in list(drive(last))[first:]:
+        stamp_ns = moment.odometry.stamp_ns
+        fused.add_odometry(moment.odometry)
+        fused.add_detections(detections(landmark_map, moment.pose, stamp_ns, seen, SIGMA, off_rad))
+    return fused.status
+
+
+def test_a_wall_that_takes_a_knock_to_fit_does_not_speak_for_a_found_place() -> None:
+    walls, east, north = on_walls([EAST] * 5 + [NORTH] * 5), range(5), range(5, 10)
+    fused = found_at(next(iter(drive(0))).pose, 0, walls)
+    assert last_status(fused, walls, 0, 10, east, 0.0)[0] == 'coasting'
+    status, reason = last_status(fused, walls, 10, 100, north, 0.04)
+    assert status == 'coasting'
+    assert 'only one wall' in reason
+    assert last_status(fused, walls, 100, 180, east, 0.04)[0] == 'tracking'
+
+
+def test_a_camera_that_is_knocked_again_and_again_is_no_accident() -> None:
+    health = Health(HealthConfig())
+    health.restart(0)
+    told = []
+    for second in range(0, 30, 2):
+        for tenth in range(5):
+            stamp_ns = second * NS + tenth * NS // 10
+            health.note_surprise(stamp_ns, Refusal('the camera was turned'))
+        told.append(health.repeats)
+    assert told == [False] * 3 + [True] * 12
+    health.note_surprise(90 * NS, Refusal('the camera was turned'))
+    assert not health.repeats
+
+
 def test_a_heading_from_a_turning_camera_leaves_the_lateness_of_its_joints_open() -> None:
     moment = next(iter(drive(0)))
     fused = PoseFilter(MAP, MOUNT)

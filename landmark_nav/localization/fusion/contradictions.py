@@ -25,4 +25,9 @@ class Contradictions:
             self._spans.append((stamp_ns, stamp_ns))
         while abs(stamp_ns - self._spans[0][1]) > _WINDOW_NS:
             self._spans.popleft()
+        return self.seconds
+
+    @property
+    def seconds(self) -> float:
+        """How long there were any of late, as of the last."""
         return 1e-9 * sum(abs(end - begin) + _LEAST_NS for begin, end in self._spans)

@@ -82,6 +82,11 @@ class Health:
         return bool(self._astray)
 
     @property
+    def repeats(self) -> bool:
+        """Whether pictures contradicted the pose for so long of late that it is no accident."""
+        return self._contradictions.seconds > _TROUBLE_S
+
+    @property
     def blinded(self) -> bool:
         """Whether the last pictures showed nothing of what others have shown."""
         return self._views.blinded

@@ -241,7 +241,10 @@ class PoseFilter:
         elsewhere = len(update.rejected) - len(frame.unusable) if update.degrees else 0
         agree = self._columns_of(update.accepted_ids)
         self._health.look(stamp, agree, missed, places, elsewhere)
-        self._witnesses.hear(agree)
+        if update.turned_rad:
+            self._witnesses.contradicted(again=self._health.repeats)
+        else:
+            self._witnesses.hear(agree)
         return update
 
     def _columns_of(self, ids: npt.NDArray[np.int64]) -> IndexArray:

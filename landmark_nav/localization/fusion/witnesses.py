@@ -39,6 +39,14 @@ class Witnesses:
         self._heard[:] = False
         self._vouched = vouched
 
+    def contradicted(self, again: bool) -> None:
+        """
+        Begin anew, as landmarks fit with a knock or a slip alone.
+
+        If they do so `again` and again, a camera or a map is not as it is told: nobody vouches.
+        """
+        self.restart(self._vouched and not again)
+
     def hear(self, columns: npt.NDArray[np.intp]) -> None:
         """Take note of landmarks, by their places in the map, that agree with the pose."""
         if not self._vouched:
