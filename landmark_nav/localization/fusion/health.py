@@ -126,10 +126,14 @@ class Health:
         doubtful = self._rejections > 0 or self._vain >= _IN_VAIN
         return min(usual, _DOUBTFUL_LEVEL) if doubtful and found < AGREE else usual
 
-    def too_few(self, scores: FloatArray, expected: int) -> bool:
-        """Whether those found among so many that are missing may be mistaken themselves."""
-        sure = np.count_nonzero(scores >= _SURE_SCORE) >= AGREE
-        return not sure and len(scores) < _USABLE_SHARE * expected
+    def unusable(self, scores: FloatArray, expected: int) -> Refusal | None:
+        """Why those found, by their correlations, of so many expected may all be mistaken."""
+        found = len(scores)
+        if not found:
+            return Refusal('no usable bearing', f'of {expected} landmarks looked for')
+        if np.count_nonzero(scores >= _SURE_SCORE) >= AGREE or found >= _USABLE_SHARE * expected:
+            return None
+        return Refusal('too few found', f'{found} of {expected} landmarks')
 
     def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
         """Remember that the odometry cannot be what it says."""

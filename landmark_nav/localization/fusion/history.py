@@ -94,6 +94,13 @@ class History:
         """First and last time of the odometry; None while there is none."""
         return self._track.stamps_ns
 
+    def untimely(self, stamp_ns: int) -> Refusal | None:
+        """Why nothing can be inserted at a time."""
+        if not self._states:
+            return Refusal('not initialized', 'give a start pose')
+        late = (self.begin_ns - stamp_ns) * 1e-9
+        return Refusal('too late', f'{late:.3f} s before the history') if late > 0.0 else None
+
     def restart(self, state: FilterState) -> None:
         """Begin anew with a state; odometry that came after it is kept."""
         self._events = [_Event(state.stamp_ns)]

@@ -203,7 +203,7 @@ class PoseFilter:
         frame = bearing_frame(
             detections, self._columns, self._config, self._pan_sigma_rad, self._scores
         )
-        if (refusal := self._untimely(stamp)) is not None:
+        if (refusal := self._history.untimely(stamp)) is not None:
             self._health.note(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         self._scores.extend(frame.scores.tolist())
@@ -214,11 +214,7 @@ class PoseFilter:
             self._fix_sources.add(Seen(stamp, frame.columns, expected))
             self._health.look(stamp, frame.columns, missed, places)
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
-        if not len(frame.columns):
-            refusal = Refusal('no usable bearing', f'of {expected} landmarks looked for')
-        elif self._health.too_few(frame.scores, expected):
-            refusal = Refusal('too few found', f'{len(frame.columns)} of {expected} landmarks')
-        if refusal is not None:
+        if (refusal := self._health.unusable(frame.scores, expected)) is not None:
             self._health.note(refusal)
             self._health.look(stamp, frame.columns[:0], missed, places)
             if self._health.blinded:
@@ -256,7 +252,7 @@ class PoseFilter:
         stamp = measured.stamp_ns
         if self._config.mode != 'poses':
             return FusionUpdate(stamp, refusal=Refusal('mode is bearings', 'poses are not used'))
-        refusal = self._untimely(stamp)
+        refusal = self._history.untimely(stamp)
         if refusal is None and not is_finite(measured):
             refusal = Refusal('pose is not a number')
         elif refusal is None and self._health.astray:
@@ -304,12 +300,6 @@ class PoseFilter:
     def with_landmarks(self, stamp_ns: int) -> FloatArray:
         """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
         return self._history.at(stamp_ns).cross[:3, : 2 * len(self._map.landmarks)]
-
-    def _untimely(self, stamp_ns: int) -> Refusal | None:
-        if not self._history.started:
-            return Refusal('not initialized', 'give a start pose')
-        late = (self._history.begin_ns - stamp_ns) * 1e-9
-        return Refusal('too late', f'{late:.3f} s before the history') if late > 0.0 else None
 
     def _measure(self, stamp_ns: int, step: Step) -> FusionUpdate:
         wide = bool(self._health.too_wide(self._history.at(stamp_ns).estimate()))
