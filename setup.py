@@ -64,7 +64,7 @@ setup(
             'hypothesis>=6.100',
             'mypy==2.4.1',
             'pytest>=8.0',
-            'pytest-xdist>=3.5',
+            'pytest-xdist>=3.8',
             'ruff==0.17.5',
             'types-PyYAML',
             'types-tqdm',

@@ -220,6 +220,25 @@ class TestStatus:
         assert update.degrees == 8
         assert np.abs(error_of(fused.estimate(stamp_ns), pose)).max() < 0.02
 
+    def test_pictures_that_were_blind_before_a_stand_say_nothing_of_it(self) -> None:
+        """A robot that stops where nothing is to be seen knows where it is."""
+        fused, sigmas, moments = started(), [], list(drive(140))
+        run(fused, 61)
+        stands = moments[70].odometry.pose_odom_base
+        for k, moment in enumerate(moments[62:], 62):
+            stamp_ns = moment.odometry.stamp_ns
+            here = moment.odometry.pose_odom_base if k <= 70 else stands
+            fused.add_odometry(replace(moment.odometry, pose_odom_base=here))
+            if k % EVERY == 0:
+                seen = detections(MAP, moment.pose, stamp_ns, range(8), SIGMA)
+                nothing = seen.chosen(np.zeros(8, dtype=np.bool_))
+                missed = MAP.ids if k <= 70 else MAP.ids[:0]
+                fused.add_detections(replace(nothing, missed=missed))
+            state = fused.state
+            assert state is not None
+            sigmas.append(np.sqrt(np.trace(state.covariance[:2, :2])))
+        assert max(sigmas) < 0.05
+
     def test_wide_start_is_lost_until_seen(self) -> None:
         fused = PoseFilter(MAP, MOUNT)
         fused.initialize(start_estimate(sigmas=np.array([1.0, 1.0, 0.3])))

@@ -152,3 +152,19 @@ def test_joints_that_are_late_are_told_from_wheels_that_slip(
         fused, errors = slipped(seed, slip_deg, late_s)
         assert fused.late.delay_s == pytest.approx(late_s, abs=0.01)
         assert abs(errors[1]) < 1.2
+
+
+def test_an_angle_that_was_told_while_nothing_was_seen_is_told_once(fused: PoseFilter) -> None:
+    """Odometry is not asked again of what the picture after it has told."""
+    told, pivot = [], np.zeros(3)
+    for k, moment in enumerate(drive(140)):
+        wheels = moment.odometry.pose_odom_base
+        pivot = wheels if k <= 80 else pivot
+        turned = [0.0, 0.0, np.radians(5.0) if k > 80 else 0.0]
+        wheels = compose(pivot, compose(turned, compose(inverse(pivot), wheels)))
+        fused.add_odometry(replace(moment.odometry, pose_odom_base=wheels))
+        if k % 4 == 0 and not 72 < k < 100:
+            seen = detections(MAP, moment.pose, moment.odometry.stamp_ns, range(8), SIGMA_RAD)
+            fused.add_detections(seen)
+            told.append(fused.status[1])
+    assert len({reason for reason in told if 'turned' in reason}) == 1

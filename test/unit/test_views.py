@@ -21,7 +21,7 @@ def look(views: Views, seconds: float, found: range, missed: range, elsewhere: i
 
 def told_after_s(views: Views, found: range, missed: range) -> float:
     """Seconds of the same picture, five times a second, until too little of it is found."""
-    for k in range(50):
+    for k in range(100):
         if look(views, 10.0 + 0.2 * k, found, missed):
             return 0.2 * k
     return np.inf
@@ -48,8 +48,8 @@ def test_what_was_there_a_moment_ago_is_missed_at_once(confirmed: Views) -> None
     assert told_after_s(confirmed, range(1), range(1, 12)) < 1.5
 
 
-def test_a_wall_of_exchanged_pictures_is_no_wrong_pose(confirmed: Views) -> None:
-    assert told_after_s(confirmed, range(20, 22), range(22, 38)) == np.inf
+def test_a_wall_of_exchanged_pictures_is_no_wrong_pose_for_a_while(confirmed: Views) -> None:
+    assert 14.0 < told_after_s(confirmed, range(20, 22), range(22, 38)) < 16.0
 
 
 def test_where_few_have_spoken_for_the_pose_it_is_told_after_a_while() -> None:

@@ -9,7 +9,7 @@ from fusion_drives import detections, drive, MOUNT
 import numpy as np
 import pytest
 
-from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.fusion.config import HealthConfig
 from landmark_nav.localization.fusion.contradictions import Contradictions
 from landmark_nav.localization.fusion.health import Health
@@ -246,3 +246,22 @@ def test_pictures_in_a_row_are_one_contradiction() -> None:
     np.testing.assert_allclose(lasted, 0.25 + 0.2 * np.arange(6))
     assert contradictions.note(4 * NS) == 1.5
     assert contradictions.note(60 * NS) == 0.25
+
+
+def test_nor_does_one_that_takes_it_in_fixes() -> None:
+    walls = on_walls([EAST] * 5 + [NORTH] * 5)
+    fused = PoseFilter(walls, MOUNT, FusionConfig(mode='poses'))
+    moments = list(drive(100))
+    start = PoseEstimate(0, moments[0].pose, np.diag(np.square([0.02, 0.02, 0.005])))
+    fused.initialize(start, witnesses=NOBODY)
+    for k, moment in enumerate(moments):
+        fused.add_odometry(moment.odometry)
+        stamp_ns = moment.odometry.stamp_ns
+        seen, off_rad = (range(5), 0.0) if k < 12 else (range(5, 10), 0.04)
+        fused.add_detections(detections(walls, moment.pose, stamp_ns, seen, SIGMA, off_rad))
+        fixed = moment.pose - np.array([0.0, 0.0, off_rad])
+        covariance = np.diag(np.square([0.005, 0.005, 0.002]))
+        update = fused.add_pose(PoseEstimate(stamp_ns, fixed, covariance))
+        assert (update.turned_rad != 0.0) == (k == 12)
+    assert fused.status[0] == 'coasting'
+    assert 'only one wall' in fused.status[1]

@@ -64,7 +64,7 @@ class Health:
         self._vain = 0
 
     def restart(self, stamp_ns: int) -> None:
-        """Forget everything: a pose was given at that time."""
+        """Begin anew: a pose was given at that time. What was contradicted of late is kept."""
         self._accepted_ns = stamp_ns
         self._rejections = self._acceptances = 0
         self._astray = self._last_refusal = ''
@@ -87,9 +87,9 @@ class Health:
         return self._contradictions.seconds > _TROUBLE_S
 
     @property
-    def blinded(self) -> bool:
-        """Whether the last pictures showed nothing of what others have shown."""
-        return self._views.blinded
+    def blind_since_ns(self) -> int | None:
+        """Time since which pictures show nothing of what others have shown."""
+        return self._views.blind_since_ns
 
     @property
     def doubts(self) -> int:

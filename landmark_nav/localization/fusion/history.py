@@ -188,14 +188,14 @@ class History:
         """Last event with a step before a place; else the first of all."""
         return next((k for k in range(place - 1, 0, -1) if self._events[k].step), 0)
 
-    def doubt_stand(self, stamp_ns: int) -> None:
+    def doubt_stand(self, stamp_ns: int, blind_since_ns: int | None) -> None:
         """
-        Take the robot for moved where it stands, as pictures until then show nothing any more.
+        Take the robot for moved where pictures show nothing any more since it stands.
 
-        Unless one has been used since it stands: then the camera is to blame.
+        Unless one has been tried since it stands: then the camera is to blame.
         """
         stands_ns = self._track.stands_since_ns
-        if stands_ns is None or stands_ns >= stamp_ns:
+        if stands_ns is None or blind_since_ns is None or stands_ns >= blind_since_ns:
             return
         before = self._step_before(self._place(stamp_ns))
         seen_ns = self._events[before].stamp_ns

@@ -30,10 +30,10 @@ from landmark_nav.localization.fusion.mixture import Outcome, weighed
 from landmark_nav.localization.fusion.start import (
     checked_start,
     doubted_turn,
-    found_by_camera,
     is_finite,
     is_headed,
     turned_since,
+    with_joints_in_doubt,
 )
 from landmark_nav.localization.fusion.state import (
     among,
@@ -160,7 +160,7 @@ class PoseFilter:
             sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
         if witnesses is not None:
-            state = found_by_camera(state, start, self._history.led(start.stamp_ns))
+            state = with_joints_in_doubt(state, start, self._history.led(start.stamp_ns))
         self._history.restart(state)
         self._was_narrow, self._was_doubted = False, True
         self._health.restart(start.stamp_ns)
@@ -217,8 +217,8 @@ class PoseFilter:
         if (refusal := self._health.unusable(frame.scores, expected)) is not None:
             self._health.note(refusal)
             self._health.look(stamp, frame.columns[:0], missed, places)
-            if self._health.blinded:
-                self._history.doubt_stand(stamp)
+            if expected:
+                self._history.doubt_stand(stamp, self._health.blind_since_ns)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         update = self._measure(
             stamp,
@@ -237,11 +237,15 @@ class PoseFilter:
         elsewhere = len(update.rejected) - len(frame.unusable) if update.degrees else 0
         agree = self._columns_of(update.accepted_ids)
         self._health.look(stamp, agree, missed, places, elsewhere)
+        self._speak(update, agree)
+        return update
+
+    def _speak(self, update: FusionUpdate, columns: IndexArray) -> None:
+        """Let landmarks speak for the place, if it takes no knock or slip for them to fit."""
         if update.turned_rad:
             self._witnesses.contradicted(again=self._health.repeats)
         else:
-            self._witnesses.hear(agree)
-        return update
+            self._witnesses.hear(columns)
 
     def _columns_of(self, ids: npt.NDArray[np.int64]) -> IndexArray:
         """Places in the map of those landmarks that it holds."""
@@ -272,7 +276,7 @@ class PoseFilter:
             stamp, lambda mixture: weighed(mixture, lambda state: [Outcome(*at_state(state))])
         )
         if update.degrees:
-            self._witnesses.hear(columns)
+            self._speak(update, columns)
         return update
 
     def no_pose(self, stamp_ns: int, refusal: Refusal) -> FusionUpdate:
@@ -318,9 +322,11 @@ class PoseFilter:
                 self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubted_state), None))
                 self._witnesses.restart(vouched=False)
         elif update.degrees:
-            if self._was_doubted:
-                turn_rad = self._reconsider(stamp_ns) or turn_rad
-            if not self._was_doubted:
+            if turn_rad:
+                self._was_doubted = False
+            elif self._was_doubted:
+                turn_rad = self._reconsider(stamp_ns)
+            if self._witnesses.vouched and not self._was_doubted:
                 self._history.trust(stamp_ns)
         if turn_rad:
             angle = f'{np.degrees(turn_rad):+.2f} deg'
@@ -329,12 +335,12 @@ class PoseFilter:
         return update
 
     def _reconsider(self, stamp_ns: int) -> float:
-        """Ask odometry about a pose that is believed again; by how much it led elsewhere, rad."""
+        """Ask odometry about a pose that is believed again; what all bearings are off by, rad."""
         found, most_rad = self._history.at(stamp_ns), self._config.turn_sigma_rad
         self._was_doubted = not is_headed(found)
-        if self._was_doubted or not most_rad:
+        if self._was_doubted:
             return 0.0
-        if turn_rad := turned_since(found, self._history.led(stamp_ns)):
+        if turn_rad := turned_since(found, self._history.led(stamp_ns), most_rad):
             doubt = partial(doubted_turn, turn_rad=turn_rad, lever=self._lever, most_rad=most_rad)
             self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
         return turn_rad

@@ -21,10 +21,10 @@ from landmark_nav.types import FloatArray, PoseEstimate
 __all__ = [
     'checked_start',
     'doubted_turn',
-    'found_by_camera',
     'is_finite',
     'is_headed',
     'turned_since',
+    'with_joints_in_doubt',
 ]
 
 # A place is found with a heading at least as good as this unless the camera turns.
@@ -32,8 +32,9 @@ _TURNING_RAD = 0.02
 # Part of what late joints leave open of a heading (sigmas) to which odometry tells it.
 _LED_SHARE = 0.3
 # Further from where odometry led than so many sigmas, and as many times so many metres, a robot
-# was carried; a heading that far from it is a surprise.
-_SURPRISE, _NEAR_M = 3.0, 0.1
+# was carried; a heading that far from it is a surprise. So many times as far as a camera may have
+# been knocked it was turned: cameras are not.
+_SURPRISE, _NEAR_M, _CARRIED = 3.0, 0.1, 3.0
 
 
 def is_finite(estimate: PoseEstimate) -> bool:
@@ -70,7 +71,7 @@ def checked_start(
     return replace(start, stamp_ns=now_ns)
 
 
-def found_by_camera(
+def with_joints_in_doubt(
     state: FilterState, found: PoseEstimate, led: FilterState | None
 ) -> FilterState:
     """
@@ -89,37 +90,41 @@ def found_by_camera(
     return with_late_joints(state, LATE_S)
 
 
-def turned_since(found: FilterState, led: FilterState | None) -> float:
+def turned_since(found: FilterState, led: FilterState | None, most_rad: float) -> float:
     """
-    Angle by which a heading that was found anew is off from where odometry led it, radians.
+    Angle by which all bearings are off from where odometry led, in a pose found anew; radians.
 
     Parameters
     ----------
     found, led : FilterState
         Of one time: as landmarks tell it, and as odometry alone leads to it from where the pose
         was believed last, if it ever was.
+    most_rad : float
+        How far a camera that was knocked is doubted at most.
 
     Returns
     -------
     float
-        0 where both agree, or the robot was carried elsewhere: that tells nothing of the camera.
+        0 where both agree, or the robot was carried or turned elsewhere: that tells nothing of
+        the camera.
 
     """
     if led is None:
         return 0.0
-    away = found.mean[:3] - led.mean[:3]
+    away = led.mean[:3] - found.mean[:3]
     angle = float(wrap_rad(away[HEADING]))
     spread = found.covariance[:3, :3] + led.covariance[:3, :3]
     near = away[:2] @ np.linalg.solve(spread[:2, :2] + _NEAR_M**2 * np.eye(2), away[:2])
-    surprising = abs(angle) > _SURPRISE * np.sqrt(spread[HEADING, HEADING])
-    return angle if surprising and near < _SURPRISE**2 else 0.0
+    least = _SURPRISE * np.sqrt(spread[HEADING, HEADING])
+    told = near < _SURPRISE**2 and least < abs(angle) < _CARRIED * most_rad
+    return angle if told else 0.0
 
 
 def doubted_turn(
     found: FilterState, turn_rad: float, lever: FloatArray, most_rad: float
 ) -> FilterState:
     """
-    Lay part of an angle to the camera that was laid to the base, and doubt both as one.
+    Lay part of an angle of all bearings to the camera, not the base, and doubt both as one.
 
     What landmarks tell fits any of it: where the pan axis is, and how the camera is directed.
 
@@ -137,7 +142,7 @@ def doubted_turn(
     by_turn[:2] = cosine * left + sine * forward, sine * left - cosine * forward
     by_turn[[HEADING, BORESIGHT]] = 1.0
     camera_share = KNOCKED**2 / (1.0 + KNOCKED**2)
-    mean = found.mean - camera_share * turn_rad * by_turn
+    mean = found.mean + camera_share * turn_rad * by_turn
     mean[HEADING] = wrap_rad(mean[HEADING])
     variance = camera_share * min(abs(turn_rad), most_rad) ** 2
     covariance = found.covariance + variance * np.outer(by_turn, by_turn)

@@ -20,8 +20,9 @@ AGREE, FOUND_SHARE = 3, 0.4
 _MISSING_SHARE, _MISSING_EXPECTED, _MISSING_EXTENT_M = 0.15, 10, 1.5
 # In so many seconds, if those count that pictures have shown since the pose is known. The others
 # may hang on a wall whose pictures were exchanged. They count when no picture has spoken for the
-# pose for longer, unless as many have been found in their places as it takes to contradict it.
-_FAMILIAR_S, _ALL_S = 1.4, 4.0
+# pose for longer; for much longer, where as many were found in their places as it takes to
+# contradict it.
+_FAMILIAR_S, _ALL_S, _OUTWEIGHED_S = 1.4, 4.0, 15.0
 # One that shows nothing may be blurred; so many are not.
 _BLINDED = 2
 # Pictures of so much of that time tell.
@@ -53,6 +54,7 @@ class Views:
     def __init__(self) -> None:
         self._views: deque[_View] = deque()
         self._familiar: set[int] = set()
+        self._confirmed_ns = 0
 
     def clear(self) -> None:
         """Judge no more by what was seen so far."""
@@ -70,6 +72,7 @@ class Views:
         """Take note of a picture: landmarks that agree with the pose, and those not found."""
         confirms = len(found) >= max(AGREE, FOUND_SHARE * (len(found) + len(missed)))
         if confirms:
+            self._confirmed_ns = stamp_ns
             self._familiar.update(found.tolist())
         known = self._familiar
         familiar = np.array([not known or k in known for k in missed.tolist()], dtype=np.bool_)
@@ -78,11 +81,12 @@ class Views:
             self._views.popleft()
 
     @property
-    def blinded(self) -> bool:
-        """Whether the last pictures showed nothing of what others have shown."""
+    def blind_since_ns(self) -> int | None:
+        """Time of the last pictures' first if none of them shows what others have shown."""
         last = list(self._views)[-_BLINDED:]
         blind = [not view.found and np.count_nonzero(view.familiar) >= AGREE for view in last]
-        return bool(self._familiar) and len(last) == _BLINDED and all(blind)
+        blinded = self._familiar and len(last) == _BLINDED and all(blind)
+        return last[0].stamp_ns if blinded else None
 
     def elsewhere(self) -> str:
         """How many lie elsewhere, if that are too many."""
@@ -100,10 +104,12 @@ class Views:
         A wrong pose finds next to nothing where it looks, for as long as it is wrong; a covered
         landmark or an exchanged picture leaves the others.
         """
-        confirmed = any(view.confirms for view in self._views)
-        few = self._missing(_FAMILIAR_S, unfamiliar=False)
-        if few or confirmed or len(self._familiar) >= _MISSING_EXPECTED:
+        if few := self._missing(_FAMILIAR_S, unfamiliar=False):
             return few
+        patience_s = _OUTWEIGHED_S if len(self._familiar) >= _MISSING_EXPECTED else _ALL_S
+        waited_s = 1e-9 * abs(self._views[-1].stamp_ns - self._confirmed_ns)
+        if self._familiar and waited_s <= patience_s:
+            return ''
         return self._missing(_ALL_S, unfamiliar=True)
 
     def _missing(self, seconds: float, unfamiliar: bool) -> str:
