@@ -18,18 +18,13 @@ from landmark_nav.demo.supervisor import Supervisor
 if TYPE_CHECKING:
     from landmark_nav.ros.robot_client import RobotClient
 
-# Processes of pytest side by side have one parent, and take turns with the domains.
-_WORKER = os.environ.get('PYTEST_XDIST_WORKER', '')
-_RUN = os.getppid() if _WORKER else os.getpid()
-_NUMBER = count(
-    int(_WORKER.removeprefix('gw') or 0), int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', 1))
-)
+_NUMBER = count()
 
 
 @pytest.fixture
 def domain_id() -> int:
     """A domain that no other test of this run uses, below the ephemeral ports."""
-    return 10 + (_RUN * 7 + next(_NUMBER)) % 90
+    return 10 + (os.getpid() * 7 + next(_NUMBER)) % 90
 
 
 @pytest.fixture

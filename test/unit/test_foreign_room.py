@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from place_scenes import MAP, MOUNT, ROOM, SCENE, sweep
 from scenes import textured_room
-from test_relocalization import MAP, MOUNT, ROOM, SCENE, sweep
 
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate

@@ -1,10 +1,12 @@
+"""The place of a robot that knows nothing of it: found, refused, or not unique."""
+
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-import pickle
 
 import numpy as np
+from place_scenes import ALONG, assert_right, learned, LENS, MAP, MOUNT, PANS, ROOM, SCENE, sweep
 import pytest
 from scenes import (
     blurred_by,
@@ -18,13 +20,8 @@ from scenes import (
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.looking import LookingConfig
-from landmark_nav.localization.relocalization import (
-    RelocalizationConfig,
-    Relocalizer,
-    UnsurePlace,
-)
+from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, UnsurePlace
 from landmark_nav.localization.relocalization.hypotheses import propose
 from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import (
@@ -32,7 +29,6 @@ from landmark_nav.localization.relocalization.verification import (
     Verification,
     verify,
 )
-from landmark_nav.localization.relocalization.views import shows_new, view_direction
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -41,45 +37,6 @@ from landmark_nav.types import (
     PoseEstimate,
     Refusal,
 )
-
-LENS = CameraModel(
-    400, 300, 330.0, 330.0, 200.0, 150.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
-)
-MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15), optical_center_offset=(0.03, 0.01, 0.02))
-ROOM = rectangle_room(5.0, 4.0)
-SCENE = textured_room(ROOM, seed=7, feature_m=0.045)
-ALONG = ((-0.33, 0.3), (-0.2, -0.3), (-0.05, 0.35), (0.1, -0.2), (0.22, 0.25), (0.34, -0.35))
-PANS = np.radians(np.arange(-180, 180, 40))
-
-
-def learned(scene: Scene) -> LandmarkMap:
-    """Six landmarks a wall, at different heights."""
-    landmarks = [
-        true_landmark(
-            scene, 10 * k + j, board, across * board.width_m, up, np.array([2.5, 2.0, 1.17])
-        )
-        for k, board in enumerate(scene.boards)
-        for j, (across, up) in enumerate(ALONG)
-    ]
-    return LandmarkMap(tuple(landmarks), walls=ROOM.walls)
-
-
-MAP = learned(SCENE)
-
-
-def sweep(
-    scene: Scene,
-    pose: Sequence[float],
-    pans: FloatArray = PANS,
-    tilt_rad: float = 0.0,
-) -> list[CameraFrame]:
-    rng = np.random.default_rng(3)
-    return [
-        draw_frame(
-            scene, LENS, MOUNT, np.array(pose), float(p), tilt_rad, stamp_ns=k * 10**8, rng=rng
-        )
-        for k, p in enumerate(pans)
-    ]
 
 
 def standing(
@@ -99,15 +56,6 @@ def driven(
         if isinstance(outcome, PoseEstimate):
             break
     return outcome
-
-
-def assert_right(found: PoseEstimate | Refusal, pose: Sequence[float]) -> None:
-    assert isinstance(found, PoseEstimate), str(found)
-    error = found.pose - pose
-    error[2] = wrap_rad(error[2])
-    assert np.hypot(*error[:2]) < 0.02
-    assert abs(error[2]) < np.radians(0.4)
-    assert error @ np.linalg.solve(found.covariance, error) < 21.0  # 3 dof: one in 10 000
 
 
 @pytest.mark.parametrize('pose', [(2.4, 1.9, 0.4), (1.5, 2.6, 3.1), (3.6, 1.4, -1.9)])
@@ -303,93 +251,3 @@ def test_what_odometry_may_have_erred_by_is_left_open() -> None:
         assert isinstance(found, Verification), str(found)
         sigmas.append(np.sqrt(np.trace(found.estimate.covariance[:2, :2])))
     assert sigmas[1] > 2.0 * sigmas[0]
-
-
-def test_a_stream_gathers_views_until_they_suffice() -> None:
-    relocalizer = Relocalizer(MAP, MOUNT)
-    wheel = np.array([7.0, -3.0, 2.0])
-    pose = np.array([1.7, 1.6, 0.1])
-    outcomes: list[PoseEstimate | Refusal] = []
-    for k in range(60):
-        step = np.array([0.012, 0.0, 0.01])
-        pose, wheel = se2.compose(pose, step), se2.compose(wheel, step)
-        stamp = 50_000_000 * k
-        relocalizer.add_odometry(OdometrySample(stamp, wheel))
-        if k % 6 == 0:
-            frame = draw_frame(SCENE, LENS, MOUNT, pose, 0.06 * k - 2.5, stamp_ns=stamp)
-            outcomes.append(relocalizer.add_frame(frame))
-        if isinstance(outcomes[-1], PoseEstimate):
-            break
-    assert isinstance(outcomes[0], Refusal)
-    assert_right(outcomes[-1], pose.tolist())
-
-
-def test_a_place_found_while_the_camera_turns_has_an_uncertain_heading() -> None:
-    """Joint states that are late make all pictures agree on a wrong one."""
-    relocalizer = Relocalizer(MAP, MOUNT)
-    pose = np.array([2.4, 1.9, 0.4])
-    relocalizer.add_odometry(OdometrySample(0, np.zeros(3)))
-    relocalizer.add_odometry(OdometrySample(10**9, np.zeros(3)))
-    rate, outcome = 1.5, Refusal('nothing seen yet')
-    for k, frame in enumerate(sweep(SCENE, pose.tolist())):
-        # It rested at first.
-        outcome = relocalizer.add_frame(replace(frame, pan_rate_rad_s=rate if k else 0.0))
-        if isinstance(outcome, PoseEstimate):
-            break
-    assert_right(outcome, pose.tolist())
-    assert isinstance(outcome, PoseEstimate)
-    sigma = np.sqrt(np.diag(outcome.covariance))
-    assert sigma[2] == pytest.approx(0.1 * rate, rel=0.01)
-    assert sigma[0] < 0.03
-
-
-def test_a_stream_that_shows_the_same_again_gives_the_same_answer() -> None:
-    relocalizer = Relocalizer(MAP, MOUNT)
-    dark = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
-    first = relocalizer.add_frame(dark)
-    relocalizer.add_odometry(OdometrySample(0, np.zeros(3)))
-    relocalizer.add_odometry(OdometrySample(10**8, np.zeros(3)))
-    assert relocalizer.add_frame(replace(dark, stamp_ns=10**8)) is first
-
-
-def test_a_camera_that_froze_shows_nothing_new_wherever_its_joints_say_it_looks() -> None:
-    relocalizer = Relocalizer(MAP, MOUNT)
-    frame, turned = sweep(SCENE, (2.4, 1.9, 0.4), PANS[:2])
-    for k in range(2):
-        relocalizer.add_odometry(OdometrySample(k * 10**8, np.zeros(3)))
-    first = relocalizer.add_frame(frame)
-    assert relocalizer.add_frame(replace(turned, image=frame.image)) is first
-    assert relocalizer.add_frame(turned) is not first
-
-
-def test_the_same_view_from_elsewhere_is_a_new_one() -> None:
-    frame = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
-    ahead = view_direction(frame, MOUNT)
-    for away_m, new in ((0.5, False), (0.7, True)):
-        before = np.array([[away_m, 0.0, 0.0]])
-        assert shows_new(frame, ahead, np.zeros(3), ahead[None], before) == new
-
-
-def test_a_stream_without_pictures_does_not_grow() -> None:
-    relocalizer = Relocalizer(MAP, MOUNT)
-    sizes = []
-    for k in range(4000):
-        relocalizer.add_odometry(OdometrySample(k * 10**8, np.array([0.02 * k, 0.0, 0.0])))
-        if k in (100, 3999):
-            sizes.append(len(pickle.dumps(relocalizer)))
-    assert sizes[1] < sizes[0] + 100
-
-
-def test_a_place_moves_on_with_the_odometry_that_came_meanwhile() -> None:
-    relocalizer = Relocalizer(MAP, MOUNT)
-    found = PoseEstimate(0, np.array([1.0, 2.0, np.pi / 2]), np.diag([0.01, 0.01, 0.005]) ** 2)
-    assert relocalizer.moved_on(found) is found
-    for k in range(11):
-        relocalizer.add_odometry(OdometrySample(k * 10**8, np.array([0.05 * k, 0.0, 0.0])))
-    place = relocalizer.moved_on(found)
-    assert place.stamp_ns == 10**9
-    np.testing.assert_allclose(place.pose, [1.0, 2.5, np.pi / 2], atol=1e-9)
-    sigma = np.sqrt(np.diag(place.covariance))
-    # Along the way, that is y, the wheels may err by a share of it.
-    assert 0.02 < sigma[1] < 0.04
-    assert sigma[2] > 0.005

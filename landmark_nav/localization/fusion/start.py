@@ -130,6 +130,8 @@ def doubted_turn(
 
     Parameters
     ----------
+    turn_rad : float
+        By which all bearings are off, as `turned_since` tells it.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
     most_rad : float
