@@ -18,7 +18,7 @@ endif
 BIN = .venv/bin
 NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector triangulation_localizer \
 	odometry_fusion room_simulator bag_player
-PACKAGED = setup.py setup.cfg pyproject.toml package.xml README.md \
+PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \

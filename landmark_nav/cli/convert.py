@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator
 import heapq
 from pathlib import Path
-from shlex import quote
+import shlex
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import save_map
 from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
 from landmark_nav.storage.whole import write_whole
-from landmark_nav.types import FloatArray, OdometrySample
+from landmark_nav.types import OdometrySample
 
 __all__ = ['add_arguments', 'run']
 
@@ -104,10 +104,9 @@ def run(args: argparse.Namespace) -> int:
         f'{delay:.2f} s'
     )
     print(wrapped([told]))
-    print(
-        f'landmark-nav evaluate {quote(str(args.out))} --map {quote(str(landmarks))} '
-        f'--robot {quote(str(robot))} --config {quote(str(config))} --start {_listed(start)}'
-    )
+    words = ['landmark-nav', 'evaluate', str(args.out), '--map', str(landmarks)]
+    words += ['--robot', str(robot), '--config', str(config)]
+    print(shlex.join([*words, '--start', *(f'{value:.4f}' for value in start)]))
     return 0
 
 
@@ -128,7 +127,3 @@ def _write_bag(log: MrclamLog, odometry: tuple[OdometrySample, ...], path: Path)
     with BagWriter(path) as bag:
         for stamp, topic, message in progress(merged, 'writing', total):
             bag.write(topic, message, stamp)
-
-
-def _listed(pose: FloatArray) -> str:
-    return ' '.join(f'{value:.4f}' for value in pose)

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Conduct the demo, then measure what it recorded."""
-    require_ros('landmark-nav demo')
+    require_ros('it')
     folder = _emptied(args.out)
     # A supervisor that is told to end must end its nodes too.
     signal.signal(signal.SIGTERM, _interrupt)
@@ -115,16 +115,15 @@ def _report(
     run = recorded_run(Bag(folder / 'recording'))
     measured = figures(run, landmarks)
     room = load_room(folder / 'room.yaml')
-    draw_map(landmarks, folder / 'map.png', room.papers)
     # The node gives the map alone; the same stages tell what became of every candidate.
     learned = learn_from_panoramas(panoramas, room, LearningConfig())
-    for k, view in enumerate(learned.panoramas):
-        path = folder / f'panorama_{k + 1}.png'
-        draw_panorama(view, learned.candidates[k], learned.outcomes[k], k + 1, path)
-    pictures = {name: folder / f'{name.lower()}.png' for name in ('Trajectory', 'Errors')}
+    pictures = {name: folder / f'{name.lower()}.png' for name in ('Trajectory', 'Errors', 'Map')}
     draw_trajectory(run, landmarks, pictures['Trajectory'])
     draw_errors(run, run_errors(run), pictures['Errors'])
-    pictures |= {'Map': folder / 'map.png', 'Panorama 1': folder / 'panorama_1.png'}
+    draw_map(landmarks, pictures['Map'], room.papers)
+    for k, view in enumerate(learned.panoramas):
+        path = pictures[f'Panorama {k + 1}'] = folder / f'panorama_{k + 1}.png'
+        draw_panorama(view, learned.candidates[k], learned.outcomes[k], k + 1, path)
     (folder / 'report.html').write_text(html_report('Demo', measured, pictures), encoding='utf-8')
     (folder / 'demo.json').write_text(json.dumps(measured, indent=2) + '\n', encoding='utf-8')
     for line in error_table(measured):

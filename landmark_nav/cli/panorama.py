@@ -90,6 +90,10 @@ def run(args: argparse.Namespace) -> int:
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
     config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
     pictures = (args.sweep / 'frames.csv').is_file()
+    if not pictures and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
+        raise LandmarkNavError(
+            f'{args.sweep}: pictures without frames.csv (file,pan_rad,focal_px,width,height)'
+        )
     if pictures and args.number is not None:
         raise LandmarkNavError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
     sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args.sweep, args.number, mount)

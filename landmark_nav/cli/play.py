@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Become the node ``bag_player``."""
-    require_ros('landmark-nav play')
+    require_ros('it')
     # Values are YAML to ROS: quoted, so that a folder called 12 stays a name.
     parameters = ['-p', f'bag:={json.dumps(args.bag)}', '-p', f'rate:={args.rate!r}']
     command = ['-m', 'landmark_nav.nodes.bag_player', '--ros-args', *parameters, *args.ros_args]

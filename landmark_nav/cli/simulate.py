@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+import shlex
 from typing import Any
 
 import numpy as np
@@ -207,7 +208,20 @@ def run(args: argparse.Namespace) -> int:
         f'{args.out}: {len(poses)} sweeps of {args.frames} frames in learn, '
         f'{args.drive_seconds:g} s in drive, room of {len(scene.room.walls)} walls'
     )
+    if len(poses) > 1:
+        _print_next_commands(args.out, start)
     return 0
+
+
+def _print_next_commands(folder: Path, start: Any) -> None:
+    """Tell what learns from these bags, and what drives with that."""
+    learn, drive, room, robot, out = (
+        str(folder / name) for name in ('learn', 'drive', 'room.yaml', 'robot.yaml', 'map')
+    )
+    words = ['learn', learn, '--room', room, '--robot', robot, '--out', out]
+    print(shlex.join(['landmark-nav', *words]))
+    words = ['evaluate', drive, '--map', out, '--robot', robot, '--start']
+    print(shlex.join(['landmark-nav', *words, *(f'{value:.4f}' for value in start)]))
 
 
 def _camera_rate(text: str) -> float:

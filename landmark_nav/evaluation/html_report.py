@@ -17,7 +17,7 @@ _STYLE = (
     'td,th{padding:.25rem .7rem;border-bottom:1px solid #8886;text-align:right}'
     'td{font-variant-numeric:tabular-nums}'
     'td:first-child,th:first-child,.left{text-align:left}'
-    'img{max-width:100%;background:#fff}'
+    'img{max-width:100%;background:#fff;cursor:zoom-in}.whole{max-width:none;cursor:zoom-out}'
 )
 
 _ROWS = {
@@ -81,7 +81,8 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         head_of_spells += '<th class="left">reason</th>'
         others += f'</table><table><tr>{head_of_spells}</tr>{spells}'
     pictures = ''.join(
-        f'<h2>{escape(caption)}</h2><img alt="{escape(caption)}" '
+        f'<h2>{escape(caption)}</h2><img alt="{escape(caption)}" title="click for full size" '
+        'onclick="this.classList.toggle(\'whole\')" '
         f'src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'
         for caption, path in figures.items()
     )

@@ -36,5 +36,5 @@ def require_ros(what: str) -> None:
     if missing:
         raise LandmarkNavError(
             f'{what} needs ROS 2, and {", ".join(missing)} cannot be imported: '
-            f'run `pip install .[ros]` or source a ROS 2 environment'
+            f"run pip install '.[ros]' or source a ROS 2 environment"
         )

@@ -42,7 +42,12 @@ def load_config(path: Path | str, default: T) -> T:
 
     """
     path = Path(path)
-    return _changed(default, read_yaml_mapping(path), str(path))
+    values = read_yaml_mapping(path)
+    if any(isinstance(value, Mapping) and 'ros__parameters' in value for value in values.values()):
+        raise LandmarkNavError(
+            f'{path}: is a file for ROS: here the sections under ros__parameters stand alone'
+        )
+    return _changed(default, values, str(path))
 
 
 def _changed(config: T, values: Any, where: str) -> T:

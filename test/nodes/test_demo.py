@@ -98,7 +98,8 @@ def test_learns_drives_and_stays_exact(tmp_path: Path, domain_id: int) -> None:
     assert bag.counts['/odometry/fused'] > 500
     measured = json.loads((folder / 'demo.json').read_text())
     assert measured['fused']['position_rmse_m'] < measured['odometry']['position_rmse_m']
-    assert (folder / 'report.html').read_text().count('<img') == 4
-    pictures = {path.name for path in folder.glob('*.png')}
-    assert {'map.png', 'trajectory.png', 'errors.png', 'panorama_1.png'} <= pictures
+    assert measured['nees']['interval_95'] is None
+    assert (folder / 'report.html').read_text().count('<img') == 5
+    pictures = {path.stem for path in folder.glob('*.png')}
+    assert {'map', 'trajectory', 'errors', 'panorama_1', 'panorama_2'} <= pictures
     assert processes(tmp_path) == {}

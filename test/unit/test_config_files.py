@@ -36,6 +36,7 @@ def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
     ('text', 'complaint'),
     [
         ('fusio: {}', "no parameter 'fusio': there are"),
+        ('/**: {ros__parameters: {fusion: {}}}', 'is a file for ROS'),
         ('fusion: {mod: poses}', "fusion: no parameter 'mod'"),
         ('fusion: {mode: both}', 'fusion: parameter mode .* take one of'),
         ('fusion: 3', 'fusion: is 3, not a mapping'),

@@ -48,6 +48,8 @@ def test_a_picture_that_is_missing_is_told_in_one_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     cv2.imwrite(str(tmp_path / '0.png'), picture(5))
+    assert panorama(tmp_path) == 1
+    assert 'pictures without frames.csv (file,pan_rad' in capfd.readouterr().err
     rows = ['file,pan_rad,focal_px,width,height', '0.png,0,60,64,48', 'gone.png,0.3,60,64,48']
     (tmp_path / 'frames.csv').write_text('\n'.join(rows))
     assert panorama(tmp_path) == 1

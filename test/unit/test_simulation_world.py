@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections import Counter
 import json
 from pathlib import Path
+import shlex
 
 import numpy as np
 import pytest
@@ -133,12 +134,16 @@ class TestCommand:
     @pytest.mark.parametrize('exact', [True, False])
     def test_writes_bags_and_setup(self, tmp_path, capsys, exact):
         out = tmp_path / 'run'
-        words = ['--seed', '11', '--sweeps', '1', '--frames', '8', '--drive-seconds', '1']
+        words = ['--seed', '11', '--frames', '8', '--drive-seconds', '1']
         calibration = Path(__file__).parents[1] / 'setups' / 'camera_quarter_vga.yaml'
         words += ['--camera', str(calibration)]
         words += ['--exact'] if exact else []
         assert main(['simulate', '--out', str(out), *words]) == 0
-        assert 'room of 4 walls' in capsys.readouterr().out
+        first, learn, evaluate = map(shlex.split, capsys.readouterr().out.splitlines())
+        assert first[-3:] == ['of', '4', 'walls']
+        assert learn[:3] == ['landmark-nav', 'learn', str(out / 'learn')]
+        assert main(evaluate[1:]) == 1
+        assert 'no map there' in capsys.readouterr().err
         assert sorted(path.name for path in out.iterdir()) == [
             'drive',
             'learn',
@@ -159,6 +164,7 @@ class TestCommand:
         truth = next(iter(drive.messages(['/ground_truth/odom']))).message
         start = json.loads((out / 'start.json').read_text())['pose']
         assert decode.odometry(truth).pose_odom_base == pytest.approx(start)
+        assert [float(word) for word in evaluate[-3:]] == pytest.approx(start, abs=1e-4)
 
     def test_bad_input_is_one_line_and_nothing_is_written(self, tmp_path, capsys):
         bad = tmp_path / 'room.yaml'

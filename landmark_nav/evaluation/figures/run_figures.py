@@ -87,14 +87,23 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
         )
         axes.plot(seconds, factor * fused[:, k], color=FUSED, linewidth=1.3, label='fused')
         axes.axhline(0.0, color=TRUTH, linewidth=0.6)
-        # A robot that is lost may be anywhere: its band runs off the axes.
-        shown = np.concatenate([band[~run.lost], np.abs(factor * fused[:, k])])
+        # A robot that is lost may be anywhere, and a start be told to decimetres: such bands run
+        # off the axes.
+        widest = np.percentile(band[~run.lost], 98.0) if not run.lost.all() else np.nan
+        shown = np.append(np.abs(factor * fused[:, k]), widest)
         limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
         axes.set_ylim(-limit, limit)
         beyond = int(np.sum(np.abs(factor * fixes[:, k]) > limit))
         if beyond:
-            text, place = f'{beyond} triangulated beyond', axes.transAxes
-            axes.text(0.995, 0.97, text, ha='right', va='top', fontsize=8, transform=place)
+            axes.annotate(
+                f'{beyond} triangulated beyond',
+                (0.995, 0.97),
+                xycoords='axes fraction',
+                ha='right',
+                va='top',
+                fontsize=8,
+                bbox={'facecolor': 'white', 'alpha': 0.8, 'linewidth': 0, 'pad': 1},
+            )
         axes.set_ylabel(label)
         plain(axes)
     _strip(rows[3], run, seconds)
