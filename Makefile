@@ -22,7 +22,7 @@ PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \
-	latency papers bad-sweeps spoiled faults config test-oldest clean
+	latency papers bad-sweeps spoiled faults config test-oldest test-colcon clean
 
 install: .venv/installed
 
@@ -115,5 +115,16 @@ test-oldest: .venv-oldest/installed
 	.venv-oldest/bin/python -m pip install --quiet --disable-pip-version-check -r test/oldest.txt .
 	touch $@
 
+# A workspace as `colcon build` leaves it; without landmark_nav from pip, which would hide what is missing.
+test-colcon: .venv-colcon/installed
+	.venv-colcon/bin/python test/colcon_check.py
+
+.venv-colcon/installed: setup.py
+	test -x .venv-colcon/bin/pip || $(PYTHON) -m venv .venv-colcon
+	rm -rf build
+	.venv-colcon/bin/python -m pip install --quiet --disable-pip-version-check '.[ros]' colcon-ros
+	.venv-colcon/bin/python -m pip uninstall --quiet --yes landmark_nav
+	touch $@
+
 clean:
-	rm -rf .venv .venv-oldest build dist *.egg-info demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-oldest .venv-colcon build dist *.egg-info demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
