@@ -6,6 +6,7 @@ Builds a workspace with colcon, as it is and with symbolic links, and starts wha
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -36,7 +37,9 @@ def check(workspace: Path, *options: str) -> list[str]:
         capture_output=True,
         text=True,
     )
-    wrong = [built.stderr] if built.returncode or built.stderr else []
+    if built.returncode:
+        return [built.stderr]
+    wrong = [built.stderr] if built.stderr else []
     prefix = workspace / 'install' / 'landmark_nav'
     wanted = [prefix / 'share/ament_index/resource_index/packages/landmark_nav']
     wanted += [prefix / 'share/landmark_nav' / name for name in ('package.xml', *SHARE)]
@@ -62,6 +65,9 @@ def check(workspace: Path, *options: str) -> list[str]:
 def main() -> int:
     """Build both ways and tell; exit status 1 if anything is wrong."""
     failed = False
+    # One would find the package without colcon, the other makes it warn.
+    for name in ('PYTHONPATH', 'PYTHONDONTWRITEBYTECODE'):
+        os.environ.pop(name, None)
     for options in ((), ('--symlink-install',)):
         with tempfile.TemporaryDirectory() as workspace:
             wrong = check(Path(workspace), *options)
