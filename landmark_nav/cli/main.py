@@ -17,6 +17,7 @@ import sys
 import warnings
 
 from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.threads import keep_to_one_thread
 
 __all__ = ['main']
 
@@ -54,6 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0 done, 1 the data does not allow it, 2 wrong usage, 130 interrupted.
 
     """
+    keep_to_one_thread()
     arguments = sys.argv[1:] if argv is None else list(argv)
     name = next((word for word in arguments if not word.startswith('-')), '')
     try:

@@ -45,13 +45,10 @@ def node_environment(domain_id: int) -> dict[str, str]:
     """
     Whole environment of this process, in a ROS domain of its own on this machine.
 
-    Whole, because the ROS wheels start Python anew with variables of their own. One thread each:
-    seven processes share few cores.
+    Whole, because the ROS wheels start Python anew with variables of their own.
     """
     return {
         **os.environ,
         'ROS_DOMAIN_ID': str(domain_id),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'OPENBLAS_NUM_THREADS': '1',
-        'OMP_NUM_THREADS': '1',
     }

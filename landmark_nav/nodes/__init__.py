@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros import require_ros
+from landmark_nav.threads import keep_to_one_thread
 
 try:
     require_ros('this node')
 except LandmarkNavError as error:
     raise SystemExit(str(error)) from None
+keep_to_one_thread()

@@ -15,6 +15,7 @@ MAX_LINES = 350
 GROUND = {'arrays', 'errors', 'parameters', 'geometry', 'quality', 'types'}
 STAGES = {*GROUND, 'matching', 'learning', 'localization'}
 FILES = {*GROUND, 'messages', 'storage'}
+RUN = {'ros', 'threads'}
 BELOW = {
     'errors': set[str](),
     'parameters': {'errors'},
@@ -31,10 +32,11 @@ BELOW = {
     'simulation': FILES,
     'upkeep': {*GROUND, 'matching'},
     'evaluation': {*STAGES, *FILES, 'planning'},
+    'threads': set[str](),
     'ros': FILES,
-    'nodes': {*STAGES, *FILES, 'simulation', 'ros'},
+    'nodes': {*STAGES, *FILES, 'simulation', *RUN},
     'demo': {*STAGES, *FILES, 'simulation', 'evaluation'},
-    'cli': {*STAGES, *FILES, 'planning', 'simulation', 'evaluation', 'upkeep', 'demo', 'ros'},
+    'cli': {*STAGES, *FILES, 'planning', 'simulation', 'evaluation', 'upkeep', 'demo', *RUN},
     'launch': set[str](),
     '__main__': {'cli'},
 }
