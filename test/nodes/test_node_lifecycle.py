@@ -97,5 +97,5 @@ def test_without_ros_one_line_says_what_to_install() -> None:
         [sys.executable, '-c', script], capture_output=True, text=True, timeout=30
     )
     assert done.returncode == 1
-    assert 'pip install .[ros]' in done.stderr
+    assert "pip install '.[ros]'" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
