@@ -92,3 +92,40 @@ def test_what_is_unlikely_did_not_happen() -> None:
     after, _ = weighed(Mixture((likely,)), lambda _: outcomes)
     assert after.states == (likely,)
     np.testing.assert_allclose(after.weights, [1.0])
+
+
+@given(st.integers(0, 50), st.lists(st.floats(0.1, 1.0), min_size=4, max_size=4))
+def test_what_is_alike_is_merged_and_the_whole_stays_as_it_is(
+    seed: int, shares: list[float]
+) -> None:
+    one, other = state(seed, 2.9), state(seed + 1, 5e-4 - np.pi)
+    close = replace(one, mean=one.mean + 0.1 * np.sqrt(np.diag(one.covariance)))
+    behind = replace(other, mean=other.mean.copy())
+    behind.mean[HEADING] = np.pi - 5e-4
+    weights = -np.sort(-np.array(shares)) / sum(shares)
+    whole = Mixture((one, other, close, behind), weights)
+    reduced = whole.reduced()
+    np.testing.assert_allclose(
+        np.sort(reduced.weights), np.sort([weights[0] + weights[2], weights[1] + weights[3]])
+    )
+    assert np.all(np.diff(reduced.weights) <= 0.0)
+    before, after = whole.merged(), reduced.merged()
+    np.testing.assert_allclose(after.covariance, before.covariance, atol=1e-9)
+    np.testing.assert_allclose(np.delete(after.mean - before.mean, HEADING), 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.exp(1j * (after.mean - before.mean)[HEADING]), 1.0, atol=1e-9)
+
+
+def test_states_that_go_on_otherwise_are_not_merged() -> None:
+    one = state(0)
+    assert (
+        len(Mixture((one, replace(one, hangs=True)), np.array([0.6, 0.4])).reduced().states) == 2
+    )
+
+
+def test_of_those_that_refine_the_map_one_stays() -> None:
+    logs = iter([0.0, 0.5, 0.2])
+    outcomes = [found(state(k), next(logs)) for k in range(3)]
+    after, update = weighed(Mixture((state(9),)), lambda _: outcomes, single=True)
+    assert after.states == (outcomes[1].state,)
+    assert after.weights == [1.0]
+    assert update is outcomes[1].update

@@ -8,22 +8,30 @@ from scipy.special import chdtri
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.fusion.measurement import bearing_model, correct, MeasurementModel
+from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
 from landmark_nav.localization.fusion.noise import LEARNED
+from landmark_nav.localization.fusion.stand import standing_or_hanging
 from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING, widened
-from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.fusion.update import FusionUpdate, log_density
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['update_pose']
 
+# Logarithm of the density of a pose that is mistaken, 1 / (m^2 rad): one in fifty, anywhere in a
+# square metre and some degrees.
+_LOG_STRAY = float(np.log(0.1))
+
 
 def update_pose(
-    prior: FilterState,
+    prior: Mixture,
     measured: PoseEstimate,
     columns: IndexArray,
     lever: FloatArray,
     probability: float,
     turn_sigma: float,
-) -> tuple[FilterState, FusionUpdate]:
+    odometry: OdometryNoiseConfig,
+) -> tuple[Mixture, FusionUpdate]:
     """
     Use a triangulated pose, if it agrees with the prior.
 
@@ -32,8 +40,8 @@ def update_pose(
 
     Parameters
     ----------
-    prior : FilterState
-        State at the pose's time.
+    prior : Mixture
+        What may have happened until the pose's time.
     measured : PoseEstimate
         Pose of the base in map.
     columns : ndarray of int, shape (m,)
@@ -44,8 +52,25 @@ def update_pose(
         Chi-square level of the gate.
     turn_sigma : float
         How far heading and boresight are doubted at most, radians; 0 does not.
+    odometry : OdometryNoiseConfig
+        What is not known of a motion without odometry.
 
     """
+
+    def outcomes(state: FilterState) -> list[Outcome]:
+        return [_outcome(state, measured, columns, lever, probability, turn_sigma)]
+
+    return weighed(prior, lambda state: standing_or_hanging(state, outcomes, odometry))
+
+
+def _outcome(
+    prior: FilterState,
+    measured: PoseEstimate,
+    columns: IndexArray,
+    lever: FloatArray,
+    probability: float,
+    turn_sigma: float,
+) -> Outcome:
     limit = float(chdtri(3, 1.0 - probability))
     model, turned = _pose_model(prior, measured, columns, lever), 0.0
     nis = _nis(model)
@@ -57,14 +82,17 @@ def update_pose(
         model = _pose_model(loose, measured, columns, lever)
         nis = _nis(model)
     if nis > limit:
-        return prior, FusionUpdate(prior.stamp_ns, refusal=refusal)
-    return correct(loose, model, refine=False), FusionUpdate(
+        stray = FusionUpdate(prior.stamp_ns, refusal=refusal, log_likelihood=_LOG_STRAY)
+        return Outcome(prior, stray)
+    update = FusionUpdate(
         prior.stamp_ns,
         innovation_rad=model.innovation,
         nis=nis,
         degrees=3,
         turned_rad=turned,
+        log_likelihood=log_density(nis, model.covariance),
     )
+    return Outcome(correct(loose, model, refine=False), update)
 
 
 def _pose_model(

@@ -2,8 +2,7 @@
 The last seconds of a filter: every measurement in its time, whenever it arrives.
 
 What came in is kept sorted by stamp, with the state after each. What comes late is inserted and
-all after it is repeated, so the result does not depend on the order of arrival: but for a stand
-that is doubted, which each measurement judges once, by what is known when it comes. A measurement
+all after it is repeated, so the result does not depend on the order of arrival. A measurement
 newer than the odometry is first used where the last twist leads, then again where the odometry
 says.
 """
@@ -13,10 +12,12 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from landmark_nav.localization.fusion.mixture import Mixture
+from landmark_nav.localization.fusion.stand import doubted_stand
 from landmark_nav.localization.fusion.state import FilterState, POSE, propagate, widened
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.odometry.noise import (
@@ -40,8 +41,6 @@ _LATE_IN_A_ROW = 5
 _STRIDE_NS = 100_000_000
 # What may have happened while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
-# A stand is doubted for so long after a picture that contradicted it.
-_DOUBT_NS = 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,73 +140,23 @@ class History:
         place = self._place(stamp_ns)
         self._events.insert(place, _Event(stamp_ns, step))
         update = self._repeat(place)[0]
-        stands_ns = self._track.stands_since_ns
-        if update is not None and stands_ns is not None and stands_ns < stamp_ns:
-            update = self._stand_doubted(place, stands_ns, update)
         self._forget()
         return update
 
-    def _stand_doubted(self, place: int, stands_ns: int, update: FusionUpdate) -> FusionUpdate:
-        """
-        Take the robot for moved where odometry says that it stands, if event `place` says so.
-
-        Odometry that froze stands, and that of a robot that is pushed. Of a turn on the spot the
-        event itself may be right, as a camera that was knocked looks alike; then the stand is
-        doubted from there on. What became of the event.
-        """
-        event, until_ns = self._events[place], self._track.stand_doubted_until_ns
-        assert event.step is not None
-        before = self._step_before(place)
-        since_ns = max(stands_ns, self._events[before].stamp_ns)
-        seconds = 1e-9 * (event.stamp_ns - since_ns)
-        if event.stamp_ns <= until_ns:
-            still = Motion(np.zeros(3), seconds)
-            prior = self._propagated(self._states[before], event.stamp_ns, still)
-            if _contradicts(event.step(prior)[1]):
-                self._doubt_stand_after(place)
-            return update
-        if not _contradicts(update):
-            return update
-        prior = self._moved(self._states[place - 1], event.stamp_ns)
-        blind = motion_variances(Motion(np.zeros(3), seconds, seconds), self._config)
-        turn = blind * [0.0, 0.0, 1.0]
-        _, moved = event.step(prior.each(lambda state: widened(state, POSE, blind)))
-        _, turned = event.step(prior.each(lambda state: widened(state, POSE, turn)))
-        assert moved is not None
-        assert turned is not None
-        # What fits a heading that is open only where the place is open as well is no turn.
-        enough = 1 if until_ns or turned.turned_rad else turned.degrees + 1
-        if moved.turned_rad or moved.degrees < enough:
-            if update.turned_rad:
-                self._doubt_stand_after(place)
-            return update
-        self._track.doubt_stand(since_ns, event.stamp_ns + _DOUBT_NS)
-        return self._repeat(before + 1)[place - before - 1] or update
-
-    def _step_before(self, place: int) -> int:
-        """Last event with a step before a place; else the first of all."""
-        return next((k for k in range(place - 1, 0, -1) if self._events[k].step), 0)
-
-    def doubt_stand(self, stamp_ns: int, blind_since_ns: int | None) -> None:
+    def doubt_stand(self, stamp_ns: int, blind_since_ns: int) -> None:
         """
         Take the robot for moved where pictures show nothing any more since it stands.
 
         Unless one has been tried since it stands: then the camera is to blame.
         """
         stands_ns = self._track.stands_since_ns
-        if stands_ns is None or blind_since_ns is None or stands_ns >= blind_since_ns:
+        if stands_ns is None or stands_ns >= blind_since_ns:
             return
-        before = self._step_before(self._place(stamp_ns))
-        seen_ns = self._events[before].stamp_ns
-        if seen_ns <= stands_ns or stamp_ns <= self._track.stand_doubted_until_ns:
-            self._track.doubt_stand(max(stands_ns, seen_ns), stamp_ns + _DOUBT_NS)
-            self._repeat(before + 1)
-
-    def _doubt_stand_after(self, place: int) -> None:
-        """Take the robot for moved after event `place`, which is right itself."""
-        stamp_ns = self._events[place].stamp_ns
-        self._track.doubt_stand(stamp_ns, stamp_ns + _DOUBT_NS)
-        self._repeat(place + 1)
+        events = self._events[1 : self._place(stamp_ns)]
+        tried = any(event.step is not None and event.stamp_ns > stands_ns for event in events)
+        if not tried or self.last.hangs:
+            doubt = partial(doubted_stand, config=self._config)
+            self.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
 
     def at(self, stamp_ns: int | None = None) -> FilterState:
         """
@@ -277,7 +226,3 @@ class History:
             'clock was set back',
             f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
         )
-
-
-def _contradicts(update: FusionUpdate | None) -> bool:
-    return update is not None and (update.refusal is not None or update.turned_rad != 0.0)

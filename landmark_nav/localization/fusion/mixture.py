@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.fusion.state import FilterState, HEADING
 from landmark_nav.localization.fusion.update import FusionUpdate
@@ -20,8 +21,10 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['Mixture', 'Outcome', 'weighed']
 
-# What is less likely than this beside the likeliest did not happen.
-_UNLIKELY = 0.01
+# What is less likely than this beside the likeliest did not happen; no more than so many are kept.
+_UNLIKELY, _MOST = 0.01, 12
+# Means that differ by less than this part of a sigma, each number for itself, are one.
+_ALIKE = 0.5
 _CERTAIN = np.ones(1)
 
 
@@ -85,9 +88,33 @@ class Mixture:
             by_noise=average(state.by_noise for state in self.states),
         )
 
+    def reduced(self) -> Mixture:
+        """Return the likeliest possibilities, those that are alike merged into one."""
+        if len(self.states) == 1:
+            return self
+        means = np.array([state.mean for state in self.states])
+        hangs = np.array([state.hangs for state in self.states])
+        left = np.arange(len(means))
+        groups: list[IndexArray] = []
+        while len(left) and len(groups) < _MOST:
+            away = np.abs(means[left] - means[left[0]])
+            away[:, HEADING] = np.abs(wrap_rad(away[:, HEADING]))
+            sigmas = np.sqrt(np.diag(self.states[left[0]].covariance))
+            alike = (away <= _ALIKE * sigmas).all(axis=1) & (hangs[left] == hangs[left[0]])
+            groups.append(left[alike])
+            left = left[~alike]
+        weights = np.array([self.weights[group].sum() for group in groups])
+        order = np.argsort(-weights, kind='stable')
+        states = (self._chosen(groups[k]).merged() for k in order)
+        return Mixture(tuple(states), weights[order] / weights.sum())
+
+    def _chosen(self, which: IndexArray) -> Mixture:
+        weights = self.weights[which]
+        return Mixture(tuple(self.states[k] for k in which), weights / weights.sum())
+
 
 def weighed(
-    prior: Mixture, outcomes_of: Callable[[FilterState], list[Outcome]]
+    prior: Mixture, outcomes_of: Callable[[FilterState], list[Outcome]], single: bool = False
 ) -> tuple[Mixture, FusionUpdate]:
     """
     Return what may have happened after a measurement, and what became of it in the likeliest.
@@ -98,6 +125,8 @@ def weighed(
         Before it.
     outcomes_of : callable
         Of a state: all that it may have come to.
+    single : bool
+        Keep the likeliest alone: each state has refined the landmarks in its own way.
 
     """
     found = [
@@ -109,6 +138,7 @@ def weighed(
         return Mixture((found[0].state,)), found[0].update
     logs = np.array([outcome.log_prior + outcome.update.log_likelihood for outcome in found])
     weights = np.exp(logs - logs.max())
-    kept = [k for k in np.argsort(-weights, kind='stable') if weights[k] >= _UNLIKELY]
-    states = tuple(found[k].state for k in kept)
-    return Mixture(states, weights[kept] / weights[kept].sum()), found[kept[0]].update
+    kept = np.argsort(-weights, kind='stable')
+    kept = kept[:1] if single else kept[weights[kept] >= _UNLIKELY]
+    after = Mixture(tuple(found[k].state for k in kept), weights[kept] / weights[kept].sum())
+    return after.reduced(), found[kept[0]].update

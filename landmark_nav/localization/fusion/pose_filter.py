@@ -26,7 +26,6 @@ from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.fix_sources import FixSources, Seen
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
-from landmark_nav.localization.fusion.mixture import Outcome, weighed
 from landmark_nav.localization.fusion.start import (
     checked_start,
     doubted_turn,
@@ -61,6 +60,7 @@ __all__ = ['PoseFilter']
 _POSE_PROBABILITY = 0.99
 # So many correlations of the pictures before tell what to expect.
 _SCORES = 12
+_HANGS = Refusal('odometry stands', 'which pictures do not confirm')
 
 
 class PoseFilter:
@@ -91,7 +91,7 @@ class PoseFilter:
         self._odometry = odometry or OdometryNoiseConfig()
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
-        self._was_narrow = self._was_doubted = False
+        self._was_doubted = False
         self.change_map(landmark_map)
 
     @property
@@ -162,9 +162,9 @@ class PoseFilter:
         if witnesses is not None:
             state = with_joints_in_doubt(state, start, self._history.led(start.stamp_ns))
         self._history.restart(state)
-        self._was_narrow, self._was_doubted = False, True
+        self._was_doubted = True
         self._health.restart(start.stamp_ns)
-        self._witnesses.restart(vouched=witnesses is None)
+        self._witnesses = Witnesses(self._map, vouched=witnesses is None)
         if witnesses is not None:
             self._witnesses.hear(self._columns_of(witnesses))
 
@@ -217,8 +217,9 @@ class PoseFilter:
         if (refusal := self._health.unusable(frame.scores, expected)) is not None:
             self._health.note(refusal)
             self._health.look(stamp, frame.columns[:0], missed, places)
-            if expected:
-                self._history.doubt_stand(stamp, self._health.blind_since_ns)
+            if expected and (since_ns := self._health.blind_since_ns) is not None:
+                self._history.doubt_stand(stamp, since_ns)
+                self._note_stand(stamp)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         update = self._measure(
             stamp,
@@ -264,16 +265,17 @@ class PoseFilter:
         if refusal is not None:
             return self.no_pose(stamp, refusal)
         columns = self._fix_sources.columns(stamp)
-        at_state = partial(
-            update_pose,
-            measured=measured,
-            columns=columns,
-            lever=self._lever,
-            probability=_POSE_PROBABILITY,
-            turn_sigma=self._config.turn_sigma_rad,
-        )
         update = self._measure(
-            stamp, lambda mixture: weighed(mixture, lambda state: [Outcome(*at_state(state))])
+            stamp,
+            partial(
+                update_pose,
+                measured=measured,
+                columns=columns,
+                lever=self._lever,
+                probability=_POSE_PROBABILITY,
+                turn_sigma=self._config.turn_sigma_rad,
+                odometry=self._odometry,
+            ),
         )
         if update.degrees:
             self._speak(update, columns)
@@ -306,15 +308,13 @@ class PoseFilter:
         return self._history.at(stamp_ns).cross[:3, : 2 * len(self._map.landmarks)]
 
     def _measure(self, stamp_ns: int, step: Step) -> FusionUpdate:
-        wide = bool(self._health.too_wide(self._history.at(stamp_ns).estimate()))
-        if wide and self._was_narrow:
-            # Who told the place vouches no more for where the robot went since.
-            self._witnesses.restart(vouched=False)
-        self._was_narrow = not wide
+        wide = self._health.too_wide(self._history.at(stamp_ns).estimate())
+        self._witnesses.note_width(bool(wide))
         self._was_doubted |= self._health.unseen_s(stamp_ns) > 0.0
         update = self._history.insert(stamp_ns, step)
         assert update is not None
         self._health.observe(update)
+        self._note_stand(stamp_ns)
         turn_rad = update.turned_rad
         if self._health.astray:
             self._was_doubted = True
@@ -333,6 +333,10 @@ class PoseFilter:
             reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
             self._health.note_surprise(stamp_ns, Refusal(reason, angle))
         return update
+
+    def _note_stand(self, stamp_ns: int) -> None:
+        if self._history.last.hangs:
+            self._health.note_trouble(stamp_ns, _HANGS)
 
     def _reconsider(self, stamp_ns: int) -> float:
         """Ask odometry about a pose that is believed again; what all bearings are off by, rad."""

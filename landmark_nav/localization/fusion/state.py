@@ -82,8 +82,10 @@ class FilterState:
         How noisy odometry and sightings turned out to be.
     by_noise : ndarray, shape (LEARNED, STATES, STATES)
         What of `covariance` comes from each of those noises.
-    way_m : float
-        Way since the last picture.
+    way_m, still_s : float
+        Way since the last picture, and time since then in which the odometry stood.
+    hangs : bool
+        Whether that stand is doubted; then `covariance` holds all that may have happened in it.
 
     """
 
@@ -97,6 +99,8 @@ class FilterState:
     scales: NoiseScales
     by_noise: FloatArray
     way_m: float = 0.0
+    still_s: float = 0.0
+    hangs: bool = False
 
     def estimate(self) -> PoseEstimate:
         """Return the pose alone."""
@@ -246,6 +250,8 @@ def propagate(
     slip_variance = factors[SLIP] * config.slip_sigma**2 * (1.0 - kept * kept)
     covariance = step @ state.covariance @ step.T
     covariance[:3, :3] += added
+    if state.hangs:
+        motion = motion._replace(blind_seconds=motion.blind_seconds + motion.still_seconds)
     if motion.blind_seconds > 0.0 or motion.ahead_s4 > 0.0:
         covariance[:3, :3] += (by_motion * blind_variances(motion, config)) @ by_motion.T
     covariance[_SLIP, _SLIP] += slip_variance
@@ -263,4 +269,6 @@ def propagate(
         scales=scales,
         by_noise=by_noise,
         way_m=state.way_m + way,
+        still_s=state.still_s + motion.still_seconds,
+        hangs=state.hangs and motion.still_seconds >= motion.seconds,
     )

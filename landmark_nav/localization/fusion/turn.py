@@ -9,6 +9,7 @@ import numpy as np
 from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.measurement import expected_bearings, MeasurementModel
 from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
+from landmark_nav.localization.fusion.stand import standing_or_hanging
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
     DELAY,
@@ -64,6 +65,7 @@ def update_turning(
         return Outcome(*update_bearings(state, frame, lever, probability, odometry, enough, model))
 
     def outcomes(state: FilterState) -> list[Outcome]:
+        stands = state.still_s > 0.0 and state.way_m == 0.0 and not state.hangs
         state = looking_again(state, frame.config.repeat_length_m)
         expected = expected_bearings(state, frame, lever)
         as_before = updated(state, least, expected)
@@ -74,11 +76,11 @@ def update_turning(
         surprising = abs(angle) > _SURPRISE * sigma
         if as_before.update.refusal is None and not surprising:
             return [as_before]
-        turned = _turned(state, frame, min(abs(angle), turn_sigma), surprising)
+        turned = _turned(state, frame, min(abs(angle), turn_sigma), surprising, stands)
         loose = [(0.0, turned)]
         swings = frame.swing_rad(_REACH_S) > _LATE_SHARE * abs(angle)
         if surprising and swings and state.late.sigma_s < _DOUBTED * LATE_S:
-            late = widened(turned, DELAY, LATE_S**2)
+            late = widened(state if stands else turned, DELAY, LATE_S**2)
             known = state.late.is_known and frame.config.landmarks == 'consider'
             # A delay that is known stays, most likely; one that is open would be told by a slip.
             loose = [(_IN_TIME, turned), (_LATE, late)] if known else [(0.0, late)]
@@ -99,18 +101,27 @@ def update_turning(
             told = [one for one in told if abs(one.update.turned_rad) > _SURPRISE * sigma]
         return told or [as_before]
 
-    return weighed(prior, outcomes)
+    return weighed(
+        prior,
+        lambda state: standing_or_hanging(state, outcomes, odometry),
+        single=frame.config.landmarks == 'refine',
+    )
 
 
 def _turned(
-    state: FilterState, frame: BearingFrame, turn_rad: float, surprising: bool
+    state: FilterState, frame: BearingFrame, turn_rad: float, surprising: bool, stands: bool
 ) -> FilterState:
-    """Doubt heading, boresight and position by an angle; the heading alone if no surprise."""
-    loose = widened(state, HEADING, turn_rad**2)
+    """
+    Doubt heading, boresight and position by an angle; the heading alone if no surprise.
+
+    Of a robot that stands nothing slips: only its camera may have been knocked.
+    """
+    loose = state if stands and surprising else widened(state, HEADING, turn_rad**2)
     if not surprising:
         return loose
     away = state.landmarks[frame.columns] - state.mean[:2]
-    loose = widened(loose, [0, 1], turn_rad**2 * np.mean(np.sum(away**2, axis=1)))
+    if not stands:
+        loose = widened(loose, [0, 1], turn_rad**2 * np.mean(np.sum(away**2, axis=1)))
     # Wheels may go on slipping, but a camera is knocked once.
     knock_rad, most_rad = KNOCKED * turn_rad, KNOCKED * frame.config.turn_sigma_rad
     if state.covariance[BORESIGHT, BORESIGHT] < (_DOUBTED * most_rad) ** 2:

@@ -22,7 +22,7 @@ from landmark_nav.localization.fusion.state import DELAY, FilterState
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray, Refusal
 
-__all__ = ['FusionUpdate', 'update_bearings']
+__all__ = ['FusionUpdate', 'log_density', 'update_bearings']
 
 _MAX_ITERATIONS = 5
 # A step this small bends bearings by a few microradians only.
@@ -60,7 +60,8 @@ class FusionUpdate:
     turned_rad : float
         Angle by which all bearings were off, if that was more than could be expected; else 0.
     log_likelihood : float
-        Logarithm of the density of the bearings, as the prior has it, 1 / rad each; 0 for a pose.
+        Logarithm of the density of what was measured, as the prior has it: 1 / rad a bearing,
+        1 / (m^2 rad) a pose.
 
     """
 
@@ -133,7 +134,7 @@ def update_bearings(
                 nis,
                 len(chosen),
                 rejected,
-                log_likelihood=strays * _LOG_STRAY + _log_density(nis, model.covariance),
+                log_likelihood=strays * _LOG_STRAY + log_density(nis, model.covariance),
             )
         # What the NIS would fall by without each: its square given all the others.
         worst = int(np.argmax(weighted**2 / np.diag(inverse)))
@@ -154,7 +155,7 @@ def update_bearings(
     )
 
 
-def _log_density(nis: float, covariance: FloatArray) -> float:
+def log_density(nis: float, covariance: FloatArray) -> float:
     """Logarithm of the density of what is measured, by its NIS and its covariance (m, m)."""
     scaled = 2.0 * np.pi * covariance
     return -0.5 * (nis + float(np.linalg.slogdet(scaled)[1]))

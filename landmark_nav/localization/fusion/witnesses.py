@@ -26,18 +26,26 @@ class Witnesses:
     ----------
     landmark_map : LandmarkMap
         Who may speak.
+    vouched : bool
+        Whether somebody else vouches for the place at first.
 
     """
 
-    def __init__(self, landmark_map: LandmarkMap) -> None:
+    def __init__(self, landmark_map: LandmarkMap, vouched: bool = True) -> None:
         self._normals = landmark_map.normals[:, :2]
         self._heard = np.zeros(len(self._normals), dtype=np.bool_)
-        self._vouched = True
+        self._vouched, self._was_wide = vouched, True
 
     def restart(self, vouched: bool) -> None:
-        """Begin anew at a pose that somebody vouches for, or not."""
+        """Hear landmarks anew, of a pose that somebody vouches for, or not."""
         self._heard[:] = False
         self._vouched = vouched
+
+    def note_width(self, wide: bool) -> None:
+        """Begin anew where a pose grows wide: nobody vouches for where the robot went since."""
+        if wide and not self._was_wide:
+            self.restart(vouched=False)
+        self._was_wide = wide
 
     def contradicted(self, again: bool) -> None:
         """

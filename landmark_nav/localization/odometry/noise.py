@@ -47,14 +47,16 @@ class Motion(NamedTuple):
     A planar motion in the body frame.
 
     `increment` (3,) is forward [m], left [m] and turn [rad], over `seconds`, of which nothing is
-    known for `blind_seconds` (odometry missing or broken). Where it goes on beyond the last sample
-    with the last twist, `ahead_s4` is how the fourth power of the time since then grew.
+    known for `blind_seconds` (odometry missing or broken), and the odometry stood for
+    `still_seconds`. Where it goes on beyond the last sample with the last twist, `ahead_s4` is how
+    the fourth power of the time since then grew.
     """
 
     increment: FloatArray
     seconds: float
     blind_seconds: float = 0.0
     ahead_s4: float = 0.0
+    still_seconds: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -36,9 +36,9 @@ class OdometryTrack:
     """
     Odometry without its jumps, that can be asked for the motion between any two times.
 
-    Where a source jumps, the motion goes on with the last twist and counts as blind, as does a
-    stand that is doubted. Samples whose pose has frozen count as none. Beyond the last sample, and
-    before the first, its twist is followed for a short while; then the robot stands, blind.
+    Where a source jumps, the motion goes on with the last twist and counts as blind. Samples whose
+    pose has frozen count as none. Beyond the last sample, and before the first, its twist is
+    followed for a short while; then the robot stands, blind.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:
@@ -47,13 +47,13 @@ class OdometryTrack:
         self._stamps: list[int] = []
         self._poses: list[FloatArray] = []  # continuous
         self._blind_ns: list[int] = []  # of the time until each
+        self._still_ns: list[int] = []
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
         # The last whose pose and speeds agree, and how far speeds lead from there.
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
         self._stands_since_ns: int | None = None
-        self._doubted_until_ns = 0
 
     @property
     def stamps_ns(self) -> tuple[int, int] | None:
@@ -65,22 +65,6 @@ class OdometryTrack:
         """When the stand began that it ends with; None if it moves."""
         return self._stands_since_ns
 
-    @property
-    def stand_doubted_until_ns(self) -> int:
-        """Until when that stand is doubted, or was; 0 if it never was."""
-        return self._doubted_until_ns
-
-    def doubt_stand(self, since_ns: int, until_ns: int) -> None:
-        """Take the stand that it ends with as blind from a time on, and what follows of it."""
-        self._doubted_until_ns = max(until_ns, self._doubted_until_ns)
-        end_ns, pose = self._stamps[-1], self._poses[-1]
-        if since_ns >= end_ns:
-            return
-        first, blind_ns = bisect_left(self._stamps, since_ns), self._blind_until_ns(since_ns)
-        self._stamps[first:] = [since_ns, end_ns]
-        self._poses[first:] = [pose, pose]
-        self._blind_ns[first:] = [blind_ns, blind_ns + end_ns - since_ns]
-
     def add(self, sample: OdometrySample) -> Refusal | None:
         """
         Append a sample.
@@ -89,7 +73,7 @@ class OdometryTrack:
         -------
         Refusal or None
             Why the sample was dropped; if `Distrusted`, why it was appended with what the last
-            twist predicts (``odometry jumped``) or as blind (``odometry stands``).
+            twist predicts.
 
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
@@ -114,12 +98,11 @@ class OdometryTrack:
         if jumped:
             known = min(seconds, HORIZON_S)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
-        doubted = sample.stamp_ns <= self._doubted_until_ns
-        blind = jumped or doubted or seconds > self._config.max_gap_s
+        blind = jumped or seconds > self._config.max_gap_s
         stands = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
         if not stands:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
-            self._stands_since_ns, self._doubted_until_ns = None, 0
+            self._stands_since_ns = None
         elif self._freezes(sample, seconds):
             return Refusal('odometry has frozen', 'its pose stays while its speeds say it moves')
         elif self._stands_since_ns is None:
@@ -129,8 +112,6 @@ class OdometryTrack:
         if jumped:
             what = f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s'
             return Distrusted('odometry jumped', what)
-        if doubted and stands:
-            return Distrusted('odometry stands', 'which pictures do not confirm')
         return None
 
     @property
@@ -150,7 +131,7 @@ class OdometryTrack:
         agreed, pose = self._agreed, self._poses[-1]
         assert agreed is not None, 'one came before'
         while len(self._stamps) > 1 and self._stamps[-1] > agreed.stamp_ns:
-            del self._stamps[-1], self._poses[-1], self._blind_ns[-1]
+            del self._stamps[-1], self._poses[-1], self._blind_ns[-1], self._still_ns[-1]
         if self._stamps[-1] < agreed.stamp_ns:
             self._append(agreed, pose, blind=False)
         self._last = agreed
@@ -169,26 +150,32 @@ class OdometryTrack:
             for sign, beyond in ((1.0, self._beyond_s(to_ns)), (-1.0, self._beyond_s(from_ns)))
         )
         blind = (self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
-        return Motion(increment, seconds, blind, float(ahead))
+        still = (self._still_until_ns(to_ns) - self._still_until_ns(from_ns)) * 1e-9
+        return Motion(increment, seconds, blind, float(ahead), still)
 
     def trim(self, before_ns: int) -> None:
         """Forget what is not needed for motions that start at `before_ns` or later."""
         keep = bisect_right(self._stamps, before_ns) - 1
         if keep > 0:
-            del self._stamps[:keep], self._poses[:keep], self._blind_ns[:keep]
+            for values in (self._stamps, self._poses, self._blind_ns, self._still_ns):
+                del values[:keep]
 
     def _append(self, sample: OdometrySample, pose: FloatArray, blind: bool) -> None:
         self._first, self._last = self._first or sample, sample
-        total_ns = self._blind_ns[-1] if self._stamps else 0
-        if blind:
-            total_ns += sample.stamp_ns - self._stamps[-1]
-        # Of a stand its begin and end are enough.
-        if self._blind_ns[-2:-1] == [total_ns] and self._poses[-2] is self._poses[-1] is pose:
-            self._stamps[-1] = sample.stamp_ns
-            return
+        blind_ns = still_ns = 0
+        if self._stamps:
+            blind_ns, still_ns = self._blind_ns[-1], self._still_ns[-1]
+            spent_ns, stands = sample.stamp_ns - self._stamps[-1], pose is self._poses[-1]
+            blind_ns += spent_ns if blind else 0
+            still_ns += spent_ns if stands and not blind else 0
+            # Of a stand its begin and end are enough.
+            if stands and self._blind_ns[-2:-1] == [blind_ns] and self._poses[-2] is pose:
+                self._stamps[-1], self._still_ns[-1] = sample.stamp_ns, still_ns
+                return
         self._stamps.append(sample.stamp_ns)
         self._poses.append(pose)
-        self._blind_ns.append(total_ns)
+        self._blind_ns.append(blind_ns)
+        self._still_ns.append(still_ns)
 
     def _beyond_s(self, stamp_ns: int) -> float:
         """How far a twist has to predict: beyond the last sample, or, negative, before one."""
@@ -217,8 +204,17 @@ class OdometryTrack:
         reach = int(HORIZON_S * 1e9)
         first, last = self._stamps[0] - reach, self._stamps[-1] + reach
         outside = min(stamp_ns - first, 0) + max(stamp_ns - last, 0)
+        return outside + self._until_ns(self._blind_ns, stamp_ns)
+
+    def _still_until_ns(self, stamp_ns: int) -> int:
+        """Time for which it stood until then: beyond the last sample, as long as predicted."""
+        ahead = max(self._beyond_s(stamp_ns), 0.0) if self._stands_since_ns is not None else 0.0
+        return round(1e9 * ahead) + self._until_ns(self._still_ns, stamp_ns)
+
+    def _until_ns(self, totals: list[int], stamp_ns: int) -> int:
+        """Sum of such times until then, as `totals` has it of each sample."""
         after = bisect_left(self._stamps, stamp_ns)
         if after in (0, len(self._stamps)):
-            return outside + self._blind_ns[max(after - 1, 0)]
-        since, total = self._blind_ns[after - 1], self._blind_ns[after]
+            return totals[max(after - 1, 0)]
+        since, total = totals[after - 1], totals[after]
         return since + (stamp_ns - self._stamps[after - 1] if total > since else 0)

@@ -1,0 +1,114 @@
+"""Robots that stand, and odometry that says so of those that do not."""
+
+from __future__ import annotations
+
+from filter_runs import MAP, SIGMA, started
+from fusion_drives import detections, error_of, PERIOD_NS, START
+import numpy as np
+import pytest
+
+from landmark_nav.arrays import FloatArray
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.localization.fusion import FusionConfig, PoseFilter
+from landmark_nav.types import OdometrySample, PoseEstimate
+
+# A picture with each second sample of an odometry that never moves.
+PICTURE_NS = 2 * PERIOD_NS
+EVENT = 10
+
+
+def still(fused: PoseFilter, k: int) -> None:
+    for j in (2 * k - 1, 2 * k):
+        fused.add_odometry(OdometrySample(j * PERIOD_NS, np.zeros(3)))
+
+
+def watch(
+    fused: PoseFilter,
+    pose: FloatArray,
+    k: int,
+    rng: np.random.Generator,
+    off_rad: float = 0.0,
+) -> tuple[FloatArray, float]:
+    """Error (3,) of the pose and its NEES after picture `k`, which a robot took at a pose."""
+    still(fused, k)
+    noise = rng.normal(0.0, SIGMA, 6) + off_rad
+    places = (k + np.arange(6)) % 10
+    fused.add_detections(detections(MAP, pose, k * PICTURE_NS, places, SIGMA, noise))
+    found = fused.estimate()
+    assert found is not None
+    error = error_of(found, pose)
+    return error, float(error @ np.linalg.solve(found.covariance, error))
+
+
+def sigma_m(fused: PoseFilter) -> float:
+    found = fused.estimate()
+    assert found is not None
+    return float(np.sqrt(np.trace(found.covariance[:2, :2])))
+
+
+@pytest.mark.parametrize(('seed', 'landmarks'), [(0, 'consider'), (1, 'consider'), (0, 'refine')])
+@pytest.mark.parametrize(
+    'step', [(0.02, 0.0, 0.0), (0.0, 0.01, 0.02), (0.0, 0.0, 0.05), (-0.01, 0.0, -0.01)]
+)
+def test_a_robot_that_is_pushed_is_followed(
+    step: tuple[float, float, float], seed: int, landmarks: str
+) -> None:
+    """Its wheels do not turn, or what they tell hangs: nothing but pictures tells where it is."""
+    rng, fused = np.random.default_rng(seed), started(FusionConfig(landmarks=landmarks))
+    pose, told = START, []
+    for k in range(1, 60):
+        pose = compose(pose, step) if EVENT <= k < 40 else pose
+        error, nees = watch(fused, pose, k, rng)
+        assert nees < 25.0
+        if EVENT + 2 <= k < 40:
+            told.append(fused.status[1])
+            assert np.hypot(*error[:2]) < 0.03
+    assert np.mean(['odometry stands' in reason for reason in told]) > 0.9
+    # It is believed again when they agree that it stands.
+    assert np.hypot(*error[:2]) < 0.015
+    assert sigma_m(fused) < 0.02
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('off_rad', [0.03, -0.03])
+def test_a_camera_that_is_knocked_does_not_carry_the_robot_away(off_rad: float, seed: int) -> None:
+    rng, fused = np.random.default_rng(seed), started()
+    for k in range(1, 40):
+        error, nees = watch(fused, START, k, rng, off_rad if k >= EVENT else 0.0)
+        assert nees < 25.0
+        assert np.hypot(*error[:2]) < 0.03
+    # Who was turned, it or the robot, is open: pictures of one place show no more.
+    assert abs(error[2]) < 0.03
+    state = fused.state
+    assert state is not None
+    assert not state.hangs
+    assert sigma_m(fused) < 0.02
+
+
+def test_pictures_that_agree_doubt_no_stand() -> None:
+    rng, fused = np.random.default_rng(0), started()
+    for k in range(1, 200):
+        watch(fused, START, k, rng)
+        assert fused.status == ('tracking', '')
+        state = fused.state
+        assert state is not None
+        assert not state.hangs
+        assert state.still_s == 0.0
+
+
+def test_poses_follow_a_robot_that_is_pushed() -> None:
+    rng, fused, pose = np.random.default_rng(0), started(FusionConfig(mode='poses')), START
+    covariance = np.diag(np.square([0.01, 0.01, 0.003]))
+    for k in range(1, 60):
+        pose = compose(pose, [0.03, 0.0, 0.0]) if EVENT <= k < 40 else pose
+        still(fused, k)
+        measured = pose + rng.multivariate_normal(np.zeros(3), covariance)
+        fused.add_pose(PoseEstimate(k * PICTURE_NS, measured, covariance))
+        found = fused.estimate()
+        assert found is not None
+        error = error_of(found, pose)
+        assert error @ np.linalg.solve(found.covariance, error) < 25.0
+        if k == 39:
+            assert 'odometry stands' in fused.status[1]
+            assert np.hypot(*error[:2]) < 0.06
+    assert np.hypot(*error[:2]) < 0.03
