@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.types import Refusal
 
 __all__ = ['FixSources', 'Seen']
 
@@ -44,12 +42,9 @@ class FixSources:
         """Take note of a picture."""
         self._seen.append(seen)
 
-    def too_few(self, stamp_ns: int, least_of: Callable[[int], int]) -> Refusal | None:
-        """Why the pose of a time rests on chance: of as many as expected, too few were seen."""
-        seen = next((seen for seen in self._seen if seen.stamp_ns == stamp_ns), None)
-        if seen is None or len(seen.columns) >= least_of(seen.expected):
-            return None
-        return Refusal('too few found', f'{len(seen.columns)} of {seen.expected} landmarks')
+    def picture(self, stamp_ns: int) -> Seen | None:
+        """Return the picture of a time, if it is one of the last."""
+        return next((seen for seen in self._seen if seen.stamp_ns == stamp_ns), None)
 
     def columns(self, stamp_ns: int) -> IndexArray:
         """Landmarks that a pose was made of: those of its picture, of the last ones, or all."""

@@ -116,6 +116,12 @@ class Health:
             return max(AGREE, ceil(FOUND_SHARE * expected))
         return min(AGREE, max(expected, 1)) if self._rejections else 1
 
+    def by_chance(self, found: int, expected: int) -> Refusal | None:
+        """Why a pose of so many landmarks, of those expected, may agree by chance when lost."""
+        if not self._astray or found >= self.least(expected):
+            return None
+        return Refusal('too few found', f'{found} of {expected} landmarks')
+
     def level(self, found: int, usual: float) -> float:
         """
         Chi-square level of the gates for so many bearings.

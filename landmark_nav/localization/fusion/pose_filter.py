@@ -260,8 +260,8 @@ class PoseFilter:
         refusal = self._history.untimely(stamp)
         if refusal is None and not is_finite(measured):
             refusal = Refusal('pose is not a number')
-        elif refusal is None and self._health.astray:
-            refusal = self._fix_sources.too_few(stamp, self._health.least)
+        elif refusal is None and (seen := self._fix_sources.picture(stamp)) is not None:
+            refusal = self._health.by_chance(len(seen.columns), seen.expected)
         if refusal is not None:
             return self.no_pose(stamp, refusal)
         columns = self._fix_sources.columns(stamp)
