@@ -85,6 +85,43 @@ def test_a_camera_that_is_knocked_does_not_carry_the_robot_away(off_rad: float, 
     assert sigma_m(fused) < 0.02
 
 
+def test_odometry_that_moves_on_is_believed() -> None:
+    rng, fused, pose = np.random.default_rng(0), started(), START
+    for k in range(1, 20):
+        pose = compose(pose, [0.03, 0.0, 0.0]) if k >= EVENT else pose
+        watch(fused, pose, k, rng)
+    state = fused.state
+    assert state is not None
+    assert state.hangs
+    before = sigma_m(fused)
+    for j in range(1, 21):
+        way = np.array([0.02 * j, 0.0, 0.0])
+        fused.add_odometry(OdometrySample((38 + j) * PERIOD_NS, way, 0.4))
+    state = fused.state
+    assert state is not None
+    assert not state.hangs
+    # The first sample tells that it moves again, not since when.
+    assert sigma_m(fused) < before + 0.15
+    np.testing.assert_allclose(state.mean[:2], compose(pose, way)[:2], atol=0.05)
+
+
+@pytest.mark.parametrize('count', [1, 2])
+def test_few_mistaken_bearings_do_not_carry_a_robot_away(count: int) -> None:
+    rng, fused = np.random.default_rng(0), started()
+    for k in range(1, 30):
+        if k < EVENT:
+            watch(fused, START, k, rng)
+            continue
+        still(fused, k)
+        wrong = (rng.uniform(0.05, 0.3, 2) * [1.0, -1.0])[:count]
+        places = [k % 10, (k + 3) % 10][:count]
+        fused.add_detections(detections(MAP, START, k * PICTURE_NS, places, SIGMA, wrong))
+        state = fused.state
+        assert state is not None
+        assert not state.hangs
+        assert np.hypot(*(state.mean[:2] - START[:2])) < 0.02
+
+
 def test_pictures_that_agree_doubt_no_stand() -> None:
     rng, fused = np.random.default_rng(0), started()
     for k in range(1, 200):

@@ -154,7 +154,7 @@ class History:
             return
         events = self._events[1 : self._place(stamp_ns)]
         tried = any(event.step is not None and event.stamp_ns > stands_ns for event in events)
-        if not tried or self.last.hangs:
+        if not tried:
             doubt = partial(doubted_stand, config=self._config)
             self.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
 
