@@ -168,3 +168,22 @@ def test_an_angle_that_was_told_while_nothing_was_seen_is_told_once(fused: PoseF
             fused.add_detections(seen)
             told.append(fused.status[1])
     assert len({reason for reason in told if 'turned' in reason}) == 1
+
+
+def test_wheels_may_slip_again_and_again_but_a_camera_is_knocked_once(fused: PoseFilter) -> None:
+    """Ten slips leave the boresight no more open than one does."""
+    rng, doubts, slips = np.random.default_rng(0), [], 0
+    for k, moment in enumerate(drive(240)):
+        slips += k > 20 and k % 20 == 2
+        turned = [0.0, 0.0, np.radians(2.0) * slips]
+        wheels = compose(turned, moment.odometry.pose_odom_base)
+        fused.add_odometry(replace(moment.odometry, pose_odom_base=wheels))
+        if k % 4 == 0:
+            off = rng.normal(0.0, SIGMA_RAD, 8)
+            seen = detections(MAP, moment.pose, moment.odometry.stamp_ns, range(8), SIGMA_RAD, off)
+            fused.add_detections(seen)
+            state = fused.state
+            assert state is not None
+            doubts.append(np.degrees(np.sqrt(state.covariance[BORESIGHT, BORESIGHT])))
+    assert slips == 11
+    assert 0.5 < max(doubts) < 1.5
