@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
@@ -48,6 +48,12 @@ class BearingFrame:
     pan: float = 0.0
     pan_track: PanTrack | None = None
     pan_delay_s: float = 0.0
+
+    def tailed(self, chosen: IndexArray, factors: FloatArray) -> BearingFrame:
+        """Return the frame with as many times the variances of the bearings `chosen`."""
+        variance = self.variance.copy()
+        variance[chosen] *= factors
+        return replace(self, variance=variance)
 
     def lag(self, late: JointDelay) -> Lag:
         """What joint states that are so late make of all bearings."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,9 @@ _LINEAR_S = 5e-3
 # Logarithm of the density of a bearing that is mistaken, 1 / rad: one in fifty, anywhere within
 # some degrees.
 _LOG_STRAY = float(np.log(0.2))
+# Degrees of freedom of the errors of bearings that are right; from so many bearings on one of them
+# is known to be off, and from this factor on its variance another step is worth while.
+_TAIL_DEGREES, _FEW, _WORTH_WHILE = 4.0, 3, 1.6
 _NO_IDS = np.empty(0, dtype=np.int64)
 _NO_INNOVATIONS = np.empty(0)
 
@@ -127,6 +131,11 @@ def update_bearings(
                 odometry,
             )
             strays = len(seen) - len(chosen)
+            tails = _tails(weighted, inverse)
+            if len(chosen) >= _FEW and tails.max() > _WORTH_WHILE:
+                tailed = frame.tailed(chosen, tails)
+                model_there = expected_bearings(prior, tailed, lever, chosen, state)
+                state = correct(prior, model_there, refine)
             return replace(state, scales=scales), FusionUpdate(
                 prior.stamp_ns,
                 seen[chosen],
@@ -153,6 +162,17 @@ def update_bearings(
         refusal=refusal,
         log_likelihood=len(seen) * _LOG_STRAY,
     )
+
+
+def _tails(weighted: FloatArray, inverse: npt.NDArray[Any]) -> FloatArray:
+    """
+    Factors (m,) on the variances of bearings whose errors have heavy tails.
+
+    By how far each is off from what all the others expect, as those of Student's t distribution
+    (Lange, Little and Taylor, Robust Statistical Modeling Using the t Distribution, 1989).
+    """
+    squares = weighted**2 / np.diag(inverse)
+    return np.maximum((_TAIL_DEGREES + squares) / (_TAIL_DEGREES + 1.0), 1.0)
 
 
 def log_density(nis: float, covariance: FloatArray) -> float:
