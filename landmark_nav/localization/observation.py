@@ -198,7 +198,7 @@ class Observer:
         looked = replace(looked_from, covariance=looked_from.covariance + turned)
         # Where the pose is hardly known, it is no wonder if nothing is where it says.
         known = not wide or looked_from is not prior
-        result = self._detected(frame, looked, visible, wanted, known)
+        result = self._detected(frame, looked, visible, wanted, not wide)
         missed = np.array(sorted(result.refused), dtype=np.int64)
         found, refused = result.detections, dict(result.refused)
         if not known and len(found) < _AGREE:
@@ -239,7 +239,9 @@ class Observer:
             expected = most_informative(
                 axis, self._map, visible, sigma, count, wanted, self._novelty
             )
-            result = self._detector.detect(frame, prior, expected, knocked=known and count == most)
+            result = self._detector.detect(
+                frame, prior, expected, knocked=known and count == most, tells=known
+            )
             self._found_most = len(result.detections) >= _MOST * len(expected)
             if self._found_most:
                 break

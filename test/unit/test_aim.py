@@ -77,6 +77,18 @@ def test_a_camera_is_tilted_where_most_landmarks_say_so(strangers: int) -> None:
     assert detector.tilt_rad == pytest.approx(0.0 if strangers else knock_rad, abs=1e-3)
 
 
+def test_a_place_that_was_narrowed_but_is_not_sure_tells_no_tilt() -> None:
+    """Landmarks that are mistaken for others agree on one, which all later pictures would have."""
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    frame = replace(frame, tilt_rad=frame.tilt_rad - 0.01)
+    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.03)
+    prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
+    for tells, tilt_rad in ((False, 0.0), (True, 0.01)):
+        found = detector.detect(frame, prior, np.arange(4), knocked=False, tells=tells)
+        assert len(found.detections) == 4
+        assert detector.tilt_rad == pytest.approx(tilt_rad, abs=1e-3)
+
+
 def test_a_heading_that_is_put_right_is_no_camera_that_looks_beside() -> None:
     """Also where it is not known whether that may be why landmarks are missing."""
     frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)

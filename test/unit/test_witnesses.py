@@ -72,14 +72,18 @@ def test_a_found_place_is_coasting_until_landmarks_of_two_walls_speak_for_it() -
     assert told[11] == ('tracking', '')
 
 
-def test_what_the_search_saw_speaks_as_well() -> None:
+def test_what_the_search_saw_speaks_once_a_picture_agrees() -> None:
+    """It may be wrong itself: a picture that shows nothing is no second opinion."""
     walls = on_walls([EAST] * 5 + [NORTH] * 5)
     moment = next(iter(drive(0)))
     fused = PoseFilter(walls, MOUNT)
     start = PoseEstimate(0, moment.pose, np.diag(np.square([0.02, 0.02, 0.005])))
     fused.initialize(start, witnesses=walls.ids)
     fused.add_odometry(moment.odometry)
-    assert fused.status == ('tracking', '')
+    for seen, status in ((range(0), 'coasting'), (range(5), 'tracking')):
+        assert fused.status[0] == 'coasting'
+        fused.add_detections(detections(walls, moment.pose, 0, seen, SIGMA))
+        assert fused.status[0] == status
 
 
 def last_status(

@@ -87,11 +87,13 @@ class AimedDetector:
         prior: PoseEstimate,
         expected: npt.NDArray[np.intp],
         knocked: bool = True,
+        tells: bool = True,
     ) -> DetectionResult:
         """
         Find landmarks `expected` (n,) of the map; as `detect_landmarks`.
 
-        `knocked` tells whether a knock may be why they are missing.
+        `knocked` tells whether a knock may be why they are missing, `tells` whether the prior is
+        sure enough to tell how the camera looks.
         """
         knock, config = self._knock if knocked else 0.0, self._config
         result = self._search(frame, prior, expected, config, self._aim)
@@ -101,7 +103,7 @@ class AimedDetector:
             result = max(ahead, result, key=lambda found: len(found.detections))
         few = len(result.detections) <= _HARDLY_ANY * len(expected) or _leans(result)
         if not few or len(expected) < _LEAST or not knock:
-            if self._tells(result, expected):
+            if tells and self._tells(result, expected):
                 self._follow(result, frame, prior)
             return result
         wide = replace(prior, covariance=prior.covariance + np.diag([0.0, 0.0, knock**2]))

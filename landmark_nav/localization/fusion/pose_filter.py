@@ -166,7 +166,7 @@ class PoseFilter:
         self._health.restart(start.stamp_ns)
         self._witnesses = Witnesses(self._map, vouched=witnesses is None)
         if witnesses is not None:
-            self._witnesses.hear(self._columns_of(witnesses))
+            self._witnesses.found_by(self._columns_of(witnesses))
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """Go on among other landmarks from where the robot is, believed as much as before."""

@@ -55,9 +55,13 @@ class Witnesses:
         """
         self.restart(self._vouched and not again)
 
+    def found_by(self, columns: npt.NDArray[np.intp]) -> None:
+        """Take note of landmarks by which a place was found: a picture more has to agree."""
+        self._heard[columns] = True
+
     def hear(self, columns: npt.NDArray[np.intp]) -> None:
         """Take note of landmarks, by their places in the map, that agree with the pose."""
-        if not self._vouched:
+        if not self._vouched and len(columns):
             self._heard[columns] = True
             self._vouched = self._enough()
 
