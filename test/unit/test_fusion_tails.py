@@ -30,7 +30,7 @@ def squared_error(seed: int, degrees: float) -> float:
     off = OWN_M * drawn(rng, degrees, COUNT, 2)
     told = LandmarkMap(
         tuple(
-            replace(k, position=k.position + [*away, 0.0])
+            replace(k, position=k.position + np.append(away, 0.0))
             for k, away in zip(MAP.landmarks, off, strict=True)
         )
     )
