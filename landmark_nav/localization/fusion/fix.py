@@ -36,7 +36,7 @@ def update_pose(
     Use a triangulated pose, if it agrees with the prior.
 
     Where its heading alone does not, the camera was turned against the base or the base against
-    the odometry: both become uncertain by that angle.
+    the odometry: both become uncertain by that angle; of a robot that stands, the camera alone.
 
     Parameters
     ----------
@@ -78,7 +78,9 @@ def _outcome(
     loose = prior
     if nis > limit and turn_sigma:
         turned = -float(model.innovation[HEADING])
-        loose = widened(prior, [HEADING, BORESIGHT], min(turned**2, turn_sigma**2))
+        stands = prior.still_s > 0.0 and not prior.hangs
+        which = [BORESIGHT] if stands else [HEADING, BORESIGHT]
+        loose = widened(prior, which, min(turned**2, turn_sigma**2))
         model = _pose_model(loose, measured, columns, lever)
         nis = _nis(model)
     if nis > limit:

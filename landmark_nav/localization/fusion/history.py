@@ -103,7 +103,8 @@ class History:
     def restart(self, state: FilterState) -> None:
         """Begin anew with a state; odometry that came after it is kept."""
         self._events = [_Event(state.stamp_ns)]
-        self._states = [Mixture((state,))]
+        # What the stand before left open is no part of this covariance.
+        self._states = [Mixture((replace(state, still_s=0.0),))]
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what was wrong with the sample, if anything: `Distrusted` if it was used."""
@@ -152,9 +153,8 @@ class History:
         stands_ns = self._track.stands_since_ns
         if stands_ns is None or stands_ns >= blind_since_ns:
             return
-        events = self._events[1 : self._place(stamp_ns)]
-        tried = any(event.step is not None and event.stamp_ns > stands_ns for event in events)
-        if not tried:
+        # Time is counted from a picture that was tried, or else from before the stand.
+        if self.at(stamp_ns).still_s >= 1e-9 * (stamp_ns - stands_ns) - 1e-6:
             doubt = partial(doubted_stand, config=self._config)
             self.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
 

@@ -65,7 +65,7 @@ class Mixture:
         return Mixture(tuple(change(state) for state in self.states), self.weights)
 
     def merged(self) -> FilterState:
-        """Return one state of the same mean and covariance; noise is that of the likeliest."""
+        """Return one state of the same mean and covariance; all else is the likeliest's."""
         likeliest = self.states[0]
         if len(self.states) == 1:
             return likeliest

@@ -32,6 +32,7 @@ def standing_or_hanging(
     state: FilterState,
     outcomes_of: Callable[[FilterState], list[Outcome]],
     config: OdometryNoiseConfig,
+    single: bool = False,
 ) -> list[Outcome]:
     """
     Return all that a state may have come to by a measurement, if the odometry stands or hangs.
@@ -44,6 +45,9 @@ def standing_or_hanging(
         What a state comes to by it, the odometry being right.
     config : OdometryNoiseConfig
         What is not known of a motion without odometry.
+    single : bool
+        Whether the likeliest alone will be kept: then a turn that may have been the camera's stays
+        open in one state.
 
     """
     if not state.still_s:
@@ -55,19 +59,19 @@ def standing_or_hanging(
         return stood
     # Nothing has gone far yet after a short time: a speed is open, not a random walk.
     moved = min(state.still_s, 1.0) * blind
-    unknown = [
-        one
+    turned, gone = (
+        _fitting(_outcomes(outcomes_of, _hanging(believed, which, moved)))
         for which in (HEADING, POSE)
-        for one in _outcomes(outcomes_of, _hanging(believed, which, moved))
-        if not _contradicts(one.update)
-    ]
-    if not state.hangs:
-        unknown = [one for one in unknown if one.update.degrees >= _LEAST]
-        return _with_prior(stood, _KNOCKED) + _with_prior(unknown, _BEGINS)
-    # That it ends as a camera is knocked would be two accidents at once.
-    ended = [one for one in stood if not _contradicts(one.update)]
-    known = _with_prior(ended, _ENDS) + _with_prior(unknown, _GOES_ON)
-    return known or [Outcome(replace(state, still_s=0.0), one.update) for one in stood[:1]]
+    )
+    if state.hangs:
+        # That it ends as a camera is knocked would be two accidents at once.
+        ended = _fitting(stood)
+        known = _with_prior(ended, _ENDS) + _with_prior([*turned, *gone], _GOES_ON)
+        return known or _with_prior(_outcomes(outcomes_of, state), _KNOCKED)
+    if single and turned and all(one.update.degrees for one in stood):
+        return [one._replace(state=replace(one.state, hangs=True)) for one in stood]
+    begun = [one for one in (*turned, *gone) if one.update.degrees >= _LEAST]
+    return _with_prior(stood, _KNOCKED) + _with_prior(begun, _BEGINS)
 
 
 def doubted_stand(state: FilterState, config: OdometryNoiseConfig) -> FilterState:
@@ -89,6 +93,10 @@ def _outcomes(
 ) -> list[Outcome]:
     """Outcomes of a state, from where time is counted anew."""
     return [one._replace(state=replace(one.state, still_s=0.0)) for one in outcomes_of(state)]
+
+
+def _fitting(outcomes: list[Outcome]) -> list[Outcome]:
+    return [one for one in outcomes if not _contradicts(one.update)]
 
 
 def _contradicts(update: FusionUpdate) -> bool:

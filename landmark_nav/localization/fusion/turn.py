@@ -60,12 +60,13 @@ def update_turning(
 
     Parameters are those of `update_bearings`, but for the prior: all that may have happened.
     """
+    single = frame.config.landmarks == 'refine'
 
     def updated(state: FilterState, enough: int, model: MeasurementModel | None = None) -> Outcome:
         return Outcome(*update_bearings(state, frame, lever, probability, odometry, enough, model))
 
     def outcomes(state: FilterState) -> list[Outcome]:
-        stands = state.still_s > 0.0 and state.way_m == 0.0 and not state.hangs
+        stands = state.still_s > 0.0 and state.way_m == 0.0 and not state.hangs and not single
         state = looking_again(state, frame.config.repeat_length_m)
         expected = expected_bearings(state, frame, lever)
         as_before = updated(state, least, expected)
@@ -103,8 +104,8 @@ def update_turning(
 
     return weighed(
         prior,
-        lambda state: standing_or_hanging(state, outcomes, odometry),
-        single=frame.config.landmarks == 'refine',
+        lambda state: standing_or_hanging(state, outcomes, odometry, single),
+        single,
     )
 
 
