@@ -84,6 +84,11 @@ class History:
         return self._states[-1].merged()
 
     @property
+    def hangs(self) -> bool:
+        """Whether the stand of the odometry is doubted now, as is most likely."""
+        return self._states[-1].states[0].hangs
+
+    @property
     def begin_ns(self) -> int:
         """Time before which nothing can be inserted any more."""
         return self._events[0].stamp_ns

@@ -335,7 +335,7 @@ class PoseFilter:
         return update
 
     def _note_stand(self, stamp_ns: int) -> None:
-        if self._history.last.hangs:
+        if self._history.hangs:
             self._health.note_trouble(stamp_ns, _HANGS)
 
     def _reconsider(self, stamp_ns: int) -> float:
