@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode, encode
+from landmark_nav.ros.acquaintance import Acquaintance
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -142,6 +143,8 @@ class RobotClient:
         """
         client: Any = self._node.create_client(Trigger, service)
         self.wait(client.service_is_ready, timeout_s, f'the service {service}')
+        with Acquaintance(self._node, service) as acquaintance:
+            self.wait(acquaintance.made, timeout_s, f'the node of {service} to know its client')
         future = client.call_async(Trigger.Request())
 
         def answered() -> bool:

@@ -1,0 +1,69 @@
+"""What a program that conducts the nodes asks them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.robot_client import RobotClient
+
+
+class Counter(LandmarkNode):
+    """Offers to count how often it was asked."""
+
+    asked = 0
+
+    def health(self) -> Health:
+        return Health(Level.OK, 'counting')
+
+    def count(self) -> str:
+        self.asked += 1
+        return f'asked {self.asked} times'
+
+
+@contextmanager
+def counting(domain_id: int) -> Iterator[tuple[Counter, SingleThreadedExecutor]]:
+    context = Context()
+    context.init(domain_id=domain_id)
+    node = Counter('counter', 'test', context=context, namespace='/deep/down')
+    node.offer('count', node.count)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        yield node, executor
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its answer would be lost, and asking twice would do twice what is asked for."""
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with (
+        counting(domain_id) as (node, executor),
+        RobotClient(domain_id, lambda: None) as client,
+    ):
+        with pytest.raises(LandmarkNavError, match='the node of /deep/down/count to know'):
+            client.call('/deep/down/count', 2.0)
+        for _ in range(20):
+            executor.spin_once(timeout_sec=0.05)
+        assert node.asked == 0
+
+    with counting(domain_id) as (node, executor):
+        # Spun between the client's own turns.
+        with RobotClient(domain_id, lambda: executor.spin_once(timeout_sec=0.0)) as client:
+            assert client.call('/deep/down/count', 10.0) == 'asked 1 times'
+        assert node.asked == 1
