@@ -78,8 +78,7 @@ def _outcome(
     loose = prior
     if nis > limit and turn_sigma:
         turned = -float(model.innovation[HEADING])
-        stands = prior.still_s > 0.0 and not prior.hangs
-        which = [BORESIGHT] if stands else [HEADING, BORESIGHT]
+        which = [BORESIGHT] if prior.stands else [HEADING, BORESIGHT]
         loose = widened(prior, which, min(turned**2, turn_sigma**2))
         model = _pose_model(loose, measured, columns, lever)
         nis = _nis(model)

@@ -18,7 +18,7 @@ import numpy as np
 
 from landmark_nav.localization.fusion.mixture import Mixture
 from landmark_nav.localization.fusion.stand import doubted_stand
-from landmark_nav.localization.fusion.state import FilterState, POSE, propagate, widened
+from landmark_nav.localization.fusion.state import FilterState, measured, POSE, propagate, widened
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.odometry.noise import (
     Motion,
@@ -109,7 +109,7 @@ class History:
         """Begin anew with a state; odometry that came after it is kept."""
         self._events = [_Event(state.stamp_ns)]
         # What the stand before left open is no part of this covariance.
-        self._states = [Mixture((replace(state, still_s=0.0),))]
+        self._states = [Mixture((measured(state),))]
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what was wrong with the sample, if anything: `Distrusted` if it was used."""

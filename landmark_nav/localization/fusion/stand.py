@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.localization.fusion.mixture import Outcome
-from landmark_nav.localization.fusion.state import FilterState, HEADING, POSE, widened
+from landmark_nav.localization.fusion.state import FilterState, HEADING, measured, POSE, widened
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.odometry.noise import blind_variances, Motion, OdometryNoiseConfig
 from landmark_nav.types import FloatArray
@@ -51,7 +51,7 @@ def standing_or_hanging(
 
     """
     if not state.still_s:
-        return outcomes_of(state)
+        return _outcomes(outcomes_of, state)
     blind = _blind(state, config)
     believed = widened(state, POSE, -blind) if state.hangs else state
     stood = _outcomes(outcomes_of, replace(believed, hangs=False))
@@ -91,8 +91,7 @@ def _hanging(state: FilterState, which: int | list[int], variances: FloatArray) 
 def _outcomes(
     outcomes_of: Callable[[FilterState], list[Outcome]], state: FilterState
 ) -> list[Outcome]:
-    """Outcomes of a state, from where time is counted anew."""
-    return [one._replace(state=replace(one.state, still_s=0.0)) for one in outcomes_of(state)]
+    return [one._replace(state=measured(one.state)) for one in outcomes_of(state)]
 
 
 def _fitting(outcomes: list[Outcome]) -> list[Outcome]:

@@ -41,6 +41,7 @@ __all__ = [
     'among',
     'initial_state',
     'looking_again',
+    'measured',
     'moved_to',
     'propagate',
     'widened',
@@ -82,8 +83,10 @@ class FilterState:
         How noisy odometry and sightings turned out to be.
     by_noise : ndarray, shape (LEARNED, STATES, STATES)
         What of `covariance` comes from each of those noises.
-    way_m, still_s : float
-        Way since the last picture, and time since then in which the odometry stood.
+    way_m : float
+        Since the last picture.
+    still_s, moved_s : float
+        Time since the last measurement in which the odometry stood, and in which it did not.
     hangs : bool
         Whether that stand is doubted; then `covariance` holds all that may have happened in it.
 
@@ -100,11 +103,17 @@ class FilterState:
     by_noise: FloatArray
     way_m: float = 0.0
     still_s: float = 0.0
+    moved_s: float = 0.0
     hangs: bool = False
 
     def estimate(self) -> PoseEstimate:
         """Return the pose alone."""
         return PoseEstimate(self.stamp_ns, self.mean[:3].copy(), self.covariance[:3, :3].copy())
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robot has stood since the last measurement, as far as is known."""
+        return self.still_s > 0.0 and self.moved_s == 0.0 and not self.hangs
 
     @property
     def late(self) -> JointDelay:
@@ -170,6 +179,11 @@ def widened(state: FilterState, which: int | list[int], variance: npt.ArrayLike)
     covariance = state.covariance.copy()
     covariance[which, which] += variance
     return replace(state, covariance=covariance)
+
+
+def measured(state: FilterState) -> FilterState:
+    """Return the state after a measurement: time is counted from there."""
+    return replace(state, still_s=0.0, moved_s=0.0)
 
 
 def with_late_joints(state: FilterState, sigma_s: float) -> FilterState:
@@ -270,5 +284,6 @@ def propagate(
         by_noise=by_noise,
         way_m=state.way_m + way,
         still_s=state.still_s + motion.still_seconds,
+        moved_s=state.moved_s + motion.seconds - motion.still_seconds,
         hangs=state.hangs and motion.still_seconds >= motion.seconds,
     )

@@ -66,7 +66,7 @@ def update_turning(
         return Outcome(*update_bearings(state, frame, lever, probability, odometry, enough, model))
 
     def outcomes(state: FilterState) -> list[Outcome]:
-        stands = state.still_s > 0.0 and state.way_m == 0.0 and not state.hangs and not single
+        stands = state.stands and not single
         state = looking_again(state, frame.config.repeat_length_m)
         expected = expected_bearings(state, frame, lever)
         as_before = updated(state, least, expected)
