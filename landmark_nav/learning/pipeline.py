@@ -214,14 +214,14 @@ def _check(panoramas: Sequence[Panorama]) -> None:
     if len(panoramas) < 2:
         raise LandmarkNavError(
             f'learning needs two panoramas from different places, not {len(panoramas)}: '
-            'drive 1 to 3 m on and call capture_sweep again'
+            'take another sweep 1 to 3 m away'
         )
     centers = np.array([p.center_map[:2] for p in panoramas])
     spread = float(np.max(np.linalg.norm(centers[:, None] - centers[None], axis=-1)))
     if spread < 0.2:
         raise LandmarkNavError(
             f'all {len(panoramas)} panoramas are from one place (within {spread:.2f} m): '
-            'drive 1 to 3 m on and call capture_sweep again'
+            'take another sweep 1 to 3 m away'
         )
 
 

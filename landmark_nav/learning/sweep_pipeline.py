@@ -85,7 +85,7 @@ def panorama_from_sweep(
 
     """
     if not sweep.frames:
-        raise LandmarkNavError('the sweep has no frames: call capture_sweep again')
+        raise LandmarkNavError('the sweep has no frames: take it again')
     log = log or StageLog()
     with log.measure('calibration'):
         found = calibrate_sweep(sweep, mount, config.calibration)

@@ -283,12 +283,12 @@ def test_an_optical_centre_off_the_axis_is_undone() -> None:
 
 
 def test_a_sweep_without_frames_is_refused() -> None:
-    with pytest.raises(LandmarkNavError, match='no frames: call capture_sweep again'):
+    with pytest.raises(LandmarkNavError, match='no frames: take it again'):
         panorama_from_sweep(Sweep(0, ()), ROOM, MOUNT, PanoramaStages())
 
 
 def test_one_panorama_is_not_enough(panoramas: list[Panorama]) -> None:
-    with pytest.raises(LandmarkNavError, match=r'needs two panoramas .* not 1: drive'):
+    with pytest.raises(LandmarkNavError, match=r'needs two panoramas .* not 1: take'):
         learn_from_panoramas(panoramas[:1], ROOM, LearningConfig())
 
 
