@@ -6,12 +6,11 @@ import argparse
 from collections.abc import Iterator
 import heapq
 from pathlib import Path
-import shlex
 from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.lines import evaluate_line, wrapped
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
@@ -104,9 +103,7 @@ def run(args: argparse.Namespace) -> int:
         f'{delay:.2f} s'
     )
     print(wrapped([told]))
-    words = ['landmark-nav', 'evaluate', str(args.out), '--map', str(landmarks)]
-    words += ['--robot', str(robot), '--config', str(config)]
-    print(shlex.join([*words, '--start', *(f'{value:.4f}' for value in start)]))
+    print(evaluate_line(args.out, landmarks, robot, start, config))
     return 0
 
 

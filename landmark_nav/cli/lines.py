@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
+import shlex
 import shutil
 from textwrap import fill
 
-__all__ = ['wrapped']
+from landmark_nav.types import FloatArray
+
+__all__ = ['evaluate_line', 'wrapped']
 
 _WIDTH = 99
 _LEAST_WIDTH = 60
@@ -26,3 +30,12 @@ def wrapped(lines: Iterable[str]) -> str:
         )
         for line in lines
     )
+
+
+def evaluate_line(
+    bag: Path, map_folder: Path, robot: Path, start: FloatArray, config: Path | None = None
+) -> str:
+    """Return the command that drives with a map from a pose (3,), for a shell."""
+    words = ['landmark-nav', 'evaluate', str(bag), '--map', str(map_folder)]
+    words += ['--robot', str(robot), *(['--config', str(config)] if config else [])]
+    return shlex.join([*words, '--start', *(f'{value:.4f}' for value in start)])

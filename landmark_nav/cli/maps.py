@@ -9,18 +9,20 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import load_map, MAP_DATA, save_map, SCHEMA_VERSION, write_map
 from landmark_nav.storage.whole import whole_folder
 from landmark_nav.types import Landmark, LandmarkMap
 from landmark_nav.upkeep.check import problems_of_map
-from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture
+from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture, wall_changes
 from landmark_nav.upkeep.merge import merge_maps
 
 __all__ = ['add_arguments', 'run']
 
 # Disagreements are listed one by one from here on.
 _LISTED_SIGMAS = 3.0
+# Maps whose walls differ are of two rooms if they share the textures of so few landmarks: of two
+# rooms they share 2 of 40 by chance.
+_COMMON_SHARE = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,8 +79,18 @@ def _check(args: argparse.Namespace) -> int:
 
 def _diff(args: argparse.Namespace) -> int:
     a, b = load_map(args.a), load_map(args.b)
-    walls = _described_walls(a.walls, b.walls)
-    print(*walls, describe_comparison(compare_maps(a, b)), sep='\n')
+    walls = {name: moved for name, moved in wall_changes(a, b).items() if moved > 0.0}
+    comparison = compare_maps(a, b)
+    same, fewer = len(comparison.of(Texture.SAME)), min(len(a.landmarks), len(b.landmarks))
+    if walls and same < _COMMON_SHARE * fewer:
+        raise LandmarkNavError(
+            f'the maps are of two rooms: their walls differ, and {same} of {fewer} landmarks '
+            'have the same texture in both'
+        )
+    for name, moved in walls.items():
+        how = 'is in one map alone' if moved == np.inf else f'an end moved by {100 * moved:.1f} cm'
+        print(f'wall     {name}: {how}')
+    print(describe_comparison(comparison))
     return 0
 
 
@@ -136,24 +148,6 @@ def describe_comparison(comparison: Comparison) -> str:
 def _name(k: Landmark) -> str:
     x, y, z = k.position
     return f'{k.id} on {k.wall_id or "no wall"} at ({x:.2f}, {y:.2f}, {z:.2f}) m'
-
-
-def _described_walls(a: tuple[Wall, ...], b: tuple[Wall, ...]) -> list[str]:
-    walls_a, walls_b = ({wall.id: wall for wall in walls} for walls in (a, b))
-    if not walls_a.keys() & walls_b.keys() and a and b:
-        raise LandmarkNavError('the maps have no wall in common: they are of two rooms')
-    lines = []
-    for name in [*walls_a, *(n for n in walls_b if n not in walls_a)]:
-        if name not in walls_b or name not in walls_a:
-            lines.append(f'wall     {name} is in {"A" if name in walls_a else "B"} alone')
-            continue
-        ends = [np.array([walls[name].start, walls[name].end]) for walls in (walls_a, walls_b)]
-        moved = float(np.abs(ends[1] - ends[0]).max())
-        if moved > 0.0:
-            lines.append(f'wall     {name}: an end moved by {100 * moved:.1f} cm')
-    if lines:
-        lines.append('of two rooms, or the room.yaml was changed between the maps')
-    return lines
 
 
 def describe_map(landmarks: LandmarkMap) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.cli.lines import evaluate_line
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
@@ -209,19 +210,13 @@ def run(args: argparse.Namespace) -> int:
         f'{args.drive_seconds:g} s in drive, room of {len(scene.room.walls)} walls'
     )
     if len(poses) > 1:
-        _print_next_commands(args.out, start)
+        learn, drive, room, robot, learned = (
+            args.out / name for name in ('learn', 'drive', 'room.yaml', 'robot.yaml', 'map')
+        )
+        words = ['learn', learn, '--room', room, '--robot', robot, '--out', learned]
+        print(shlex.join(['landmark-nav', *map(str, words)]))
+        print(evaluate_line(drive, learned, robot, start))
     return 0
-
-
-def _print_next_commands(folder: Path, start: Any) -> None:
-    """Tell what learns from these bags, and what drives with that."""
-    learn, drive, room, robot, out = (
-        str(folder / name) for name in ('learn', 'drive', 'room.yaml', 'robot.yaml', 'map')
-    )
-    words = ['learn', learn, '--room', room, '--robot', robot, '--out', out]
-    print(shlex.join(['landmark-nav', *words]))
-    words = ['evaluate', drive, '--map', out, '--robot', robot, '--start']
-    print(shlex.join(['landmark-nav', *words, *(f'{value:.4f}' for value in start)]))
 
 
 def _camera_rate(text: str) -> float:

@@ -19,7 +19,7 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.matching import blur_to, match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, Refusal
 
-__all__ = ['Comparison', 'Pair', 'Texture', 'compare_maps']
+__all__ = ['Comparison', 'Pair', 'Texture', 'compare_maps', 'wall_changes']
 
 _SAME_PLANE_M = 0.1
 _MIN_COS_NORMALS = np.cos(np.radians(10.0))
@@ -87,6 +87,17 @@ def compare_maps(a: LandmarkMap, b: LandmarkMap) -> Comparison:
         tuple(k for i, k in enumerate(a.landmarks) if i not in in_a),
         tuple(k for j, k in enumerate(b.landmarks) if j not in in_b),
     )
+
+
+def wall_changes(a: LandmarkMap, b: LandmarkMap) -> dict[str, float]:
+    """How far an end of each wall moved, m, by the wall's id; inf where one map lacks the wall."""
+    ends_a, ends_b = ({w.id: np.array([w.start, w.end]) for w in m.walls} for m in (a, b))
+    return {
+        name: float(np.abs(ends_b[name] - ends_a[name]).max())
+        if name in ends_a and name in ends_b
+        else np.inf
+        for name in ends_a | ends_b
+    }
 
 
 def _apart(a: LandmarkMap, b: LandmarkMap) -> FloatArray:

@@ -8,7 +8,13 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap
-from landmark_nav.upkeep.comparison import compare_maps, Comparison, Pair, Texture
+from landmark_nav.upkeep.comparison import (
+    compare_maps,
+    Comparison,
+    Pair,
+    Texture,
+    wall_changes,
+)
 
 __all__ = ['merge_maps']
 
@@ -72,12 +78,9 @@ def _older_stays(pair: Pair) -> bool:
 def _check_same_room(a: LandmarkMap, b: LandmarkMap) -> None:
     if a.frame_id != b.frame_id:
         raise LandmarkNavError(f'the maps have frames {a.frame_id} and {b.frame_id}: not one room')
-    walls_a, walls_b = ({w.id: w for w in m.walls} for m in (a, b))
-    for name in sorted(walls_a.keys() | walls_b.keys()):
-        if name not in walls_a or name not in walls_b:
+    for name, moved in wall_changes(a, b).items():
+        if moved == np.inf:
             raise LandmarkNavError(f'wall {name} is in one of the maps alone: not one room')
-        ends = [np.array([walls[name].start, walls[name].end]) for walls in (walls_a, walls_b)]
-        moved = float(np.abs(ends[0] - ends[1]).max())
         if moved > _SAME_WALL_M:
             raise LandmarkNavError(
                 f'wall {name} lies {moved:.3f} m apart in the maps: they are of two rooms, or '

@@ -195,3 +195,16 @@ def test_the_commands_tell_it_with_their_exit_status(tmp_path, capsys):
     save_map(make_map(replace(landmark(0, PLACES[0]), wall_id='attic')), a)
     assert main(['map', 'check', a]) == 1
     assert 'attic' in capsys.readouterr().out
+
+
+def test_maps_of_two_rooms_are_told_apart_in_one_sentence(tmp_path):
+    other = tuple(replace(wall, start=wall.end, end=wall.start) for wall in WALLS)
+    here = make_map(*(landmark(k, p) for k, p in enumerate(PLACES)), stamp_ns=1)
+    there = make_map(*(landmark(k, p, paper=9) for k, p in enumerate(PLACES)), stamp_ns=2)
+    remeasured = replace(here, walls=other)
+    paths = [str(tmp_path / name) for name in 'abc']
+    for learned, path in zip((here, replace(there, walls=other), remeasured), paths, strict=True):
+        save_map(learned, path)
+    a, b, c = paths
+    assert main(['map', 'diff', a, b]) == 1
+    assert main(['map', 'diff', a, c]) == 0
