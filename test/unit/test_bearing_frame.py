@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from landmark_nav.geometry.pan_track import PanTrack
-from landmark_nav.localization.fusion.bearings import bearing_frame, BearingFrame
+from landmark_nav.localization.fusion.bearings import BearingFrame, FrameMaker
 from landmark_nav.localization.fusion.config import FusionConfig
 from landmark_nav.types import Detections
 
@@ -17,7 +17,9 @@ def frame(scores: npt.ArrayLike, before: npt.ArrayLike = (), **camera: object) -
     n = len(score)
     ids, bearings, variances = np.arange(n), np.zeros(n), np.full(n, 1e-6)
     seen = Detections(0, ids, bearings, variances, score, np.zeros((n, 2)), **camera)  # type: ignore[arg-type]
-    return bearing_frame(seen, {k: k for k in range(n)}, FusionConfig(), 0.0, before)
+    frames = FrameMaker(ids, FusionConfig(), 0.0)
+    frames.remember(np.array(before))
+    return frames.frame(seen)
 
 
 def test_one_that_is_far_less_alike_than_the_others_shows_something_else() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -15,11 +15,12 @@ from landmark_nav.localization.fusion.config import FusionConfig
 from landmark_nav.localization.joint_delay import JointDelay, Lag
 from landmark_nav.types import Detections, FloatArray, Refusal
 
-__all__ = ['BearingFrame', 'bearing_frame']
-
+__all__ = ['BearingFrame', 'FrameMaker']
 
 # Matches of a picture that tell what correlation is to be expected in it.
 _FEW = 4
+# So many correlations of earlier pictures are kept for pictures with fewer.
+_SCORES = 12
 # A swing is looked for at so many times.
 _SWING_STEPS = 13
 # What of a template's variance a match may leave unexplained: times the median, and some more.
@@ -68,72 +69,82 @@ class BearingFrame:
         return float(np.abs(pans - pans[_SWING_STEPS // 2]).max())
 
 
-def bearing_frame(
-    detections: Detections,
-    columns: Mapping[int, int],
-    config: FusionConfig,
-    pan_sigma_rad: float,
-    scores_before: npt.ArrayLike,
-) -> BearingFrame:
+class FrameMaker:
     """
-    Sort out what no filter can use.
+    Makes the frames of one picture after the other: sorts out what no filter can use.
 
     Parameters
     ----------
-    detections : Detections
-        Of one picture.
-    columns : mapping of int to int
-        Landmark id to place in the map.
+    ids : ndarray of int, shape (n,)
+        Landmarks, in the order of the map.
     config : FusionConfig
         What bearings share and repeat.
-    scores_before : array_like, shape (k,)
-        Correlations in the pictures before: what is to be expected where few are found.
+    pan_sigma_rad : float
+        Of the measured pan.
 
     """
-    variance = detections.variance_rad2
-    good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
-    unlike = _unlike_the_others(detections.score, np.asarray(scores_before, dtype=np.float64))
-    unusable: dict[int, Refusal] = {}
-    chosen: dict[int, int] = {}
-    for k, landmark in enumerate(detections.ids.tolist()):
-        if landmark not in columns:
-            unusable[landmark] = Refusal('not in the map')
-        elif not good[k]:
-            unusable[landmark] = Refusal('bearing or variance is not a number')
-        elif landmark in chosen:
-            unusable[landmark] = Refusal('given twice')
-        elif unlike[k]:
-            unusable[landmark] = Refusal(
-                'less alike than the others', f'correlation {detections.score[k]:.2f}'
-            )
-        else:
-            chosen[landmark] = k
-    rows = list(chosen.values())
-    return BearingFrame(
-        np.array(list(chosen), dtype=np.int64),
-        np.array([columns[k] for k in chosen], dtype=np.intp),
-        detections.bearing_rad[rows],
-        variance[rows],
-        pan_sigma_rad**2 + detections.pan_sigma_rad**2,
-        unusable,
-        detections.score[rows],
-        config,
-        detections.pan_rate_rad_s,
-        detections.pan_rad,
-        detections.pan_track,
-        detections.pan_delay_s,
-    )
+
+    def __init__(
+        self, ids: npt.NDArray[np.int64], config: FusionConfig, pan_sigma_rad: float
+    ) -> None:
+        self._config, self._pan_sigma_rad = config, pan_sigma_rad
+        self._columns = {k: column for column, k in enumerate(ids.tolist())}
+        self._scores: deque[float] = deque(maxlen=_SCORES)
+
+    def columns(self, ids: npt.NDArray[np.int64]) -> IndexArray:
+        """Places in the map of those landmarks that it holds."""
+        return np.array([self._columns[k] for k in ids.tolist() if k in self._columns], np.intp)
+
+    def remember(self, scores: FloatArray) -> None:
+        """Expect correlations like these of a picture that has few."""
+        self._scores.extend(scores.tolist())
+
+    def frame(self, detections: Detections) -> BearingFrame:
+        """Return the usable bearings of a picture, and why the others are not."""
+        variance = detections.variance_rad2
+        good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
+        unlike = _unlike_the_others(detections.score, np.array(self._scores))
+        unusable: dict[int, Refusal] = {}
+        chosen: dict[int, int] = {}
+        for k, landmark in enumerate(detections.ids.tolist()):
+            if landmark not in self._columns:
+                unusable[landmark] = Refusal('not in the map')
+            elif not good[k]:
+                unusable[landmark] = Refusal('bearing or variance is not a number')
+            elif landmark in chosen:
+                unusable[landmark] = Refusal('given twice')
+            elif unlike[k]:
+                unusable[landmark] = Refusal(
+                    'less alike than the others', f'correlation {detections.score[k]:.2f}'
+                )
+            else:
+                chosen[landmark] = k
+        rows, ids = list(chosen.values()), np.array(list(chosen), dtype=np.int64)
+        return BearingFrame(
+            ids,
+            self.columns(ids),
+            detections.bearing_rad[rows],
+            variance[rows],
+            self._pan_sigma_rad**2 + detections.pan_sigma_rad**2,
+            unusable,
+            detections.score[rows],
+            self._config,
+            detections.pan_rate_rad_s,
+            detections.pan_rad,
+            detections.pan_track,
+            detections.pan_delay_s,
+        )
 
 
 def _unlike_the_others(score: FloatArray, before: FloatArray) -> npt.NDArray[np.bool_]:
     """
     Which matches leave far more unexplained than the others of their picture, (n,).
 
-    Light, blur and noise lower all correlations of a picture together. One far below the others
-    shows something else, as a picture that was exchanged, and is off by the same amount again
-    and again: its variance, which stands for noise, does not tell. Where a picture has few
-    matches, those of the pictures `before` count as well; if it lies below them as a whole, that
-    is the light.
+    Light, blur and noise lower all correlations of a picture together. A match that is far worse
+    than the others shows something else, such as a poster that was exchanged; its bearing is off
+    by the same amount in picture after picture, which its variance does not cover. Where a picture
+    has few matches, the correlations of the pictures `before` count as well; if all matches are
+    worse than those, it is the light.
     """
     others = score if len(score) >= _FEW else np.append(score, before)
     if len(others) < _FEW:

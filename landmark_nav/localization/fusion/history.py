@@ -141,8 +141,12 @@ class History:
         self._forget()
         return refusal
 
-    def insert(self, stamp_ns: int, step: Step | None = None) -> FusionUpdate | None:
-        """Put a step in its place and repeat what follows; what became of the step."""
+    def change(self, stamp_ns: int, change: Callable[[FilterState], FilterState]) -> None:
+        """Change all states of a time, and repeat what follows."""
+        self.insert(stamp_ns, lambda mixture: (mixture.each(change), None))
+
+    def insert(self, stamp_ns: int, step: Step) -> FusionUpdate | None:
+        """Apply a step at its time and repeat what follows; what became of the step."""
         place = self._place(stamp_ns)
         self._events.insert(place, _Event(stamp_ns, step))
         update = self._repeat(place)[0]
@@ -160,8 +164,7 @@ class History:
             return
         # Time is counted from a picture that was tried, or else from before the stand.
         if self.at(stamp_ns).still_s >= 1e-9 * (stamp_ns - stands_ns) - 1e-6:
-            doubt = partial(doubted_stand, config=self._config)
-            self.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
+            self.change(stamp_ns, partial(doubted_stand, config=self._config))
 
     def at(self, stamp_ns: int | None = None) -> FilterState:
         """

@@ -1,13 +1,12 @@
 """
 Fusion of bearings with odometry: a Schmidt-Kalman filter that knows when it is lost.
 
-`state` and `measurement` hold the equations, `update` the gates, `mixture` what else may have
-happened, `history` the order of time and `health` the verdict.
+`state` and `measurement` hold the equations, `update` the gates, `mixture` the hypotheses,
+`history` the order of time, `health` the verdict, and `recovery` what follows a doubt.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from functools import partial
 
 import numpy as np
@@ -15,31 +14,16 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.fusion.bearings import bearing_frame
+from landmark_nav.localization.fusion.bearings import FrameMaker
 from landmark_nav.localization.fusion.config import FusionConfig
-from landmark_nav.localization.fusion.doubt import (
-    doubted_estimate,
-    doubted_state,
-    is_elsewhere,
-)
+from landmark_nav.localization.fusion.doubt import doubted_estimate, doubted_state, is_elsewhere
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.fix_sources import FixSources, Seen
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
-from landmark_nav.localization.fusion.start import (
-    checked_start,
-    doubted_turn,
-    is_finite,
-    is_headed,
-    turned_since,
-    with_joints_in_doubt,
-)
-from landmark_nav.localization.fusion.state import (
-    among,
-    FilterState,
-    initial_state,
-    moved_to,
-)
+from landmark_nav.localization.fusion.recovery import Recovery
+from landmark_nav.localization.fusion.start import checked_start, is_finite, with_joints_in_doubt
+from landmark_nav.localization.fusion.state import among, FilterState, initial_state, moved_to
 from landmark_nav.localization.fusion.turn import update_turning
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
@@ -58,8 +42,6 @@ __all__ = ['PoseFilter']
 
 # Chi-square level of the gate for triangulated poses.
 _POSE_PROBABILITY = 0.99
-# So many correlations of the pictures before tell what to expect.
-_SCORES = 12
 _HANGS = Refusal('odometry stands', 'which pictures do not confirm')
 
 
@@ -91,7 +73,7 @@ class PoseFilter:
         self._odometry = odometry or OdometryNoiseConfig()
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
-        self._was_doubted = False
+        self._recovery = Recovery(self._history, self._lever, self._config.turn_sigma_rad)
         self.change_map(landmark_map)
 
     @property
@@ -138,13 +120,19 @@ class PoseFilter:
         witnesses: npt.NDArray[np.int64] | None = None,
     ) -> None:
         """
-        Start anew at a pose; of what was measured before, only robot and camera are remembered.
+        Start anew at a pose; only what was learned of robot and camera is kept.
 
-        A stamp outside the odometry of the last seconds (RViz on another clock) is taken as now:
-        `now_ns`, or the time of the last odometry. A pose that nobody vouches for rests on
-        landmarks alone, its `witnesses` (ids) and others: it takes two walls of them to be sure,
-        and a heading that is so unsure was told by a turning camera, whose joints may be late
-        unless odometry led to the same heading.
+        Parameters
+        ----------
+        start : PoseEstimate
+            Pose of the base in map. A stamp that is not near the odometry of the last seconds
+            (RViz on another clock) is taken as now.
+        now_ns : int, optional
+            Present time; by default that of the last odometry.
+        witnesses : ndarray of int, shape (m,), optional
+            Ids of the landmarks from which the pose was found, if it was. Such a pose counts as
+            sure only when landmarks on two walls agree with it. If its heading is wide, the camera
+            was turning: then the joint states may be late, unless odometry led to that heading.
 
         Raises
         ------
@@ -162,17 +150,16 @@ class PoseFilter:
         if witnesses is not None:
             state = with_joints_in_doubt(state, start, self._history.led(start.stamp_ns))
         self._history.restart(state)
-        self._was_doubted = True
+        self._recovery.doubt()
         self._health.restart(start.stamp_ns)
         self._witnesses = Witnesses(self._map, vouched=witnesses is None)
         if witnesses is not None:
-            self._witnesses.found_by(self._columns_of(witnesses))
+            self._witnesses.found_by(self._frames.columns(witnesses))
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
-        """Go on among other landmarks from where the robot is, believed as much as before."""
+        """Go on with other landmarks; the pose stays as it is, and as sure."""
         self._map = landmark_map
-        self._scores: deque[float] = deque(maxlen=_SCORES)
-        self._columns = {int(k): i for i, k in enumerate(landmark_map.ids)}
+        self._frames = FrameMaker(landmark_map.ids, self._config, self._pan_sigma_rad)
         self._fix_sources = FixSources(len(landmark_map.landmarks))
         self._witnesses = Witnesses(landmark_map)
         if self._history.started:
@@ -186,7 +173,7 @@ class PoseFilter:
         Returns
         -------
         Refusal or None
-            What was wrong with the sample; the filter goes on without it, unless that is
+            What was wrong with the sample. It was left out, or used nevertheless if this is
             `Distrusted`.
 
         """
@@ -200,14 +187,12 @@ class PoseFilter:
     def add_detections(self, detections: Detections) -> FusionUpdate:
         """Correct by the bearings of one picture, at its time."""
         stamp = detections.stamp_ns
-        frame = bearing_frame(
-            detections, self._columns, self._config, self._pan_sigma_rad, self._scores
-        )
+        frame = self._frames.frame(detections)
         if (refusal := self._history.untimely(stamp)) is not None:
             self._health.note(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
-        self._scores.extend(frame.scores.tolist())
-        missed = self._columns_of(detections.missed)
+        self._frames.remember(frame.scores)
+        missed = self._frames.columns(detections.missed)
         places = self._map.positions[missed]
         expected = len(frame.columns) + len(missed)
         if self._config.mode != 'bearings':
@@ -236,21 +221,17 @@ class PoseFilter:
         )
         # Of bearings that were not used, nothing tells which are the wrong ones.
         elsewhere = len(update.rejected) - len(frame.unusable) if update.degrees else 0
-        agree = self._columns_of(update.accepted_ids)
+        agree = self._frames.columns(update.accepted_ids)
         self._health.look(stamp, agree, missed, places, elsewhere)
         self._speak(update, agree)
         return update
 
     def _speak(self, update: FusionUpdate, columns: IndexArray) -> None:
-        """Let landmarks speak for the place, if it takes no knock or slip for them to fit."""
+        """Count landmarks that agree as evidence for the place, unless bearings had to turn."""
         if update.turned_rad:
             self._witnesses.contradicted(again=self._health.repeats)
         else:
             self._witnesses.hear(columns)
-
-    def _columns_of(self, ids: npt.NDArray[np.int64]) -> IndexArray:
-        """Places in the map of those landmarks that it holds."""
-        return np.array([self._columns[k] for k in ids.tolist() if k in self._columns], np.intp)
 
     def add_pose(self, measured: PoseEstimate) -> FusionUpdate:
         """Correct by a triangulated pose of the base, at its time."""
@@ -287,7 +268,7 @@ class PoseFilter:
         return FusionUpdate(stamp_ns, refusal=refusal)
 
     def contradict(self, elsewhere: PoseEstimate, why: str) -> None:
-        """Doubt the pose if that is far from one which landmarks speak for, though not surely."""
+        """Doubt the pose if a search finds one far from it, even if that is not sure itself."""
         here = self.estimate(elsewhere.stamp_ns)
         if here is not None and is_elsewhere(here, elsewhere):
             self._health.doubt(elsewhere.stamp_ns, why)
@@ -296,7 +277,7 @@ class PoseFilter:
         """
         Pose of the base at a time, the newest one by default; None before `initialize`.
 
-        Beyond the last odometry its twist predicts for a short while, then only the covariance
+        After the last odometry its twist predicts for a short while, then only the covariance
         grows. Before the history begins its first state is given.
         """
         if not self._history.started:
@@ -308,26 +289,23 @@ class PoseFilter:
         return self._history.at(stamp_ns).cross[:3, : 2 * len(self._map.landmarks)]
 
     def _measure(self, stamp_ns: int, step: Step) -> FusionUpdate:
+        """Apply a measurement at its time, and judge the pose by what became of it."""
         wide = self._health.too_wide(self._history.at(stamp_ns).estimate())
         self._witnesses.note_width(bool(wide))
-        self._was_doubted |= self._health.unseen_s(stamp_ns) > 0.0
+        if self._health.unseen_s(stamp_ns) > 0.0:
+            self._recovery.doubt()
         update = self._history.insert(stamp_ns, step)
         assert update is not None
         self._health.observe(update)
         self._note_stand(stamp_ns)
         turn_rad = update.turned_rad
         if self._health.astray:
-            self._was_doubted = True
+            self._recovery.doubt()
             if update.refusal is not None:
-                self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubted_state), None))
+                self._history.change(stamp_ns, doubted_state)
                 self._witnesses.restart(vouched=False)
         elif update.degrees:
-            if turn_rad:
-                self._was_doubted = False
-            elif self._was_doubted:
-                turn_rad = self._reconsider(stamp_ns)
-            if self._witnesses.vouched and not self._was_doubted:
-                self._history.trust(stamp_ns)
+            turn_rad = self._recovery.confirm(stamp_ns, turn_rad, self._witnesses.vouched)
         if turn_rad:
             angle = f'{np.degrees(turn_rad):+.2f} deg'
             reason = 'the camera or the robot was turned, wheels slipped or joint_states are late'
@@ -337,14 +315,3 @@ class PoseFilter:
     def _note_stand(self, stamp_ns: int) -> None:
         if self._history.hangs:
             self._health.note_trouble(stamp_ns, _HANGS)
-
-    def _reconsider(self, stamp_ns: int) -> float:
-        """Ask odometry about a pose that is believed again; what all bearings are off by, rad."""
-        found, most_rad = self._history.at(stamp_ns), self._config.turn_sigma_rad
-        self._was_doubted = not is_headed(found)
-        if self._was_doubted:
-            return 0.0
-        if turn_rad := turned_since(found, self._history.led(stamp_ns), most_rad):
-            doubt = partial(doubted_turn, turn_rad=turn_rad, lever=self._lever, most_rad=most_rad)
-            self._history.insert(stamp_ns, lambda mixture: (mixture.each(doubt), None))
-        return turn_rad
