@@ -76,6 +76,18 @@ class TestRecovery:
         np.testing.assert_array_equal(np.flatnonzero(~fix.used), [2, 4])
         np.testing.assert_allclose(fix.pose, POSE, atol=1e-6)
 
+    @pytest.mark.parametrize('seed', range(10))
+    def test_finds_mistaken_landmarks(self, seed: int) -> None:
+        """Three of ten bearings, to anything: from all of them least squares leads nowhere."""
+        rng = np.random.default_rng(seed)
+        azimuth = rng.uniform(-np.pi, np.pi, 10)
+        away = rng.uniform(1.0, 4.0, (10, 1)) * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+        seen = bearings(POSE, POSE[:2] + away)
+        seen[:3] += rng.uniform(0.3, 2.0 * np.pi - 0.3, 3)
+        fix = expect_fix(triangulate(POSE[:2] + away, seen, variances(10)))
+        np.testing.assert_array_equal(np.flatnonzero(~fix.used), [0, 1, 2])
+        np.testing.assert_allclose(fix.pose, POSE, atol=1e-6)
+
 
 class TestCovariance:
     @pytest.mark.parametrize('n', [3, 4, 6])

@@ -21,7 +21,7 @@ from landmark_nav.localization.triangulation.least_squares import (
     solve,
     w_statistics,
 )
-from landmark_nav.localization.triangulation.model import danger_distance
+from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
 from landmark_nav.localization.triangulation.three import triangulate_three
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
@@ -150,7 +150,12 @@ def _without_outliers(
             position[index], bearing[index], variance[index], map_cov[np.ix_(rows, rows)], pose
         )
         if isinstance(solved, Refusal):
-            return solved
+            if len(index) <= 4:
+                return solved
+            # Pulled away by outliers: the start, which is not, tells the worst of them.
+            residual = bearing_residuals(pose, position[index], bearing[index])
+            used[index[np.argmax(residual**2 / variance[index])]] = False
+            continue
         limit = _limit(len(index), config)
         if solved.chi_square <= limit:
             return solved
