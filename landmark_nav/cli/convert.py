@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mrclam.add_argument('--out', required=True, type=Path, metavar='BAG', help='bag to write')
     mrclam.add_argument(
         '--bearing-sigma',
-        type=within(float, 1e-6),
+        type=within(float, 1e-6, 90.0),
         default=0.5,
         metavar='DEG',
         help='of every bearing in degrees, which the data do not tell (default %(default)s: their '
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     mrclam.add_argument(
         '--landmark-sigma',
-        type=within(float, 1e-6),
+        type=within(float, 1e-6, 10.0),
         default=0.02,
         metavar='M',
         help='how far a post may be from where it seems, again and again: it has a width, the '
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     mrclam.add_argument(
         '--command-delay',
-        type=float,
+        type=within(float, -10.0, 10.0),
         metavar='S',
         help='seconds from a command to its effect (default: what makes commanded turns fit best '
         'with how bearings change, without the truth)',

@@ -46,6 +46,19 @@ def driven(steps: int, bumped_at: int | None = None) -> tuple[PoseFilter, Moment
     return fused, moment
 
 
+@pytest.mark.parametrize('sigmas', [(1e9, 1e9, 1e9), (0.05, 0.05, 1e9), (1e9, 1e9, 0.03)])
+def test_unknown_may_be_told_by_any_number(sigmas: tuple[float, float, float]) -> None:
+    fused = PoseFilter(MAP, MOUNT)
+    fused.initialize(PoseEstimate(0, start_estimate().pose, np.diag(np.square(sigmas))))
+    for k, moment in enumerate(drive(20)):
+        fused.add_odometry(moment.odometry)
+        see(fused, moment, k)
+    estimate = fused.estimate()
+    assert estimate is not None
+    assert np.hypot(*error_of(estimate, moment.pose)[:2]) < 0.02
+    assert np.sqrt(estimate.covariance.trace()) < 0.03
+
+
 @pytest.mark.parametrize('after', [4, 60])
 @pytest.mark.parametrize('by', ['camera', 'person'])
 def test_a_place_told_after_the_camera_was_bumped_has_an_uncertain_heading(

@@ -141,6 +141,9 @@ def test_a_delay_that_is_given_counts(log: Path, tmp_path: Path) -> None:
         (['--robot', '9'], 2),
         (['--robot', '1', '--bearing-sigma', '-1'], 2),
         (['--robot', '1', '--landmark-sigma', 'thick'], 2),
+        (['--robot', '1', '--landmark-sigma', '1e200'], 2),
+        (['--robot', '1', '--command-delay', 'nan'], 2),
+        (['--robot', '1', '--command-delay', '1e9'], 2),
         (['--robot', '2'], 1),
     ],
 )

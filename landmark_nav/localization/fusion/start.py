@@ -14,6 +14,9 @@ from landmark_nav.types import PoseEstimate
 
 __all__ = ['checked_start', 'is_finite', 'is_headed', 'with_joints_in_doubt']
 
+# Sigmas of x, y, heading of a pose that is not known. Those who tell that by larger numbers leave
+# no digits for what is found.
+_UNKNOWN = np.array([1e3, 1e3, np.pi])
 # Heading sigma that pictures give at worst while the pan stands still.
 _HEADED_RAD = 0.02
 # If dead reckoning gives the same heading to this share of its sigma, joint states are in time.
@@ -36,6 +39,8 @@ def checked_start(
     """
     Return a valid start pose; its stamp is replaced by now if no odometry is near it.
 
+    Its sigmas are those of a pose that is not known at most, 1 km and half a turn.
+
     Parameters
     ----------
     start : PoseEstimate
@@ -53,6 +58,9 @@ def checked_start(
     """
     if not is_finite(start):
         raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')
+    sigmas = np.sqrt(np.maximum(start.covariance.diagonal(), 0.0))
+    share = _UNKNOWN / np.maximum(sigmas, _UNKNOWN)
+    start = replace(start, covariance=start.covariance * np.outer(share, share))
     if np.linalg.eigvalsh(start.covariance)[0] < -1e-9:
         raise LandmarkNavError('start pose: its covariance is not positive semidefinite')
     if odometry_ns is None:
