@@ -9,7 +9,6 @@ from pathlib import Path
 import signal
 import subprocess
 import time
-from types import TracebackType
 
 from landmark_nav.errors import LandmarkNavError
 
@@ -58,12 +57,7 @@ class Supervisor:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """End all that are left."""
         self.stop()
 

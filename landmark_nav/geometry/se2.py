@@ -21,6 +21,7 @@ __all__ = [
     'inverse',
     'relative',
     'rotation',
+    'squared_distance',
     'transform_points',
 ]
 
@@ -94,6 +95,13 @@ def compose_jacobians(
     by_first = np.array([[1.0, 0.0, by_x], [0.0, 1.0, by_y], [0.0, 0.0, 1.0]])
     by_second = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return by_first, by_second
+
+
+def squared_distance(pose: FloatArray, other: FloatArray, covariance: FloatArray) -> float:
+    """Squared Mahalanobis distance of two poses (3,), by the covariance of their difference."""
+    offset = pose - other
+    offset[2] = wrap_rad(offset[2])
+    return float(offset @ np.linalg.solve(covariance, offset))
 
 
 def transform_points(pose_a_b: npt.ArrayLike, points_b: npt.ArrayLike) -> FloatArray:

@@ -125,11 +125,6 @@ class Observer:
         )
 
     @property
-    def tilt_rad(self) -> float:
-        """By how much the camera turned out to look higher than its joints say."""
-        return self._detector.tilt_rad
-
-    @property
     def knocked_up_rad(self) -> float:
         """`tilt_rad` where that takes a knock, else 0."""
         return self._detector.knocked_up_rad

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from types import TracebackType
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters
@@ -44,12 +43,7 @@ class Acquaintance:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Ask no more."""
         if self._client is not None:
             self._node.destroy_client(self._client)

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 import time
-from types import TracebackType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -99,12 +98,7 @@ class RobotClient:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Leave the graph."""
         self._executor.shutdown()
         self._node.destroy_node()

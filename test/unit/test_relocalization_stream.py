@@ -78,7 +78,7 @@ def test_the_same_view_from_elsewhere_is_a_new_one() -> None:
     ahead = view_direction(frame, MOUNT)
     for away_m, new in ((0.5, False), (0.7, True)):
         before = np.array([[away_m, 0.0, 0.0]])
-        assert shows_new(frame, ahead, np.zeros(3), ahead[None], before) == new
+        assert shows_new(frame, ahead, ahead[None], before) == new
 
 
 def test_a_stream_without_pictures_does_not_grow() -> None:

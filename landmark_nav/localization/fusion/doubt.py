@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.fusion.state import FilterState, HEADING, POSE, widened
+from landmark_nav.geometry.se2 import squared_distance
+from landmark_nav.localization.fusion.state import FilterState, POSE, widened
 from landmark_nav.types import PoseEstimate
 
 __all__ = ['doubted_estimate', 'doubted_state', 'is_elsewhere']
@@ -41,7 +41,5 @@ def doubted_estimate(found: PoseEstimate, doubts: int) -> PoseEstimate:
 
 def is_elsewhere(here: PoseEstimate, there: PoseEstimate) -> bool:
     """Whether two poses cannot be the same place."""
-    away = here.pose - there.pose
-    away[HEADING] = wrap_rad(away[HEADING])
     covariance = here.covariance + there.covariance + np.diag(_SAME_PLACE)
-    return bool(away @ np.linalg.solve(covariance, away) > _ELSEWHERE)
+    return squared_distance(here.pose, there.pose, covariance) > _ELSEWHERE

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import squared_distance
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization.hypotheses import propose
 from landmark_nav.localization.relocalization.search import best_place, verified_places
@@ -64,7 +64,5 @@ def narrowed(
 
 def _allows(prior: PoseEstimate, pose: FloatArray, covariance: FloatArray) -> bool:
     """Whether a pose (3,) of such a covariance may be the one that the prior is of."""
-    offset = pose - prior.pose
-    offset[2] = wrap_rad(offset[2])
-    distance = offset @ np.linalg.solve(prior.covariance + covariance, offset)
-    return bool(distance < chdtri(3, _EXCLUDED))
+    distance = squared_distance(pose, prior.pose, prior.covariance + covariance)
+    return distance < float(chdtri(3, _EXCLUDED))

@@ -142,7 +142,7 @@ class Relocalizer:
         poses, variances = poses[sure], variances[sure]
         looked = np.array([glimpse.direction for glimpse in self._kept])
         repeats = self._kept and np.array_equal(frame.image, self._kept[-1].frame.image)
-        if repeats or not shows_new(frame, direction, np.zeros(3), looked, poses):
+        if repeats or not shows_new(frame, direction, looked, poses):
             return self._outcome
         sightings = find_sightings(frame, self._map, self._mount)
         self._kept.append(_Glimpse(frame, direction, sightings))

@@ -26,20 +26,26 @@ def view_direction(frame: CameraFrame, mount: PanTiltMount) -> FloatArray:
 
 
 def shows_new(
-    frame: CameraFrame,
-    direction: FloatArray,
-    pose: FloatArray,
-    directions: FloatArray,
-    poses: FloatArray,
+    frame: CameraFrame, direction: FloatArray, directions: FloatArray, poses: FloatArray
 ) -> bool:
     """
-    Whether a picture tells more than those before it.
+    Whether a picture shows more of the room than earlier ones.
 
-    Their directions (n, 2) in the base frame and poses (n, 3) are in one frame with its own.
+    Parameters
+    ----------
+    frame : CameraFrame
+        The picture.
+    direction : ndarray, shape (2,)
+        Its `view_direction`.
+    directions : ndarray, shape (n, 2)
+        Those of the earlier pictures, each in its own base frame.
+    poses : ndarray, shape (n, 3)
+        Poses of the base at the earlier pictures, in the base frame of this one.
+
     """
     off = np.reshape(directions, (-1, 2)) - direction
-    off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2] - pose[2])
+    off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2])
     half = frame.camera.half_fov_rad * np.array([1.0, frame.camera.height / frame.camera.width])
     same = np.all(np.abs(off) < _NEW_VIEW * half, axis=1)
-    near = np.hypot(*(poses[:, :2] - pose[:2]).T) < _NEW_PLACE_M
+    near = np.hypot(*poses[:, :2].T) < _NEW_PLACE_M
     return not np.any(same & near)

@@ -15,6 +15,7 @@ from scipy.special import chdtri
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import squared_distance
 from landmark_nav.localization.triangulation.least_squares import (
     best_start,
     Solution,
@@ -216,13 +217,10 @@ def _doubt(
                 'danger circle', f'{distance:.2f} m from the circle through the three landmarks'
             )
     if start is not None:
-        offset = fix.pose - start.pose
-        offset[2] = wrap_rad(offset[2])
         spread = start.covariance + fix.covariance
-        distance_sq = float(offset @ np.linalg.solve(spread, offset))
+        distance_sq = squared_distance(fix.pose, start.pose, spread)
         if distance_sq > float(chdtri(3, 1.0 - _START_PROBABILITY)):
-            return Refusal(
-                'far from the expected place',
-                f'{np.hypot(offset[0], offset[1]):.2f} m and {np.degrees(offset[2]):.1f} deg away',
-            )
+            x, y, turn = fix.pose - start.pose
+            away = f'{np.hypot(x, y):.2f} m and {np.degrees(wrap_rad(turn)):.1f} deg away'
+            return Refusal('far from the expected place', away)
     return None
