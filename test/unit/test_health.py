@@ -38,7 +38,7 @@ def test_a_picture_that_comes_late_makes_those_after_it_no_older() -> None:
     health = Health(HealthConfig())
     health.restart(0)
     for seconds in (10.0, 8.5):
-        health.observe(FusionUpdate(round(seconds * NS), degrees=3))
+        health.note_update(FusionUpdate(round(seconds * NS), degrees=3))
     assert status(health, 10.9) == 'tracking'
     assert status(health, 11.1) == 'coasting'
 
@@ -50,7 +50,7 @@ def test_a_pose_that_was_contradicted_for_long_is_doubted_after_it_fits_again() 
         health.doubt(k * NS // 4, 'nothing is found')
     assert status(health, 5.0) == 'lost'
     for k in range(3):
-        health.observe(FusionUpdate(5 * NS + (k + 1) * NS // 10, degrees=3))
+        health.note_update(FusionUpdate(5 * NS + (k + 1) * NS // 10, degrees=3))
     # For 5.25 s, of which two are nothing.
     assert [status(health, seconds) for seconds in (5.4, 8.2, 8.3)] == [
         'coasting',
@@ -64,7 +64,7 @@ def test_once_contradicted_chance_must_be_excluded() -> None:
     health = Health(HealthConfig())
     health.restart(0)
     assert [health.least(expected) for expected in (3, 20)] == [1, 1]
-    health.observe(FusionUpdate(NS, refusal=Refusal('pose does not fit')))
+    health.note_update(FusionUpdate(NS, refusal=Refusal('pose does not fit')))
     assert [health.least(expected) for expected in (0, 2, 20)] == [1, 2, 3]
     health.doubt(NS, 'nothing is found')
     assert [health.least(expected) for expected in (3, 20)] == [3, 8]

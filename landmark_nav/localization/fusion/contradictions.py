@@ -1,4 +1,4 @@
-"""For how long a pose was contradicted of late: what stays wrong is no accident."""
+"""For how long pictures have contradicted the pose lately."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections import deque
 
 __all__ = ['Contradictions']
 
-# So far back they count, those closer to each other than this as one; each lasts at least so long.
+# They count for so long; those closer together than the second time are one, and each lasts at
+# least the third.
 _WINDOW_NS, _APART_NS, _LEAST_NS = 30 * 10**9, 10**9, 250 * 10**6
 
 
@@ -17,7 +18,7 @@ class Contradictions:
         self._spans: deque[tuple[int, int]] = deque()
 
     def note(self, stamp_ns: int) -> float:
-        """Take note of one; for how many seconds of late there were any, with it."""
+        """Take note of a contradiction; return `seconds`."""
         begin, end = self._spans[-1] if self._spans else (stamp_ns, stamp_ns)
         if self._spans and abs(stamp_ns - end) <= _APART_NS:
             self._spans[-1] = (begin, stamp_ns)
@@ -29,5 +30,5 @@ class Contradictions:
 
     @property
     def seconds(self) -> float:
-        """How long there were any of late, as of the last."""
+        """Total time of the contradictions, up to the last one."""
         return 1e-9 * sum(abs(end - begin) + _LEAST_NS for begin, end in self._spans)

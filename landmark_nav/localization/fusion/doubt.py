@@ -1,4 +1,4 @@
-"""How a pose is doubted that is not believed: its covariance grows until pictures fit again."""
+"""How the covariance of a lost pose grows, until pictures fit again."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from landmark_nav.types import PoseEstimate
 
 __all__ = ['doubted_estimate', 'doubted_state', 'is_elsewhere']
 
-# Variances (3,) that each picture adds which contradicts a pose that is not believed, and the
-# position sigma at which that ends.
+# Variances (3,) that each picture adds which contradicts a lost pose, and the position sigma at
+# which that ends.
 _DOUBT = np.square([0.15, 0.15, 0.05])
 _DOUBT_LIMIT_M = 2.0
-# Variances (3,) that poses of one place may differ by anyway; beyond five sigmas is another one.
+# Poses are of different places if they are more than five sigmas apart, with these variances (3,)
+# added to their own.
 _SAME_PLACE, _ELSEWHERE = np.square([0.1, 0.1, 0.04]), 25.0
 
 
 def doubted_state(state: FilterState) -> FilterState:
-    """Widen a state that measurements keep contradicting, until they can fit again."""
+    """Widen a state that measurements contradict, up to a limit."""
     wide = np.trace(state.covariance[:2, :2]) >= _DOUBT_LIMIT_M**2
     return state if wide else widened(state, POSE, _DOUBT)
 
@@ -30,7 +31,7 @@ def doubted_estimate(found: PoseEstimate, doubts: int) -> PoseEstimate:
     """
     Widen a pose by so many doubts.
 
-    The place is doubted, not the motion: this goes when landmarks are found here again.
+    Only what is reported is widened, not the state: it ends when landmarks are found here again.
     """
     if not doubts:
         return found

@@ -18,8 +18,8 @@ from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['update_pose']
 
-# Logarithm of the density of a pose that is mistaken, 1 / (m^2 rad): one in fifty, anywhere in a
-# square metre and some degrees.
+# Logarithm of the density of a mistaken pose, 1 / (m^2 rad): one pose in fifty is mistaken, and
+# then lies anywhere in a square metre and some degrees.
 _LOG_STRAY = float(np.log(0.1))
 
 
@@ -35,25 +35,26 @@ def update_pose(
     """
     Use a triangulated pose, if it agrees with the prior.
 
-    Where its heading alone does not, the camera was turned against the base or the base against
-    the odometry: both become uncertain by that angle; of a robot that stands, the camera alone.
+    Where only its heading does not agree, the camera was turned against the base or the base
+    against the odometry: that angle is added to the sigmas of both, or to that of the boresight
+    alone while the robot stands.
 
     Parameters
     ----------
     prior : Mixture
-        What may have happened until the pose's time.
+        Hypotheses at the pose's time.
     measured : PoseEstimate
         Pose of the base in map.
     columns : ndarray of int, shape (m,)
-        Places in the map of the landmarks that it was made of.
+        Columns in the map of the landmarks that it was triangulated from.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
     probability : float
         Chi-square level of the gate.
     turn_sigma : float
-        How far heading and boresight are doubted at most, radians; 0 does not.
+        How far heading and boresight are doubted at most, radians; 0 for not at all.
     odometry : OdometryNoiseConfig
-        What is not known of a motion without odometry.
+        Has the variances of a motion without odometry.
 
     """
 
@@ -100,12 +101,12 @@ def _pose_model(
     prior: FilterState, measured: PoseEstimate, columns: IndexArray, lever: FloatArray
 ) -> MeasurementModel:
     """
-    Return a pose of the base, triangulated from landmarks `columns` (m,), at a prior.
+    Return the model of a triangulated pose of the base, linearised at a prior.
 
-    It errs with the landmarks and with the boresight as their bearings do, of which least squares
-    make a pose: so poses, too, never claim more than the map knows. Of a pose, or a part of one,
-    that does not follow from landmarks of the map (none are known, or fewer than three), its own
-    covariance is all that is known.
+    Least squares turn the bearings of landmarks `columns` (m,) into a pose, so errors of these
+    landmarks and of the boresight move it: poses, like bearings, never make the estimate more
+    certain than the map allows. Directions that the landmarks do not determine (there are fewer
+    than three, or none is known) only have the covariance that comes with the pose.
     """
     nothing = np.zeros(len(columns))
     seen = bearing_model(prior, prior, columns, nothing, nothing, nothing, 0.0, lever)

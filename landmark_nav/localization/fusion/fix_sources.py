@@ -1,4 +1,4 @@
-"""Of which landmarks a triangulated pose was made: pictures tell, as a pose does not."""
+"""Which landmarks a triangulated pose rests on: its message does not say, the pictures do."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from landmark_nav.arrays import IndexArray
 
 __all__ = ['FixSources', 'Seen']
 
-# So many of the last pictures tell of which landmarks a pose was made, and so many it is made of.
+# So many pictures are remembered; a pose rests on so many landmarks at least.
 _PICTURES, _LEAST = 10, 3
 
 
 class Seen(NamedTuple):
-    """A picture's landmarks, by their places in the map, and how many were to be expected."""
+    """The landmarks found in a picture, as columns of the map, and how many were expected."""
 
     stamp_ns: int
     columns: IndexArray
@@ -25,7 +25,7 @@ class Seen(NamedTuple):
 
 class FixSources:
     """
-    The last pictures, which poses were made of.
+    The last pictures, from which poses were triangulated.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class FixSources:
         return next((seen for seen in self._seen if seen.stamp_ns == stamp_ns), None)
 
     def columns(self, stamp_ns: int) -> IndexArray:
-        """Landmarks that a pose was made of: those of its picture, of the last ones, or all."""
+        """Landmarks of a pose: those of its picture; if too few, of all last ones; else all."""
         for own in (True, False):
             seen = [s.columns for s in self._seen if s.stamp_ns == stamp_ns or not own]
             found = np.unique(np.concatenate(seen)) if seen else ()

@@ -18,27 +18,27 @@ from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Health', 'HealthConfig', 'Status']
 
-# Correlation of a match that is not mistaken: seen from wrong poses (0.15 to 1 m off) a twentieth
-# of all mistaken matches reached it, and never three in one picture of 784.
+# Correlation of a match that is hardly ever mistaken: in 784 pictures searched from wrong poses
+# (0.15 to 1 m off) one in twenty of the mistaken matches reached it, never three in one picture.
 _SURE_SCORE = 0.95
-# Pictures in a row that show nothing of what they should, and the level of gates from then on.
+# After so many pictures in a row without any landmark, gates narrow to this chi-square level.
 _IN_VAIN, _DOUBTFUL_LEVEL = 3, 0.95
-# So many measurements are judged together by their innovations, at this chi-square level; so many
-# in a row repeat one error: the same landmarks, the same map.
+# The NIS of so many measurements is tested as a sum, at this chi-square level. It is taken as
+# correlated: so many measurements in a row repeat one error, that of the same landmarks.
 _NIS_WINDOW, _NIS_LEVEL, _NIS_REPEATS = 10, 0.999, 5.0
-# Measurements accepted in a row until no longer lost.
+# So many measurements in a row must be accepted until the filter is no longer lost.
 _FOUND_AFTER_ACCEPTANCES = 3
-# Share of what should be in a picture that has to be found for it to be used.
+# Share of the expected landmarks that must be found for a picture to be used.
 _USABLE_SHARE = 0.3
-# How long trouble with the odometry is told, and what pictures contradict; that, for as long as it
-# was contradicted before, but for no longer than this.
+# Trouble with the odometry is reported for the first of these times. What pictures contradict is
+# reported for as long as they contradicted it before, but within these two times.
 _TROUBLE_S, _MOST_TROUBLE_S = 2.0, 6.0
 
 Status = Literal['tracking', 'coasting', 'lost']
 
 
 class _Trouble(NamedTuple):
-    """Why nothing is sure from a time on, for so long."""
+    """What makes the pose unsure from `stamp_ns` on, for so many seconds."""
 
     stamp_ns: int
     seconds: float
@@ -46,10 +46,10 @@ class _Trouble(NamedTuple):
 
 
 class Health:
-    """Counts what was accepted and rejected."""
+    """Judges the filter by what became of its measurements and by what pictures show."""
 
     def __init__(self, config: HealthConfig) -> None:
-        """Start as never initialized."""
+        """Begin as ``lost``: no start pose is known."""
         self._config = config
         self._accepted_ns: int | None = None
         self._rejections = 0
@@ -64,7 +64,7 @@ class Health:
         self._vain = 0
 
     def restart(self, stamp_ns: int) -> None:
-        """Begin anew: a pose was given at that time. What was contradicted of late is kept."""
+        """Begin anew with a pose given at that time; only recent contradictions are kept."""
         self._accepted_ns = stamp_ns
         self._rejections = self._acceptances = 0
         self._astray = self._last_refusal = ''
@@ -72,68 +72,67 @@ class Health:
         self.change_map()
 
     def change_map(self) -> None:
-        """Judge no more by what was seen of the landmarks so far; a verdict stays."""
+        """Forget what was seen of the landmarks; the present verdict stays."""
         self._window.clear()
         self._views.clear()
 
     @property
     def astray(self) -> bool:
-        """Whether measurements have contradicted the state for so long that it is not believed."""
+        """Whether the state is not believed, as measurements keep contradicting it."""
         return bool(self._astray)
 
     @property
     def repeats(self) -> bool:
-        """Whether pictures contradicted the pose for so long of late that it is no accident."""
+        """Whether pictures have contradicted the pose too long for a coincidence."""
         return self._contradictions.seconds > _TROUBLE_S
 
     @property
     def blind_since_ns(self) -> int | None:
-        """Time since which pictures show nothing of what others have shown."""
+        """Time since which no picture shows landmarks that earlier ones showed; None if not so."""
         return self._views.blind_since_ns
 
     @property
     def doubts(self) -> int:
         """
-        Pictures since lost that speak against the pose though nothing of them was rejected.
+        How many pictures since the filter got lost contradict the pose without being rejected.
 
-        Next to nothing is found of what should be there, or innovations stay too large.
+        They show hardly any of the expected landmarks, or their innovations stay too large.
         """
         return self._doubts
 
     def unseen_s(self, stamp_ns: int) -> float:
-        """How long nothing was accepted before a time, if that is long enough to coast; else 0."""
+        """Seconds without an accepted measurement until then; 0 if too few to be coasting."""
         seconds = 0.0 if self._accepted_ns is None else (stamp_ns - self._accepted_ns) * 1e-9
         return seconds if seconds > self._config.coasting_after_s else 0.0
 
     def least(self, expected: int) -> int:
         """
-        How many bearings must agree with each other where so many should be in view.
+        How many bearings must agree for a picture with so many expected landmarks to be used.
 
-        What agrees with a pose that was contradicted before may be mistaken: three bearings have
-        a say of their own.
+        After a contradiction it takes three: fewer may agree with a wrong pose by chance.
         """
         if self._astray:
             return max(AGREE, ceil(FOUND_SHARE * expected))
         return min(AGREE, max(expected, 1)) if self._rejections else 1
 
     def by_chance(self, found: int, expected: int) -> Refusal | None:
-        """Why a pose of so many landmarks, of those expected, may agree by chance when lost."""
+        """Why a fix from so few of the expected landmarks is not used while lost; else None."""
         if not self._astray or found >= self.least(expected):
             return None
         return Refusal('too few found', f'{found} of {expected} landmarks')
 
     def level(self, found: int, usual: float) -> float:
         """
-        Chi-square level of the gates for so many bearings.
+        Chi-square level of the gates for a picture with `found` bearings.
 
-        Where pictures before contradicted the pose, or showed nothing of what they should, it is
-        no evidence for it that a few lie just within what could be.
+        It is lower than `usual` where few bearings follow pictures that contradicted the pose or
+        showed no landmark: bearings just inside a wide gate would be no evidence for the pose.
         """
         doubtful = self._rejections > 0 or self._vain >= _IN_VAIN
         return min(usual, _DOUBTFUL_LEVEL) if doubtful and found < AGREE else usual
 
     def unusable(self, scores: FloatArray, expected: int) -> Refusal | None:
-        """Why those found, by their correlations, of so many expected may all be mistaken."""
+        """Why all matches, with correlations (m,), may be mistaken; None if they are not."""
         found = len(scores)
         if not found:
             return Refusal('no usable bearing', f'of {expected} landmarks looked for')
@@ -142,15 +141,15 @@ class Health:
         return Refusal('too few found', f'{found} of {expected} landmarks')
 
     def note_trouble(self, stamp_ns: int, refusal: Refusal) -> None:
-        """Remember that the odometry cannot be what it says."""
+        """Remember that the odometry cannot be right."""
         self._trouble = _Trouble(stamp_ns, _TROUBLE_S, str(refusal))
 
     def note_surprise(self, stamp_ns: int, refusal: Refusal) -> None:
-        """Remember what pictures contradict though the pose may be right."""
+        """Remember that pictures contradict something, though the pose may be right."""
         seconds = max(_TROUBLE_S, min(self._contradictions.note(stamp_ns), _MOST_TROUBLE_S))
         self._trouble = _Trouble(stamp_ns, seconds, str(refusal))
 
-    def look(
+    def note_picture(
         self,
         stamp_ns: int,
         found: IndexArray,
@@ -159,19 +158,19 @@ class Health:
         elsewhere: int = 0,
     ) -> None:
         """
-        Take note of what a picture showed of the landmarks that should be in view.
+        Take note of which of the expected landmarks a picture showed.
 
         Parameters
         ----------
         stamp_ns : int
             Of the picture.
         found, missed : ndarray of int, shape (m,), (n,)
-            Those that agree with the pose, and those not found.
+            Landmarks that agree with the pose, and those that were not found.
         places : ndarray, shape (n, 3)
-            Where those not found should be.
+            Positions of those not found, in map.
         elsewhere : int
-            How many contradict many others. Of a right pose, and a camera as it was calibrated,
-            hardly any do.
+            How many bearings contradict the accepted ones. With a right pose and a calibrated
+            camera hardly any do.
 
         """
         if not len(found) and not len(missed):
@@ -183,12 +182,12 @@ class Health:
         if few := self._views.missing():
             self.doubt(stamp_ns, few)
 
-    def note(self, refusal: Refusal) -> None:
-        """Remember why a measurement could not even be tried."""
+    def note_refusal(self, refusal: Refusal) -> None:
+        """Remember why the last measurement was not used."""
         self._last_refusal = f', last: {refusal}'
 
-    def observe(self, update: FusionUpdate) -> None:
-        """Take note of a measurement's fate."""
+    def note_update(self, update: FusionUpdate) -> None:
+        """Take note of what became of a measurement."""
         if update.degrees:
             self._rejections = 0
             self._last_refusal = ''
@@ -206,7 +205,7 @@ class Health:
                 self._astray = ''
                 self._doubts = 0
         elif update.refusal is not None:
-            self.note(update.refusal)
+            self.note_refusal(update.refusal)
             self._rejections += 1
             self._acceptances = 0
             if self._rejections >= self._config.lost_after_rejections:
@@ -217,13 +216,13 @@ class Health:
                 self._window.clear()
 
     def doubt(self, stamp_ns: int, why: str) -> None:
-        """Believe the pose no longer, and less with each picture."""
+        """Call the pose lost; each call widens it further."""
         self._doubts += 1
         self._acceptances = 0
         self._contradict(stamp_ns, why)
 
     def _contradict(self, stamp_ns: int, why: str) -> None:
-        """Believe the pose no longer; nor those after it for a while, if that is nothing new."""
+        """Call the pose lost, and unsure for some time afterwards if that happened often."""
         self._astray = why
         lasts = self._contradictions.note(stamp_ns)
         if lasts > _TROUBLE_S:
@@ -232,7 +231,7 @@ class Health:
             self._trouble = _Trouble(stamp_ns, seconds, often)
 
     def _innovations(self) -> tuple[float, float]:
-        """NIS of the last measurements together, and what it may be."""
+        """Sum of the NIS of the last measurements, and its limit."""
         nis, degrees = np.sum(self._window, axis=0)
         repeats = min(_NIS_REPEATS, len(self._window))
         limit = float(chdtri(max(degrees / repeats, 1.0), 1.0 - _NIS_LEVEL))
@@ -242,9 +241,9 @@ class Health:
         self, estimate: PoseEstimate | None, odometry_ns: int | None = None
     ) -> tuple[Status, str]:
         """
-        Judge an estimate; the reason is empty while tracking.
+        Judge an estimate by the last odometry, at `odometry_ns` (None before any came).
 
-        `odometry_ns` is the time of the last odometry, None before any came.
+        The reason is empty while tracking.
         """
         if estimate is None or self._accepted_ns is None:
             return 'lost', 'no start pose: give one on initialpose or call relocalize'
@@ -261,7 +260,7 @@ class Health:
         return 'tracking', ''
 
     def too_wide(self, estimate: PoseEstimate) -> str:
-        """How wide an estimate is, if landmarks of elsewhere may fit it."""
+        """How uncertain an estimate is, in words; empty if that does not make it lost."""
         sigma = float(np.sqrt(np.trace(estimate.covariance[:2, :2])))
         sigma_heading = float(np.sqrt(estimate.covariance[2, 2]))
         if sigma <= self._config.lost_sigma_m and sigma_heading <= self._config.lost_sigma_rad:
@@ -269,7 +268,7 @@ class Health:
         return f'sigma is {sigma:.2f} m and {np.degrees(sigma_heading):.1f} deg'
 
     def _blind(self, stamp_ns: int, odometry_ns: int | None) -> str:
-        """Say whether odometry is missing, and why it may be."""
+        """How long odometry has been missing, in words; empty if it is not."""
         if odometry_ns is None:
             return 'no odometry yet'
         seconds = (stamp_ns - odometry_ns) * 1e-9

@@ -1,10 +1,10 @@
 """
 The last seconds of a filter: every measurement in its time, whenever it arrives.
 
-What came in is kept sorted by stamp, with the state after each. What comes late is inserted and
-all after it is repeated, so the result does not depend on the order of arrival. A measurement
-newer than the odometry is first used where the last twist leads, then again where the odometry
-says.
+Measurements and odometry are kept sorted by stamp, with the state after each. A late measurement
+is inserted at its time and everything after it is computed again, so that the result does not
+depend on the order of arrival. A measurement newer than the odometry is used at a predicted pose
+first, and again when the odometry has come.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ Step = Callable[[Mixture], tuple[Mixture, FusionUpdate | None]]
 
 # Odometry older by this is not late: the clock was set back, or the start pose had another one.
 _CLOCK_STEP_NS = 10**9
-# So does a row of samples that come one after the other, but all before those of a while ago.
+# So many late samples in a row, in the order of their stamps, also mean that it was set back.
 _LATE_IN_A_ROW = 5
-# Odometry comes more often than a state of its own is worth: motions add up over their parts. Of
-# those in each such piece of time, counted from 1970, the first has one, whatever came when.
+# Not every odometry sample gets a state of its own, only the first in each interval of this length
+# (counted from 1970, so that it does not depend on when the filter began).
 _STRIDE_NS = 100_000_000
-# What may have happened while the clock was set back.
+# The robot may have moved while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
 
 
@@ -60,7 +60,7 @@ class History:
     config : OdometryNoiseConfig
         How far odometry is to be trusted.
     span_s : float
-        How late a step may come.
+        How late a measurement may come.
 
     """
 
@@ -75,17 +75,17 @@ class History:
 
     @property
     def started(self) -> bool:
-        """Whether there is a state: not before `restart`."""
+        """Whether there is a state, that is, whether `restart` was called."""
         return bool(self._states)
 
     @property
     def last(self) -> FilterState:
-        """The state after the newest event: what does not change as the robot moves on."""
+        """The state after the newest event, not moved on to the newest odometry."""
         return self._states[-1].merged()
 
     @property
     def hangs(self) -> bool:
-        """Whether the stand of the odometry is doubted now, as is most likely."""
+        """Whether, most likely, the odometry hangs: it stands while the robot moves."""
         return self._states[-1].states[0].hangs
 
     @property
@@ -99,7 +99,7 @@ class History:
         return self._track.stamps_ns
 
     def untimely(self, stamp_ns: int) -> Refusal | None:
-        """Why nothing can be inserted at a time."""
+        """Why nothing can be inserted at a time; None if it can."""
         if not self._states:
             return Refusal('not initialized', 'give a start pose')
         late = (self.begin_ns - stamp_ns) * 1e-9
@@ -108,11 +108,11 @@ class History:
     def restart(self, state: FilterState) -> None:
         """Begin anew with a state; odometry that came after it is kept."""
         self._events = [_Event(state.stamp_ns)]
-        # What the stand before left open is no part of this covariance.
+        # The covariance is that of the given time: a stand before it does not count.
         self._states = [Mixture((measured(state),))]
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
-        """Move on; what was wrong with the sample, if anything: `Distrusted` if it was used."""
+        """Move on; what is wrong with the sample, if anything (`Distrusted` if it is used)."""
         known = self._track.stamps_ns
         newest_ns = self._events[-1].stamp_ns if self._events else known[1] if known else 0
         if known is not None and sample.stamp_ns <= known[1]:
@@ -131,7 +131,7 @@ class History:
         if not self._events or now_known is None or now_known == known:
             return refusal
         if sample.stamp_ns > self.begin_ns:
-            # What was predicted since the sample before is now known better, or not at all.
+            # States after the previous sample were predicted without this one.
             since = min(known[1], now_known[1]) if known is not None else self.begin_ns
             first = max(1, self._place(since))
             if sample.stamp_ns // _STRIDE_NS != since // _STRIDE_NS:
@@ -155,14 +155,22 @@ class History:
 
     def doubt_stand(self, stamp_ns: int, blind_since_ns: int) -> None:
         """
-        Take the robot for moved where pictures show nothing any more since it stands.
+        Assume that the robot moved, if landmarks went out of sight while the odometry stood.
 
-        Unless one has been tried since it stands: then the camera is to blame.
+        Not if a picture was used during that stand: then the fault is the camera's.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Of the last picture.
+        blind_since_ns : int
+            Of the first picture without landmarks.
+
         """
         stands_ns = self._track.stands_since_ns
         if stands_ns is None or stands_ns >= blind_since_ns:
             return
-        # Time is counted from a picture that was tried, or else from before the stand.
+        # `still_s` counts from the last measurement; as long as the stand, if none came in it.
         if self.at(stamp_ns).still_s >= 1e-9 * (stamp_ns - stands_ns) - 1e-6:
             self.change(stamp_ns, partial(doubted_stand, config=self._config))
 
@@ -170,7 +178,7 @@ class History:
         """
         State at a time, the newest one by default.
 
-        Beyond the last odometry its twist predicts for a short while, then only the covariance
+        After the last odometry its twist predicts for a short while, then only the covariance
         grows. Before the history begins its first state is given.
         """
         if stamp_ns is None:
@@ -180,11 +188,11 @@ class History:
         return self._moved(state, max(stamp_ns, state.stamp_ns)).merged()
 
     def trust(self, stamp_ns: int) -> None:
-        """Remember the state of a time as the last from which odometry is known to lead on."""
+        """Start dead reckoning anew, from the state of a time."""
         self._trusted = self._states[max(self._place(stamp_ns) - 1, 0)]
 
-    def led(self, stamp_ns: int) -> FilterState | None:
-        """State to which odometry alone leads from the one that was trusted last, if any."""
+    def dead_reckoned(self, stamp_ns: int) -> FilterState | None:
+        """State of a time by odometry alone since the last `trust`; None if there was none."""
         if self._trusted is None or self._trusted.stamp_ns > stamp_ns:
             return None
         return self._moved(self._trusted, stamp_ns).merged()
@@ -202,7 +210,7 @@ class History:
         return state.each(lambda one: propagate(one, stamp_ns, motion, self._config))
 
     def _repeat(self, first: int) -> list[FusionUpdate | None]:
-        """Compute the states from event `first` on; what became of these events."""
+        """Compute the states from event `first` on; return the updates of these events."""
         del self._states[first:]
         updates = []
         for event in self._events[first:]:
@@ -223,7 +231,7 @@ class History:
             self._track.trim(self.begin_ns)
 
     def _turn_back(self, sample: OdometrySample, last_ns: int) -> Refusal:
-        """Go on from the newest state where time has gone back (a bag that starts over)."""
+        """Go on from the newest state after the clock was set back (a bag that starts over)."""
         self._track = OdometryTrack(self._config)
         self._track.add(sample)
         self._trusted = None

@@ -14,10 +14,10 @@ def straightened(
     bearing_rad: FloatArray, pan_rad: FloatArray | float, lens: float
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Bearings (m,) as they were with the principal point in its place, and what it changes.
+    Return bearings (m,) corrected for an error of the principal point, and their derivatives.
 
-    A principal point that is off shifts all pixels alike: those in the middle of the picture by
-    more of an angle than those at its sides. What is off in the middle, too, is the boresight.
+    The error shifts all pixels alike, which is a larger angle in the middle of the picture than at
+    its sides. The angle in the middle is part of the boresight and is not corrected here.
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ def straightened(
     pan_rad : float or ndarray, shape (m,)
         Where the camera looked.
     lens : float
-        By how much pixels are too far left, over the focal length.
+        Shift of the pixels to the left over the focal length.
 
     Returns
     -------
     tuple of ndarray, shape (m,)
-        Bearings and their derivative by `lens`.
+        Corrected bearings, and their derivatives by `lens`.
 
     """
     # From the axis that goes with the true principal point.

@@ -1,4 +1,4 @@
-"""What a picture measures, linearised, and the step that a Kalman filter makes of it."""
+"""The linearised measurement model of bearings, and the Kalman step."""
 
 from __future__ import annotations
 
@@ -26,11 +26,21 @@ class MeasurementModel(NamedTuple):
     """
     A linearised measurement of m numbers: what a Kalman step needs.
 
-    `innovation` (m,) is measured minus expected at the prior, `jacobian` (m, STATES) what is
-    measured differentiated by the state, `state_covariance` (STATES, m) the covariance of the
-    state with it, `considered_covariance` (3n, m) that of the landmarks and of what sightings of
-    them repeat, `covariance` (m, m) its own; `by_noise` (LEARNED, m, m) is what of that each noise
-    adds in this measurement.
+    Parameters
+    ----------
+    innovation : ndarray, shape (m,)
+        Measured minus expected at the prior.
+    jacobian : ndarray, shape (m, STATES)
+        Derivative of the expected measurement by the state.
+    state_covariance : ndarray, shape (STATES, m)
+        Covariance of the state with the innovation.
+    considered_covariance : ndarray, shape (3n, m)
+        Covariance of landmarks and repeated errors with the innovation.
+    covariance : ndarray, shape (m, m)
+        Covariance of the innovation.
+    by_noise : ndarray, shape (LEARNED, m, m)
+        Part of it that each learned noise adds in this measurement.
+
     """
 
     innovation: FloatArray
@@ -49,10 +59,10 @@ def expected_bearings(
     at: FilterState | None = None,
 ) -> MeasurementModel:
     """
-    Bearings of a frame, all by default, as the prior expects them; linearised there or `at`.
+    Return the model of a frame's bearings, all or those `chosen`, linearised at the prior or `at`.
 
-    What a straight line leaves out of them counts, by how uncertain the place is where they are
-    linearised, unless the frame says that they are to be taken as linear.
+    The error of the linearisation is accounted for to second order, by the covariance of the
+    position there, unless `curvature_repeats` of the frame's configuration is 0.
     """
     at = at or prior
     variance = prior.scales.factors[SIGHTING] * frame.variance[chosen]
@@ -73,7 +83,7 @@ def expected_bearings(
     bend, spread = _left_out(model.jacobian[:, :2], at.covariance[:2, :2])
     return model._replace(
         innovation=model.innovation - bend,
-        # It is no noise: pictures in a row repeat it.
+        # It is not independent noise: pictures in a row repeat it.
         covariance=model.covariance + frame.config.curvature_repeats * spread,
     )
 
@@ -91,30 +101,30 @@ def bearing_model(
     pan: float = 0.0,
 ) -> MeasurementModel:
     """
-    Bearings with the uncertainty of a prior, linearised at a state.
+    Return the model of bearings with the uncertainty of a prior, linearised at a state.
 
     Parameters
     ----------
     prior : FilterState
-        What is known without them.
+        State before the measurement.
     at : FilterState
         Where to linearise; its covariances are not used.
     columns : ndarray of int, shape (m,)
-        Which landmarks.
+        Columns of the landmarks in the map.
     bearings : ndarray, shape (m,)
-        What was measured, radians.
+        Measured bearings, radians.
     variance : ndarray, shape (m,)
-        Of the noise that each has alone, rad^2.
+        Of the independent noise of each, rad^2.
     repeated_sigma : ndarray, shape (m,)
-        Of the error that sightings of its landmark repeat, radians.
+        Of the repeated error of each landmark's sightings, radians.
     common_variance : float
-        Of what they share, rad^2.
+        Of the error that all of them share, rad^2.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
     lag : Lag
-        What joint stamps that are late, as the state `at` has it, make of the pan.
+        Error of the pan by late joint stamps, for the delay in the state `at`.
     pan : float
-        Where it looked, radians: a principal point that is off bends bearings about there.
+        Pan of the picture, radians: an error of the principal point bends bearings about it.
 
     """
     x, y, heading = at.mean[:3]
@@ -134,7 +144,7 @@ def bearing_model(
     jacobian[:, DELAY] = -lag.rate_rad_s
     jacobian[:, LENS] = -by_lens
 
-    # The derivative by a landmark's x and y is minus the one by the axis'.
+    # The derivative by a landmark's x and y is minus the one by those of the pan axis.
     m, n = len(columns), len(prior.landmarks)
     places = np.concatenate([2 * columns, 2 * columns + 1, 2 * n + columns])
     row = np.arange(m)
@@ -142,7 +152,7 @@ def bearing_model(
     by_places[row, row], by_places[row, m + row] = gradient.T
     by_places[row, 2 * m + row] = -repeated_sigma
     state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
-    # It is symmetric: its rows lie together in memory, its columns do not.
+    # The covariance is symmetric; its rows are contiguous in memory, its columns are not.
     considered_covariance = prior.cross.T @ jacobian.T
     considered_covariance -= (by_places @ prior.considered_covariance[places]).T
     by_noise = np.zeros((LEARNED, len(columns), len(columns)))
@@ -162,9 +172,10 @@ def bearing_model(
 
 def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> FilterState:
     """
-    Kalman step from a prior; with a model linearised elsewhere it is an iterated one.
+    Return the state after a Kalman step; landmarks are estimated as well with `refine`.
 
-    Bell and Cathey, The Iterated Kalman Filter Update as a Gauss-Newton Method, 1993.
+    With a model that is not linearised at the prior this is one step of an iterated update (Bell
+    and Cathey, The Iterated Kalman Filter Update as a Gauss-Newton Method, 1993).
     """
     gain = np.linalg.solve(model.covariance, model.state_covariance.T).T
     mean = prior.mean + gain @ model.innovation
@@ -193,16 +204,16 @@ def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> Filter
 
 def _left_out(gradient: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
-    What a straight line leaves out of bearings (m,): its mean (m,) and its covariance (m, m).
+    Mean (m,) and covariance (m, m) of the error of linearising bearings (m,), to second order.
 
-    To second order, of positions that scatter with `covariance` (2, 2) about where the bearings
-    are linearised (Garcia-Fernandez et al., Posterior Linearization Filter, 2015). Without it a
-    pose that is known to decimetres becomes certain along the very arc that a few bearings leave
-    open, as each picture is linearised elsewhere on it.
+    Positions scatter with `covariance` (2, 2) about the point of linearisation, where bearings
+    have the first derivatives `gradient` (m, 2) (Garcia-Fernandez et al., Posterior Linearization
+    Filter, 2015). Without it a pose known to decimetres would become certain along the arc that a
+    few bearings leave open, as each picture is linearised at another point of that arc.
     """
     x, y = gradient.T
     xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
-    # The second derivative of a bearing is [[a, b], [b, -a]] with these, from its first one.
+    # The second derivative of a bearing is [[a, b], [b, -a]]; a and b follow from the first one.
     second = np.stack([-2.0 * x * y, x * x - y * y], -1)
     across = 2.0 * xy * (xx - yy)
     squares = np.array(

@@ -1,5 +1,5 @@
 """
-What may have happened, each a state with its weight.
+Several hypotheses of what happened, each a state with its weight.
 
 A Gaussian sum (Alspach and Sorenson, Nonlinear Bayesian Estimation Using Gaussian Sum
 Approximations, 1972). Nearly always it has one state.
@@ -21,15 +21,15 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['Mixture', 'Outcome', 'weighed']
 
-# What is less likely than this beside the likeliest did not happen; no more than so many are kept.
+# Hypotheses less likely than this, relative to the likeliest, are dropped, and all beyond so many.
 _UNLIKELY, _MOST = 0.01, 12
-# Means that differ by less than this part of a sigma, each number for itself, are one.
+# Hypotheses are merged if each number of their means differs by less than this part of its sigma.
 _ALIKE = 0.5
 _CERTAIN = np.ones(1)
 
 
 class Outcome(NamedTuple):
-    """What became of a state by a measurement, and the logarithm of how likely that was before."""
+    """A hypothesis after a measurement, and the logarithm of its prior probability."""
 
     state: FilterState
     update: FusionUpdate
@@ -39,16 +39,16 @@ class Outcome(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Mixture:
     """
-    States of one time, the likeliest first, and their weights, which add up to one.
+    States of one time, the likeliest first, and their weights.
 
     All have the landmarks at the same places.
 
     Parameters
     ----------
     states : tuple of FilterState
-        Each with what it takes to have happened.
+        One for each hypothesis.
     weights : ndarray, shape (len(states),)
-        Probabilities.
+        Probabilities, which add up to one.
 
     """
 
@@ -61,11 +61,11 @@ class Mixture:
         return self.states[0].stamp_ns
 
     def each(self, change: Callable[[FilterState], FilterState]) -> Mixture:
-        """Return the same possibilities, each changed."""
+        """Return the mixture with `change` made to each state."""
         return Mixture(tuple(change(state) for state in self.states), self.weights)
 
     def merged(self) -> FilterState:
-        """Return one state of the same mean and covariance; all else is the likeliest's."""
+        """Return one state with the mean and covariance of all; the rest is the likeliest's."""
         likeliest = self.states[0]
         if len(self.states) == 1:
             return likeliest
@@ -89,7 +89,7 @@ class Mixture:
         )
 
     def reduced(self) -> Mixture:
-        """Return the likeliest possibilities, those that are alike merged into one."""
+        """Return the likeliest hypotheses, with those that are alike merged."""
         if len(self.states) == 1:
             return self
         means = np.array([state.mean for state in self.states])
@@ -117,16 +117,16 @@ def weighed(
     prior: Mixture, outcomes_of: Callable[[FilterState], list[Outcome]], single: bool = False
 ) -> tuple[Mixture, FusionUpdate]:
     """
-    Return what may have happened after a measurement, and what became of it in the likeliest.
+    Return the mixture after a measurement, and the update of its likeliest hypothesis.
 
     Parameters
     ----------
     prior : Mixture
-        Before it.
+        Before the measurement.
     outcomes_of : callable
-        Of a state: all that it may have come to.
+        From a state to all hypotheses of what the measurement makes of it.
     single : bool
-        Keep the likeliest alone: each state has refined the landmarks in its own way.
+        Keep the likeliest hypothesis alone: where landmarks are refined, each has its own map.
 
     """
     found = [

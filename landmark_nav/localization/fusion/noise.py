@@ -1,15 +1,16 @@
 """
 How noisy wheels and sightings are, learned while the robot drives.
 
-Wheels, floors and cameras differ by more than a parameter file can say. Three variances are scaled
-by factors that the innovations speak for: of the odometry's white noise, of its side slip, and of
-each sighting. It is maximum likelihood by Fisher scoring, one step a picture (Mehra, On the
-Identification of Variances and Adaptive Kalman Filtering, 1970, has the principle), with what of
-the state's covariance goes with each factor carried through the filter. One more factor, on all
-the rest, is there so that a map that is better than it claims is not taken for quiet wheels or
-sharp sightings. It changes nothing else: an error that landmarks share shows in no innovation, and
-one that a landmark has alone shows again and again. Nor is learned what the sightings of a picture
-share: from one picture to the next it is hard to tell from how the wheels turned.
+Wheels, floors and cameras differ by more than a parameter file can say. Factors on three variances
+are estimated from the innovations: on the odometry's white noise, on its side slip and on each
+sighting. It is maximum likelihood by Fisher scoring, one step a picture (the principle is that of
+Mehra, On the Identification of Variances and Adaptive Kalman Filtering, 1970); the filter carries
+along which part of the state's covariance comes from each noise.
+
+A fourth factor, on all the rest, keeps a map that is better than it claims from being taken for
+quiet wheels or sharp sightings. It is not applied to anything: innovations do not show an error
+that landmarks share, and show that of a single landmark again and again. The error that all
+sightings of a picture share is not learned either, as it looks like a turn of the wheels.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ __all__ = ['LEARNED', 'SIGHTING', 'SLIP', 'WHEELS', 'NoiseScales', 'learned_scal
 # White noise of the odometry, its side slip, each sighting.
 LEARNED = 3
 WHEELS, SLIP, SIGHTING = range(LEARNED)
-# All the rest: the map, where the robot started.
+# All other uncertainty: that of the map and of the start.
 _REST = LEARNED
 _COMPONENTS = LEARNED + 1
 # Way over which the noise may change, and the largest factor on a sigma that is learned.
@@ -38,9 +39,9 @@ _MOST_AT_ONCE = 0.5
 @dataclass(frozen=True, eq=False)
 class NoiseScales:
     """
-    Logarithms of the factors on the variances (c,), and what they are worth.
+    Logarithms of the factors on the variances (c,), and their covariance (c, c).
 
-    `covariance` (c, c) is theirs; zero where nothing is learned.
+    Both are zero where nothing is learned.
     """
 
     log_scale: FloatArray
@@ -48,7 +49,7 @@ class NoiseScales:
 
     @classmethod
     def unknown(cls, config: OdometryNoiseConfig) -> NoiseScales:
-        """Return what is known before anything was measured."""
+        """Return factors of one, as uncertain as the configuration has it."""
         return cls(np.zeros(_COMPONENTS), config.learning_sigma**2 * np.eye(_COMPONENTS))
 
     @property
@@ -57,7 +58,7 @@ class NoiseScales:
         return np.exp(self.log_scale[:LEARNED])
 
     def of(self, config: OdometryNoiseConfig) -> OdometryNoiseConfig:
-        """Parameters as they turned out to be."""
+        """Return odometry parameters scaled by the learned factors."""
         noise, slip = np.sqrt(self.factors[[WHEELS, SLIP]]).tolist()
         return config.scaled(noise, slip)
 
@@ -83,7 +84,7 @@ def learned_scales(
     config: OdometryNoiseConfig,
 ) -> NoiseScales:
     """
-    Scales after one measurement.
+    Return the scales after one measurement.
 
     Parameters
     ----------
@@ -92,11 +93,11 @@ def learned_scales(
     innovation : ndarray, shape (m,)
         Measured minus predicted.
     covariance : ndarray, shape (m, m)
-        What the filter says is its covariance.
+        Its covariance according to the filter.
     by_noise : ndarray, shape (LEARNED, m, m)
-        What of it comes from each noise that is learned.
+        Part of it that comes from each learned noise.
     config : OdometryNoiseConfig
-        How far to learn.
+        Its `learning_sigma` is the prior of the logarithms; 0 leaves the scales as they are.
 
     """
     if config.learning_sigma == 0.0:

@@ -23,7 +23,7 @@ from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
 from landmark_nav.localization.fusion.recovery import Recovery
 from landmark_nav.localization.fusion.start import checked_start, is_finite, with_joints_in_doubt
-from landmark_nav.localization.fusion.state import among, FilterState, initial_state, moved_to
+from landmark_nav.localization.fusion.state import FilterState, initial_state, moved_to, with_map
 from landmark_nav.localization.fusion.turn import update_turning
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
@@ -148,7 +148,7 @@ class PoseFilter:
             sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
         if witnesses is not None:
-            state = with_joints_in_doubt(state, start, self._history.led(start.stamp_ns))
+            state = with_joints_in_doubt(state, start, self._history.dead_reckoned(start.stamp_ns))
         self._history.restart(state)
         self._recovery.doubt()
         self._health.restart(start.stamp_ns)
@@ -163,7 +163,7 @@ class PoseFilter:
         self._fix_sources = FixSources(len(landmark_map.landmarks))
         self._witnesses = Witnesses(landmark_map)
         if self._history.started:
-            self._history.restart(among(self._history.at(), landmark_map))
+            self._history.restart(with_map(self._history.at(), landmark_map))
             self._health.change_map()
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
@@ -189,7 +189,7 @@ class PoseFilter:
         stamp = detections.stamp_ns
         frame = self._frames.frame(detections)
         if (refusal := self._history.untimely(stamp)) is not None:
-            self._health.note(refusal)
+            self._health.note_refusal(refusal)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         self._frames.remember(frame.scores)
         missed = self._frames.columns(detections.missed)
@@ -197,11 +197,11 @@ class PoseFilter:
         expected = len(frame.columns) + len(missed)
         if self._config.mode != 'bearings':
             self._fix_sources.add(Seen(stamp, frame.columns, expected))
-            self._health.look(stamp, frame.columns, missed, places)
+            self._health.note_picture(stamp, frame.columns, missed, places)
             return FusionUpdate(stamp, refusal=Refusal('mode is poses', 'bearings are not used'))
         if (refusal := self._health.unusable(frame.scores, expected)) is not None:
-            self._health.note(refusal)
-            self._health.look(stamp, frame.columns[:0], missed, places)
+            self._health.note_refusal(refusal)
+            self._health.note_picture(stamp, frame.columns[:0], missed, places)
             if expected and (since_ns := self._health.blind_since_ns) is not None:
                 self._history.doubt_stand(stamp, since_ns)
                 self._note_stand(stamp)
@@ -222,7 +222,7 @@ class PoseFilter:
         # Of bearings that were not used, nothing tells which are the wrong ones.
         elsewhere = len(update.rejected) - len(frame.unusable) if update.degrees else 0
         agree = self._frames.columns(update.accepted_ids)
-        self._health.look(stamp, agree, missed, places, elsewhere)
+        self._health.note_picture(stamp, agree, missed, places, elsewhere)
         self._speak(update, agree)
         return update
 
@@ -264,7 +264,7 @@ class PoseFilter:
 
     def no_pose(self, stamp_ns: int, refusal: Refusal) -> FusionUpdate:
         """Take note that no pose came of a picture, and why."""
-        self._health.note(refusal)
+        self._health.note_refusal(refusal)
         return FusionUpdate(stamp_ns, refusal=refusal)
 
     def contradict(self, elsewhere: PoseEstimate, why: str) -> None:
@@ -296,7 +296,7 @@ class PoseFilter:
             self._recovery.doubt()
         update = self._history.insert(stamp_ns, step)
         assert update is not None
-        self._health.observe(update)
+        self._health.note_update(update)
         self._note_stand(stamp_ns)
         turn_rad = update.turned_rad
         if self._health.astray:

@@ -84,10 +84,10 @@ class Recovery:
         """Compare with dead reckoning as soon as the heading is known; the angle, radians."""
         found = self._history.at(stamp_ns)
         self._in_doubt = not is_headed(found)
-        led = self._history.led(stamp_ns)
-        if self._in_doubt or led is None:
+        reckoned = self._history.dead_reckoned(stamp_ns)
+        if self._in_doubt or reckoned is None:
             return 0.0
-        turn_rad = _turned_since(found, led, _CARRIED * self._most_rad)
+        turn_rad = _turned_since(found, reckoned, _CARRIED * self._most_rad)
         if turn_rad:
             sigma_rad = min(abs(turn_rad), self._most_rad)
             turned = partial(_turned, turn_rad=turn_rad, lever=self._lever, sigma_rad=sigma_rad)
@@ -95,17 +95,17 @@ class Recovery:
         return turn_rad
 
 
-def _turned_since(found: FilterState, led: FilterState, most_rad: float) -> float:
+def _turned_since(found: FilterState, reckoned: FilterState, most_rad: float) -> float:
     """
     Angle by which all bearings are off, radians.
 
-    That is the heading by dead reckoning, `led`, minus the one by landmarks, `found`; 0 where both
-    agree, and where the robot was carried or turned by more than `most_rad`, which tells nothing
-    of the camera.
+    That is the heading by dead reckoning, `reckoned`, minus the one by landmarks, `found`. It is 0
+    where both agree, and where the robot was carried or turned by more than `most_rad`, which
+    tells nothing of the camera.
     """
-    away = led.mean[:3] - found.mean[:3]
+    away = reckoned.mean[:3] - found.mean[:3]
     angle = float(wrap_rad(away[HEADING]))
-    spread = found.covariance[:3, :3] + led.covariance[:3, :3]
+    spread = found.covariance[:3, :3] + reckoned.covariance[:3, :3]
     near = away[:2] @ np.linalg.solve(spread[:2, :2] + _NEAR_M**2 * np.eye(2), away[:2])
     least = _SURPRISE * np.sqrt(spread[HEADING, HEADING])
     return angle if near < _SURPRISE**2 and least < abs(angle) < most_rad else 0.0

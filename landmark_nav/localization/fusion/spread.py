@@ -1,4 +1,4 @@
-"""Corrections of ``map`` -> ``odom`` spread over time: controllers must not see a jump."""
+"""Corrections of ``map`` -> ``odom`` spread over time, so that controllers see no jump."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ __all__ = ['SpreadCorrection']
 
 class SpreadCorrection:
     """
-    The transform ``map`` -> ``odom`` that follows the fused pose with a lag of first order.
+    The transform ``map`` -> ``odom`` that follows the fused pose with a first-order lag.
 
-    The lag acts on the pose of the base: seen from the robot no correction moves the map by more
-    than what is corrected, however far away the origin of ``odom`` is.
+    The lag acts on the pose of the base, not on the transform: otherwise a correction of the
+    heading would swing the robot about the origin of ``odom``, however far away that is.
 
     Parameters
     ----------

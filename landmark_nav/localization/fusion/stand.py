@@ -1,9 +1,9 @@
 """
 A robot that stands, or odometry that hangs: pictures tell them apart.
 
-Odometry that hangs says that the robot stands, and so it says of one that is pushed or carried.
-Where pictures contradict a stand, there are other states in which the robot turned on the spot or
-went anywhere meanwhile; the next pictures tell which is true (`mixture`).
+Odometry also says that the robot stands if its driver hangs, or if the robot is pushed or carried.
+Where pictures contradict a stand, hypotheses are added in which the robot turned on the spot or
+moved anywhere meanwhile; the next pictures tell which is true (`mixture`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['doubted_stand', 'standing_or_hanging']
 
-# From one picture to the next, logarithms of how likely it is: that the camera of a robot that
-# stands is knocked; that the robot begins to turn or to move; that it goes on so, or stands again.
+# Logarithms of transition probabilities from one picture to the next: the camera of a standing
+# robot is knocked; the robot begins to turn or move; it continues to; it stands again.
 _KNOCKED, _BEGINS, _GOES_ON, _ENDS = np.log([0.01, 0.05, 0.25, 0.5]).tolist()
-# So many numbers tell where the robot went meanwhile.
+# A measurement of so many numbers tells the whole pose, and so where the robot went meanwhile.
 _LEAST = 3
 
 
@@ -35,19 +35,19 @@ def standing_or_hanging(
     single: bool = False,
 ) -> list[Outcome]:
     """
-    Return all that a state may have come to by a measurement, if the odometry stands or hangs.
+    Return the outcomes of a measurement, with the odometry believed and, if it stands, not.
 
     Parameters
     ----------
     state : FilterState
         Before the measurement.
     outcomes_of : callable
-        What a state comes to by it, the odometry being right.
+        From a state to the outcomes of the measurement if its odometry is right.
     config : OdometryNoiseConfig
-        What is not known of a motion without odometry.
+        Has the variances of a motion without odometry.
     single : bool
-        Whether the likeliest alone will be kept: then a turn that may have been the camera's stays
-        open in one state.
+        Whether the likeliest outcome alone will be kept. Then a turn that the camera or the robot
+        may have made stays open in one state.
 
     """
     if not state.still_s:
@@ -57,14 +57,14 @@ def standing_or_hanging(
     stood = _outcomes(outcomes_of, replace(believed, hangs=False))
     if not state.hangs and not any(_contradicts(one.update) for one in stood):
         return stood
-    # Nothing has gone far yet after a short time: a speed is open, not a random walk.
+    # At first this is an unknown speed, not a random walk: variance goes with the time squared.
     moved = min(state.still_s, 1.0) * blind
     turned, gone = (
         _fitting(_outcomes(outcomes_of, _hanging(believed, which, moved)))
         for which in (HEADING, POSE)
     )
     if state.hangs:
-        # That it ends as a camera is knocked would be two accidents at once.
+        # That the motion ends and the camera is knocked would be two accidents at once.
         ended = _fitting(stood)
         known = _with_prior(ended, _ENDS) + _with_prior([*turned, *gone], _GOES_ON)
         return known or _with_prior(_outcomes(outcomes_of, state), _KNOCKED)
@@ -80,7 +80,7 @@ def doubted_stand(state: FilterState, config: OdometryNoiseConfig) -> FilterStat
 
 
 def _blind(state: FilterState, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (3,) that a hanging state has gained in the time of the stand."""
+    """Variances (3,) of a motion without odometry in the time of the stand."""
     return blind_variances(Motion(np.zeros(3), state.still_s, state.still_s), config)
 
 
@@ -99,7 +99,7 @@ def _fitting(outcomes: list[Outcome]) -> list[Outcome]:
 
 
 def _contradicts(update: FusionUpdate) -> bool:
-    """Whether a measurement did not fit, or only with a knock or a slip."""
+    """Whether a measurement did not fit, or only if the camera was knocked or wheels slipped."""
     return update.refusal is not None or update.turned_rad != 0.0
 
 

@@ -20,7 +20,7 @@ _UNKNOWN = np.array([1e3, 1e3, np.pi])
 # Heading sigma that pictures give at worst while the pan stands still.
 _HEADED_RAD = 0.02
 # If dead reckoning gives the same heading to this share of its sigma, joint states are in time.
-_LED_SHARE = 0.3
+_SAME_SHARE = 0.3
 
 
 def is_finite(estimate: PoseEstimate) -> bool:
@@ -72,20 +72,20 @@ def checked_start(
 
 
 def with_joints_in_doubt(
-    state: FilterState, found: PoseEstimate, led: FilterState | None
+    state: FilterState, found: PoseEstimate, reckoned: FilterState | None
 ) -> FilterState:
     """
     Return `state` with an open joint delay, if the delay may have bent the heading of `found`.
 
     A pose that was found while the pan turned has a wide heading, as late joint states would turn
     it. Nothing is to be opened if the delay was measured before, or if dead reckoning to the same
-    time, `led`, has the same heading.
+    time, `reckoned`, has the same heading.
     """
     if is_headed(found) or (state.late.sigma_s > 0.0 and state.late.is_known):
         return state
-    if led is not None:
-        away = wrap_rad(found.pose[HEADING] - led.mean[HEADING])
-        variances = led.covariance[HEADING, HEADING], found.covariance[HEADING, HEADING]
-        if away**2 + variances[0] < _LED_SHARE**2 * variances[1]:
+    if reckoned is not None:
+        away = wrap_rad(found.pose[HEADING] - reckoned.mean[HEADING])
+        variances = reckoned.covariance[HEADING, HEADING], found.covariance[HEADING, HEADING]
+        if away**2 + variances[0] < _SAME_SHARE**2 * variances[1]:
             return state
     return with_late_joints(state, LATE_S)

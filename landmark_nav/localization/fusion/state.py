@@ -1,12 +1,13 @@
 """
 The Schmidt-Kalman state, and how it moves on, as pure functions.
 
-Schmidt, Application of State-Space Methods to Navigation Problems, 1966: landmarks are consider
-states. Their errors and their correlations with the pose are carried along, but their places are
-not estimated, so repeated sightings never claim more than the map knows. So is what the sightings
-of one landmark repeat from picture to picture: seen from nearly the same place, a patch is found
-off by nearly the same fraction of a pixel. On request both are estimated too
-(`measurement.correct` with `refine`), which is EKF-SLAM with the map as its prior.
+Landmarks are consider states (Schmidt, Application of State-Space Methods to Navigation Problems,
+1966): their errors and the correlations of these with the pose are carried along, but their places
+are not estimated. So repeated sightings never make the pose more certain than the map allows.
+
+The repeated error of each landmark is a consider state as well: seen from nearly the same place, a
+patch is found off by nearly the same fraction of a pixel in picture after picture. On request both
+are estimated (`measurement.correct` with `refine`): EKF-SLAM with the map as its prior.
 """
 
 from __future__ import annotations
@@ -38,7 +39,6 @@ __all__ = [
     'STATES',
     'TURN_LOSS',
     'FilterState',
-    'among',
     'initial_state',
     'looking_again',
     'measured',
@@ -46,14 +46,15 @@ __all__ = [
     'propagate',
     'widened',
     'with_late_joints',
+    'with_map',
 ]
 
-# x, y, heading; scale of the way, drift per metre, scale of turns; side slip; boresight; by how
-# much the stamps of the joints are late; principal point over focal length; way lost in turns.
+# x, y, heading; of the odometry: scale of the way, drift per metre, scale of turns, side slip; of
+# the camera: boresight, delay of the joint stamps, error of the principal point over the focal
+# length; way lost in turns.
 STATES = 11
 HEADING, BORESIGHT, DELAY, LENS, TURN_LOSS = 2, 7, 8, 9, 10
 _SCALE, _DRIFT, _TURN_SCALE, _SLIP = 3, 4, 5, 6
-# Of those, the pose.
 POSE = [0, 1, HEADING]
 _BIASES = slice(_SCALE, _SLIP)
 
@@ -72,23 +73,23 @@ class FilterState:
     covariance : ndarray, shape (STATES, STATES)
         Of `mean`.
     cross : ndarray, shape (STATES, 3n)
-        Covariance of `mean` with the landmarks' (x, y), then with what sightings of each repeat.
+        Covariance of `mean` with the landmarks' (x, y), then with their repeated errors.
     landmarks : ndarray, shape (n, 2)
         Their places in map, metres.
     repeated : ndarray, shape (n,)
-        Error that the sightings of each repeat, over its sigma.
+        Repeated error of each landmark's sightings, in units of its sigma.
     considered_covariance : ndarray, shape (3n, 3n)
-        Joint covariance of both, in the order of `cross`.
+        Joint covariance of places and repeated errors, in the order of `cross`.
     scales : NoiseScales
         How noisy odometry and sightings turned out to be.
     by_noise : ndarray, shape (LEARNED, STATES, STATES)
-        What of `covariance` comes from each of those noises.
+        Part of `covariance` that comes from each of these noises.
     way_m : float
-        Since the last picture.
+        Driven since the last picture.
     still_s, moved_s : float
         Time since the last measurement in which the odometry stood, and in which it did not.
     hangs : bool
-        Whether that stand is doubted; then `covariance` holds all that may have happened in it.
+        Whether the odometry is taken to hang; `covariance` then allows for a motion meanwhile.
 
     """
 
@@ -107,7 +108,7 @@ class FilterState:
     hangs: bool = False
 
     def estimate(self) -> PoseEstimate:
-        """Return the pose alone."""
+        """Return the pose of the base."""
         return PoseEstimate(self.stamp_ns, self.mean[:3].copy(), self.covariance[:3, :3].copy())
 
     @property
@@ -117,7 +118,7 @@ class FilterState:
 
     @property
     def late(self) -> JointDelay:
-        """Of the stamps of the joints."""
+        """Delay of the stamps of the joints, with its sigma."""
         return JointDelay(float(self.mean[DELAY]), float(np.sqrt(self.covariance[DELAY, DELAY])))
 
 
@@ -143,17 +144,17 @@ def initial_state(
     alone = FilterState(
         start.stamp_ns, mean, covariance, nothing, nothing, nothing, nothing, scales, by_noise
     )
-    return among(alone, landmark_map)
+    return with_map(alone, landmark_map)
 
 
 def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
     """
     Return the state of the same robot at another pose.
 
-    What was learned of its odometry and its camera stays. Who tells the pose is not known: the
-    camera, which has its heading off by as much as it is turned against the base, or a person.
-    So that much of the heading is open: it lies half way, by these two as a mixture. The next
-    bearings tell it.
+    What was learned of its odometry and its camera stays. The pose may come from a person, or from
+    the camera; then its heading is off by the boresight. As it is not known which, the heading is
+    corrected by half the boresight and widened by as much: the mean and covariance of a mixture of
+    both cases. The next bearings tell.
     """
     kept = np.eye(STATES)
     kept[:3, :3] = 0.0
@@ -175,27 +176,27 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
 
 
 def widened(state: FilterState, which: int | list[int], variance: npt.ArrayLike) -> FilterState:
-    """Return the state with so much added to the variances of some of its numbers."""
+    """Return the state with `variance` added to the variances of the components `which`."""
     covariance = state.covariance.copy()
     covariance[which, which] += variance
     return replace(state, covariance=covariance)
 
 
 def measured(state: FilterState) -> FilterState:
-    """Return the state after a measurement: time is counted from there."""
+    """Return the state after a measurement, from which `still_s` and `moved_s` count anew."""
     return replace(state, still_s=0.0, moved_s=0.0)
 
 
 def with_late_joints(state: FilterState, sigma_s: float) -> FilterState:
-    """Return the state of a robot whose joint states may be late or early by `sigma_s`."""
+    """Return the state with an unknown delay of the joint stamps, zero with sigma `sigma_s`."""
     mean, covariance, cross = state.mean.copy(), state.covariance.copy(), state.cross.copy()
     mean[DELAY] = cross[DELAY] = covariance[DELAY] = covariance[:, DELAY] = 0.0
     covariance[DELAY, DELAY] = sigma_s**2
     return replace(state, mean=mean, covariance=covariance, cross=cross)
 
 
-def among(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
-    """Return the state among other landmarks, independent of them."""
+def with_map(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
+    """Return the state with the landmarks of a map, uncorrelated with them."""
     n = len(landmark_map.landmarks)
     return replace(
         state,
@@ -208,9 +209,9 @@ def among(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
 
 def looking_again(state: FilterState, length_m: float) -> FilterState:
     """
-    Return the state as a picture finds it: sightings repeat less of their errors after some way.
+    Return the state with the repeated errors moved on by the way since the last picture.
 
-    A first-order Gauss-Markov process of the way, over `length_m`.
+    They are a first-order Gauss-Markov process with the correlation length `length_m`.
     """
     if state.way_m == 0.0:
         return state
@@ -234,7 +235,7 @@ def looking_again(state: FilterState, length_m: float) -> FilterState:
 def propagate(
     state: FilterState, stamp_ns: int, motion: Motion, config: OdometryNoiseConfig
 ) -> FilterState:
-    """Move on by odometry, corrected by what is known of its systematic errors and its slip."""
+    """Move on by odometry, corrected by its estimated systematic errors and side slip."""
     forward, left, turn = motion.increment
     way = float(np.hypot(forward, left))
     scale, drift, turn_scale, slip = state.mean[_SCALE:BORESIGHT]

@@ -26,15 +26,17 @@ __all__ = ['KNOCKED', 'LATE_S', 'update_turning']
 
 # An angle that all bearings share is a surprise beyond this many standard deviations.
 _SURPRISE = 5.0
-# So many bearings tell a common angle from a wrong place.
+# It takes so many bearings to tell a common angle from a wrong position.
 _LEAST = 3
-# What has a sigma that is this share of what a surprise brings is doubted already.
+# A sigma that is at least this share of the one to be added is wide enough as it is.
 _DOUBTED = 0.5
-# Wheels slip more often than cameras are knocked: sigma of that angle beside that of the heading.
+# Cameras are knocked less often than wheels slip: sigma of the boresight relative to that of the
+# heading.
 KNOCKED = 0.7
-# Stamps of joints may be late by so much; they are suspected where that explains so much of an
-# angle, and then have this sigma. So likely is that, and that they are not.
+# Joint states may be late by so much. They are suspected where the pan turned by so large a share
+# of the angle in that time, and then their delay has this sigma.
 _REACH_S, _LATE_SHARE, LATE_S = 0.3, 0.5, 0.15
+# Logarithms of the prior probabilities that they are late, and that they are not.
 _LATE, _IN_TIME = np.log([1.0 / 3.0, 2.0 / 3.0]).tolist()
 
 
@@ -49,16 +51,19 @@ def update_turning(
     """
     Use the bearings of a frame as `update_bearings` does, or as those of a camera that turned.
 
-    If they agree with each other but not with the prior's direction, either the base turned
-    against the odometry, or the camera against the base: in this picture that looks alike. So the
-    heading becomes uncertain by that angle, `turn_sigma_rad` at most, the boresight by a part of
-    it, and the position by what shows it from here; other bearings, and the direction in which
-    the robot drives on, tell them apart. If the camera turns so fast that it may be that, there is
-    another state, in which the joints' stamps are late as well: other rates tell which is true. A
-    delay that is open anyway, or landmarks that are refined, take no second state. An angle that
-    is only too large for the gates of single bearings is laid to the odometry.
+    If all bearings are off by one angle, either the base turned against the odometry or the camera
+    against the base; one picture cannot tell which. So the angle, `turn_sigma_rad` at most, is
+    added to the sigma of the heading, a part of it to that of the boresight, and to the position
+    what it amounts to at the range of the landmarks. Later bearings, and the direction in which
+    the robot drives on, tell them apart.
 
-    Parameters are those of `update_bearings`, but for the prior: all that may have happened.
+    If the pan turns fast enough, late joint states may be the reason. A second hypothesis then
+    opens their delay, and pictures at other rates tell which is true; where the delay is open
+    anyway, or landmarks are refined, the delay is opened without a second hypothesis.
+
+    An angle too small to be a surprise, but too large for the gates, widens the heading alone.
+
+    Parameters are those of `update_bearings`, with a mixture as the prior.
     """
     single = frame.config.landmarks == 'refine'
 
@@ -83,7 +88,7 @@ def update_turning(
         if surprising and swings and state.late.sigma_s < _DOUBTED * LATE_S:
             late = widened(state if stands else turned, DELAY, LATE_S**2)
             known = state.late.is_known and frame.config.landmarks == 'consider'
-            # A delay that is known stays, most likely; one that is open would be told by a slip.
+            # A known delay most likely stays as it is; an open one might take a slip for a delay.
             loose = [(_IN_TIME, turned), (_LATE, late)] if known else [(0.0, late)]
         found = [
             updated(other, max(least, _LEAST))._replace(log_prior=log) for log, other in loose
@@ -98,7 +103,7 @@ def update_turning(
             for one in believed
         ]
         if as_before.update.refusal is None:
-            # Else it was one that is far off, and not the others with it.
+            # A smaller median: one bearing far off made the angle, not all of them together.
             told = [one for one in told if abs(one.update.turned_rad) > _SURPRISE * sigma]
         return told or [as_before]
 
@@ -113,9 +118,9 @@ def _turned(
     state: FilterState, frame: BearingFrame, turn_rad: float, surprising: bool, stands: bool
 ) -> FilterState:
     """
-    Doubt heading, boresight and position by an angle; the heading alone if no surprise.
+    Widen heading, boresight and position by an angle; the heading alone if it is no surprise.
 
-    Of a robot that stands nothing slips: only its camera may have been knocked.
+    While the robot stands its wheels cannot slip: only the camera may have been knocked.
     """
     loose = state if stands and surprising else widened(state, HEADING, turn_rad**2)
     if not surprising:
@@ -123,7 +128,7 @@ def _turned(
     away = state.landmarks[frame.columns] - state.mean[:2]
     if not stands:
         loose = widened(loose, [0, 1], turn_rad**2 * np.mean(np.sum(away**2, axis=1)))
-    # Wheels may go on slipping, but a camera is knocked once.
+    # Wheels may continue to slip, but a camera is knocked once.
     knock_rad, most_rad = KNOCKED * turn_rad, KNOCKED * frame.config.turn_sigma_rad
     if state.covariance[BORESIGHT, BORESIGHT] < (_DOUBTED * most_rad) ** 2:
         loose = widened(loose, BORESIGHT, knock_rad**2)
@@ -131,7 +136,7 @@ def _turned(
 
 
 def _explains(update: FusionUpdate, before: FusionUpdate) -> bool:
-    """Whether a doubt makes no fewer bearings fit than there were without it."""
+    """Whether at least as many bearings fit as without the doubt."""
     return update.refusal is None and update.degrees >= before.degrees
 
 

@@ -26,15 +26,15 @@ from landmark_nav.types import FloatArray, Refusal
 __all__ = ['FusionUpdate', 'log_density', 'update_bearings']
 
 _MAX_ITERATIONS = 5
-# A step this small bends bearings by a few microradians only.
+# Steps below these need no further iteration: bearings are linear to a few microradians, and the
+# rate of the pan stays the same.
 _LINEAR_M = 2e-3
-# So little later the pan turns as fast.
 _LINEAR_S = 5e-3
-# Logarithm of the density of a bearing that is mistaken, 1 / rad: one in fifty, anywhere within
-# some degrees.
+# Logarithm of the density of a mistaken bearing, 1 / rad: one bearing in fifty is mistaken, and
+# then lies anywhere within some degrees.
 _LOG_STRAY = float(np.log(0.2))
-# Degrees of freedom of the errors of bearings that are right; from so many bearings on one of them
-# is known to be off, and from this factor on its variance another step is worth while.
+# Degrees of freedom of the t distribution of bearing errors. With fewer bearings than `_FEW` none
+# can be told to be off; factors on the variance up to `_WORTH_WHILE` change little.
 _TAIL_DEGREES, _FEW, _WORTH_WHILE = 4.0, 3, 1.6
 _NO_IDS = np.empty(0, dtype=np.int64)
 _NO_INNOVATIONS = np.empty(0)
@@ -62,10 +62,10 @@ class FusionUpdate:
     refusal : Refusal or None
         Why the whole measurement was not used.
     turned_rad : float
-        Angle by which all bearings were off, if that was more than could be expected; else 0.
+        Angle by which all bearings were off, if that was a surprise; else 0.
     log_likelihood : float
-        Logarithm of the density of what was measured, as the prior has it: 1 / rad a bearing,
-        1 / (m^2 rad) a pose.
+        Logarithm of the density of the measurement, given the prior: in 1 / rad for each bearing,
+        in 1 / (m^2 rad) for a pose.
 
     """
 
@@ -103,11 +103,11 @@ def update_bearings(
     probability : float
         Chi-square level of the gates.
     odometry : OdometryNoiseConfig
-        How far noise may be learned.
+        Says whether the noise is learned.
     least : int
-        Fewer agreeing bearings, or fewer than two thirds, are not used.
+        Fewer agreeing bearings than this, or than two thirds of them, are not used.
     expected : MeasurementModel, optional
-        What `expected_bearings` says of prior and frame, if it is known.
+        Result of `expected_bearings` for this prior and frame, if it was computed before.
 
     """
     seen, refine = frame.ids, frame.config.landmarks == 'refine'
@@ -145,7 +145,7 @@ def update_bearings(
                 rejected,
                 log_likelihood=strays * _LOG_STRAY + log_density(nis, model.covariance),
             )
-        # What the NIS would fall by without each: its square given all the others.
+        # How much the NIS would fall without each bearing.
         worst = int(np.argmax(weighted**2 / np.diag(inverse)))
         rejected[int(seen[chosen[worst]])] = Refusal(
             'disagrees with the others', f'joint NIS {nis:.1f} of {len(chosen)} bearings'
@@ -168,15 +168,16 @@ def _tails(weighted: FloatArray, inverse: npt.NDArray[Any]) -> FloatArray:
     """
     Factors (m,) on the variances of bearings whose errors have heavy tails.
 
-    By how far each is off from what all the others expect, as those of Student's t distribution
-    (Lange, Little and Taylor, Robust Statistical Modeling Using the t Distribution, 1989).
+    They follow from how far each bearing is off from what all the others predict, for errors of
+    Student's t distribution (Lange, Little and Taylor, Robust Statistical Modeling Using the t
+    Distribution, 1989).
     """
     squares = weighted**2 / np.diag(inverse)
     return np.maximum((_TAIL_DEGREES + squares) / (_TAIL_DEGREES + 1.0), 1.0)
 
 
 def log_density(nis: float, covariance: FloatArray) -> float:
-    """Logarithm of the density of what is measured, by its NIS and its covariance (m, m)."""
+    """Logarithm of a Gaussian density, by the NIS and the covariance (m, m)."""
     scaled = 2.0 * np.pi * covariance
     return -0.5 * (nis + float(np.linalg.slogdet(scaled)[1]))
 
@@ -187,7 +188,7 @@ def _inside_gate(
     probability: float,
     rejected: dict[int, Refusal],
 ) -> IndexArray:
-    """Places of the bearings that each fit the prior; the others go to `rejected`."""
+    """Indices of the bearings inside their own gates; the others go to `rejected`."""
     sigmas = np.abs(model.innovation) / np.sqrt(np.diag(model.covariance))
     inside = sigmas**2 <= float(chdtri(1, 1.0 - probability))
     for k in np.flatnonzero(~inside):
@@ -203,7 +204,7 @@ def _iterated(
     model_at: Callable[[FilterState], MeasurementModel],
     refine: bool,
 ) -> tuple[FilterState, MeasurementModel]:
-    """Repeat the update, linearised about its own result, until that stays."""
+    """Repeat the update, linearised about its own result, until it converges."""
     at, state = prior, correct(prior, model, refine)
     for _ in range(_MAX_ITERATIONS):
         moved = np.abs(state.mean - at.mean)

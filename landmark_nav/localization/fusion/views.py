@@ -11,24 +11,23 @@ from landmark_nav.arrays import BoolArray, FloatArray, IndexArray
 
 __all__ = ['AGREE', 'FOUND_SHARE', 'Views']
 
-# So many landmarks have a say of their own; and this share of what should be in a picture speaks
-# for the pose.
+# A picture confirms the pose if it shows so many landmarks and this share of those expected.
 AGREE, FOUND_SHARE = 3, 0.4
-# Lost is who finds next to nothing, this share, of what should be in view, so many landmarks at
-# least. What is missing must reach further along the walls than that: one picture may be
+# The pose is contradicted if no more than this share of the expected landmarks are found, of so
+# many at least. Those missed must spread over more than this extent: a single poster may have been
 # exchanged.
 _MISSING_SHARE, _MISSING_EXPECTED, _MISSING_EXTENT_M = 0.15, 10, 1.5
-# In so many seconds, if those count that pictures have shown since the pose is known. The others
-# may hang on a wall whose pictures were exchanged. They count when no picture has spoken for the
-# pose for longer; for much longer, where as many were found in their places as it takes to
-# contradict it.
+# Landmarks are familiar once a picture has shown them at this pose. Familiar ones are missed after
+# the first of these times. The others may hang on a wall whose posters were exchanged: they count
+# only if no picture has confirmed the pose for the second time, or for the third if as many are
+# familiar as it takes to contradict the pose.
 _FAMILIAR_S, _ALL_S, _OUTWEIGHED_S = 1.4, 4.0, 15.0
-# One that shows nothing may be blurred; so many are not.
+# One picture that shows nothing may be blurred; so many in a row are not.
 _BLINDED = 2
-# Pictures of so much of that time tell.
+# The pictures must span this share of those times.
 _LASTING_SHARE = 0.6
-# Share of those seen whose bearings may contradict the others. It is 0.06 at most over five
-# pictures of right poses.
+# Share of the bearings that may contradict the others; with right poses it is 0.06 at most over
+# five pictures.
 _ELSEWHERE_SHARE = 0.15
 
 
@@ -36,8 +35,9 @@ class _View(NamedTuple):
     """
     What a picture showed.
 
-    How many landmarks, and whether these speak for the pose; how many lie elsewhere; places (n, 3)
-    of those missed, and which of them (n,) are familiar.
+    `found` landmarks, which may confirm the pose; `elsewhere` is how many bearings contradict the
+    others; `places` (n, 3) are those of the missed landmarks, `familiar` (n,) says which of them
+    were seen before.
     """
 
     stamp_ns: int
@@ -49,7 +49,7 @@ class _View(NamedTuple):
 
 
 class Views:
-    """Whether pictures contradict the pose by what they do not show, or show elsewhere."""
+    """Whether pictures contradict the pose by landmarks that are missing or lie elsewhere."""
 
     def __init__(self) -> None:
         self._views: deque[_View] = deque()
@@ -57,7 +57,7 @@ class Views:
         self._confirmed_ns = 0
 
     def clear(self) -> None:
-        """Judge no more by what was seen so far."""
+        """Forget the pictures and which landmarks are familiar."""
         self._views.clear()
         self._familiar.clear()
 
@@ -82,14 +82,14 @@ class Views:
 
     @property
     def blind_since_ns(self) -> int | None:
-        """Time of the last pictures' first if none of them shows what others have shown."""
+        """When the last pictures began, if none of them shows any familiar landmark; else None."""
         last = list(self._views)[-_BLINDED:]
         blind = [not view.found and np.count_nonzero(view.familiar) >= AGREE for view in last]
         blinded = self._familiar and len(last) == _BLINDED and all(blind)
         return last[0].stamp_ns if blinded else None
 
     def elsewhere(self) -> str:
-        """How many lie elsewhere, if that are too many."""
+        """How many bearings contradict the others, in words; empty if few do."""
         views = self._within(_FAMILIAR_S)
         elsewhere = sum(view.elsewhere for view in views)
         seen = elsewhere + sum(view.found for view in views)
@@ -99,10 +99,10 @@ class Views:
 
     def missing(self) -> str:
         """
-        How few of those that should be there were found, if that are too few.
+        How few of the expected landmarks were found, in words; empty if they are enough.
 
-        A wrong pose finds next to nothing where it looks, for as long as it is wrong; a covered
-        landmark or an exchanged picture leaves the others.
+        With a wrong pose hardly any landmark is found for as long as it is wrong; a covered
+        landmark or an exchanged poster leaves the others to be found.
         """
         if few := self._missing(_FAMILIAR_S, unfamiliar=False):
             return few

@@ -1,4 +1,4 @@
-"""Landmarks that speak for a place which nobody vouches for."""
+"""Landmarks that confirm a place which was found from landmarks alone."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from landmark_nav.types import LandmarkMap
 
 __all__ = ['Witnesses']
 
-# So many landmarks are no chance.
+# So many landmarks on a wall do not agree by chance.
 _LEAST = 3
-# Cosines between the normals of landmarks on one wall, and on two.
+# Cosine of the angle between normals: above the first for one wall, below the second for two.
 _SAME_WALL, _OTHER_WALL = 0.9, 0.7
 
 
 class Witnesses:
     """
-    Whether a place that was found is told for sure: by landmarks of two walls.
+    Whether a place is sure: given by somebody, or confirmed by landmarks on two walls.
 
-    One wall may hang in another room as well, or one poster on another wall. A map that has only
-    one wall cannot ask for more.
+    Landmarks on one wall are not enough: the same poster may hang elsewhere. Where the map has
+    landmarks on one wall only, those must do.
 
     Parameters
     ----------
     landmark_map : LandmarkMap
-        Who may speak.
+        Its landmarks are the witnesses.
     vouched : bool
-        Whether somebody else vouches for the place at first.
+        Whether the place is sure at first, as somebody gave it.
 
     """
 
@@ -37,30 +37,31 @@ class Witnesses:
         self._vouched, self._was_wide = vouched, True
 
     def restart(self, vouched: bool) -> None:
-        """Hear landmarks anew, of a pose that somebody vouches for, or not."""
+        """Forget the landmarks heard; `vouched` says whether the place is sure without them."""
         self._heard[:] = False
         self._vouched = vouched
 
     def note_width(self, wide: bool) -> None:
-        """Begin anew where a pose grows wide: nobody vouches for where the robot went since."""
+        """Begin anew, unsure, when the pose becomes wide."""
         if wide and not self._was_wide:
             self.restart(vouched=False)
         self._was_wide = wide
 
     def contradicted(self, again: bool) -> None:
         """
-        Begin anew, as landmarks fit with a knock or a slip alone.
+        Begin anew, as landmarks only fit if the camera was knocked or wheels slipped.
 
-        If they do so `again` and again, a camera or a map is not as it is told: nobody vouches.
+        If that happens `again` and again, the place is not sure any more: the camera or the map
+        may be wrong.
         """
         self.restart(self._vouched and not again)
 
     def found_by(self, columns: npt.NDArray[np.intp]) -> None:
-        """Take note of landmarks by which a place was found: a picture more has to agree."""
+        """Count the landmarks from which a place was found; one more picture has to agree."""
         self._heard[columns] = True
 
     def hear(self, columns: npt.NDArray[np.intp]) -> None:
-        """Take note of landmarks, by their places in the map, that agree with the pose."""
+        """Count landmarks (columns of the map) that agree with the pose."""
         if not self._vouched and len(columns):
             self._heard[columns] = True
             self._vouched = self._enough()
