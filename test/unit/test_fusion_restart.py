@@ -46,6 +46,7 @@ def driven(steps: int, bumped_at: int | None = None) -> tuple[PoseFilter, Moment
     return fused, moment
 
 
+@pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('sigmas', [(1e9, 1e9, 1e9), (0.05, 0.05, 1e9), (1e9, 1e9, 0.03)])
 def test_unknown_may_be_told_by_any_number(sigmas: tuple[float, float, float]) -> None:
     fused = PoseFilter(MAP, MOUNT)

@@ -16,7 +16,7 @@ __all__ = ['checked_start', 'is_finite', 'is_headed', 'with_joints_in_doubt']
 
 # Sigmas of x, y, heading of a pose that is not known. Those who tell that by larger numbers leave
 # no digits for what is found.
-_UNKNOWN = np.array([1e3, 1e3, np.pi])
+_UNKNOWN = np.array([100.0, 100.0, np.pi])
 # Heading sigma that pictures give at worst while the pan stands still.
 _HEADED_RAD = 0.02
 # If dead reckoning gives the same heading to this share of its sigma, joint states are in time.
@@ -39,7 +39,7 @@ def checked_start(
     """
     Return a valid start pose; its stamp is replaced by now if no odometry is near it.
 
-    Its sigmas are those of a pose that is not known at most, 1 km and half a turn.
+    Its sigmas are those of a pose that is not known at most, 100 m and half a turn.
 
     Parameters
     ----------
