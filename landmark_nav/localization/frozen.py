@@ -9,24 +9,24 @@ from landmark_nav.types import CameraFrame, ImageArray, PoseEstimate
 
 __all__ = ['FrozenPicture']
 
-# Who moved by so many pixels, or by so much, sees another picture.
+# A camera that turned by so many pixels, or moved by so much, sees another picture.
 _MOVED_PX, _MOVED_M = 1.0, 0.02
 
 
 class FrozenPicture:
-    """Tells pictures that are the one before, though the camera has moved."""
+    """Recognises pictures that equal an earlier one although the camera has moved."""
 
     def __init__(self) -> None:
         self._first: tuple[CameraFrame, PoseEstimate] | None = None
 
     def repeats(self, frame: CameraFrame, pose: PoseEstimate) -> bool:
-        """Whether a picture, taken at a pose of the base, is an earlier one to the last pixel."""
+        """Whether a picture, taken at a pose of the base, equals one from elsewhere exactly."""
         if self._first is None or not _same(frame.image, self._first[0].image):
             self._first = frame, pose
             return False
         before, there = self._first
         if not np.ptp(frame.image):
-            # Of a covered lens all pictures are the same.
+            # The lens is covered: then all pictures are the same.
             return False
         aside = wrap_rad(frame.pan_rad + pose.pose[2] - before.pan_rad - there.pose[2])
         turn = max(abs(float(aside)), abs(frame.tilt_rad - before.tilt_rad))

@@ -1,4 +1,4 @@
-"""Stamps of the joints that are late: what that makes of the pan in a picture."""
+"""Late stamps of the joint states, and the error of the pan that they cause."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from landmark_nav.types import CameraFrame, Detections
 
 __all__ = ['STILL', 'JointDelay', 'Lag', 'in_time', 'seen_in_time']
 
-# A slope of the pan over less than that is its noise.
+# Over a shorter time the slope of the pan is mostly noise.
 _LEAST_STEP_S = 0.02
-# At the rate of a fast pan, 2 rad/s, half a degree.
+# A delay is known with this sigma: half a degree at a fast 2 rad/s.
 _KNOWN_S = 0.005
 
 
 class Lag(NamedTuple):
     """
-    Pan at the true time of a picture minus the one it was given.
+    Pan at the true time of a picture minus the pan that the picture was given.
 
-    `rate_rad_s` is how that grows with the lateness of the stamps, within its sigma, and
-    `bend_rad` what this slope leaves out.
+    `shift_rad` is that difference, `rate_rad_s` its derivative by the delay, taken over the sigma
+    of the delay, and `bend_rad` how far it deviates from that slope there.
     """
 
     shift_rad: float
@@ -35,28 +35,28 @@ STILL = Lag(0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class JointDelay:
-    """By how much joint states are stamped later than pictures of the same moment, s."""
+    """By how much joint states are stamped later than pictures taken at the same moment."""
 
     delay_s: float = 0.0
     sigma_s: float = 0.0
 
     @property
     def is_known(self) -> bool:
-        """Whether it is known as well as is of use."""
+        """Whether the delay is known well enough."""
         return self.sigma_s < _KNOWN_S
 
     def lag(self, rate_rad_s: float, track: PanTrack | None, given_s: float = 0.0) -> Lag:
         """
-        What a lateness makes of the pan of a picture that was given that of a delay `given_s`.
+        Error of a picture's pan that was interpolated for a delay of `given_s`.
 
         Parameters
         ----------
         rate_rad_s : float
-            Of the pan: all that is known without a track.
+            Rate of the pan, which is used if there is no track.
         track : PanTrack or None
-            Pan about the picture's stamp.
+            Pan over time about the picture's stamp.
         given_s : float
-            By how much the stamps were taken to be late.
+            Delay for which the pan was interpolated.
 
         """
         if track is None or not (self.delay_s or self.sigma_s or given_s):
@@ -68,7 +68,7 @@ class JointDelay:
 
 
 def in_time(frame: CameraFrame, late: JointDelay) -> tuple[CameraFrame, float]:
-    """Return a picture with the pan that joint states so late tell, and the sigma of that, rad."""
+    """Return a picture with its pan corrected for the delay, and the sigma of that pan, rad."""
     if not (late.delay_s or late.sigma_s):
         return frame, frame.pan_sigma_rad
     lag = late.lag(frame.pan_rate_rad_s, frame.pan_track)
@@ -77,6 +77,6 @@ def in_time(frame: CameraFrame, late: JointDelay) -> tuple[CameraFrame, float]:
 
 
 def seen_in_time(seen: Detections, late: JointDelay) -> Detections:
-    """Return bearings of the pan that joint states so late tell, whatever was thought before."""
+    """Return bearings corrected for a delay, whichever delay they were computed with."""
     lag = late.lag(seen.pan_rate_rad_s, seen.pan_track, seen.pan_delay_s)
     return replace(seen, bearing_rad=seen.bearing_rad + lag.shift_rad, pan_delay_s=late.delay_s)

@@ -1,4 +1,4 @@
-"""What pictures say about the pose: landmarks found in them, and fixes triangulated from those."""
+"""Landmarks found in pictures, and the fixes triangulated from them."""
 
 from __future__ import annotations
 
@@ -37,18 +37,17 @@ __all__ = ['Observation', 'ObservationConfig', 'Observer']
 
 _LOG = logging.getLogger(__name__)
 
-# So many landmarks have a say against a pose that is hardly known.
+# With a hardly known pose, fewer landmarks than this may all be mistaken.
 _AGREE = 3
-# After so many pictures in a row that showed no place near the expected one each so many-th is
-# searched for it: that takes a tenth of a second.
+# A wide prior is narrowed by a search that takes a tenth of a second: in each of the first so many
+# pictures, then, if all was in vain, in every third one.
 _EAGER, _PATIENT = 5, 3
-# Sigmas of the expected pose, position (root of the trace) and heading, from which on landmarks
-# may look as they do from anywhere within them.
+# Sigmas of the expected pose, position (root of the trace) and heading, beyond which the prior is
+# wide: it leaves open what landmarks look like.
 _WIDE_M, _WIDE_RAD = 0.1, 0.05
-# Of what was looked for, so much found is most of it.
+# Share of the landmarks looked for that counts as most of them.
 _MOST = 0.75
-# What a landmark tells that was looked for in the picture before is half as new; that wears off
-# by a fifth a picture.
+# The novelty of a landmark is halved when it is looked for, and recovers by a fifth a picture.
 _NEW, _STILL_KNOWN = 0.5, 0.8
 _IN_TIME = JointDelay()
 _FROZEN = Refusal('picture is the one before', 'though the camera has moved: it hangs')
@@ -79,9 +78,18 @@ class Observation:
     """
     What a picture says about the pose.
 
-    `fix` is the triangulated pose of the base, computed from bearings alone, those of the picture
-    or of several; the prior told where to look, and rejects what cannot be. A picture that is
-    `unusable` was not even looked at.
+    Parameters
+    ----------
+    detections : Detections
+        Landmarks that were found.
+    refused : mapping of int to Refusal
+        Why others were not, by landmark id.
+    fix : PoseEstimate or Refusal
+        Triangulated pose of the base, from the bearings of this picture or of several. The prior
+        only told where to look, and rejects impossible results.
+    unusable : bool
+        Whether the picture was not searched at all.
+
     """
 
     detections: Detections
@@ -92,7 +100,7 @@ class Observation:
 
 class Observer:
     """
-    Looks at one picture after the other.
+    Finds landmarks in one picture after the other, and triangulates.
 
     With triplets in one view each picture gives a fix of its own. With several views sightings
     are gathered, and give a fix when the chosen triplet is complete.
@@ -126,16 +134,16 @@ class Observer:
 
     @property
     def knocked_up_rad(self) -> float:
-        """`tilt_rad` where that takes a knock, else 0."""
+        """How much higher the camera looks than its joints say; 0 unless it was knocked."""
         return self._detector.knocked_up_rad
 
     @property
     def leaning_rad(self) -> float:
-        """By how much a knock made the camera lean to its right."""
+        """By how much the camera leans to its right; 0 unless it was knocked."""
         return self._detector.leaning_rad
 
     def levelled(self, frame: CameraFrame) -> CameraFrame:
-        """A picture with its tilt and roll as they turned out to be."""
+        """Return a picture with the tilt and roll of the camera corrected."""
         return self._detector.levelled(frame)
 
     def add_odometry(self, sample: OdometrySample) -> None:
@@ -159,21 +167,21 @@ class Observer:
         prior : PoseEstimate
             Expected pose of the base at its stamp.
         triplet : Triplet, optional
-            What the camera is after: looked for before all else, and with several views a fix
-            waits for all three.
+            Landmarks that the camera was turned to. They are looked for first, and with several
+            views a fix waits for all three.
         late : JointDelay, optional
-            Of the stamps of the joints.
+            Delay of the stamps of the joints.
 
         """
         if self._frozen.repeats(frame, prior):
             return Observation(_nothing(frame.stamp_ns), {}, _FROZEN, unusable=True)
         config = self._config
         frame, pan_sigma = in_time(frame, late)
-        looked_from, wide = prior, _is_wide(prior)
-        if wide:
-            place = self._narrowed(frame, prior)
-            looked_from = prior if isinstance(place, Refusal) else place
-        self._vain = self._vain + 1 if wide and looked_from is prior else 0
+        wide = _is_wide(prior)
+        place = self._narrowed(frame, prior) if wide else prior
+        known = not isinstance(place, Refusal)
+        looked_from = prior if isinstance(place, Refusal) else place
+        self._vain = 0 if known else self._vain + 1
         visible = visible_landmarks(
             looked_from,
             self._map,
@@ -188,16 +196,14 @@ class Observer:
             if isinstance(triplet, Triplet)
             else ()
         )
-        # What is not known of the pan shifts the picture as what is not known of the heading.
+        # An error of the pan shifts the picture as one of the heading does.
         turned = np.diag([0.0, 0.0, pan_sigma**2])
         looked = replace(looked_from, covariance=looked_from.covariance + turned)
-        # Where the pose is hardly known, it is no wonder if nothing is where it says.
-        known = not wide or looked_from is not prior
         result = self._detected(frame, looked, visible, wanted, not wide)
         missed = np.array(sorted(result.refused), dtype=np.int64)
         found, refused = result.detections, dict(result.refused)
         if not known and len(found) < _AGREE:
-            # Nothing tells a match that is mistaken from one that is not.
+            # So few matches may all be mistaken.
             alone = Refusal('the expected pose is hardly known', f'{len(found)} found in all')
             refused.update(dict.fromkeys(found.ids.tolist(), alone))
             found = found.chosen(np.zeros(len(found), dtype=np.bool_))
@@ -221,10 +227,11 @@ class Observer:
         known: bool,
     ) -> DetectionResult:
         """
-        Look for landmarks out of those `visible` (n,), first for `wanted`.
+        Look for some of the `visible` (n,) landmarks, first of all for those `wanted`.
 
-        A few are enough while most are found; it takes all of them to tell a camera that was
-        knocked from a view that has changed.
+        As long as most are found, a few are enough. Otherwise all are looked for, to tell a camera
+        that was knocked from a view that has changed; a knock is ruled out unless the pose is
+        `known`.
         """
         config, sigma = self._config.detection, self._config.triplet.bearing_sigma_rad
         axis = axis_from_base(prior, self._mount)
@@ -245,14 +252,14 @@ class Observer:
         return result
 
     def _narrowed(self, frame: CameraFrame, prior: PoseEstimate) -> PoseEstimate | Refusal:
-        """The place near the expected one that a picture shows; now and then if it is in vain."""
+        """Find the pose within a wide prior; if that fails again and again, try less often."""
         if self._vain > _EAGER and self._vain % _PATIENT:
             return Refusal('nothing recognised', 'neither in the pictures before')
         levelled = self._detector.levelled(frame)
         return narrowed(levelled, prior, self._map, self._mount, self._config)
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:
-        """Triangulate landmarks that were found elsewhere; what the map lacks is refused."""
+        """Triangulate from landmarks that somebody else found, leaving out unknown ones."""
         known = np.isin(found.ids, self._map.ids)
         unknown = {int(k): Refusal('not in the map') for k in found.ids[~known]}
         found = found if known.all() else found.chosen(known)
@@ -271,7 +278,7 @@ class Observer:
 
 
 def _is_wide(prior: PoseEstimate) -> bool:
-    """Whether landmarks may look otherwise than from the expected pose."""
+    """Whether landmarks may look different from how they do at the expected pose."""
     x, y, heading = prior.covariance.diagonal().tolist()
     return bool(x + y > _WIDE_M**2 or heading > _WIDE_RAD**2)
 
@@ -282,7 +289,7 @@ def _nothing(stamp_ns: int) -> Detections:
 
 
 def _warn_without_views(landmark_map: LandmarkMap, config: DetectionConfig) -> None:
-    """Maps of before keep patches alone; points that have no picture need none."""
+    """Warn of a map of an older version, whose landmarks have patches but no views."""
     pictured = [k for k in landmark_map.landmarks if k.patch.size]
     if config.appearance == 'virtual_view' and pictured and not any(k.views for k in pictured):
         _LOG.warning(

@@ -61,11 +61,23 @@ class LocalizationConfig(Config):
 @dataclass(frozen=True, eq=False)
 class LocalizationUpdate:
     """
-    All that came of one picture.
+    All results of one picture.
 
-    `triplet` is what the camera would best be turned to, as last chosen; `fused` is the filter's
-    estimate at the picture's stamp, after it; `with_landmarks` (3, 2 n) is its covariance with
-    their places; `search` is what came of looking for the place, if that was done.
+    Parameters
+    ----------
+    triplet : Triplet or Refusal
+        What the camera should be turned to, as last chosen.
+    observation, fusion : Observation, FusionUpdate
+        What was seen, and what the filter made of it.
+    fused : PoseEstimate
+        The filter's estimate at the picture's stamp, after the update.
+    status, reason : str
+        Of the filter, after the update.
+    with_landmarks : ndarray, shape (3, 2 n), optional
+        Covariance of `fused` with the positions of all landmarks.
+    search : PoseEstimate or Refusal, optional
+        Result of searching for the place, if that was done.
+
     """
 
     stamp_ns: int
@@ -83,8 +95,8 @@ class Localizer:
     """
     The nodes of the navigation phase in one: for bags, and for use without ROS.
 
-    Without `initialize`, and when lost or without a landmark in sight, it gathers pictures until
-    they fit one place only.
+    Without `initialize`, and while it is lost or no landmark is in sight, it searches for the
+    place: it gathers pictures until they fit one place only.
     """
 
     def __init__(
@@ -122,7 +134,7 @@ class Localizer:
         self._unseen.restart()
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
-        """Move on; why the sample was left out, or is `Distrusted`."""
+        """Move on; what is wrong with the sample, if anything (`Distrusted` if it is used)."""
         self._odometry = sample
         self._observer.add_odometry(sample)
         if self._relocalizer is not None:
@@ -155,13 +167,13 @@ class Localizer:
 
     def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
         """
-        Look at a picture and correct the pose.
+        Look at a picture and correct the pose, or search for the place until one is known.
 
         Returns
         -------
         LocalizationUpdate or PoseEstimate or Refusal
-            While the place is not known, why not; the pose of the base in the picture it is found
-            with.
+            An update if a pose was known before; otherwise the pose that was found, or why none
+            was.
 
         """
         prior = self._filter.estimate(frame.stamp_ns)
@@ -180,7 +192,7 @@ class Localizer:
         self._relocalizer = self._relocalizer or self._new_search()
         outcome = self._search(frame)
         if self._unseen.lasts and isinstance(outcome, UnsurePlace):
-            # Where nothing is expected, nothing but what is seen can contradict the pose.
+            # No landmark is expected here, so only another place can contradict the pose.
             self._filter.contradict(outcome.place, str(outcome))
         status, reason = self._filter.status
         fused = self._filter.estimate(frame.stamp_ns) or update.fused
@@ -195,7 +207,7 @@ class Localizer:
             self._chosen_ns = frame.stamp_ns
 
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
-        """Find the place; what the pose was made of is not used again."""
+        """Search for the place; the pictures from which it is found are not fused again."""
         assert self._relocalizer is not None, 'no pose is known'
         frame, _ = in_time(frame, self._filter.late)
         outcome = self._relocalizer.add_frame(self._observer.levelled(frame))
@@ -205,7 +217,7 @@ class Localizer:
         return self._filter.estimate(frame.stamp_ns) or outcome
 
     def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
-        """Correct the pose by bearings that were found elsewhere; as `add_frame` otherwise."""
+        """Correct the pose by bearings that somebody else measured; else like `add_frame`."""
         prior = self._filter.estimate(found.stamp_ns)
         if prior is None:
             return Refusal('not initialized', 'give a start pose')

@@ -1,4 +1,4 @@
-"""Landmarks found with a camera that was knocked: it looks beside where its joints say."""
+"""Detection with a camera that was knocked, so that its direction is not that of its joints."""
 
 from __future__ import annotations
 
@@ -20,33 +20,34 @@ __all__ = ['AimedDetector', 'degrees_aside']
 
 _LOG = logging.getLogger(__name__)
 
-# Shares of what should be in view: next to nothing, and what a camera that looks beside must show
-# there; from a wrong place some landmarks may be mistaken for others, and agree on a tilt.
+# Shares of the expected landmarks: if hardly any are found, a knock is suspected; a new direction
+# is believed if most are found with it, as a few mistaken matches may agree on a tilt.
 _HARDLY_ANY, _MOST = 0.25, 0.5
-# So many landmarks tell a turned camera from chance.
+# It takes so many landmarks to tell a turned camera from chance.
 _LEAST = 3
-# What became of those that a camera which leans shows elsewhere.
+# Why matches are refused if the camera has a roll that is not known.
 _BESIDE = ('wrong height', 'peak at the border of the search window')
-# Rays must lie so far aside of the view to tell a roll; it is found by so many rounds of least
-# squares with weights that make it a least sum of distances; from then on pictures adjust it so
-# much each.
+# A roll is estimated if rays are so far (RMS) from the optical axis, by so many iterations of
+# reweighted least squares: a least sum of distances, those below `_FINEST_RAD` weighted alike.
+# Each later picture corrects it by the last share.
 _ASIDE, _REWEIGHTED, _FINEST_RAD, _ROLL_SHARE = 0.1, 8, 2e-4, 0.2
-# A tilt that is told: more than a floor does, and than heights that are a centimetre off.
+# A tilt is a knock if it is more than an uneven floor causes, and more than heights that are a
+# centimetre off.
 _TILTED_RAD, _HEIGHT_M = 0.005, 0.01
 
 
 class AimedDetector:
     """
-    Searches where prior and joints say; if hardly anything is there, beside that as well.
+    Searches where prior and joints say, and, if hardly any landmark is there, further around.
 
-    What it finds there tells by how much the camera looks beside, and where to search from then
-    on. Bearings stay as the joints have them: what is wrong with those is for the filter to tell
-    from a wrong heading. A wrong tilt or roll concerns nobody else, and is put right here.
+    What is found there tells how far the camera's direction is off, and later pictures are
+    searched with that correction. Tilt and roll are corrected here. Bearings stay as the joints
+    have them: the filter has to tell an error of the pan from one of the heading.
 
     Parameters
     ----------
     knock_rad : float
-        How far beside to search; 0 does not.
+        How much further to search; 0 for not at all.
 
     """
 
@@ -58,7 +59,7 @@ class AimedDetector:
         knock_rad: float,
     ) -> None:
         self._map, self._mount, self._config, self._knock = landmark_map, mount, config, knock_rad
-        # Pan, tilt and roll.
+        # Corrections of pan, tilt and roll, and the tilt that was logged last.
         self._aim, self._told_rad = np.zeros(3), 0.0
         self._blur = np.zeros(2)
 
@@ -69,16 +70,16 @@ class AimedDetector:
 
     @property
     def knocked_up_rad(self) -> float:
-        """`tilt_rad` where that is more than a floor does, else 0."""
+        """`tilt_rad` if it is more than an uneven floor causes, else 0."""
         return self.tilt_rad if abs(self.tilt_rad) > _TILTED_RAD else 0.0
 
     @property
     def leaning_rad(self) -> float:
-        """By how much the camera leans to its right, 0 unless a knock made it."""
+        """By how much the camera leans to its right; 0 unless it was knocked."""
         return float(self._aim[2])
 
     def levelled(self, frame: CameraFrame) -> CameraFrame:
-        """A picture with its tilt and roll as they turned out to be, the pan as it is measured."""
+        """Return a picture with tilt and roll corrected, and the pan as measured."""
         return _turned(frame, self._aim * [0.0, 1.0, 1.0])
 
     def detect(
@@ -90,15 +91,26 @@ class AimedDetector:
         tells: bool = True,
     ) -> DetectionResult:
         """
-        Find landmarks `expected` (n,) of the map; as `detect_landmarks`.
+        Find landmarks of the map, as `detect_landmarks` does.
 
-        `knocked` tells whether a knock may be why they are missing, `tells` whether the prior is
-        sure enough to tell how the camera looks.
+        Parameters
+        ----------
+        frame : CameraFrame
+            Picture with its joint angles.
+        prior : PoseEstimate
+            Expected pose of the base.
+        expected : ndarray of int, shape (n,)
+            Columns of the landmarks in the map.
+        knocked : bool
+            Whether a knock may be the reason if they are missing.
+        tells : bool
+            Whether the prior is sure enough to estimate the camera's direction.
+
         """
         knock, config = self._knock if knocked else 0.0, self._config
         result = self._search(frame, prior, expected, config, self._aim)
         if len(result.detections) <= _HARDLY_ANY * len(expected) and self._aim[0]:
-            # It may have been the heading, which was put right since.
+            # What passed for a turn of the camera may have been an error of the heading.
             ahead = self._search(frame, prior, expected, config, self._aim * [0.0, 1.0, 1.0])
             result = max(ahead, result, key=lambda found: len(found.detections))
         few = len(result.detections) <= _HARDLY_ANY * len(expected) or _leans(result)
@@ -112,7 +124,7 @@ class AimedDetector:
         beside = self._search(frame, wide, expected, tall, self._aim * [0.0, 1.0, 1.0])
         if len(beside.detections) < _LEAST:
             return result
-        # What is there by chance is not found again at one height.
+        # Mistaken matches are not found again in the narrow rows of a normal search.
         for roll in (float(self._aim[2]), self._seen_roll(beside, frame, prior)):
             aim, _ = self._seen_aim(beside, frame, prior, roll)
             again = self._search(frame, wide, expected, config, aim)
@@ -127,7 +139,7 @@ class AimedDetector:
 
     @staticmethod
     def _tells(result: DetectionResult, expected: npt.NDArray[np.intp]) -> bool:
-        """Whether enough was found to tell how the camera looks."""
+        """Whether enough was found to estimate the camera's direction."""
         return len(result.detections) >= max(_LEAST, _MOST * len(expected))
 
     def _follow(
@@ -137,7 +149,7 @@ class AimedDetector:
         prior: PoseEstimate,
         knock_roll: float | None = None,
     ) -> None:
-        """Aim where a picture was found to look, once that is beside, as it is by a knock."""
+        """Update the correction by a picture, if there is one or the camera was knocked."""
         roll = self.leaning_rad if knock_roll is None else knock_roll
         if roll:
             roll += _ROLL_SHARE * (self._seen_roll(result, frame, prior) - roll)
@@ -146,7 +158,7 @@ class AimedDetector:
         doubt_rad = _HEIGHT_M / median(reach.tolist())
         sigma_m = np.sqrt(np.trace(prior.covariance[:2, :2]))
         if sigma_m * median((np.abs(away[:, 2]) / reach**2).tolist()) > _TILTED_RAD:
-            # From nearer by, high things are higher.
+            # The position is too uncertain: from nearer by, high landmarks appear higher.
             aim[1:] = self._aim[1:]
         tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD + doubt_rad
         if tilted:
@@ -165,7 +177,7 @@ class AimedDetector:
         config: DetectionConfig,
         aim: FloatArray,
     ) -> DetectionResult:
-        """Search with the camera turned by an aim; bearings are those of the joints."""
+        """Search with the camera turned by `aim` (3,); bearings are those of the joints."""
         result, self._blur = detect_blurred(
             _turned(frame, aim), prior, self._map, self._mount, config, expected, self._blur
         )
@@ -178,10 +190,16 @@ class AimedDetector:
         self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
     ) -> tuple[FloatArray, FloatArray]:
         """
-        Pan and tilt by which a picture is off with a roll, and that, (3,) in radians.
+        Return the correction for a picture with a given roll, and positions from the camera.
 
-        They are medians over what was found; pan holds the error of the expected heading as well.
-        And where landmarks are from the camera, (n, 3) in metres.
+        Returns
+        -------
+        aim : ndarray, shape (3,)
+            Pan, tilt and roll, radians. Pan and tilt are medians over the landmarks found; the pan
+            includes the error of the expected heading.
+        expected : ndarray, shape (n, 3)
+            Landmarks found, relative to the camera, in the axes of the map, metres.
+
         """
         expected, rotation = self._expected(found, frame, prior, roll)
         seen = found.rays @ rotation.T
@@ -190,9 +208,10 @@ class AimedDetector:
 
     def _seen_roll(self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> float:
         """
-        Roll by which a picture is off, radians; as before where little tells it.
+        Return the roll of the camera, radians; the present one if a picture cannot tell.
 
-        The turn about all three axes that leaves the least sum of distances.
+        Expected and seen rays are aligned by a rotation about all three axes that leaves the least
+        sum of distances.
         """
         expected, rotation = self._expected(found, frame, prior, 0.0)
         seen = found.rays / np.linalg.norm(found.rays, axis=1, keepdims=True)
@@ -215,7 +234,7 @@ class AimedDetector:
     def _expected(
         self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Landmarks (n, 3) from the camera, in map, and the camera's rotation with a roll."""
+        """Landmarks (n, 3) relative to the camera, in map axes, and the camera's rotation."""
         rotation, center = self._mount.camera_pose_map(
             prior.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad + roll
         )
@@ -223,7 +242,7 @@ class AimedDetector:
 
 
 def degrees_aside(roll_rad: float) -> tuple[float, str]:
-    """Degrees and side of a camera that leans, for a person."""
+    """Return the roll of a camera in degrees, and its side in words."""
     return float(np.degrees(abs(roll_rad))), 'to the right' if roll_rad > 0.0 else 'to the left'
 
 
@@ -240,7 +259,7 @@ def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
 
 
 def _leans(result: DetectionResult) -> bool:
-    """Whether many matches are above or below where the others have them."""
+    """Whether many matches were refused for their height, as by an unknown roll."""
     beside = sum(refusal.reason in _BESIDE for refusal in result.refused.values())
     return beside >= max(_LEAST - 1, _HARDLY_ANY * (len(result.detections) + len(result.refused)))
 

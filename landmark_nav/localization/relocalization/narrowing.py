@@ -1,9 +1,9 @@
 """
 A wide prior made narrow by the picture itself.
 
-Where a prior leaves scale and slant open, no single appearance of a landmark fits. All that may
-be in view are looked for as they may look from where the prior allows; a place that several agree
-on tells which of their appearances are right, and from there they are looked for as always.
+A wide prior leaves open at which scale and slant landmarks appear. So all that may be in view are
+searched at all scales and slants that the prior allows. Several sightings that agree on a pose
+give a narrow prior, with which landmarks are looked for as usual.
 """
 
 from __future__ import annotations
@@ -24,10 +24,9 @@ from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimat
 
 __all__ = ['narrowed']
 
-# What the prior excludes: one in a thousand lies there.
+# A pose is excluded if the prior leaves it less than this probability.
 _EXCLUDED = 0.001
-# No pose is better known than this, whatever a prior says of one of its directions; and how exact
-# proposed ones are, m and rad.
+# Least sigmas of a prior, which may be singular, and those of a proposed pose, m and rad.
 _LEAST_SIGMA, _PROPOSED_SIGMA = (1e-3, 1e-3, 1e-3), (0.1, 0.1, 0.035)
 
 
@@ -39,12 +38,12 @@ def narrowed(
     looking: LookingConfig,
 ) -> PoseEstimate | Refusal:
     """
-    Find the one place, of those that a prior allows, which a picture speaks for.
+    Find the pose within a wide prior that fits a picture.
 
     Returns
     -------
     PoseEstimate or Refusal
-        Of the base, out of the picture alone; why there is none, such as too few landmarks.
+        Pose of the base by this picture alone, or why there is none.
 
     """
     prior = replace(prior, covariance=prior.covariance + np.diag(np.square(_LEAST_SIGMA)))
@@ -63,6 +62,6 @@ def narrowed(
 
 
 def _allows(prior: PoseEstimate, pose: FloatArray, covariance: FloatArray) -> bool:
-    """Whether a pose (3,) of such a covariance may be the one that the prior is of."""
+    """Whether a prior allows a pose (3,) with this covariance."""
     distance = squared_distance(pose, prior.pose, prior.covariance + covariance)
     return distance < float(chdtri(3, _EXCLUDED))

@@ -1,8 +1,8 @@
 """
-Finding one's place from nothing: from one sweep, or from a few seconds of driving.
+Finding the robot's place without a prior: from one sweep, or from a few seconds of driving.
 
-Sightings of all landmarks without a prior -> poses that explain them -> what each lets expect is
-looked for -> one place, if there is but one.
+Sightings of all landmarks without a prior -> poses that explain them -> for each pose, the
+landmarks that should be seen from there are looked for -> the place, if it is unique.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ __all__ = [
     'verified_places',
 ]
 
-# Least share of the landmarks to be expected at a place that must be found there.
+# Least share of the landmarks expected at a place that must be found there.
 _MIN_FOUND_SHARE = 0.4
-# Most that another place may have, of the landmarks of the best.
+# Most landmarks that the second-best place may have, as a share of those of the best.
 _MAX_RIVAL_SHARE = 0.5
-# So many proposed places are looked at closely.
+# So many proposed places are verified.
 _CANDIDATES = 4
-# So many landmarks at a place are no chance.
+# So many landmarks at a place are not found by chance.
 _TELLING = 4
-# Least angle that the landmarks found span.
+# The landmarks found must span this angle.
 _MIN_SPREAD_RAD = 0.6
 
 
 @dataclass(frozen=True)
 class UnsurePlace(Refusal):
-    """A place that landmarks speak for, but not so that the robot could go on from there."""
+    """A likely place, for which there is too little evidence to start from it."""
 
     place: PoseEstimate = field(kw_only=True)
 
@@ -66,16 +66,16 @@ def locate(
     Parameters
     ----------
     carried : CarriedFrames
-        Pictures, and where odometry has the base at each.
+        Pictures, and the poses of the base at each by odometry.
     sightings : sequence of Sightings
-        What each shows of the map, whatever the place.
+        Possible sightings in each picture, found without a prior.
 
     Returns
     -------
     Verification or Refusal
-        The base at the stamp of the last picture, and what speaks for it. ``not unique`` where
-        another place explains what was seen about as well, ``nothing recognised`` where none does,
-        ``too little seen`` where the evidence is thin.
+        The pose of the base at the last picture with its evidence; or ``not unique`` if another
+        place explains the pictures nearly as well, ``nothing recognised`` if none does, and ``too
+        little seen`` if there is not enough evidence.
 
     """
     moved = [
@@ -100,7 +100,7 @@ def verified_places(
     mount: PanTiltMount,
     looking: LookingConfig,
 ) -> list[Verification]:
-    """Different places that hold of the first proposed, (n, 3); with most landmarks first."""
+    """Verify the first of the poses (n, 3); return different places, most landmarks first."""
     places: list[Verification] = []
     for pose in poses[:_CANDIDATES]:
         outcome = verify(pose, carried, landmark_map, mount, looking)
@@ -110,7 +110,7 @@ def verified_places(
 
 
 def _known(place: Verification, others: Sequence[Verification]) -> bool:
-    """Whether another hypothesis led to the same place."""
+    """Whether a place is the same as one of the others."""
     offsets = [place.estimate.pose - other.estimate.pose for other in others]
     return any(
         np.hypot(*offset[:2]) < 0.5 * DISTINCT_M and abs(wrap_rad(offset[2])) < 0.5 * DISTINCT_RAD
@@ -120,14 +120,15 @@ def _known(place: Verification, others: Sequence[Verification]) -> bool:
 
 def best_place(places: Sequence[Verification], proposed: int) -> Verification | Refusal:
     """
-    Take the first place if no other comes near it and most of what it should show is found.
+    Take the first place, unless it has a rival or too few of its expected landmarks were found.
 
     Parameters
     ----------
     places : sequence of Verification
         Different places, the one with most landmarks first.
     proposed : int
-        How many they were chosen from.
+        How many poses were proposed, for the message.
+
     """
     if not places:
         return Refusal(
@@ -155,7 +156,7 @@ def _where(place: Verification) -> str:
 
 
 def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verification | Refusal:
-    """Where the robot is, if enough of the room was seen to be sure of it."""
+    """Return the best place if there is enough evidence for it."""
     if isinstance(best, Refusal):
         return best
     found, where = len(best.ids), _where(best)

@@ -1,12 +1,12 @@
 """
-Landmarks seen without knowing where one is: each found at any azimuth, range and slant.
+Landmarks found without a prior pose: each is searched at any azimuth, range and slant.
 
-Where a prior is known but wide, those are the ones that it leaves open.
+With a wide prior, the search is limited to those that the prior allows.
 
 A picture is resampled onto an upright cylinder around its optical centre. There a patch on a wall
-only shrinks with its range and narrows with its slant, and a landmark that hangs `dz` above the
-camera appears at the tangent `dz / range`: every range is searched in its own narrow band of
-rows, and the row found tells the range in return.
+only shrinks with its range and narrows with its slant. A landmark that hangs `dz` above the camera
+appears at the tangent `dz / range`, so each range is searched in its own narrow band of rows, and
+the row of a match measures its range.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Sightings:
     """
     Where landmarks may have been seen, arrays over n sightings.
 
-    `landmark` (n,) is the place in the map; `azimuth_rad` (n,) and `range_m` (n,), horizontal,
+    `landmark` (n,) is the column in the map; `azimuth_rad` (n,) and `range_m` (n,), horizontal,
     are seen from `center` (n, 2), the optical centre, all in a base frame; `range_sigma` (n,) is
     the range's relative error; `score` (n,) the normalized cross-correlation.
     """
@@ -70,7 +70,7 @@ class Sightings:
 
     @staticmethod
     def joined(parts: Sequence[Sightings]) -> Sightings:
-        """All of several, which must share a frame."""
+        """Concatenate several, which must share a frame."""
         names = [field.name for field in fields(Sightings)]
         if not parts:
             none = np.zeros(0)
@@ -113,7 +113,7 @@ def find_sightings(
 
 @dataclass(frozen=True, eq=False)
 class _Profile:
-    """The best of all ranges and slants in every column: score, tangent, range, half width."""
+    """The best match over all ranges and slants in each column of the strip."""
 
     score: npt.NDArray[np.float32]
     tangent: FloatArray

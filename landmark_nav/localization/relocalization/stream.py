@@ -1,4 +1,4 @@
-"""Finding one's place while pictures and odometry come in: by bags, and by the nodes."""
+"""Finding the robot's place from pictures and odometry as they come in."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from landmark_nav.types import (
 
 __all__ = ['Relocalizer', 'Unseen']
 
-# Odometry sigma of a picture that still counts.
+# A picture counts until odometry since then is more uncertain than this.
 _MAX_DRIFT_M = 0.1
 _MAX_DRIFT_RAD = 0.1
-# Pictures that count at a time.
+# So many pictures are kept at most.
 _MAX_FRAMES = 30
 # Sigma of a delay of the joints that nothing has measured yet.
 _DELAY_SIGMA_S = 0.1
@@ -47,7 +47,7 @@ _SLIP = 0.04
 
 
 class _Glimpse(NamedTuple):
-    """A picture that was kept."""
+    """A picture that is kept, with its viewing direction and what may be seen in it."""
 
     frame: CameraFrame
     direction: FloatArray
@@ -55,7 +55,7 @@ class _Glimpse(NamedTuple):
 
 
 class Unseen:
-    """Whether pictures have shown nothing of the map for a while, `after_s` or longer."""
+    """Whether pictures have shown no landmark for `after_s` or longer."""
 
     def __init__(self, after_s: float) -> None:
         self._after_ns = round(1e9 * after_s)
@@ -105,11 +105,11 @@ class Relocalizer:
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
-        # What is wrong with it is the filter's to tell.
+        # The filter reports what is wrong with it.
         self._track.add(sample)
         known = self._track.stamps_ns
         if known is not None and known[1] - sample.stamp_ns > _CLOCK_STEP_NS:
-            # What was seen by another clock helps no more.
+            # The clock was set back: pictures from before are of no use.
             self._kept, self._track = [], OdometryTrack(self._odometry)
             self._track.add(sample)
         # A picture may still come that is older than the odometry.
@@ -123,15 +123,15 @@ class Relocalizer:
         Returns
         -------
         PoseEstimate or Refusal
-            The base at the picture's stamp; or why its place is not known yet, which stays the
-            same as long as pictures show nothing new.
+            Pose of the base at the picture's stamp, or why it is not known yet. A picture that
+            shows nothing new is not searched: the last reason is repeated.
 
         """
         if not np.isfinite([frame.pan_rad, frame.tilt_rad]).all():
             return self._outcome
         direction = view_direction(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
-        # What odometry has carried too far helps no more, nor does what is from another clock.
+        # Pictures from too long a way ago, or from a clock that was set back, are dropped.
         sure = [
             glimpse.frame.stamp_ns < frame.stamp_ns
             and max(variance[:2]) < _MAX_DRIFT_M**2
@@ -159,7 +159,7 @@ class Relocalizer:
         if isinstance(outcome, Refusal):
             self._outcome = outcome
             return outcome
-        # Pictures whose pan is late by the same time agree on a wrong heading.
+        # If joint states are late, all pictures agree on a heading that is wrong.
         squared = np.square([glimpse.frame.pan_rate_rad_s for glimpse in self._kept])
         doubt = _DELAY_SIGMA_S**2 * float(max(squared[-1], squared.mean()))
         covariance = outcome.estimate.covariance + np.diag([0.0, 0.0, doubt])
@@ -168,11 +168,11 @@ class Relocalizer:
 
     @property
     def witnesses(self) -> npt.NDArray[np.int64]:
-        """Landmarks that the place which was found last rests on."""
+        """Ids of the landmarks from which the last place was found."""
         return self._witnesses
 
     def moved_on(self, found: PoseEstimate) -> PoseEstimate:
-        """Carry a place along to the time of the newest odometry."""
+        """Return a pose moved on to the time of the newest odometry."""
         known = self._track.stamps_ns
         if known is None or known[1] <= found.stamp_ns:
             return found
@@ -186,13 +186,13 @@ class Relocalizer:
         )
 
     def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Poses (n, 3) of the base at the kept pictures, seen from now, and their variances."""
+        """Poses (n, 3) of the base at the kept pictures, relative to now, and their variances."""
         motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
         poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
         return poses, np.array([self._variances(motion) for motion in motions]).reshape(-1, 3)
 
     def _variances(self, motion: Motion) -> FloatArray:
-        """Of a motion by wheels that nothing has calibrated yet: they err by a share, too."""
+        """Variances (3,) of a motion by wheels that are not calibrated yet."""
         way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
         share = _SLIP * np.array([way, way, turn])
         return np.asarray(motion_variances(motion, self._odometry) + share**2)
