@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 import time
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.clock import shifts_by_truth
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
@@ -34,7 +35,7 @@ __all__ = ['Replay', 'replay']
 @dataclass(frozen=True, eq=False)
 class Replay:
     """
-    What came of a run.
+    What came of a run; where its clock was set back, stamps go on as if it had not been.
 
     Parameters
     ----------
@@ -158,6 +159,9 @@ def replay(
     took: list[float] = []
     odometry: list[tuple[int, FloatArray]] = []
     truth: list[tuple[int, FloatArray]] = []
+    # Place of the last truth before each.
+    looked_after: list[int] = []
+    moved_after: list[int] = []
     begin = time.perf_counter()
     for event in events:
         if isinstance(event, PoseEstimate):
@@ -169,8 +173,10 @@ def replay(
                 localizer.initialize(start)
         if isinstance(event, OdometrySample):
             odometry.append((event.stamp_ns, event.pose_odom_base))
+            moved_after.append(len(truth) - 1)
             localizer.add_odometry(event)
         elif isinstance(event, CameraFrame | Detections):
+            looked_after.append(len(truth) - 1)
             before = time.perf_counter()
             if isinstance(event, CameraFrame):
                 update = localizer.add_frame(event)
@@ -193,13 +199,20 @@ def replay(
         )
     if not updates:
         raise LandmarkNavError('the place was found in the last picture: nothing to evaluate')
+    truth_ns = [stamp for stamp, _ in truth]
+    looked_ns = [*searched, *(update.stamp_ns for update in updates)]
+    shifts = shifts_by_truth(looked_ns, looked_after, truth_ns).tolist()
+    searched = [stamp + shift for stamp, shift in zip(searched, shifts, strict=False)]
+    if searched:
+        start = replace(start, stamp_ns=searched[-1])
+    updates = [_later(u, shift) for u, shift in zip(updates, shifts[len(searched) :], strict=True)]
     return Replay(
         start,
         tuple(searched),
         tuple(updates),
         np.array(took),
-        _dead_reckoning(PoseTrack.of(odometry), start),
-        PoseTrack.of(truth),
+        _dead_reckoning(_track(odometry, moved_after, truth_ns), start),
+        _track(truth, range(len(truth)), truth_ns),
         time.perf_counter() - begin,
         localizer.odometry_noise,
         localizer.sighting_sigma,
@@ -214,6 +227,25 @@ def _given(
     if pose is None or covariance is None:
         return None
     return PoseEstimate(stamp_ns, pose, covariance)
+
+
+def _track(
+    stamped: list[tuple[int, FloatArray]], after: Sequence[int], truth_ns: list[int]
+) -> PoseTrack:
+    """Poses that came after so many of the truth, on one clock."""
+    shifts = shifts_by_truth([stamp for stamp, _ in stamped], after, truth_ns).tolist()
+    return PoseTrack.of(
+        (stamp + shift, pose) for (stamp, pose), shift in zip(stamped, shifts, strict=True)
+    )
+
+
+def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
+    """What came of a picture, with another stamp."""
+    if not shift_ns:
+        return update
+    stamp, seen = update.stamp_ns + shift_ns, update.observation
+    detections = replace(seen.detections, stamp_ns=stamp)
+    return replace(update, stamp_ns=stamp, observation=replace(seen, detections=detections))
 
 
 def _dead_reckoning(odometry: PoseTrack, start: PoseEstimate) -> PoseTrack:

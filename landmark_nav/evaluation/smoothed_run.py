@@ -27,11 +27,14 @@ def smooth_run(
     takes back itself what it thought meanwhile.
     """
     track = run.odometry
+    # Pictures may have come late.
+    order = np.argsort(run.stamps_ns, kind='stable')
+    updates = [run.updates[k] for k in order if run.updates[k].stamp_ns >= run.start.stamp_ns]
     return smooth(
         run.start,
         [OdometrySample(int(t), p) for t, p in zip(track.stamps_ns, track.poses, strict=True)],
-        [seen_in_time(update.observation.detections, run.late) for update in run.updates],
-        run.fused,
+        [seen_in_time(update.observation.detections, run.late) for update in updates],
+        np.array([update.fused.pose for update in updates]),
         landmark_map,
         mount,
         config.fusion,

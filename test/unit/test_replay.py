@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.clock import shifts_by_truth
 from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.run_report import run_errors, run_report
+from landmark_nav.evaluation.smoothed_run import smooth_run
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.pipeline import LocalizationConfig
@@ -176,3 +178,36 @@ def test_truth_is_never_told_to_the_localizer():
         for event in drive()
     ]
     np.testing.assert_array_equal(run(shifted).fused, run(drive()).fused)
+
+
+@pytest.mark.parametrize('first', [PoseEstimate, CameraFrame, OdometrySample])
+def test_a_clock_that_was_set_back_is_no_error_of_the_pose(first):
+    """It was set back where the three come together; any of them may come first."""
+    back = 2 * SECOND
+    events = sorted(drive(6), key=lambda event: (event.stamp_ns, not isinstance(event, first)))
+    late = [
+        replace(event, stamp_ns=event.stamp_ns - back * (event.stamp_ns >= START + 4 * SECOND))
+        for event in events
+    ]
+    good, done = run(events), run(late)
+    assert np.all(np.diff(done.stamps_ns) > 0)
+    truth, odometry = (run_errors(run).odometry for run in (good, done))
+    np.testing.assert_allclose(odometry, truth, atol=1e-6)
+    np.testing.assert_allclose(run_errors(done).fused[-5:], run_errors(good).fused[-5:], atol=0.15)
+
+
+def test_stamps_that_go_back_alone_or_a_little_stay():
+    truth = np.array([10, 20, 15, 30, 40]) * SECOND // 100
+    assert not shifts_by_truth([5, 900, 7], [-1, 2, 4], truth).any()
+    assert shifts_by_truth([5, 7], [-1, -1], []).tolist() == [0, 0]
+
+
+def test_a_picture_that_came_late_is_smoothed_in_its_time():
+    events = list(drive(3))
+    frames = [k for k, event in enumerate(events) if isinstance(event, CameraFrame)]
+    events.insert(frames[5] + 1, events.pop(frames[4]))
+    done = run(events)
+    assert np.any(np.diff(done.stamps_ns) < 0)
+    smoothed = smooth_run(done, a_map(), MOUNT, CONFIG)
+    assert np.all(np.diff(smoothed.stamps_ns) > 0)
+    assert len(smoothed.stamps_ns) == len(frames)
