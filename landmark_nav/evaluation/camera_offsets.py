@@ -1,4 +1,4 @@
-"""What a run tells of the camera: stamps of its joints that are late, a pan zero that is off."""
+"""Constant errors of the camera that a run shows: late joint stamps, an offset of the pan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from landmark_nav.types import LandmarkMap, OdometrySample
 
 __all__ = ['CameraOffsets', 'camera_offsets']
 
-# What could be, before anything is seen.
+# Prior sigmas.
 _DELAY_SIGMA_S = 0.05
 _BORESIGHT_SIGMA_RAD = 0.03
 
@@ -28,7 +28,7 @@ class CameraOffsets:
     Constant errors of the camera's direction, each with its sigma.
 
     `delay_s` is by how much joint states are stamped later than pictures of the same moment,
-    `boresight_rad` where the camera looks at pan 0, counter-clockwise from ahead.
+    `boresight_rad` the direction of the camera at pan 0, counter-clockwise from ahead.
     """
 
     delay_s: float
@@ -55,10 +55,10 @@ def camera_offsets(
     run: Replay, landmark_map: LandmarkMap, mount: PanTiltMount, config: LocalizationConfig
 ) -> CameraOffsets:
     """
-    Estimate them from the bearings and the odometry of a run, together with its poses.
+    Estimate the offsets from the bearings and the odometry of a run, together with its poses.
 
-    While the camera turns, late stamps shift all bearings by rate times delay; a pan zero that is
-    off shows as the robot drives, by the direction in which it moves.
+    While the camera turns, late stamps shift all bearings by rate times delay. An offset of the
+    pan shows in the direction in which the robot drives.
     """
     fusion = replace(
         config.fusion,

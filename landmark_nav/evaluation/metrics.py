@@ -37,9 +37,9 @@ class Consistency(NamedTuple):
     """
     Normalised estimation errors squared.
 
-    `mean` is 3 for honest covariances, give or take: it lies in `interval_95` in 19 of 20 runs of
-    an honest filter, whose errors follow each other as they do here, on maps drawn anew.
-    `inside_95` is the share below the 95 % bound of one.
+    With honest covariances the expectation of `mean` is 3, and `mean` lies inside `interval_95` in
+    19 of 20 runs, each with a newly drawn map and errors as correlated as here. `inside_95` is the
+    share of errors below the 95 % bound of a single one.
     """
 
     mean: float
@@ -107,10 +107,10 @@ def consistency(
     errors : ndarray, shape (n, 3)
         NaN where unknown.
     covariances : ndarray, shape (n, 3, 3)
-        Of them, as claimed.
+        Claimed covariances of the errors.
     by_map : ndarray, shape (n, 3, m), optional
-        Of that, what the map's errors make up, by factors of unit variance: these are drawn once
-        a run, whether or not the errors of this one show it.
+        Derivatives of the errors by m factors of unit variance, which make up the errors of the
+        map. The factors are drawn once a run, so they correlate all its errors.
 
     Returns
     -------
@@ -136,10 +136,10 @@ def consistency(
 
 def _independent(white: FloatArray) -> float:
     """
-    How many independent samples tell as much of the mean square as these (n, 3), one by one.
+    Effective number of independent samples among whitened errors (n, 3), for their mean square.
 
-    Errors of a run repeat: the map's for all of it, the odometry's for a while. Squares of
-    Gaussians correlate by the square of what they do themselves.
+    Errors of a run are correlated: those of the map throughout, those of the odometry for a while.
+    The correlation of squares of Gaussians is the square of their correlation.
     """
     n = len(white)
     power = float(np.sum(white * white)) / n
@@ -156,7 +156,7 @@ def _independent(white: FloatArray) -> float:
 
 def _independent_maps(white: FloatArray) -> float:
     """
-    How many independent samples n errors are worth of which the map makes up (n, 3, m).
+    Effective number of independent samples, by the share of the map in them alone, (n, 3, m).
 
     The variance of a sum of squares of Gaussians is twice the sum of their squared correlations.
     """

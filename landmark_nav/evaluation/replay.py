@@ -1,4 +1,4 @@
-"""A drive's bag through the localization pipeline, as the nodes would have run."""
+"""Replay of a recorded drive through the localization pipeline."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ __all__ = ['Replay', 'replay']
 @dataclass(frozen=True, eq=False)
 class Replay:
     """
-    What came of a run; where its clock was set back, stamps go on as if it had not been.
+    The results of a run; where its clock was set back, stamps go on as if it had not been.
 
     Parameters
     ----------
     start : PoseEstimate
-        Where it began, or was found.
+        Pose at which it began, or that was found.
     searched : tuple of int
-        Stamps of the pictures before that, in which the place was looked for.
+        Stamps of the pictures before that, while the place was searched.
     updates : tuple of LocalizationUpdate
-        One a picture.
+        One for each picture after that.
     update_seconds : ndarray, shape (n,)
-        What each took.
+        Computing time of each.
     odometry : PoseTrack
         The odometry alone, from the start.
     truth : PoseTrack
@@ -54,11 +54,11 @@ class Replay:
     seconds : float
         Computing time of the whole run, reading and decoding included.
     odometry_noise : OdometryNoiseConfig
-        How far the odometry was to be trusted, as it turned out in the end.
+        Noise of the odometry, as learned by the end.
     sighting_sigma : float
-        Factor on what sightings claimed as their sigmas, as it turned out in the end.
+        Factor on the claimed sigmas of sightings, as learned by the end.
     late : JointDelay
-        Of the stamps of the joints, as it turned out in the end.
+        Delay of the stamps of the joints, as estimated by the end.
 
     """
 
@@ -95,7 +95,7 @@ class Replay:
         return np.array([update.fused.covariance for update in self.updates]).reshape(-1, 3, 3)
 
     def by_map(self, landmark_map: LandmarkMap) -> FloatArray | None:
-        """How errors of the map move the fused poses, (n, 3, 2 l), by factors of unit variance."""
+        """Derivatives (n, 3, 2 l) of the fused poses by factors of unit variance of the map."""
         parts = [update.with_landmarks for update in self.updates]
         known = [part for part in parts if part is not None]
         if not known or len(known) < len(parts):

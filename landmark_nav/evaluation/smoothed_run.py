@@ -21,10 +21,10 @@ def smooth_run(
     run: Replay, landmark_map: LandmarkMap, mount: PanTiltMount, config: LocalizationConfig
 ) -> Smoothed:
     """
-    Smooth over what was detected, also what the filter refused; it begins at its poses.
+    Smooth over all detections of a run, those that the filter refused included.
 
-    Bearings are those of the pan that stamps as late as they turned out to be tell: the filter
-    takes back itself what it thought meanwhile.
+    It begins at the filter's poses. Bearings are corrected for the joint delay as it is known at
+    the end of the run.
     """
     track = run.odometry
     # Pictures may have come late.

@@ -1,9 +1,9 @@
 """
 Wheel odometry as motion: increments between any two times and how wrong they may be.
 
-White noise follows Borenstein and Feng (1996) in form: variances grow with the way and the turn.
-What is wrong with every increment alike (wheel diameter, track, their difference) is not noise
-but three factors that the filter estimates; side slip is noise that lasts for some way.
+White noise has the form of Borenstein and Feng (1996): variances grow with the way and the turn.
+Systematic errors (of wheel diameters, their difference, the track) are three factors that the
+filter estimates. Side slip is noise that is correlated over some way.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class Motion(NamedTuple):
     """
     A planar motion in the body frame.
 
-    `increment` (3,) is forward [m], left [m] and turn [rad], over `seconds`, of which nothing is
-    known for `blind_seconds` (odometry missing or broken), and the odometry stood for
-    `still_seconds`. Where it goes on beyond the last sample with the last twist, `ahead_s4` is how
-    the fourth power of the time since then grew.
+    `increment` (3,) is forward [m], left [m] and turn [rad] over `seconds`. In `blind_seconds` of
+    these the odometry was missing or broken, in `still_seconds` it stood. `ahead_s4` is, for a
+    motion that extrapolates the last twist, by how much the fourth power of the extrapolated time
+    grew [s^4].
     """
 
     increment: FloatArray
@@ -139,7 +139,7 @@ class OdometryNoiseConfig(Config):
     )
 
     def scaled(self, noise: float, slip: float) -> OdometryNoiseConfig:
-        """Same with white noise and side slip of other sigmas, which are not to be learned."""
+        """Return a copy with scaled sigmas of white noise and side slip, not to be learned."""
         sigmas = {name: min(1.0, noise * getattr(self, name)) for name in _WHITE}
         slip_sigma = min(1.0, slip * self.slip_sigma)
         return replace(self, **sigmas, slip_sigma=slip_sigma, learning_sigma=0.0)
@@ -174,7 +174,7 @@ def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
 
 
 def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (3,) of what they did not tell."""
+    """Variances (3,) of the time without odometry, and of extrapolation."""
     position, heading = config.blind_m_per_sqrt_s**2, config.blind_rad_per_sqrt_s**2
     ahead = 0.25 * motion.ahead_s4
     return np.array(

@@ -1,4 +1,4 @@
-"""The last seconds of odometry as one continuous track, whatever its source does."""
+"""The last seconds of odometry as one continuous track, without the faults of its source."""
 
 from __future__ import annotations
 
@@ -22,23 +22,25 @@ __all__ = ['HORIZON_S', 'Distrusted', 'OdometryTrack']
 # How far the last twist predicts beyond the last sample, and the first one before the first.
 HORIZON_S = 0.25
 
-# A pose that stays the same to the last bit over so many samples and so much of a motion (m or
-# rad) that their speeds tell has frozen: coarse encoders stay for less. Slower is noise.
+# A pose has frozen if it stays exactly the same over so many samples, while the speeds in them add
+# up to so much motion (m or rad). Coarse encoders stay the same for less. Speeds below the last
+# value are noise.
 _FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
 
 
 @dataclass(frozen=True)
 class Distrusted(Refusal):
-    """What is wrong with a sample that is used all the same, though not as it says."""
+    """What is wrong with a sample that is used nevertheless, though not with its own pose."""
 
 
 class OdometryTrack:
     """
-    Odometry without its jumps, that can be asked for the motion between any two times.
+    Odometry without its jumps, which gives the motion between any two times.
 
-    Where a source jumps, the motion goes on with the last twist and counts as blind. Samples whose
-    pose has frozen count as none. Beyond the last sample, and before the first, its twist is
-    followed for a short while; then the robot stands, blind.
+    Where the source jumps, the motion goes on with the last twist and counts as blind: nothing is
+    known of it. Samples whose pose has frozen are left out. After the last sample, and before the
+    first, the twist is extrapolated for a short while; beyond that no motion is assumed, and the
+    time counts as blind.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:
@@ -50,7 +52,7 @@ class OdometryTrack:
         self._still_ns: list[int] = []
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
-        # The last whose pose and speeds agree, and how far speeds lead from there.
+        # The last sample whose pose and speeds agree, and the motion by the speeds since then.
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
         self._stands_since_ns: int | None = None
@@ -62,7 +64,7 @@ class OdometryTrack:
 
     @property
     def stands_since_ns(self) -> int | None:
-        """When the stand began that it ends with; None if it moves."""
+        """Since when the pose has stayed the same at the end of the track; None if it has not."""
         return self._stands_since_ns
 
     def add(self, sample: OdometrySample) -> Refusal | None:
@@ -72,8 +74,8 @@ class OdometryTrack:
         Returns
         -------
         Refusal or None
-            Why the sample was dropped; if `Distrusted`, why it was appended with what the last
-            twist predicts.
+            Why the sample was dropped; or, if `Distrusted`, why the motion until then was replaced
+            by that of the last twist.
 
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
@@ -119,7 +121,7 @@ class OdometryTrack:
         return self._staying >= _FROZEN_SAMPLES and self._claimed > _FROZEN_WAY
 
     def _freezes(self, sample: OdometrySample, seconds: float) -> bool:
-        """Whether a pose stays though its speeds move on; then that time is taken back."""
+        """Whether the pose has frozen; then the samples since it began to are removed."""
         speed = max(abs(sample.linear_m_s), abs(sample.angular_rad_s))
         if speed < _SLOW and not self._frozen:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
@@ -168,7 +170,7 @@ class OdometryTrack:
             spent_ns, stands = sample.stamp_ns - self._stamps[-1], pose is self._poses[-1]
             blind_ns += spent_ns if blind else 0
             still_ns += spent_ns if stands and not blind else 0
-            # Of a stand its begin and end are enough.
+            # While the robot stands, only the first and the last sample are kept.
             if stands and self._blind_ns[-2:-1] == [blind_ns] and self._poses[-2] is pose:
                 self._stamps[-1], self._still_ns[-1] = sample.stamp_ns, still_ns
                 return
@@ -178,12 +180,12 @@ class OdometryTrack:
         self._still_ns.append(still_ns)
 
     def _beyond_s(self, stamp_ns: int) -> float:
-        """How far a twist has to predict: beyond the last sample, or, negative, before one."""
+        """Seconds of extrapolation: after the last sample, or, negative, before the first."""
         inside = min(max(stamp_ns, self._stamps[0]), self._stamps[-1])
         return min(max((stamp_ns - inside) * 1e-9, -HORIZON_S), HORIZON_S)
 
     def _pose(self, stamp_ns: int) -> FloatArray:
-        """Pose (3,) at a time: interpolated at constant twist, or predicted by the nearest one."""
+        """Pose (3,) at a time: interpolated at constant twist, or extrapolated."""
         beyond = self._beyond_s(stamp_ns)
         if beyond:
             near, pose = (
@@ -200,19 +202,19 @@ class OdometryTrack:
         return compose(self._poses[after - 1], part)
 
     def _blind_until_ns(self, stamp_ns: int) -> int:
-        """Blind time until then, counted from when the first twist reaches back to."""
+        """Blind time until then, counted from the earliest time that can be extrapolated to."""
         reach = int(HORIZON_S * 1e9)
         first, last = self._stamps[0] - reach, self._stamps[-1] + reach
         outside = min(stamp_ns - first, 0) + max(stamp_ns - last, 0)
         return outside + self._until_ns(self._blind_ns, stamp_ns)
 
     def _still_until_ns(self, stamp_ns: int) -> int:
-        """Time for which it stood until then: beyond the last sample, as long as predicted."""
+        """Standing time until then, the extrapolated time included."""
         ahead = max(self._beyond_s(stamp_ns), 0.0) if self._stands_since_ns is not None else 0.0
         return round(1e9 * ahead) + self._until_ns(self._still_ns, stamp_ns)
 
     def _until_ns(self, totals: list[int], stamp_ns: int) -> int:
-        """Sum of such times until then, as `totals` has it of each sample."""
+        """Interpolate `totals` (n,), the accumulated times at the samples."""
         after = bisect_left(self._stamps, stamp_ns)
         if after in (0, len(self._stamps)):
             return totals[max(after - 1, 0)]

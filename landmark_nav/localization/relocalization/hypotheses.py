@@ -1,8 +1,8 @@
 """
-Places out of sightings most of which are wrong: every pair proposes a pose, all vote on it.
+Poses from sightings most of which are wrong: every pair proposes a pose, all vote on it.
 
-Two sightings with their ranges are two points around the robot, which the two landmarks' places
-fix in the map. A pose is worth as many landmarks as it explains.
+Two sightings with their ranges are two points relative to the robot; with the positions of the two
+landmarks they determine a pose. A pose scores the number of landmarks that it explains.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ __all__ = ['DISTINCT_M', 'DISTINCT_RAD', 'Hypotheses', 'propose']
 
 # Poses judged at a time: their residuals stay small in memory.
 _BLOCK = 2048
-# Sightings of a landmark that may be right.
+# So many of the best sightings of each landmark are used.
 _PER_LANDMARK = 4
-# Bearing errors that a pose is allowed: one of two sightings, one of all that speak for it.
+# Tolerated bearing errors: with a pose of two sightings, and with one of all that agree.
 _ROUGH_RAD, _FINE_RAD = 0.07, 0.02
-# Least landmarks that a pose explains, and places followed up.
+# A pose must explain so many landmarks; so many poses are followed up.
 _MIN_SUPPORT = 4
 _PLACES = 60
 # Poses nearer to each other than this, and turned by less, are one place.
@@ -42,7 +42,7 @@ class Hypotheses:
 
 def propose(sightings: Sightings, landmark_map: LandmarkMap) -> Hypotheses:
     """
-    Find the places that sightings speak for.
+    Find the poses that sightings support.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def propose(sightings: Sightings, landmark_map: LandmarkMap) -> Hypotheses:
     Returns
     -------
     Hypotheses
-        Distinct places; may be empty.
+        Distinct poses; may be empty.
 
     """
     votes = _Votes(sightings, landmark_map)
@@ -61,7 +61,7 @@ def propose(sightings: Sightings, landmark_map: LandmarkMap) -> Hypotheses:
         poses = poses[Room(landmark_map.walls).contains(poses[:, :2])]
     support = votes.support(poses, _ROUGH_RAD)
     kept = _distinct(poses, support)
-    # Half way, a pose of two becomes one of all that agree with it roughly.
+    # Poses of pairs become poses of all sightings that agree, with less and less tolerance.
     poses = votes.refined(poses[kept], _ROUGH_RAD)
     poses = votes.refined(poses, 0.5 * (_ROUGH_RAD + _FINE_RAD))
     poses = votes.refined(poses, _FINE_RAD)
@@ -95,7 +95,7 @@ class _Votes:
         seen, true = point[j] - point[i], self.place[j] - self.place[i]
         length, true_length = np.hypot(*seen.T), np.hypot(*true.T)
         spread = (self.range * self.range_sigma) ** 2
-        # How much of each range's error goes into the distance.
+        # The share of each range's error that acts along the line between both points.
         with np.errstate(divide='ignore', invalid='ignore'):
             along = seen / length[:, None]
         share_i = np.sum(along * self.direction[i], -1) ** 2
@@ -105,7 +105,7 @@ class _Votes:
         good &= np.abs(length - true_length) < 2.5 * sigma
         i, j, seen, true = i[good], j[good], seen[good], true[good]
         heading = np.arctan2(true[:, 1], true[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
-        # The nearer one fixes the place.
+        # The position follows from both points, most of all from the one with the better range.
         weight = (spread[j] / (spread[i] + spread[j]))[:, None]
         turn = np.exp(1j * heading)
         anchor = weight * point[i] + (1.0 - weight) * point[j]
@@ -115,7 +115,7 @@ class _Votes:
         return np.column_stack([position, wrap_rad(heading)])
 
     def _residuals(self, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Landmarks (h, s, 2) as the poses see them, bearing and relative range errors (h, s)."""
+        """Landmarks (h, s, 2) relative to each pose, bearing and relative range errors (h, s)."""
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
         dx = self.place[:, 0] - poses[:, :1]
         dy = self.place[:, 1] - poses[:, 1:2]
@@ -159,8 +159,8 @@ class _Votes:
         x, y = points[..., 0], points[..., 1]
         square = x**2 + y**2
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-        # Landmarks move against the base: derivatives by a shift in its own frame and a turn
-        # about its origin, of the expected bearing and of the log of the expected range.
+        # Derivatives of expected bearing and log of expected range, by a shift of the base in its
+        # own frame and a turn about its origin.
         from_base_x, from_base_y = x + self.center[:, 0], y + self.center[:, 1]
         by_turn = np.stack([from_base_y, -from_base_x], -1)
         by_bearing = np.stack(
@@ -183,7 +183,7 @@ class _Votes:
 
 
 def _distinct(poses: FloatArray, support: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Best first, without those near a better one."""
+    """Indices of the poses, best first, without those near a better one."""
     left = support.astype(np.float64)
     left[support < _MIN_SUPPORT] = -1.0
     kept: list[int] = []

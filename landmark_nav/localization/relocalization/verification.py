@@ -1,4 +1,4 @@
-"""Whether the robot is where a hypothesis says: what should be seen from there is looked for."""
+"""Verification of a hypothesis: the landmarks that should be seen from there are looked for."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimat
 
 __all__ = ['CarriedFrames', 'Verification', 'verify']
 
-# A landmark is looked for in so many pictures: those that have it nearest to their middle.
+# A landmark is looked for in so many pictures: those that should show it nearest to their middle.
 _VIEWS = 2
-# A hypothesis is that good, a fix that was found from it that much better.
+# Sigmas (m, m, rad) of a hypothesis, and of the first fix found from it.
 _SIGMAS = ((0.08, 0.08, 0.025), (0.02, 0.02, 0.008))
-# Passes over the bearings taken from elsewhere, whose shift depends on the heading.
+# Virtual landmarks depend on the heading: so many iterations.
 _HEADING_PASSES = 3
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedFrames:
     """
-    Pictures with where the base was at each, (n, 3), in the base frame of the time `stamp_ns`.
+    Pictures with the poses of the base by odometry.
 
-    `variances` (n, 3) is how sure that is, along, across and turning.
+    `poses_last_base` (n, 3) are in the base frame of the time `stamp_ns`; `variances` (n, 3) are
+    theirs: along, across and heading.
     """
 
     stamp_ns: int
@@ -45,10 +46,10 @@ class CarriedFrames:
 @dataclass(frozen=True, eq=False)
 class Verification:
     """
-    A hypothesis that holds.
+    A verified hypothesis.
 
-    `ids` are the landmarks that it rests on, `bearing_rad` their directions from the base at the
-    end; `expected` is how many should have been seen.
+    `ids` are the landmarks found, `bearing_rad` their bearings at the estimated pose, `expected`
+    how many should have been found.
     """
 
     estimate: PoseEstimate
@@ -59,7 +60,7 @@ class Verification:
 
 @dataclass(frozen=True, eq=False)
 class _Bearings:
-    """Bearings of landmarks (places in the map), each out of one of the frames."""
+    """Bearings of landmarks (columns of the map), each from one of the frames."""
 
     landmark: npt.NDArray[np.intp]
     frame: npt.NDArray[np.intp]
@@ -75,7 +76,7 @@ def verify(
     looking: LookingConfig,
 ) -> Verification | Refusal:
     """
-    Look for all landmarks that a pose lets expect, and triangulate from those found.
+    Look for all landmarks that should be seen from a pose, and triangulate from those found.
 
     Parameters
     ----------
@@ -83,6 +84,7 @@ def verify(
         Hypothesis: the base at the pictures' common time, good to some 10 cm and 2 degrees.
     carried : CarriedFrames
         The pictures.
+
     """
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
     for sigmas in _SIGMAS:
@@ -105,7 +107,7 @@ def _look(
     mount: PanTiltMount,
     looking: LookingConfig,
 ) -> tuple[_Bearings, int]:
-    """Bearings found, and how many landmarks were to be expected."""
+    """Return the bearings found, and how many landmarks were expected."""
     priors = [
         PoseEstimate(frame.stamp_ns, np.asarray(pose), prior.covariance + np.diag(drift))
         for frame, pose, drift in zip(
@@ -162,11 +164,11 @@ def _solve(
     config: TriangulationConfig,
 ) -> Fix | Refusal:
     """
-    Triangulate the pan axis at the last picture from bearings taken from everywhere.
+    Triangulate the pan axis at the last picture from bearings taken at different places.
 
-    A bearing taken elsewhere is one to a virtual landmark, shifted by how far the axis has moved
-    since (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009). What odometry
-    adds to its error counts as the virtual landmark's.
+    A bearing from an earlier place is taken as one to a virtual landmark, shifted by how far the
+    axis has moved since (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009). The
+    errors of odometry count as errors of the virtual landmark.
     """
     axis = np.array([*mount.axis_xyz[:2], 0.0])
     moved = se2.relative(axis, se2.compose(carried.poses_last_base, axis))[found.frame]
@@ -192,10 +194,11 @@ def _solve(
 
 def _drift(sight: FloatArray, variances: FloatArray) -> FloatArray:
     """
-    Covariance (2n, 2n) of virtual landmarks, seen along `sight` (n, 2), by the odometry's errors.
+    Covariance (2n, 2n) of virtual landmarks by the errors of odometry.
 
-    They add up from the last picture back, so two bearings share those of the later one. A wrong
-    turn moves a landmark across the line of sight, in proportion to its range.
+    These add up from the last picture backwards, so two bearings share those of the later one. An
+    error of the turn moves a landmark across the line of sight `sight` (n, 2), in proportion to
+    its range.
     """
     across = np.stack([-sight[:, 1], sight[:, 0]], -1).reshape(-1)
     turn = np.minimum.outer(variances[:, 2], variances[:, 2])

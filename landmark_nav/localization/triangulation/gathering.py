@@ -1,11 +1,11 @@
 """
 Fixes from sightings of several pictures, taken while the robot moves and the camera turns.
 
-Every bearing is carried to a common time by odometry: seen from the later pose, a landmark that
-was sighted from ``v`` aside lies at ``L - R(heading) v`` (a virtual landmark), and its bearing
-turned with the robot. The closed form then applies, and is repeated as the heading gets better
-known. What odometry may be wrong by counts as an error of the virtual landmarks, which those
-sighted at the same time, or over the same way, have in common.
+Every bearing is carried to a common time by odometry. If the pan axis was displaced by ``v`` (in
+the base frame of the common time) when landmark ``L`` was sighted, then the bearing, turned with
+the robot, is that of a virtual landmark at ``L - R(heading) v``. Triangulation is repeated with
+the heading that it gives. Errors of odometry count as errors of the virtual landmarks; those
+sighted at the same time, or over the same way, share them.
 
 Font-Llagunes and Batlle, Consistent triangulation for mobile robot localization using
 discontinuous angular measurements, Robotics and Autonomous Systems 57(9), 2009, treat the same
@@ -36,10 +36,10 @@ from landmark_nav.types import (
 
 __all__ = ['SightingGatherer']
 
-# Virtual landmarks take the heading of the pass before: each leaves a tenth of its error.
+# Virtual landmarks use the heading of the previous pass; each pass leaves a tenth of its error.
 _PASSES = 10
 _CLOSE_M = 1e-6
-# Of odometry, kept beyond what can be asked for.
+# Odometry is kept so much longer than needed.
 _SPARE_NS = 1_000_000_000
 
 
@@ -80,10 +80,10 @@ class SightingGatherer:
         self._sightings: dict[int, _Sighting] = {}
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Take odometry, which one picture alone does not need."""
+        """Take odometry; with a window of one picture none is needed."""
         if not self._window_ns:
             return
-        # What is wrong with it is the filter's to tell.
+        # The filter reports what is wrong with it.
         self._track.add(sample)
         self._track.trim(sample.stamp_ns - 2 * self._window_ns - _SPARE_NS)
 
@@ -109,9 +109,9 @@ class SightingGatherer:
 
     def fix(self, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """
-        Triangulate the base at the time of the prior from all that was sighted lately.
+        Triangulate the base at the time of the prior from all gathered sightings.
 
-        What a fix used is used up, so that fixes stay independent of each other.
+        They are dropped after a fix, so that fixes are independent of each other.
         """
         ids = np.array(sorted(self._sightings), dtype=np.int64)
         if len(ids) < 3:
@@ -144,7 +144,7 @@ class SightingGatherer:
         pan_covariance: FloatArray,
         start: PoseEstimate,
     ) -> Fix | Refusal:
-        """Fix of the axis with virtual landmarks, again and again with the heading it gives."""
+        """Triangulate the axis with virtual landmarks, iterating over the heading."""
         map_covariance = self._map.joint_covariance_of(index)
         position = self._map.positions[index, :2]
         turned = rotation(motions[:, 2])
@@ -157,7 +157,7 @@ class SightingGatherer:
             heading = rotation(pose[2])
             virtual = position - aside @ heading.T
             delta = virtual - pose[:2]
-            # A bearing that is wrong shifts the virtual landmark across the view.
+            # An error of the bearing counts as a shift of the landmark across the line of sight.
             across = np.array([-delta[:, 1], delta[:, 0]]).T
             carried = across[:, :, None, None] * pan_covariance[:, None, :, None] * across
             if errors is not None:
