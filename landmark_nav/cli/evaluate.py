@@ -86,7 +86,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--tum',
         metavar='DIR',
         type=Path,
-        help='write truth.tum, fused.tum and odometry.tum to DIR, for evo and the like',
+        help='write truth.tum, fused.tum, triangulation.tum, odometry.tum and, with --smooth, '
+        'smoothed.tum to DIR, for evo and the like',
     )
     parser.add_argument(
         '--report',
@@ -157,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
             title = f'{bag.path.name} on {Path(args.map).name}'
             write_whole(args.report, html_report(title, report, paths))
     if args.tum:
-        write_tum_files(done, args.tum)
+        write_tum_files(done, args.tum, smoothed)
     if args.json:
         write_whole(args.json, json.dumps(report, indent=2) + '\n')
     print(run_summary(report))

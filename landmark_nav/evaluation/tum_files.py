@@ -8,15 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.evaluation.replay import Replay
+from landmark_nav.localization.smoother import Smoothed
 from landmark_nav.storage.whole import write_whole
 from landmark_nav.types import FloatArray
 
 __all__ = ['write_tum_files']
 
 
-def write_tum_files(run: Replay, folder: Path) -> tuple[Path, ...]:
+def write_tum_files(
+    run: Replay, folder: Path, smoothed: Smoothed | None = None
+) -> tuple[Path, ...]:
     """
-    Write ``truth.tum``, ``fused.tum`` and ``odometry.tum`` into a folder.
+    Write ``truth.tum``, ``fused.tum``, ``triangulation.tum`` and others into a folder.
 
     All are at the stamps of the pictures, so that other tools compare the same pairs of poses as
     `landmark_nav.evaluation.metrics`; what is not known at a stamp has no line.
@@ -27,17 +30,23 @@ def write_tum_files(run: Replay, folder: Path) -> tuple[Path, ...]:
         What was written.
 
     """
+    stamps = run.stamps_ns
     tracks = {
-        'truth': run.truth.at(run.stamps_ns),
-        'fused': run.fused,
-        'odometry': run.odometry.at(run.stamps_ns),
+        'truth': (stamps, run.truth.at(stamps)),
+        'fused': (stamps, run.fused),
+        'triangulation': (stamps, run.fixes),
+        'odometry': (stamps, run.odometry.at(stamps)),
     }
+    if smoothed is not None:
+        tracks['smoothed'] = smoothed.stamps_ns, smoothed.poses
     paths = []
-    for name, poses in tracks.items():
-        known = np.isfinite(poses).all(axis=1)
-        if known.any():
+    for name, (at_ns, poses) in tracks.items():
+        known = np.flatnonzero(np.isfinite(poses).all(axis=1))
+        if len(known):
+            # Pictures may have come late.
+            known = known[np.argsort(at_ns[known], kind='stable')]
             paths.append(folder / f'{name}.tum')
-            write_whole(paths[-1], _lines(run.stamps_ns[known], poses[known]))
+            write_whole(paths[-1], _lines(at_ns[known], poses[known]))
     return tuple(paths)
 
 

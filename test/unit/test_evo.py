@@ -64,7 +64,8 @@ def run() -> Replay:
 
 def test_the_files_hold_the_poses_to_the_last_bit(run: Replay, tmp_path: Path) -> None:
     paths = write_tum_files(run, tmp_path)
-    assert [path.name for path in paths] == ['truth.tum', 'fused.tum', 'odometry.tum']
+    names = ['truth', 'fused', 'triangulation', 'odometry']
+    assert [path.name for path in paths] == [f'{name}.tum' for name in names]
     rows = np.loadtxt(paths[1])
     assert rows.shape == (200, 8)
     np.testing.assert_array_equal(rows[:, 1:3], run.fused[:, :2])

@@ -113,7 +113,11 @@ def test_evaluated_smoothed_and_exported(
     assert 'smoothed' in capsys.readouterr().out
     assert '<th>smoothed</th>' in (tmp_path / 'run.html').read_text()
     assert (tmp_path / 'trajectory.png').stat().st_size > 10_000
-    assert len((tmp_path / 'tum' / 'fused.tum').read_text().splitlines()) == report['frames']
+    rows = {k: np.loadtxt(tmp_path / 'tum' / f'{k}.tum') for k in ('truth', 'fused', 'smoothed')}
+    assert len(rows['fused']) == report['frames']
+    away = rows['smoothed'][:, 1:3] - rows['truth'][:, 1:3]
+    rmse = np.sqrt(np.mean(np.sum(away**2, axis=1)))
+    assert rmse == pytest.approx(report['smoothed']['position_rmse_m'], abs=1e-9)
 
 
 def test_the_line_that_is_printed_evaluates_what_was_converted(
