@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import IntArray
+from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.types import FloatArray
 
-__all__ = ['shifts_by_truth']
+__all__ = ['shifts_by_truth', 'track_by_truth']
 
 # Truth that goes back by more is not late.
 _STEP_NS = 500_000_000
@@ -51,3 +55,13 @@ def shifts_by_truth(
     early = -2 * ahead > np.where(back[following] > 0, back[following], np.inf)
     late = 2 * ahead > np.where(stepped > 0, back[stepped], np.inf)
     return shift[np.where(early, following, np.where(late, stepped - 1, last))]
+
+
+def track_by_truth(
+    stamped: Sequence[tuple[int, FloatArray]], after: Sequence[int], truth_ns: Sequence[int]
+) -> PoseTrack:
+    """Poses (3,) with their stamps as a track; `after` and `truth_ns` as above."""
+    shifts = shifts_by_truth([stamp for stamp, _ in stamped], after, truth_ns).tolist()
+    return PoseTrack.of(
+        (stamp + shift, pose) for (stamp, pose), shift in zip(stamped, shifts, strict=True)
+    )

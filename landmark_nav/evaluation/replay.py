@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 import time
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.clock import shifts_by_truth
+from landmark_nav.evaluation.clock import shifts_by_truth, track_by_truth
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
@@ -148,7 +148,8 @@ def replay(
     Raises
     ------
     LandmarkNavError
-        No picture or no odometry in it, or nowhere in it a place was found.
+        No picture or no odometry in it, stamps that stand still, or nowhere in it a place was
+        found.
 
     """
     localizer = Localizer(landmark_map, mount, config)
@@ -199,6 +200,11 @@ def replay(
         )
     if not updates:
         raise LandmarkNavError('the place was found in the last picture: nothing to evaluate')
+    if len(updates) > 1 and len({update.stamp_ns for update in updates}) == 1:
+        raise LandmarkNavError(
+            f'all {len(updates)} pictures are of one moment, {1e-9 * updates[0].stamp_ns:.3f} s: '
+            'their publisher must stamp them (header.stamp)'
+        )
     truth_ns = [stamp for stamp, _ in truth]
     looked_ns = [*searched, *(update.stamp_ns for update in updates)]
     shifts = shifts_by_truth(looked_ns, looked_after, truth_ns).tolist()
@@ -211,8 +217,8 @@ def replay(
         tuple(searched),
         tuple(updates),
         np.array(took),
-        _dead_reckoning(_track(odometry, moved_after, truth_ns), start),
-        _track(truth, range(len(truth)), truth_ns),
+        _dead_reckoning(track_by_truth(odometry, moved_after, truth_ns), start),
+        track_by_truth(truth, range(len(truth)), truth_ns),
         time.perf_counter() - begin,
         localizer.odometry_noise,
         localizer.sighting_sigma,
@@ -227,16 +233,6 @@ def _given(
     if pose is None or covariance is None:
         return None
     return PoseEstimate(stamp_ns, pose, covariance)
-
-
-def _track(
-    stamped: list[tuple[int, FloatArray]], after: Sequence[int], truth_ns: list[int]
-) -> PoseTrack:
-    """Poses that came after so many of the truth, on one clock."""
-    shifts = shifts_by_truth([stamp for stamp, _ in stamped], after, truth_ns).tolist()
-    return PoseTrack.of(
-        (stamp + shift, pose) for (stamp, pose), shift in zip(stamped, shifts, strict=True)
-    )
 
 
 def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:

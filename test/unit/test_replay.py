@@ -211,3 +211,9 @@ def test_a_picture_that_came_late_is_smoothed_in_its_time():
     smoothed = smooth_run(done, a_map(), MOUNT, CONFIG)
     assert np.all(np.diff(smoothed.stamps_ns) > 0)
     assert len(smoothed.stamps_ns) == len(frames)
+
+
+def test_pictures_without_stamps_are_refused():
+    unstamped = (replace(event, stamp_ns=0) for event in drive(3))
+    with pytest.raises(LandmarkNavError, match='16 pictures are of one moment'):
+        run(unstamped)

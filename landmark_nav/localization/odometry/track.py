@@ -112,7 +112,7 @@ class OdometryTrack:
         pose = self._poses[-1] if stands else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:
-            what = f'{way:.2f} m and {turn:.2f} rad in {seconds:.3f} s'
+            what = f'{way:.4g} m and {turn:.2f} rad in {seconds:.3f} s'
             return Distrusted('odometry jumped', what)
         return None
 

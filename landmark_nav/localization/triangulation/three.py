@@ -35,8 +35,9 @@ def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> Floa
     Returns
     -------
     ndarray, shape (..., 3)
-        x, y [m] and heading [rad]. Not finite where nothing is determined. The equations hold for
-        a landmark's opposite direction too: check `bearing_residuals` before use.
+        x, y [m] and heading [rad]. On the circle through the landmarks nothing is determined: not
+        finite there or, by rounding, anything (`danger_distance`). The equations hold for a
+        landmark's opposite direction too: check `bearing_residuals` before use.
 
     """
     position = np.asarray(positions, dtype=np.float64)
