@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 import shlex
 from typing import Any
@@ -163,37 +164,23 @@ def run(args: argparse.Namespace) -> int:
     if args.exchange:
         other = np.random.default_rng([args.seed, 31])
         later = replace(later, items=exchange_pictures(scene, args.exchange, other))
-    config = WorldConfig(people=args.people)
+    robot_in = partial(
+        RobotWorld, camera=camera, mount=mount, config=WorldConfig(people=args.people)
+    )
     told = scene.room, mount
     if not args.exact:
         told = as_measured(*told, np.random.default_rng([args.seed, 60]))
     with whole_folder(args.out, _FILES) as folder:
         with BagWriter(folder / 'learn') as bag:
             frames = args.frames * len(poses)
-            world = RobotWorld(
-                scene,
-                poses[0],
-                args.seed,
-                camera=camera,
-                mount=mount,
-                config=config,
-                start_ns=_LEARN_START_NS,
-            )
+            world = robot_in(scene, poses[0], args.seed, start_ns=_LEARN_START_NS)
             _write(bag, _learn(world, poses, args), 'sweeps', frames)
         path = plan_tour(later, poses[-1][:2], 1.2 * args.speed * args.drive_seconds + 2.0, rng)
         ahead = path[min(8, len(path) - 1)] - path[0]
         start = np.array([*path[0], np.arctan2(ahead[1], ahead[0])])
         with BagWriter(folder / 'drive') as bag:
-            world = RobotWorld(
-                later,
-                start,
-                args.seed + 1,
-                camera=camera,
-                mount=mount,
-                config=config,
-                start_ns=_DRIVE_START_NS,
-                renderer=world.renderer if later is scene else None,
-            )
+            drawn = world.renderer if later is scene else None
+            world = robot_in(later, start, args.seed + 1, start_ns=_DRIVE_START_NS, renderer=drawn)
             frames = round(args.drive_seconds * args.camera_rate)
             known = seen_from_all(scene, [pose[:2] for pose in poses])
             gaze = Gaze(later, mount, world.pan_limit_rad, rng, known)

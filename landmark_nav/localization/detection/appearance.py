@@ -1,10 +1,10 @@
 """
 How a landmark should look from where the robot is: its patch, or a virtual view.
 
-A virtual view is drawn pixel by pixel out of the panoramas that saw the landmark: a pixel's ray
-meets the landmark's plane, and the panoramas show what is there (plenoptic rendering, McMillan
-and Bishop, SIGGRAPH 1995, where the plane tells the depth). Those that saw it from nearly the
-same side and from as near count most, after Buehler et al., SIGGRAPH 2001.
+A virtual view is drawn pixel by pixel from the panoramas that saw the landmark: each pixel's ray
+is intersected with the landmark's plane, and the panoramas show what is at that point (plenoptic
+rendering, McMillan and Bishop, SIGGRAPH 1995, with the depth from the plane). Panoramas from
+nearly the same direction and distance weigh most, after Buehler et al., SIGGRAPH 2001.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ __all__ = ['APPEARANCES', 'Texture', 'draw', 'textures']
 
 APPEARANCES = ('patch', 'virtual_view')
 
-# A view from so far aside, or from so many times as far, counts exp(-1/2) of one from here.
+# The weight of a view falls to exp(-1/2) at this angle, or at this log of the ratio of distances.
 _ASIDE_RAD = 0.5
 _FARTHER = math.log(2.0)
-# Less is not worth its time.
+# Views with a smaller share are left out.
 _LEAST_SHARE = 0.1
 
 
@@ -44,8 +44,8 @@ class Drawing(NamedTuple):
     """
     How a landmark should look in a rectangle of the picture, (height, width).
 
-    `finer` is how many times finer than what was drawn from the picture is, across and down; at
-    least 1.
+    `finer` is the resolution of the picture over that of the textures, across and down, at least
+    1.
     """
 
     image: Float32Array
@@ -76,7 +76,7 @@ def draw(
         One of `APPEARANCES`.
 
     """
-    # Step by step for all of them, which is quicker than all steps one by one.
+    # Each step for all landmarks at once, which is quicker than landmark by landmark.
     shown = [
         (k, *texture)
         for k, landmark in enumerate(landmarks)

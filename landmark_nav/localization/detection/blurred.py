@@ -1,4 +1,4 @@
-"""Landmarks found in pictures that are blurred otherwise than those that were learned."""
+"""Detection in pictures that are more, or less, blurred than those that were learned from."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimat
 
 __all__ = ['detect_blurred']
 
-# So many landmarks tell a blur.
+# It takes so many landmarks to measure the blur.
 _LEAST = 3
-# A picture that turns out to be blurred otherwise than thought is looked at again.
+# A picture is searched again, so often in all, if its blur is not the assumed one.
 _LOOKS, _SAME_PX2 = 3, 0.7
-# No picture is sharper or more blurred than this and still of use.
+# Limits of the blur.
 _SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
 
 
@@ -32,12 +32,12 @@ def detect_blurred(
     blur_px2: FloatArray,
 ) -> tuple[DetectionResult, FloatArray]:
     """
-    Find landmarks as `detect_landmarks` does, with the blur that those found tell.
+    Find landmarks as `detect_landmarks` does, with the blur that is measured from those found.
 
     Parameters
     ----------
     frame, prior, landmark_map, mount, config, indices
-        As there.
+        Those of `detect_landmarks`.
     blur_px2 : ndarray, shape (2,)
         Blur to begin with, such as that of the picture before.
 
@@ -51,7 +51,7 @@ def detect_blurred(
     for _ in range(_LOOKS):
         result = detect_landmarks(frame, prior, landmark_map, mount, config, indices, blur_px2)
         if len(result.detections) < _LEAST:
-            # What hides landmarks may be a blur that is gone.
+            # They may be missed because the blur has gone.
             return result, 0.5 * blur_px2
         before = blur_px2
         found = [median(part) for part in result.blur_px2.T.tolist()]

@@ -48,8 +48,8 @@ from landmark_nav.types import (
 __all__ = ['DetectionResult', 'detect_landmarks']
 
 _SHARP = np.zeros(2)
-# A blur brings in what is around a patch: by so much of its sigma matches are off, beside noise.
-# 0.03 to 0.04 in the study and in simulated rooms, at 1.5 and 3 pixels.
+# Blur mixes the surroundings into a patch, which moves matches by this share of the blur's sigma
+# (measured: 0.03 to 0.04 in the study and in simulated rooms, at 1.5 and 3 pixels).
 _BLURRED_IN = 0.04
 _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
@@ -57,9 +57,10 @@ _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 @dataclass(frozen=True, eq=False)
 class DetectionResult:
     """
-    Landmarks found, why the others were not, by id, and rays (n, 3) to the former, optical.
+    Landmarks found in a picture, and why the others were not, by id.
 
-    `blur_px2` (n, 2) is by how much more the picture is blurred at each than what was learned.
+    `rays` (n, 3) to the landmarks found are in the optical frame; `blur_px2` (n, 2) is the
+    variance by which the picture is more blurred at each than those it was learned from.
     """
 
     detections: Detections
@@ -139,7 +140,7 @@ def detect_landmarks(
 
 
 class _Found(NamedTuple):
-    """A landmark with the pixel (2,) of its centre, its match, how far down of the expectation."""
+    """A landmark, the pixel (2,) of its centre, its match, and the row found minus expected."""
 
     landmark: Landmark
     uv: FloatArray
@@ -154,7 +155,7 @@ def _detect(
     config: DetectionConfig,
     blur_px2: FloatArray,
 ) -> list[_Found | Refusal]:
-    """Where and how templates of landmarks were found."""
+    """Match the templates of landmarks."""
     if not landmarks:
         return []
     width, height = view.camera.width, view.camera.height
@@ -175,8 +176,7 @@ def _detect(
         np.array([place.ray_to_patch for place in expected]),
         config.appearance,
     )
-    # Where the picture shows more than the panoramas did, it is blurred to what they showed, and
-    # the other way round.
+    # Whichever is sharper is blurred to match the other: the picture, or the template.
     blurs = [_blurs(drawing.finer, blur_px2) for drawing in drawings]
     matches = match_templates(
         [
@@ -208,14 +208,14 @@ def _detect(
 def _blurs(
     finer: tuple[float, float], blur_px2: FloatArray
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Sigmas of the blurs of search image and template that make them alike."""
+    """Sigmas of the blurs that make search image and template equally sharp."""
     finer_across, finer_down = blur_sigmas(finer)
     across, down = finer_across**2 - blur_px2[0], finer_down**2 - blur_px2[1]
     return sigmas_of(across, down), sigmas_of(-across, -down)
 
 
 def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
-    """A blurred template but for its border, into which the picture blurs what is around it."""
+    """Cut off the border of a template, where a blurred picture mixes in the surroundings."""
     height, width = template.shape
     u, v = min(round(blur[0]), width // 5), min(round(blur[1]), height // 5)
     return template[v : height - v, u : width - u]
@@ -224,7 +224,7 @@ def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
 def _wrong_heights(
     found: Sequence[_Found], view: View, config: DetectionConfig
 ) -> npt.NDArray[np.bool_]:
-    """Which matches (n,) are higher or lower than the prior and the others have them."""
+    """Which matches (n,) are higher or lower than prior and the other matches allow."""
     rows = RowModel.of(
         np.array([f.landmark.position for f in found]),
         view.prior.pose,
@@ -248,14 +248,16 @@ def _bearings(
     """
     Bearings (n,) at the pan axis in the base frame, and their variances (n,).
 
-    Of the centres' rays (n, 3, 3), as they are and half a pixel to the right and down.
+    They follow from `rays` (n, 3, 3): to the centre, and to half a pixel right of it and below it;
+    `covariance` (n, 2, 2) is that of the centre's pixel.
     """
     if not landmarks:
         return np.empty(0), np.empty(0)
     directions = rays @ view.rotation.T
     azimuth = np.arctan2(directions[..., 1], directions[..., 0])
     by_uv = 2.0 * wrap_rad(azimuth[:, 1:] - azimuth[:, :1])
-    # From the optical centre to the axis: exact if the range is, and the centre is close to it.
+    # From the optical centre to the pan axis by the expected range, whose error matters little as
+    # both are close to each other.
     position = np.array([k.position[:2] for k in landmarks])
     away = position - view.center[:2]
     reach = np.hypot(away[:, 0], away[:, 1])

@@ -1,4 +1,4 @@
-"""Where landmarks should be in a picture, how far from there they are searched."""
+"""Where landmarks should be in a picture, and how far around they are searched."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Expectation(NamedTuple):
     ray_to_patch: FloatArray
 
     def refusal(self, least_px: int) -> Refusal | None:
-        """Why there is nothing to look for, if so: a template must be so wide and high."""
+        """Why a landmark is not looked for, if its template is out of view or too small."""
         width, height = self.right - self.left + 1, self.bottom - self.top + 1
         if width <= 0 and height <= 0:
             return Refusal('out of view')
@@ -93,7 +93,7 @@ def expect(
 def _windows(
     position: FloatArray, covariance: FloatArray, view: View, config: DetectionConfig
 ) -> list[tuple[int, int]]:
-    """Half width and height of the search: what prior and map leave open, as pixels."""
+    """Half widths and heights of the search windows in pixels, by the errors of prior and map."""
     d = position - view.center
     reach = np.hypot(d[:, 0], d[:, 1])
     from_base = position[:, :2] - view.prior.pose[:2]
@@ -111,7 +111,7 @@ def _windows(
     sigma_v = view.camera.fy * np.sqrt(
         rise**2 * range_var / reach**2 + covariance[:, 2, 2] / reach**2
     )
-    # Turning by the bearing's error moves what is off the axis up and down as well.
+    # Off the optical axis an error of the bearing moves landmarks vertically as well.
     sigma_v += np.abs(aside) * rise * sigma_u
     sigmas = np.array([sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)]).T
     window = np.clip(np.ceil(config.window_sigmas * sigmas + 2.0), 4, config.max_window_px)

@@ -1,4 +1,4 @@
-"""Heights of matches in the picture: a free test, as bearings alone tell the place."""
+"""A test of matches by their rows in the picture, which triangulation does not use."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['LEAST_HEIGHTS', 'RowModel', 'wrong_heights']
 
-# Fewer tell a wrong height from a wrong tilt no better than the search window does.
+# With fewer matches a wrong height cannot be told from a wrong tilt.
 LEAST_HEIGHTS = 3
-# Metres or radians: of differences that stand for derivatives.
+# Step of numerical differentiation, metres or radians.
 _STEP = 1e-4
-# Sigmas beyond which a match is at a wrong height, given the others.
+# A match is at a wrong height if it is so many sigmas off, given the others.
 _WRONG = 4.0
 
 
@@ -57,7 +57,7 @@ class RowModel(NamedTuple):
         return cls(by[:, :3], by[:, 3:5], by[:, 5])
 
     def covariance(self, pose_covariance: FloatArray, lean_rad: float) -> FloatArray:
-        """What all rows share (n, n): the pose, and a camera that leans ahead and aside."""
+        """Covariance (n, n) of the rows by errors of the pose, and of tilt and roll."""
         by_pose = self.by_pose @ pose_covariance @ self.by_pose.T
         return np.asarray(by_pose + lean_rad**2 * self.by_lean @ self.by_lean.T)
 
@@ -66,16 +66,16 @@ def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.
     """
     Find the matches whose height in the picture contradicts the others'.
 
-    A wrong pose, tilt and roll move all of them in a way that `covariance` knows; what is left of
-    one beside the others is its own. The worst is taken out as long as it is too bad (Baarda,
-    A Testing Procedure for Use in Geodetic Networks, 1968).
+    Errors of pose, tilt and roll move all of them together, as `covariance` has it. What remains
+    of one match, given the others, is its own error; the worst is taken out as long as it is too
+    large (Baarda, A Testing Procedure for Use in Geodetic Networks, 1968).
 
     Parameters
     ----------
     off_px : ndarray, shape (n,)
         Rows found minus rows expected.
     covariance : ndarray, shape (n, n)
-        Of those.
+        Of these differences.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Which landmarks of a view are worth their time: those that tell most beside the ones before."""
+"""Greedy choice of the landmarks in a view that add most information on the pose."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ def most_informative(
     wanted : array_like of int
         Places in the map that come first.
     novelty : ndarray, shape (landmarks of the map,), optional
-        Share of its gain that is news: what the map has wrong of a landmark is the same in each
-        picture.
+        Factor on the gain of each landmark: seen again, it repeats the error of the map.
 
     Returns
     -------
