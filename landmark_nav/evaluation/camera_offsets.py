@@ -10,8 +10,8 @@ import numpy as np
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.fusion.delay import delay_matters
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY
+from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.types import LandmarkMap, OdometrySample
 
@@ -39,7 +39,7 @@ class CameraOffsets:
     @property
     def delay_matters(self) -> bool:
         """Whether the delay is more than chance and worth a correction."""
-        return delay_matters(self.delay_s, self.delay_sigma_s)
+        return JointDelay(self.delay_s, self.delay_sigma_s).matters
 
     def report(self) -> dict[str, Any]:
         """Figures for ``evaluate --json``."""

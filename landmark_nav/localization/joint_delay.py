@@ -15,6 +15,8 @@ __all__ = ['STILL', 'JointDelay', 'Lag', 'in_time', 'seen_in_time']
 _LEAST_STEP_S = 0.02
 # A delay is known with this sigma: half a degree at a fast 2 rad/s.
 _KNOWN_S = 0.005
+# A delay is corrected if it is more than so many sigmas, and more than does no harm.
+_SIGNIFICANT, _LEAST_DELAY_S = 4.0, 5e-4
 
 
 class Lag(NamedTuple):
@@ -44,6 +46,11 @@ class JointDelay:
     def is_known(self) -> bool:
         """Whether the delay is known well enough."""
         return self.sigma_s < _KNOWN_S
+
+    @property
+    def matters(self) -> bool:
+        """Whether the delay is more than chance, and does harm."""
+        return abs(self.delay_s) > max(_SIGNIFICANT * self.sigma_s, _LEAST_DELAY_S)
 
     def lag(self, rate_rad_s: float, track: PanTrack | None, given_s: float = 0.0) -> Lag:
         """

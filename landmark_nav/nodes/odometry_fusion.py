@@ -10,7 +10,6 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
-from landmark_nav.localization.fusion.delay import delay_matters
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
@@ -128,7 +127,7 @@ class OdometryFusionNode(LandmarkNode):
     def _delay_advice(self) -> str:
         """What would spare finding out how late the stamps of the joints are."""
         late = self._filter.late
-        if not delay_matters(late.delay_s, late.sigma_s):
+        if not late.matters:
             return ''
         return (
             f'; joint_states are stamped {1e3 * late.delay_s:.1f} ms late, which is put right; at '
@@ -202,7 +201,7 @@ class OdometryFusionNode(LandmarkNode):
         """Whether joint states that may tell where the camera looked are still to come."""
         late = self._filter.late
         settled = late.is_known or self._frames.swing_rad < _SWING_RAD
-        if settled and not delay_matters(late.delay_s, late.sigma_s):
+        if settled and not late.matters:
             return False
         ahead_s = found.joint_delay_s + (late.delay_s if settled else _PATIENCE_S)
         newest = self._last.stamp_ns if self._last is not None else 0

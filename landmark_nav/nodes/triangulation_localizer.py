@@ -14,7 +14,6 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.detection.aim import degrees_aside
 from landmark_nav.localization.detection.prior import PriorTrack
-from landmark_nav.localization.fusion.delay import delay_matters
 from landmark_nav.localization.joint_delay import in_time, JointDelay
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -133,11 +132,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._triplet = decode.triplet(message)
 
     def _on_joint_delay(self, message: Any) -> None:
-        delay_s, sigma_s = decode.joint_delay(message)
+        late = JointDelay(*decode.joint_delay(message))
         # A picture does not wait for joint states because of what may be chance.
-        if not delay_matters(delay_s, sigma_s):
-            delay_s, sigma_s = 0.0, hypot(delay_s, sigma_s)
-        self._late = JointDelay(delay_s, sigma_s)
+        by_chance = JointDelay(0.0, hypot(late.delay_s, late.sigma_s))
+        self._late = late if late.matters else by_chance
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         config = self._config
