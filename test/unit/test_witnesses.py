@@ -41,6 +41,32 @@ def test_one_wall_does_not_speak_for_a_place_but_two_do() -> None:
     assert witnesses.vouched
 
 
+@pytest.mark.parametrize(('apart_m', 'enough'), [(1.5, False), (2.5, True)])
+def test_one_wall_speaks_far_apart_for_a_robot_that_lost_track_in_its_room(
+    apart_m: float, enough: bool
+) -> None:
+    """Two groups of landmarks are not one poster; but another room may have the same wall."""
+    walls = on_walls([EAST] * 6 + [NORTH] * 3)
+    along = np.array([0.0, 0.1, 0.2, 0.2 + apart_m, 0.3 + apart_m, 5.0])
+    east = tuple(
+        replace(landmark, position=np.array([4.0, y, 1.2]))
+        for landmark, y in zip(walls.landmarks, along, strict=False)
+    )
+    room = LandmarkMap(east + walls.landmarks[6:])
+
+    def sure_again(vouched: bool) -> bool:
+        witnesses = Witnesses(room, vouched)
+        for wide in (False, True):
+            witnesses.note_width(wide)
+        witnesses.hear(np.arange(5))
+        assert not witnesses.vouched
+        witnesses.hear(np.array([5]))
+        return witnesses.vouched
+
+    assert sure_again(vouched=True) == enough
+    assert not sure_again(vouched=False)
+
+
 def test_a_map_of_one_wall_cannot_ask_for_two() -> None:
     witnesses = Witnesses(on_walls([EAST] * 5 + [NORTH] * 2))
     witnesses.restart(vouched=False)
