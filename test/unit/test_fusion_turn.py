@@ -98,6 +98,31 @@ def test_an_angle_is_told_after_a_second_without_pictures_as_well(
     assert 'turned' in reason
 
 
+def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(fused: PoseFilter) -> None:
+    """Four sigmas of the heading: as an error of the odometry that is not impossible."""
+    blind, knock_rad = range(200, 380), 0.0
+    for k, moment in enumerate(drive(600)):
+        fused.add_odometry(moment.odometry)
+        if k % 4 or k in blind:
+            continue
+        if k == blind.stop:
+            before = fused.estimate()
+            assert before is not None
+            knock_rad = 4.0 * float(np.sqrt(before.covariance[2, 2]))
+            assert 0.02 < knock_rad < 0.08
+        stamp_ns = moment.odometry.stamp_ns
+        fused.add_detections(
+            detections(MAP, moment.pose, stamp_ns, range(8), SIGMA_RAD, knock_rad)
+        )
+        if k == blind.stop:
+            assert 'turned' in fused.status[1]
+    state = fused.state
+    assert state is not None
+    off_rad = state.mean[HEADING] - moment.pose[2]
+    assert abs(off_rad) < 3.0 * np.sqrt(state.covariance[HEADING, HEADING])
+    assert abs(off_rad) < 0.5 * knock_rad
+
+
 def slipped(seed: int, slip_deg: float, late_s: float) -> tuple[PoseFilter, FloatArray]:
     """
     Drive for 4 m; half way, while the pan swings, wheels turn the base for half a second.

@@ -24,8 +24,10 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['KNOCKED', 'LATE_S', 'update_turning']
 
-# An angle that all bearings share is a surprise beyond this many standard deviations.
-_SURPRISE = 5.0
+# An angle that all bearings share is a surprise beyond this many standard deviations, or beyond
+# fewer where it is as large as that of a knock: taken for an error of the odometry, a knock would
+# stay in the heading for good.
+_SURPRISE, _SURPRISE_OF_KNOCK, _KNOCK_RAD = 5.0, 3.0, 0.02
 # It takes so many bearings to tell a common angle from a wrong position.
 _LEAST = 3
 # A sigma that is at least this share of the one to be added is wide enough as it is.
@@ -79,7 +81,8 @@ def update_turning(
         if turn_sigma == 0.0 or len(frame.columns) < _LEAST:
             return [as_before]
         angle, sigma = _common_turn(expected)
-        surprising = abs(angle) > _SURPRISE * sigma
+        limit = sigma * (_SURPRISE if abs(angle) < _KNOCK_RAD else _SURPRISE_OF_KNOCK)
+        surprising = abs(angle) > limit
         if as_before.update.refusal is None and not surprising:
             return [as_before]
         turned = _turned(state, frame, min(abs(angle), turn_sigma), surprising, stands)
@@ -104,7 +107,7 @@ def update_turning(
         ]
         if as_before.update.refusal is None:
             # A smaller median: one bearing far off made the angle, not all of them together.
-            told = [one for one in told if abs(one.update.turned_rad) > _SURPRISE * sigma]
+            told = [one for one in told if abs(one.update.turned_rad) > limit]
         return told or [as_before]
 
     return weighed(
