@@ -98,29 +98,37 @@ def test_an_angle_is_told_after_a_second_without_pictures_as_well(
     assert 'turned' in reason
 
 
-def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(fused: PoseFilter) -> None:
-    """Four sigmas of the heading: as an error of the odometry that is not impossible."""
-    blind, knock_rad = range(200, 380), 0.0
-    for k, moment in enumerate(drive(600)):
+@pytest.mark.parametrize(
+    ('knock_rad', 'blind', 'turn_noise', 'sigmas', 'told_s'),
+    [(0.022, 16, 0.08, 4.0, 0.0), (0.035, 240, 0.015, 2.0, 20.0)],
+)
+def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(
+    knock_rad: float, blind: int, turn_noise: float, sigmas: float, told_s: float
+) -> None:
+    """So many sigmas of the heading: as an error of the odometry that is not impossible."""
+    fused = PoseFilter(MAP, MOUNT, odometry=OdometryNoiseConfig(turn_rad_per_sqrt_rad=turn_noise))
+    fused.initialize(start_estimate())
+    first, off_rad, told = 200 + blind, 0.0, []
+    for k, moment in enumerate(drive(first + 1000)):
         fused.add_odometry(moment.odometry)
-        if k % 4 or k in blind:
+        if k % 4 or 200 < k < first:
             continue
-        if k == blind.stop:
-            before = fused.estimate()
+        if k == first:
+            off_rad, before = knock_rad, fused.estimate()
             assert before is not None
-            knock_rad = 4.0 * float(np.sqrt(before.covariance[2, 2]))
-            assert 0.02 < knock_rad < 0.08
+            sigma_rad = np.sqrt(before.covariance[2, 2])
+            assert knock_rad / sigma_rad == pytest.approx(sigmas, rel=0.1)
         stamp_ns = moment.odometry.stamp_ns
-        fused.add_detections(
-            detections(MAP, moment.pose, stamp_ns, range(8), SIGMA_RAD, knock_rad)
-        )
-        if k == blind.stop:
-            assert 'turned' in fused.status[1]
+        seen = detections(MAP, moment.pose, stamp_ns, range(4), 2e-3, off_rad)
+        fused.add_detections(seen)
+        if off_rad and 'turned' in fused.status[1]:
+            told.append(0.05 * (k - first))
+    assert told[0] <= told_s
     state = fused.state
     assert state is not None
-    off_rad = state.mean[HEADING] - moment.pose[2]
-    assert abs(off_rad) < 3.0 * np.sqrt(state.covariance[HEADING, HEADING])
-    assert abs(off_rad) < 0.5 * knock_rad
+    error_rad = abs(state.mean[HEADING] - moment.pose[2])
+    assert error_rad < 3.0 * np.sqrt(state.covariance[HEADING, HEADING])
+    assert error_rad < 0.5 * off_rad
 
 
 def slipped(seed: int, slip_deg: float, late_s: float) -> tuple[PoseFilter, FloatArray]:

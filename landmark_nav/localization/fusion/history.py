@@ -187,6 +187,10 @@ class History:
         state = self._states[max(self._place(stamp_ns) - 1, 0)]
         return self._moved(state, max(stamp_ns, state.stamp_ns)).merged()
 
+    def way_m(self, from_ns: int, to_ns: int) -> float:
+        """Distance between the places of two times, by odometry."""
+        return float(np.hypot(*self._track.motion(from_ns, to_ns).increment[:2]))
+
     def trust(self, stamp_ns: int) -> None:
         """Start dead reckoning anew, from the state of a time."""
         self._trusted = self._states[max(self._place(stamp_ns) - 1, 0)]

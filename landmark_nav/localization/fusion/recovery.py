@@ -3,7 +3,8 @@ A pose that is believed again after a doubt is compared with where odometry alon
 
 Landmarks do not tell a camera that was turned against the base from a base that was turned against
 its odometry, and while the pose was in doubt either may have happened. Dead reckoning from the
-last pose that was sure can tell.
+last pose that was sure can tell. So can the direction in which the robot drives: wheels slip to
+either side, but a robot that seems to drive aside all the time has a camera that is turned.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ _SURPRISE, _NEAR_M = 3.0, 0.1
 # Angles beyond this multiple of `turn_sigma_rad` mean that the robot was turned by hand: cameras
 # are not knocked so far.
 _CARRIED = 3.0
+# A robot that drives aside by this angle, averaged over this way, is not just slipping. Each
+# measurement counts for no more way than slip is correlated over. The angle that was seen is less
+# than the one by which the camera is turned: so many times it is doubted.
+_CRAB_RAD, _CRAB_WAY_M, _SLIP_WAY_M, _CRAB_DOUBT = 0.017, 2.5, 0.3, 3.0
 
 
 class Recovery:
@@ -48,6 +53,7 @@ class Recovery:
     def __init__(self, history: History, lever: FloatArray, most_rad: float) -> None:
         self._history, self._lever, self._most_rad = history, lever, most_rad
         self._in_doubt = False
+        self._crab_rad, self._crab_ns = 0.0, 0
 
     def doubt(self) -> None:
         """Compare with odometry when the pose is believed the next time."""
@@ -78,7 +84,22 @@ class Recovery:
             turned_rad = self._compare(stamp_ns)
         if sure and not self._in_doubt:
             self._history.trust(stamp_ns)
-        return turned_rad
+        return turned_rad or self._crab(stamp_ns)
+
+    def _crab(self, stamp_ns: int) -> float:
+        """Angle by which the robot drives aside all the time, radians; 0 if it does not."""
+        found = self._history.at(stamp_ns)
+        way_m = min(self._history.way_m(self._crab_ns, stamp_ns), _SLIP_WAY_M)
+        kept, self._crab_ns = np.exp(-way_m / _CRAB_WAY_M), stamp_ns
+        self._crab_rad = kept * self._crab_rad + (1.0 - kept) * found.side_slip
+        crab_rad, doubt_rad = self._crab_rad, _CRAB_DOUBT * abs(self._crab_rad)
+        open_ = found.covariance[BORESIGHT, BORESIGHT] > crab_rad**2
+        if abs(crab_rad) < _CRAB_RAD or open_ or self._most_rad == 0.0:
+            return 0.0
+        self._crab_rad = 0.0
+        turned = partial(_turned, turn_rad=crab_rad, lever=self._lever, sigma_rad=doubt_rad)
+        self._history.change(stamp_ns, turned)
+        return crab_rad
 
     def _compare(self, stamp_ns: int) -> float:
         """Compare with dead reckoning as soon as the heading is known; the angle, radians."""

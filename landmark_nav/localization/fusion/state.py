@@ -117,6 +117,11 @@ class FilterState:
         return self.still_s > 0.0 and self.moved_s == 0.0 and not self.hangs
 
     @property
+    def side_slip(self) -> float:
+        """Metres to the left per metre ahead."""
+        return float(self.mean[_SLIP])
+
+    @property
     def late(self) -> JointDelay:
         """Delay of the stamps of the joints, with its sigma."""
         return JointDelay(float(self.mean[DELAY]), float(np.sqrt(self.covariance[DELAY, DELAY])))
