@@ -106,7 +106,8 @@ def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(
     knock_rad: float, blind: int, turn_noise: float, sigmas: float, told_s: float
 ) -> None:
     """So many sigmas of the heading: as an error of the odometry that is not impossible."""
-    fused = PoseFilter(MAP, MOUNT, odometry=OdometryNoiseConfig(turn_rad_per_sqrt_rad=turn_noise))
+    noise = OdometryNoiseConfig(turn_rad_per_sqrt_rad=turn_noise, slip_sigma=0.02)
+    fused = PoseFilter(MAP, MOUNT, odometry=noise)
     fused.initialize(start_estimate())
     first, off_rad, told = 200 + blind, 0.0, []
     for k, moment in enumerate(drive(first + 1000)):

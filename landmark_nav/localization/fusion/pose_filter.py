@@ -73,7 +73,9 @@ class PoseFilter:
         self._odometry = odometry or OdometryNoiseConfig()
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
-        self._recovery = Recovery(self._history, self._lever, self._config.turn_sigma_rad)
+        self._recovery = Recovery(
+            self._history, self._lever, self._config.turn_sigma_rad, self._odometry
+        )
         self.change_map(landmark_map)
 
     @property

@@ -16,9 +16,11 @@ import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.fusion.history import History
+from landmark_nav.localization.fusion.noise import SLIP
 from landmark_nav.localization.fusion.start import is_headed
 from landmark_nav.localization.fusion.state import BORESIGHT, FilterState, HEADING, STATES
 from landmark_nav.localization.fusion.turn import KNOCKED
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
 
 __all__ = ['Recovery']
@@ -29,10 +31,10 @@ _SURPRISE, _NEAR_M = 3.0, 0.1
 # Angles beyond this multiple of `turn_sigma_rad` mean that the robot was turned by hand: cameras
 # are not knocked so far.
 _CARRIED = 3.0
-# A robot that drives aside by this angle, averaged over this way, is not just slipping. Each
-# measurement counts for no more way than slip is correlated over. The angle that was seen is less
-# than the one by which the camera is turned: so many times it is doubted.
-_CRAB_RAD, _CRAB_WAY_M, _SLIP_WAY_M, _CRAB_DOUBT = 0.017, 2.5, 0.3, 3.0
+# A robot that drives aside by this angle and so many sigmas of its slip, averaged over this way,
+# is not just slipping. That angle is less than the one by which the camera is turned, which is
+# doubted by so many times as much.
+_CRAB_RAD, _CRAB_SIGMAS, _CRAB_WAY_M, _CRAB_DOUBT = 0.017, 3.0, 2.5, 3.0
 
 
 class Recovery:
@@ -47,11 +49,20 @@ class Recovery:
         Pan axis in the base frame, metres.
     most_rad : float
         How far heading and boresight are doubted at most.
+    odometry : OdometryNoiseConfig
+        How far it is to be trusted, before anything is learned.
 
     """
 
-    def __init__(self, history: History, lever: FloatArray, most_rad: float) -> None:
+    def __init__(
+        self,
+        history: History,
+        lever: FloatArray,
+        most_rad: float,
+        odometry: OdometryNoiseConfig,
+    ) -> None:
         self._history, self._lever, self._most_rad = history, lever, most_rad
+        self._slip_sigma, self._slip_length_m = odometry.slip_sigma, odometry.slip_length_m
         self._in_doubt = False
         self._crab_rad, self._crab_ns = 0.0, 0
 
@@ -89,12 +100,17 @@ class Recovery:
     def _crab(self, stamp_ns: int) -> float:
         """Angle by which the robot drives aside all the time, radians; 0 if it does not."""
         found = self._history.at(stamp_ns)
-        way_m = min(self._history.way_m(self._crab_ns, stamp_ns), _SLIP_WAY_M)
+        # The slip of now tells no more than of the way that it is correlated over.
+        way_m = min(self._history.way_m(self._crab_ns, stamp_ns), self._slip_length_m)
         kept, self._crab_ns = np.exp(-way_m / _CRAB_WAY_M), stamp_ns
         self._crab_rad = kept * self._crab_rad + (1.0 - kept) * found.side_slip
         crab_rad, doubt_rad = self._crab_rad, _CRAB_DOUBT * abs(self._crab_rad)
-        open_ = found.covariance[BORESIGHT, BORESIGHT] > crab_rad**2
-        if abs(crab_rad) < _CRAB_RAD or open_ or self._most_rad == 0.0:
+        slip_rad = self._slip_sigma * np.sqrt(
+            found.scales.factors[SLIP] / (1.0 + _CRAB_WAY_M / self._slip_length_m)
+        )
+        is_open = found.covariance[BORESIGHT, BORESIGHT] > crab_rad**2
+        limit_rad = max(_CRAB_RAD, _CRAB_SIGMAS * slip_rad)
+        if is_open or abs(crab_rad) < limit_rad or self._most_rad == 0.0:
             return 0.0
         self._crab_rad = 0.0
         turned = partial(_turned, turn_rad=crab_rad, lever=self._lever, sigma_rad=doubt_rad)
