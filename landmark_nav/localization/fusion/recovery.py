@@ -34,7 +34,7 @@ _CARRIED = 3.0
 # A robot that drives aside by this angle and so many sigmas of its slip, averaged over this way,
 # is not just slipping. That angle is less than the one by which the camera is turned, which is
 # doubted by so many times as much.
-_CRAB_RAD, _CRAB_SIGMAS, _CRAB_WAY_M, _CRAB_DOUBT = 0.017, 3.0, 2.5, 3.0
+_CRAB_RAD, _CRAB_SIGMAS, _CRAB_WAY_M, _CRAB_DOUBT = 0.017, 2.5, 2.5, 3.0
 
 
 class Recovery:
