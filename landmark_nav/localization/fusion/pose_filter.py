@@ -152,7 +152,7 @@ class PoseFilter:
         if witnesses is not None:
             state = with_joints_in_doubt(state, start, self._history.dead_reckoned(start.stamp_ns))
         self._history.restart(state)
-        self._recovery.doubt()
+        self._recovery.restart()
         self._health.restart(start.stamp_ns)
         self._witnesses = Witnesses(self._map, vouched=witnesses is None)
         if witnesses is not None:

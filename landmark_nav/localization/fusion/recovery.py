@@ -66,6 +66,10 @@ class Recovery:
         self._in_doubt = False
         self._crab_rad, self._crab_ns = 0.0, 0
 
+    def restart(self) -> None:
+        """Begin anew at another pose, which is compared with odometry."""
+        self._in_doubt, self._crab_rad = True, 0.0
+
     def doubt(self) -> None:
         """Compare with odometry when the pose is believed the next time."""
         self._in_doubt = True
@@ -104,7 +108,7 @@ class Recovery:
         way_m = min(self._history.way_m(self._crab_ns, stamp_ns), self._slip_length_m)
         kept, self._crab_ns = np.exp(-way_m / _CRAB_WAY_M), stamp_ns
         self._crab_rad = kept * self._crab_rad + (1.0 - kept) * found.side_slip
-        crab_rad, doubt_rad = self._crab_rad, _CRAB_DOUBT * abs(self._crab_rad)
+        crab_rad = self._crab_rad
         slip_rad = self._slip_sigma * np.sqrt(
             found.scales.factors[SLIP] / (1.0 + _CRAB_WAY_M / self._slip_length_m)
         )
@@ -113,8 +117,7 @@ class Recovery:
         if is_open or abs(crab_rad) < limit_rad or self._most_rad == 0.0:
             return 0.0
         self._crab_rad = 0.0
-        turned = partial(_turned, turn_rad=crab_rad, lever=self._lever, sigma_rad=doubt_rad)
-        self._history.change(stamp_ns, turned)
+        self._turn(stamp_ns, crab_rad, _CRAB_DOUBT * abs(crab_rad))
         return crab_rad
 
     def _compare(self, stamp_ns: int) -> float:
@@ -126,10 +129,12 @@ class Recovery:
             return 0.0
         turn_rad = _turned_since(found, reckoned, _CARRIED * self._most_rad)
         if turn_rad:
-            sigma_rad = min(abs(turn_rad), self._most_rad)
-            turned = partial(_turned, turn_rad=turn_rad, lever=self._lever, sigma_rad=sigma_rad)
-            self._history.change(stamp_ns, turned)
+            self._turn(stamp_ns, turn_rad, min(abs(turn_rad), self._most_rad))
         return turn_rad
+
+    def _turn(self, stamp_ns: int, turn_rad: float, sigma_rad: float) -> None:
+        turned = partial(_turned, turn_rad=turn_rad, lever=self._lever, sigma_rad=sigma_rad)
+        self._history.change(stamp_ns, turned)
 
 
 def _turned_since(found: FilterState, reckoned: FilterState, most_rad: float) -> float:
