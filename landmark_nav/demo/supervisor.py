@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import os
 from pathlib import Path
+import shutil
 import signal
 import subprocess
 import time
@@ -33,6 +34,8 @@ class Supervisor:
     """
     Context manager over child processes, each in a process group of its own.
 
+    Where there is `setpriv` (util-linux), they also end, by SIGTERM, if this process is killed.
+
     Parameters
     ----------
     log_folder : Path
@@ -45,12 +48,14 @@ class Supervisor:
     """
 
     def __init__(
-        self, log_folder: Path, environment: Mapping[str, str], grace_s: float = 3.0
+        self, log_folder: Path, environment: Mapping[str, str], grace_s: float = 10.0
     ) -> None:
         self._log_folder = log_folder
         self._environment = dict(environment)
         self._grace_s = grace_s
         self._children: list[_Child] = []
+        setpriv = shutil.which('setpriv')
+        self._wrapper = [setpriv, '--pdeathsig', 'TERM', '--'] if setpriv else []
         log_folder.mkdir(parents=True, exist_ok=True)
 
     def __enter__(self) -> Supervisor:
@@ -66,7 +71,7 @@ class Supervisor:
         log = self._log_folder / f'{name}.log'
         with log.open('wb') as output:
             process = subprocess.Popen(
-                list(command),
+                [*self._wrapper, *command],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

@@ -55,8 +55,14 @@ class BagPlayerNode(LandmarkNode):
         )
         self._played_ns = 0
         self._stop = Event()
-        self.context.on_shutdown(self._stop.set)
-        Thread(target=self._play, daemon=True).start()
+        self._player = Thread(target=self._play, daemon=True)
+        self._player.start()
+
+    def destroy_node(self) -> None:
+        """Leave nobody behind who publishes."""
+        self._stop.set()
+        self._player.join()
+        super().destroy_node()
 
     def health(self) -> Health:
         """How far it is."""
@@ -83,7 +89,7 @@ class BagPlayerNode(LandmarkNode):
             for publisher in self._players.values():
                 publisher.wait_for_all_acked(Duration(seconds=_LAST_WORDS_S))
             self.get_logger().info(f'{self._bag.path} is played')
-            self.context.try_shutdown()
+            self.end()
 
     def _publish_all(self) -> None:
         self.get_logger().info(f'playing {self._bag.path}, {self._bag.duration_s:.1f} s')

@@ -89,7 +89,7 @@ class SweepCaptureNode(LandmarkNode):
             self, 'camera/image_raw', self._on_image, self._config.image_transport, depth=2
         )
         try:
-            sweep, note = self._runner.run(self.context.ok)
+            sweep, note = self._runner.run(lambda: not self.ended.done())
         finally:
             images.close()
         said = describe_sweep(sweep, camera.half_fov_rad)

@@ -40,8 +40,6 @@ def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) 
 
     def publish() -> None:
         health = report()
-        if not node.context.ok():
-            return
         status = DiagnosticStatus(
             level=health.level.value,
             name=f'{node.get_name()}: {subcomponent}',

@@ -15,6 +15,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError
@@ -50,6 +51,7 @@ class LandmarkNode(Node):
 
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:
         super().__init__(name, **options)
+        self.ended: Future[None] = Future()
         self._warned: set[str] = set()
         self._last_problem = ''
         publish_health(self, subcomponent, self._checked_health)
@@ -57,6 +59,10 @@ class LandmarkNode(Node):
     def health(self) -> Health:
         """How well the node does; overridden by each."""
         raise NotImplementedError
+
+    def end(self) -> None:
+        """Have `run_node` end the process; callbacks under way see it in `ended`."""
+        self.ended.set_result(None)
 
     def configure(self, config_class: type[T]) -> T:
         """Declare a dataclass as parameters and return it filled."""
@@ -145,10 +151,6 @@ class LandmarkNode(Node):
                 callback(message)
             except LandmarkNavError as error:
                 self.drop(topic, error)
-            except Exception:
-                # After a signal publishers have no context any more: what is under way is over.
-                if self.context.ok():
-                    raise
 
         return guarded
 

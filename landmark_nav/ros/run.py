@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-import os
 from pathlib import Path
 import sys
-from threading import Thread
 
 import rclpy
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import (
-    Executor,
-    ExternalShutdownException,
-    MultiThreadedExecutor,
-    SingleThreadedExecutor,
-)
-from rclpy.node import Node
+from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.ros.end_signals import EndSignals
 from landmark_nav.ros.logs import forward_logs
+from landmark_nav.ros.node import LandmarkNode
 
 __all__ = ['run_node']
 
-_GRACE_S = 1.0
+# A stage such as learning takes seconds and can't be interrupted; what it writes appears whole or
+# not at all, so the process may end in the midst of it.
+_GRACE_S = 2.0
 
 
-def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
+def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
     """
     Run one node in this process.
 
@@ -41,32 +39,31 @@ def run_node(make_node: Callable[[], Node], threads: int = 1) -> int:
     Returns
     -------
     int
-        Exit status: 0 after a signal, 1 if the node could not be made, 2 for wrong usage.
+        Exit status: 0 after a signal or the node's own end, 1 if it could not be made, 2 for wrong
+        usage.
 
     """
     name = Path(sys.argv[0]).stem
-    try:
-        _join_ros()
-        if own := remove_ros_args(sys.argv)[1:]:
-            print(_usage(name, sys.modules[make_node.__module__].__doc__ or ''))
-            return 0 if set(own) & {'-h', '--help'} else 2
-        node = make_node()
-        forward_logs(node.get_logger())
-        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
-        executor.add_node(node)
-        _spin(executor)
-        _leave(executor)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except LandmarkNavError as error:
-        print(f'{name}: {error}', file=sys.stderr)
-        return 1
-    except Exception:
-        # After a signal publishers and services have no context any more.
-        if rclpy.ok():
-            raise
-    finally:
-        rclpy.try_shutdown()
+    asked: Future[None] = Future()
+    with EndSignals(lambda: asked.set_result(None), _GRACE_S):
+        try:
+            _join_ros()
+            if own := remove_ros_args(sys.argv)[1:]:
+                print(_usage(name, sys.modules[make_node.__module__].__doc__ or ''))
+                return 0 if set(own) & {'-h', '--help'} else 2
+            node = make_node()
+            forward_logs(node.get_logger())
+            asked.add_done_callback(lambda _: node.end())
+            executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+            executor.add_node(node)
+            _spin(executor, node.ended)
+            # Callbacks under way are waited for, and still have publishers and services.
+            executor.shutdown()
+        except LandmarkNavError as error:
+            print(f'{name}: {error}', file=sys.stderr)
+            return 1
+        finally:
+            rclpy.try_shutdown()
     return 0
 
 
@@ -81,12 +78,12 @@ def _usage(name: str, does: str) -> str:
 def _join_ros() -> None:
     """Take the arguments that ROS takes: a parameter file that cannot be read is bad input."""
     try:
-        rclpy.init(args=sys.argv)
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # RCLError, UnknownROSArgsError
         raise LandmarkNavError(' '.join(str(error).split())) from error
 
 
-def _spin(executor: Executor) -> None:
+def _spin(executor: Executor, ended: Future[None]) -> None:
     """
     Spin to the end.
 
@@ -95,22 +92,6 @@ def _spin(executor: Executor) -> None:
     """
     while True:
         try:
-            return executor.spin()
+            return executor.spin_until_future_complete(ended)
         except InvalidHandle:
             continue
-
-
-def _leave(executor: Executor) -> None:
-    """
-    Wait for callbacks under way, but not for long.
-
-    A stage such as learning takes seconds and can't be interrupted; what it writes appears whole
-    or not at all, so the process may end in the midst of it.
-    """
-    waiter = Thread(target=executor.shutdown, daemon=True)
-    waiter.start()
-    waiter.join(_GRACE_S)
-    if waiter.is_alive():
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)

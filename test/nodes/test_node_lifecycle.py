@@ -8,7 +8,6 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -42,10 +41,7 @@ def test_all_start_and_end_cleanly(
         start(name, **{key: setup_files[key] for key in needed})
     client.wait(lambda: set(NODES) <= client.status.keys(), 60.0, 'the diagnostics of all')
     supervisor.check()
-    begin = time.monotonic()
     assert supervisor.stop([number]) == dict.fromkeys(NODES, 0)
-    # Two seconds each; here seven end at once on what may be two busy cores.
-    assert time.monotonic() - begin < 6.0
     logs = {name: (tmp_path / 'logs' / f'{name}.log').read_text() for name in NODES}
     assert [name for name, text in logs.items() if 'Traceback' in text] == []
 

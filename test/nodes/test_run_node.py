@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import signal
+
 import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle
-from rclpy.node import Node
 from rclpy.waitable import NumberOfEntities, Waitable
 
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 
 
@@ -38,23 +41,31 @@ class ClosedMeanwhile(Waitable[None]):
         return False
 
 
+class Quiet(LandmarkNode):
+    """Does nothing of its own."""
+
+    def health(self) -> Health:
+        return Health(Level.OK, 'well')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize('threads', [1, 3])
 def test_a_subscription_closed_by_another_thread_does_not_end_the_node(
-    threads: int, monkeypatch: pytest.MonkeyPatch, domain_id: int
+    threads: int, number: signal.Signals, monkeypatch: pytest.MonkeyPatch, domain_id: int
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     monkeypatch.setattr('sys.argv', ['node'])
     waitable = ClosedMeanwhile(ReentrantCallbackGroup())
     ticks: list[int] = []
 
-    def make() -> Node:
-        node = Node('closes_things')
+    def make() -> LandmarkNode:
+        node = Quiet('closes_things', 'test')
         node.add_waitable(waitable)
 
         def tick() -> None:
             ticks.append(waitable.thrown)
             if len(ticks) == 5:
-                rclpy.shutdown()
+                os.kill(os.getpid(), number)
 
         node.create_timer(0.02, tick)
         return node

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+import shutil
 import signal
+import subprocess
 import sys
 import time
 
@@ -92,3 +94,33 @@ def test_leaving_the_block_ends_them(tmp_path: Path) -> None:
         wait_for(tmp_path / 'sleeper.log', '\n')
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / 'sleeper.log').read_text().split()[0]), 0)
+
+
+def is_running(process_id: int) -> bool:
+    """A zombie that nobody asked for its status has no command line any more."""
+    try:
+        return bool(Path(f'/proc/{process_id}/cmdline').read_bytes())
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.skipif(shutil.which('setpriv') is None, reason='no setpriv (util-linux)')
+def test_who_is_killed_leaves_nobody_behind(tmp_path: Path) -> None:
+    conductor = (
+        'import os, signal, sys, time\n'
+        'from pathlib import Path\n'
+        'from landmark_nav.demo.supervisor import Supervisor\n'
+        f'child = Supervisor(Path({str(tmp_path)!r}), os.environ).start("sleeper", {SLEEP!r})\n'
+        'print(child.pid, flush=True)\n'
+        f'while "up" not in Path({str(tmp_path / "sleeper.log")!r}).read_text():\n'
+        '    time.sleep(0.01)\n'
+        'os.kill(os.getpid(), signal.SIGKILL)\n'
+    )
+    killed = subprocess.run(
+        [sys.executable, '-c', conductor], capture_output=True, text=True, timeout=30
+    )
+    assert killed.returncode == -signal.SIGKILL
+    deadline = time.monotonic() + 10.0
+    while is_running(int(killed.stdout)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)

@@ -1,0 +1,72 @@
+"""SIGINT and SIGTERM, in whichever thread of the process they arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import os
+import signal
+import sys
+from threading import Thread
+from types import FrameType, TracebackType
+
+from landmark_nav.ros.exit_timer import ExitTimer
+
+__all__ = ['EndSignals']
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class EndSignals:
+    """
+    Context manager, for the main thread: a signal asks for the end, and sees that it comes.
+
+    A thread of its own waits for the signal, since Python's handlers do not run while the main
+    thread waits in a library written in C, and a KeyboardInterrupt may be lost in a callback.
+
+    Parameters
+    ----------
+    on_signal : callable
+        Asks those in the context to leave it; called in that thread.
+    grace_s : float
+        The process ends with status 0 if the context is not left by then.
+
+    """
+
+    def __init__(self, on_signal: Callable[[], None], grace_s: float) -> None:
+        self._on_signal = on_signal
+        self._timer = ExitTimer(grace_s)
+        self._thread = Thread(target=self._watch, name='end signals', daemon=True)
+
+    def __enter__(self) -> None:
+        """From here on nothing else acts on the signals."""
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        self._handlers = {number: signal.signal(number, _noted) for number in _SIGNALS}
+        self._wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._thread.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Signals are again what they were before."""
+        signal.set_wakeup_fd(self._wakeup)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        os.close(self._writer)
+        self._thread.join()
+        self._timer.stop()
+
+    def _watch(self) -> None:
+        asked = os.read(self._reader, 1)
+        os.close(self._reader)
+        if asked:
+            self._timer.start()
+            sys.stdout.flush()
+            self._on_signal()
+
+
+def _noted(_number: int, _frame: FrameType | None) -> None:
+    """Python writes to the pipe only for signals that have a handler."""
