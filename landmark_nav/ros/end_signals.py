@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 import os
 import signal
-import sys
 from threading import Thread
 from types import FrameType, TracebackType
 
@@ -64,7 +63,6 @@ class EndSignals:
         os.close(self._reader)
         if asked:
             self._timer.start()
-            sys.stdout.flush()
             self._on_signal()
 
 

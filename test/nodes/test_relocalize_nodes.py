@@ -38,7 +38,7 @@ def test_the_place_found_starts_the_fusion(
     drive = Bag(RECORDED / 'drive')
     play(drive.path, 0.5)
     assert client.call('relocalize', 40.0).startswith('found at')
-    client.wait(lambda: client.fused is not None, 5.0, 'a fused pose')
+    client.wait(lambda: client.fused is not None, 20.0, 'a fused pose')
     assert client.fused is not None
     fused = client.fused
     truth = PoseTrack.of(

@@ -115,22 +115,22 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         # Slowly: there is time enough on slow machines, too.
         first = play(drive.path, 0.5)
         watch.wait(20.0, 'the place, which nobody asked for')
-        client.wait(lambda: any(cloud.width > 1 for cloud in ranked), 3.0, 'the ranking')
-        client.wait(lambda: bool(standing), 3.0, 'the standing of the landmarks')
+        client.wait(lambda: any(cloud.width > 1 for cloud in ranked), 15.0, 'the ranking')
+        client.wait(lambda: bool(standing), 15.0, 'the standing of the landmarks')
         best, *others = unpack_cloud(max(ranked, key=lambda cloud: cloud.width), ['reason'])
         assert best['reason'] == 0
         assert all(other['reason'] > 0 for other in others)
         assert standing[-1].width == len(whole.landmarks)
         # Ages of pictures make sense on the clock of the bag alone.
-        client.wait(lambda: 'latency_median_ms' in client.said(LOCALIZER).values, 5.0, 'ages')
+        client.wait(lambda: 'latency_median_ms' in client.said(LOCALIZER).values, 15.0, 'ages')
     with fusion(domain_id):
         watch.wait(20.0, 'the place after a restart')
         tell(half, 2)
-        client.wait(lambda: known() == len(half.landmarks), 5.0, 'the other map')
+        client.wait(lambda: known() == len(half.landmarks), 15.0, 'the other map')
         first.kill()
         # The clock is set back, and the robot is elsewhere.
         second = play(drive.path, 0.5)
-        client.wait(said(LOCALIZER, 'no picture'), 5.0, 'the silence between')
+        client.wait(said(LOCALIZER, 'no picture'), 15.0, 'the silence between')
         watch.wait(20.0, 'the place by the new clock')
         second.kill()
     # How long a robot stays lost hangs on the landmarks that come into view: there are enough of
@@ -141,7 +141,7 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map once more')
         play(drive.path, 0.5)
         watch.wait(20.0, 'the place once more')
-        client.wait(said(FUSION, 'tracking'), 5.0, 'the word tracking')
+        client.wait(said(FUSION, 'tracking'), 15.0, 'the word tracking')
         client.start_at(watch.told_wrongly(np.array([0.8, 0.6, 0.0])))
         client.wait(lambda: client.said(FUSION).lost, 8.0, 'the word lost')
         watch.wait(10.0, 'the place after a wrong start')

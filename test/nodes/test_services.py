@@ -61,7 +61,9 @@ def test_learner_says_what_is_missing(
 
     save_map(small_map(), folder)
     assert client.call('load_map', 10.0).startswith('4 landmarks loaded')
-    client.wait(lambda: client.said('landmark_learner').reason == '4 landmarks', 5.0, 'its health')
+    client.wait(
+        lambda: client.said('landmark_learner').reason == '4 landmarks', 20.0, 'its health'
+    )
     # A learning that fails leaves the map that is there.
     with pytest.raises(LandmarkNavError, match='two panoramas'):
         client.call('learn_landmarks', 10.0)
@@ -96,11 +98,11 @@ def test_localizer_says_what_it_lacks(
     ):
         publisher.publish(message)
     wrong = "landmarks dropped: it is in frame 'hall', not in frame map: set map_frame to it"
-    client.wait(lambda: client.said(word).reason == wrong, 10.0, 'word of the frame')
+    client.wait(lambda: client.said(word).reason == wrong, 20.0, 'word of the frame')
     cloud, atlas, _ = encode.landmark_map(ros_factory, small_map(), 1)
     for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
         publisher.publish(message)
-    client.wait(lambda: 'no picture' in client.said(word).reason, 10.0, 'the map to arrive')
+    client.wait(lambda: 'no picture' in client.said(word).reason, 20.0, 'the map to arrive')
     with pytest.raises(LandmarkNavError, match=r'within 0.5 s \(no picture came\).*initialpose'):
         client.call('relocalize', 30.0)
 
@@ -115,12 +117,12 @@ def test_localizer_says_what_it_lacks(
 
         return check
 
-    client.wait(answer('pictures arrive 3.', 3 * 10**9), 10.0, 'word of late pictures')
-    client.wait(answer('no joint_states after a wait of 0.3 s', 0), 10.0, 'word of no joints')
+    client.wait(answer('pictures arrive 3.', 3 * 10**9), 20.0, 'word of late pictures')
+    client.wait(answer('no joint_states after a wait of 0.3 s', 0), 20.0, 'word of no joints')
     sample = JointSample(time.time_ns(), 0.0)
     joints.publish(encode.joint_state(ros_factory, sample, PanTiltMount()))
-    client.wait(answer(' ms behind after a wait of 0.3 s', 0), 10.0, 'word of late joints')
-    client.wait(lambda: 'no picture for' in client.said(word).reason, 10.0, 'word of no picture')
+    client.wait(answer(' ms behind after a wait of 0.3 s', 0), 20.0, 'word of late joints')
+    client.wait(lambda: 'no picture for' in client.said(word).reason, 20.0, 'word of no picture')
 
 
 def test_fusion_goes_on_through_bad_input(
@@ -146,17 +148,17 @@ def test_fusion_goes_on_through_bad_input(
         return check
 
     estimate = PoseEstimate(stamp, np.array([2.0, 1.0, 0.0]), 1e-4 * np.eye(3))
-    client.wait(odometry.get_subscription_count, 10.0, 'the fusion')
+    client.wait(odometry.get_subscription_count, 20.0, 'the fusion')
     send(0.0)
     client.start_at(estimate)
-    client.wait(after(lambda: client.fused is not None, 0.0), 10.0, 'a fused pose')
+    client.wait(after(lambda: client.fused is not None, 0.0), 20.0, 'a fused pose')
 
     def complains() -> bool:
         return 'not a number' in client.said('odometry_fusion').reason
 
-    client.wait(after(complains, float('nan')), 10.0, 'a complaint about NaN')
+    client.wait(after(complains, float('nan')), 20.0, 'a complaint about NaN')
     client.fused = None
-    client.wait(after(lambda: client.fused is not None, 0.0), 10.0, 'another fused pose')
+    client.wait(after(lambda: client.fused is not None, 0.0), 20.0, 'another fused pose')
     fused: Any = client.fused
     np.testing.assert_allclose(fused.pose, [2.0, 1.0, 0.0], atol=0.01)
 
@@ -167,19 +169,19 @@ def test_start_in_another_frame_is_refused(
     start('odometry_fusion', robot_file=setup_files['robot_file'])
     publisher = client.advertise('initialpose')
     client.wait(publisher.get_subscription_count, 20.0, 'the fusion')
-    client.wait(lambda: 'odometry_fusion' in client.status, 10.0, 'its diagnostics')
+    client.wait(lambda: 'odometry_fusion' in client.status, 20.0, 'its diagnostics')
     estimate = PoseEstimate(1, np.zeros(3), np.eye(3))
     publisher.publish(encode.pose(ros_factory, estimate, 'odom'))
     log = client_log(setup_files)
     client.wait(
-        lambda: "initialpose dropped: it is in frame 'odom'" in log.read_text(), 10.0, 'it'
+        lambda: "initialpose dropped: it is in frame 'odom'" in log.read_text(), 20.0, 'it'
     )
     landmarks = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
     elsewhere = replace(small_map(), frame_id='hall')
     cloud, atlas, _ = encode.landmark_map(ros_factory, elsewhere, 1)
     for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
         publisher.publish(message)
-    client.wait(lambda: "dropped: it is in frame 'hall'" in log.read_text(), 10.0, 'a warning')
+    client.wait(lambda: "dropped: it is in frame 'hall'" in log.read_text(), 20.0, 'a warning')
     assert client.said('odometry_fusion').values['landmarks'] == '0'
 
 

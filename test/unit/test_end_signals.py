@@ -46,7 +46,7 @@ def test_those_who_wait_are_asked_to_leave(number: signal.Signals) -> None:
 def test_who_does_not_leave_is_ended(number: signal.Signals) -> None:
     # The signal comes in another thread, while the main one waits for good.
     done = run(f"""
-        with EndSignals(lambda: print('asked'), 0.2):
+        with EndSignals(lambda: print('asked', flush=True), 0.2):
             threading.Timer(0.1, os.kill, (os.getpid(), {int(number)})).start()
             signal.pthread_sigmask(signal.SIG_BLOCK, {{ {int(number)} }})
             threading.Event().wait()
