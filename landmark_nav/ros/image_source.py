@@ -19,7 +19,7 @@ class ImageSource:
     Subscription to the pictures of `topic` or of ``topic/compressed``.
 
     With the transport ``auto`` both are tried and the first that delivers stays, so that a
-    picture neither travels nor is handled twice.
+    picture neither travels nor is handled twice. Nor is one that is published twice.
     """
 
     def __init__(
@@ -32,6 +32,7 @@ class ImageSource:
         depth: int | None = None,
     ) -> None:
         self._node = node
+        self._last: Any = None
         self._subscriptions: dict[str, Subscription[Any]] = {}
         wanted = {'raw': [topic], 'compressed': [f'{topic}/compressed']}
         for name in wanted.get(transport, [*wanted['raw'], *wanted['compressed']]):
@@ -43,8 +44,9 @@ class ImageSource:
 
     def _only(self, name: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         def take(message: Any) -> None:
-            if name in self._subscriptions:
+            if name in self._subscriptions and message != self._last:
                 self._keep(name)
+                self._last = message
                 callback(message)
 
         return take

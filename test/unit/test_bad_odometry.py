@@ -92,6 +92,21 @@ def test_odometry_that_fails_is_told_while_the_camera_goes_on(
     assert np.hypot(*error[:2]) < 0.05
 
 
+def test_odometry_that_comes_twice_is_as_good_as_once(sensed: list[Sensed]) -> None:
+    once, twice = (Localizer(MAP, MOUNT, LocalizationConfig()) for _ in range(2))
+    for localizer in (once, twice):
+        localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    for step, frame in sensed[: round(20 * FAULT_S)]:
+        for localizer in (once, twice, twice):
+            assert localizer.add_odometry(step.odometry) is None
+        if frame is not None:
+            updates = [localizer.add_frame(frame) for localizer in (once, twice)]
+            poses = [u.fused for u in updates if isinstance(u, LocalizationUpdate)]
+            np.testing.assert_array_equal(poses[0].pose, poses[1].pose)
+            np.testing.assert_array_equal(poses[0].covariance, poses[1].covariance)
+            assert twice.status == once.status
+
+
 @pytest.mark.parametrize('ahead_m', [0.2, -0.2])
 def test_wheels_that_spin_are_not_taken_for_a_turned_camera_alone(
     sensed: list[Sensed], ahead_m: float

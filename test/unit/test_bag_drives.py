@@ -68,6 +68,23 @@ def test_of_one_moment_pictures_come_last(tmp_path):
     assert pictures == 10
 
 
+def test_what_was_recorded_twice_counts_once(tmp_path):
+    drive = write_drive(tmp_path / 'drive')
+    with BagWriter(tmp_path / 'twice') as twice:
+        for entry in Bag(drive).messages():
+            for again_ns in (0, 3_000_000):
+                log_ns = entry.stamp_ns + again_ns
+                twice.write_serialized(entry.topic, entry.type_name, entry.data, log_ns)
+    once, again = (
+        [
+            (type(event), event.stamp_ns, getattr(event, 'pan_rad', None))
+            for event in sensor_events(Bag(path), MOUNT)
+        ]
+        for path in (drive, tmp_path / 'twice')
+    )
+    assert sorted(map(str, again)) == sorted(map(str, once))
+
+
 def test_a_damaged_picture_is_left_out_and_told(tmp_path):
     warnings = []
     bag = Bag(write_drive(tmp_path / 'drive', damaged=(2, 5)), warnings.append)

@@ -72,6 +72,12 @@ def test_values_that_are_no_numbers_are_refused_with_what_and_when():
     msg.pose.pose.orientation.w = 0.0
     with pytest.raises(LandmarkNavError, match='zero quaternion'):
         decode.odometry(msg)
+    msg.pose.pose.orientation.x = 1.0
+    with pytest.raises(LandmarkNavError, match='fallen over'):
+        decode.odometry(msg)
+    far = encode.odometry(FACTORY, OdometrySample(STAMP, np.array([0.0, 1e300, 0.0])))
+    with pytest.raises(LandmarkNavError, match='not on this planet'):
+        decode.odometry(far)
     joints = encode.joint_state(FACTORY, JointSample(STAMP, np.inf), MOUNT)
     with pytest.raises(LandmarkNavError, match='joint_states position'):
         decode.joint_sample(joints, MOUNT)

@@ -75,7 +75,7 @@ class OdometryTrack:
         -------
         Refusal or None
             Why the sample was dropped; or, if `Distrusted`, why the motion until then was replaced
-            by that of the last twist.
+            by that of the last twist. None for one that only came twice.
 
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
@@ -87,6 +87,9 @@ class OdometryTrack:
             self._append(sample, np.asarray(sample.pose_odom_base, dtype=np.float64), False)
             return None
         seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
+        same_pose = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
+        if seconds == 0.0 and same_pose:
+            return None
         if seconds == 0.0:
             return Refusal('odometry repeated a stamp', f'{sample.stamp_ns}')
         if seconds < 0.0:
@@ -101,15 +104,14 @@ class OdometryTrack:
             known = min(seconds, HORIZON_S)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
         blind = jumped or seconds > self._config.max_gap_s
-        stands = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
-        if not stands:
+        if not same_pose:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
             self._stands_since_ns = None
         elif self._freezes(sample, seconds):
             return Refusal('odometry has frozen', 'its pose stays while its speeds say it moves')
         elif self._stands_since_ns is None:
             self._stands_since_ns = last.stamp_ns
-        pose = self._poses[-1] if stands else compose(self._poses[-1], increment)
+        pose = self._poses[-1] if same_pose else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:
             what = f'{way:.4g} m and {turn:.2f} rad in {seconds:.3f} s'

@@ -46,9 +46,18 @@ def finite(values: Any, what: str, stamp: int) -> FloatArray:
 
 
 def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
-    """Heading of a geometry_msgs/Quaternion, radians; it need not be normalised exactly."""
+    """
+    Heading of a geometry_msgs/Quaternion, radians; it need not be normalised exactly.
+
+    A `LandmarkNavError` says so where there is none: zero, or over on its side or its head.
+    """
     turn = [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
     x, y, z, w = finite(turn, what, stamp).tolist()
     if x * x + y * y + z * z + w * w < 1e-6:
         raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s is the zero quaternion')
+    if x * x + y * y >= w * w + z * z:
+        raise LandmarkNavError(
+            f'{what} at {stamp * 1e-9:.3f} s is ({x:.2f}, {y:.2f}, {z:.2f}, {w:.2f}): '
+            'fallen over, its z must point up'
+        )
     return float(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

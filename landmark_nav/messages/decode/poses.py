@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.decode.headers import finite, stamp_ns, yaw_rad
 from landmark_nav.messages.layouts import PLANAR
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 __all__ = ['odometry', 'pose_estimate']
+
+# Half around the earth: in UTM coordinates, too, a robot is nearer to their origin.
+_FARTHEST_M = 2.0e7
 
 
 def odometry(msg: Any) -> OdometrySample:
@@ -20,7 +24,7 @@ def odometry(msg: Any) -> OdometrySample:
     Raises
     ------
     LandmarkNavError
-        A value is not a number.
+        A value is not a number, or no place or heading of a robot on a floor.
 
     """
     stamp = stamp_ns(msg.header)
@@ -38,7 +42,7 @@ def pose_estimate(msg: Any) -> PoseEstimate:
     Raises
     ------
     LandmarkNavError
-        A value is not a number.
+        A value is not a number, or no place or heading of a robot on a floor.
 
     """
     stamp = stamp_ns(msg.header)
@@ -48,4 +52,9 @@ def pose_estimate(msg: Any) -> PoseEstimate:
 
 def _planar(pose: Any, what: str, stamp: int) -> FloatArray:
     position = finite([pose.position.x, pose.position.y], f'{what} position', stamp)
+    if np.abs(position).max() > _FARTHEST_M:
+        raise LandmarkNavError(
+            f'{what} position at {stamp * 1e-9:.3f} s is {np.array2string(position, precision=3)} '
+            'm: not on this planet, mend its publisher'
+        )
     return np.array([*position, yaw_rad(pose.orientation, f'{what} orientation', stamp)])

@@ -35,15 +35,15 @@ class JointHistory:
     Parameters
     ----------
     samples : iterable of JointSample
-        In any order.
+        In any order; of several with one stamp the last counts.
 
     """
 
     def __init__(self, samples: Iterable[JointSample]) -> None:
         """Sort by time."""
-        ordered = sorted(samples, key=lambda sample: sample.stamp_ns)
-        self._stamps = [sample.stamp_ns for sample in ordered]
-        self._samples = ordered
+        by_stamp = {sample.stamp_ns: sample for sample in samples}
+        self._stamps = sorted(by_stamp)
+        self._samples = [by_stamp[stamp] for stamp in self._stamps]
 
     def at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at `stamp_ns`, or why they are not known."""
