@@ -47,7 +47,7 @@ _ROBOT_FIELDS = (
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
-    """Top-level mapping of a YAML file; `LandmarkNavError` if there is none."""
+    """Top-level mapping of a YAML file, empty if the file is; `LandmarkNavError` if another."""
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
@@ -59,9 +59,9 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
         raise LandmarkNavError(f'{path}: not YAML: {line}{error.problem}') from error
     except yaml.YAMLError as error:
         raise LandmarkNavError(f'{path}: not YAML: {" ".join(str(error).split())}') from error
-    if not isinstance(document, dict):
+    if not isinstance(document, dict | None):
         raise LandmarkNavError(f'{path}: holds no mapping')
-    return document
+    return document or {}
 
 
 def load_room(path: Path | str) -> Room:

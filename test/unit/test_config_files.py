@@ -32,6 +32,11 @@ def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
     assert config.fusion.history_s == LocalizationConfig().fusion.history_s
 
 
+@pytest.mark.parametrize('text', ['', '# fusion: {mode: poses}\n', 'fusion: {}\n'])
+def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> None:
+    assert load(tmp_path, text) == LocalizationConfig()
+
+
 @pytest.mark.parametrize(
     ('text', 'complaint'),
     [

@@ -114,7 +114,7 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
     ('text', 'message'),
     [
         ('- 1', 'holds no mapping'),
-        ('', 'holds no mapping'),
+        ('', 'walls is missing'),
         ('a: 2\nb: [1', r'not YAML: line \d: .*expected'),
         ('a: 2\n\tb: 1', r'not YAML: line 2: .'),
         ('a: \x07', 'not YAML: '),
