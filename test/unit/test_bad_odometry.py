@@ -107,6 +107,24 @@ def test_odometry_that_comes_twice_is_as_good_as_once(sensed: list[Sensed]) -> N
             assert twice.status == once.status
 
 
+def test_poses_that_jitter_are_weighed_as_such(sensed: list[Sensed]) -> None:
+    rng = np.random.default_rng(3)
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    nees = []
+    for step, frame in sensed:
+        pose = step.odometry.pose_odom_base + rng.normal(0.0, [0.01, 0.01, 0.005])
+        localizer.add_odometry(replace(step.odometry, pose_odom_base=pose))
+        if frame is None:
+            continue
+        update = localizer.add_frame(frame)
+        assert isinstance(update, LocalizationUpdate)
+        error = error_of(update.fused, step.pose)
+        nees.append(error @ np.linalg.solve(update.fused.covariance, error))
+    assert np.mean(nees[10:]) < 4.5
+    assert np.max(nees[10:]) < 25.0
+
+
 @pytest.mark.parametrize('ahead_m', [0.2, -0.2])
 def test_wheels_that_spin_are_not_taken_for_a_turned_camera_alone(
     sensed: list[Sensed], ahead_m: float

@@ -272,7 +272,10 @@ def propagate(
     covariance[:3, :3] += added
     if state.hangs:
         motion = motion._replace(blind_seconds=motion.blind_seconds + motion.still_seconds)
-    if motion.blind_seconds > 0.0 or motion.ahead_s4 > 0.0:
+    if state.still_s + state.moved_s > 0.0:
+        # What the last pose had of jitter, no measurement knows of: it is taken back.
+        motion = motion._replace(jitter_m2=0.0, jitter_rad2=0.0)
+    if max(motion.blind_seconds, motion.ahead_s4, motion.jitter_m2, motion.jitter_rad2) > 0.0:
         covariance[:3, :3] += (by_motion * blind_variances(motion, config)) @ by_motion.T
     covariance[_SLIP, _SLIP] += slip_variance
     by_noise = step @ state.by_noise @ step.T

@@ -49,7 +49,7 @@ class Motion(NamedTuple):
     `increment` (3,) is forward [m], left [m] and turn [rad] over `seconds`. In `blind_seconds` of
     these the odometry was missing or broken, in `still_seconds` it stood. `ahead_s4` is, for a
     motion that extrapolates the last twist, by how much the fourth power of the extrapolated time
-    grew [s^4].
+    grew [s^4]. `jitter_m2` and `jitter_rad2` are variances by white noise of the two poses.
     """
 
     increment: FloatArray
@@ -57,6 +57,8 @@ class Motion(NamedTuple):
     blind_seconds: float = 0.0
     ahead_s4: float = 0.0
     still_seconds: float = 0.0
+    jitter_m2: float = 0.0
+    jitter_rad2: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -174,14 +176,16 @@ def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
 
 
 def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (3,) of the time without odometry, and of extrapolation."""
+    """Variances (3,) of the time without odometry, of extrapolation, and of jitter."""
     position, heading = config.blind_m_per_sqrt_s**2, config.blind_rad_per_sqrt_s**2
     ahead = 0.25 * motion.ahead_s4
     return np.array(
         [
-            motion.blind_seconds * position + ahead * _ACCELERATION_M_S2**2,
-            motion.blind_seconds * position,
-            motion.blind_seconds * heading + ahead * _TURN_ACCELERATION_RAD_S2**2,
+            motion.blind_seconds * position + ahead * _ACCELERATION_M_S2**2 + motion.jitter_m2,
+            motion.blind_seconds * position + motion.jitter_m2,
+            motion.blind_seconds * heading
+            + ahead * _TURN_ACCELERATION_RAD_S2**2
+            + motion.jitter_rad2,
         ]
     )
 

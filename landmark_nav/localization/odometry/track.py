@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from landmark_nav.geometry.se2 import compose, relative
+from landmark_nav.localization.odometry.jitter import Jitter
 from landmark_nav.localization.odometry.noise import (
     fraction_of_motion,
     Motion,
@@ -56,6 +57,7 @@ class OdometryTrack:
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
         self._stands_since_ns: int | None = None
+        self._jitter = Jitter()
 
     @property
     def stamps_ns(self) -> tuple[int, int] | None:
@@ -104,6 +106,10 @@ class OdometryTrack:
             known = min(seconds, HORIZON_S)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
         blind = jumped or seconds > self._config.max_gap_s
+        if blind or same_pose:
+            self._jitter.interrupt()
+        else:
+            self._jitter.add(increment, seconds)
         if not same_pose:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
             self._stands_since_ns = None
@@ -155,7 +161,8 @@ class OdometryTrack:
         )
         blind = (self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
         still = (self._still_until_ns(to_ns) - self._still_until_ns(from_ns)) * 1e-9
-        return Motion(increment, seconds, blind, float(ahead), still)
+        jitter = (2.0 * variance for variance in self._jitter.variances)
+        return Motion(increment, seconds, blind, float(ahead), still, *jitter)
 
     def trim(self, before_ns: int) -> None:
         """Forget what is not needed for motions that start at `before_ns` or later."""

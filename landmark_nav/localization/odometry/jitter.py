@@ -1,0 +1,60 @@
+"""
+White noise of the poses of odometry: what one sample adds, the next takes back.
+
+That of scan matchers and visual odometry, which measure a pose each time; wheels add increments.
+Of four increments in a row, the differences of the inner and of the outer two have the covariance
+-2 v, with v the variance of a pose. White noise of the increments adds nothing to it, and a steady
+acceleration makes it positive.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from landmark_nav.types import FloatArray
+
+__all__ = ['Jitter']
+
+_IN_A_ROW = 4
+# Mean of about so many; it counts if it is beyond so many of its own sigmas,
+_SAMPLES, _SIGNIFICANT = 200, 3.0
+# and larger than this, metres and radians: other noise of the odometry covers less.
+_LEAST = (1e-3, 1e-3)
+
+
+class Jitter:
+    """Running estimate from increments (3,) as they come."""
+
+    def __init__(self) -> None:
+        self._last: deque[FloatArray] = deque(maxlen=_IN_A_ROW)
+        self._count = 0
+        self._mean, self._square = np.zeros(2), np.zeros(2)
+
+    def interrupt(self) -> None:
+        """The next increment does not go on from the last."""
+        self._last.clear()
+
+    def add(self, increment: FloatArray, seconds: float) -> None:
+        """Take an increment, forward, left [m] and turn [rad], over some time."""
+        self._last.append(np.append(increment, seconds))
+        if len(self._last) < _IN_A_ROW:
+            return
+        four = np.array(self._last)
+        steps = four[:, :3] * (four[:, 3].mean() / four[:, 3:])
+        products = -0.5 * (steps[2] - steps[1]) * (steps[3] - steps[0])
+        found = np.array([products[:2].mean(), products[2]])
+        self._count = min(self._count + 1, _SAMPLES)
+        self._mean += (found - self._mean) / self._count
+        self._square += (found**2 - self._square) / self._count
+
+    @property
+    def variances(self) -> tuple[float, float]:
+        """Of a position on an axis [m^2] and of a heading [rad^2]; zero if too small to tell."""
+        if not self._count:
+            return 0.0, 0.0
+        sigma = np.sqrt(self._square / self._count)
+        counts = (self._mean > _SIGNIFICANT * sigma) & (self._mean > np.square(_LEAST))
+        position, heading = np.where(counts, self._mean, 0.0).tolist()
+        return position, heading
