@@ -34,6 +34,7 @@ class Fault:
     topics: tuple[str, ...]
     seconds: float = 4.0
     arrives_late_ns: int = 0
+    copies: int = 1
 
 
 def later(seconds: float) -> Change:
@@ -98,6 +99,18 @@ def frozen(name: str) -> Change:
         first.append(copy.deepcopy(getattr(message, name)))
         setattr(message, name, copy.deepcopy(first[0]))
         return message
+
+    return change
+
+
+def jittering(position_m: float, heading_rad: float) -> Change:
+    """Odometry whose poses are off by white noise, as those of a scan matcher."""
+    rng = np.random.default_rng(1)
+
+    def change(message: Any) -> Any:
+        x, y, turn = rng.normal(0.0, [position_m, position_m, heading_rad]).tolist()
+        pose = decode.odometry(message).pose_odom_base
+        return moved(*se2.compose(se2.compose(pose, [x, y, turn]), se2.inverse(pose)))(message)
 
     return change
 
@@ -167,11 +180,13 @@ def faults(bag: Bag) -> dict[str, Fault]:
         'odometry freezes': Fault(frozen('pose'), (ODOMETRY,)),
         'odometry freezes and says it stands': Fault(standing(), (ODOMETRY,)),
         'odometry is not a number': Fault(no_number, (ODOMETRY,)),
+        'odometry jitters by 1 cm': Fault(jittering(0.01, 0.005), (ODOMETRY,), FOR_GOOD_S),
         'odometry stamps 30 s back': Fault(later(-30.0), (ODOMETRY,)),
         'picture stamps 30 s back': Fault(later(-30.0), (CAMERA, INFO)),
         'joint stamps 30 s back': Fault(later(-30.0), (JOINTS,)),
         'clock set back 5 s': Fault(later(-5.0), everything, FOR_GOOD_S),
         'clock set back 100 s': Fault(later(-100.0), everything, FOR_GOOD_S),
+        'all comes twice': Fault(same, everything, FOR_GOOD_S, copies=2),
         'joint states stamped 200 ms late': Fault(later(0.2), (JOINTS,)),
         'joint states stamped 200 ms late for good': Fault(later(0.2), (JOINTS,), FOR_GOOD_S),
         'joint states come 200 ms late': Fault(same, (JOINTS,), 4.0, NS // 5),
@@ -198,6 +213,7 @@ def spoilt(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[str
     out: list[tuple[str, Any, int]] = []
     wheels, carried = np.zeros(3), None
     for entry in bag.messages():
+        copies = 1
         topic, log, message = relative_name(entry.topic), entry.stamp_ns, entry.message
         since = 1e-9 * (log - bag.start_ns) - at_s
         if name == 'kidnapped' and since >= 0.0:
@@ -213,6 +229,7 @@ def spoilt(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[str
             wheels = decode.odometry(message).pose_odom_base
         elif 0.0 <= since < fault.seconds and topic in fault.topics:
             message, log = fault.change(message), log + fault.arrives_late_ns
+            copies = fault.copies
         if message is not None:
-            out.append((topic, message, log))
+            out += [(topic, message, log)] * copies
     yield from sorted(out, key=lambda sent: sent[2])
