@@ -12,11 +12,11 @@ from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
 from landmark_nav.localization.fusion.stand import standing_or_hanging
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
-    DELAY,
     FilterState,
     HEADING,
     looking_again,
     widened,
+    with_late_joints,
 )
 from landmark_nav.localization.fusion.update import FusionUpdate, update_bearings
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -89,7 +89,8 @@ def update_turning(
         loose = [(0.0, turned)]
         swings = frame.swing_rad(_REACH_S) > _LATE_SHARE * abs(angle)
         if surprising and swings and state.late.sigma_s < _DOUBTED * LATE_S:
-            late = widened(state if stands else turned, DELAY, LATE_S**2)
+            # One that was known may be gone: zero is as likely as that.
+            late = with_late_joints(state if stands else turned, LATE_S)
             known = state.late.is_known and frame.config.landmarks == 'consider'
             # A known delay most likely stays as it is; an open one might take a slip for a delay.
             loose = [(_IN_TIME, turned), (_LATE, late)] if known else [(0.0, late)]
