@@ -43,6 +43,8 @@ class BagPlayerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('bag_player', 'playback', **options)
+        self._stop = Event()
+        self._player: Thread | None = None
         self._config = self.configure(Parameters)
         self._bag = Bag(self.required('bag', self._config.bag))
         self._players = {
@@ -54,14 +56,14 @@ class BagPlayerNode(LandmarkNode):
             else None
         )
         self._played_ns = 0
-        self._stop = Event()
         self._player = Thread(target=self._play, daemon=True)
         self._player.start()
 
     def destroy_node(self) -> None:
         """Leave nobody behind who publishes."""
         self._stop.set()
-        self._player.join()
+        if self._player is not None:
+            self._player.join()
         super().destroy_node()
 
     def health(self) -> Health:

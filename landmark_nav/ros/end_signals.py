@@ -36,13 +36,14 @@ class EndSignals:
         self._timer = ExitTimer(grace_s)
         self._thread = Thread(target=self._watch, name='end signals', daemon=True)
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> EndSignals:
         """From here on nothing else acts on the signals."""
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
-        self._handlers = {number: signal.signal(number, _noted) for number in _SIGNALS}
         self._wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._handlers = {number: signal.signal(number, _noted) for number in _SIGNALS}
         self._thread.start()
+        return self
 
     def __exit__(
         self,
@@ -56,13 +57,16 @@ class EndSignals:
             signal.signal(number, handler)
         os.close(self._writer)
         self._thread.join()
+        os.close(self._reader)
         self._timer.stop()
 
+    def expect_end(self) -> None:
+        """The process ends if the context is not left within the grace."""
+        self._timer.start()
+
     def _watch(self) -> None:
-        asked = os.read(self._reader, 1)
-        os.close(self._reader)
-        if asked:
-            self._timer.start()
+        if os.read(self._reader, 1):
+            self.expect_end()
             self._on_signal()
 
 

@@ -62,7 +62,8 @@ class LandmarkNode(Node):
 
     def end(self) -> None:
         """Have `run_node` end the process; callbacks under way see it in `ended`."""
-        self.ended.set_result(None)
+        if not self.ended.done():
+            self.ended.set_result(None)
 
     def configure(self, config_class: type[T]) -> T:
         """Declare a dataclass as parameters and return it filled."""

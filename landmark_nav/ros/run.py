@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 import sys
 
 import rclpy
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
@@ -45,20 +46,17 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
     """
     name = Path(sys.argv[0]).stem
     asked: Future[None] = Future()
-    with EndSignals(lambda: asked.set_result(None), _GRACE_S):
+    with EndSignals(lambda: asked.set_result(None), _GRACE_S) as end_signals:
         try:
             _join_ros()
             if own := remove_ros_args(sys.argv)[1:]:
                 print(_usage(name, sys.modules[make_node.__module__].__doc__ or ''))
                 return 0 if set(own) & {'-h', '--help'} else 2
             node = make_node()
-            forward_logs(node.get_logger())
+            node.ended.add_done_callback(lambda _: end_signals.expect_end())
             asked.add_done_callback(lambda _: node.end())
-            executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
-            executor.add_node(node)
-            _spin(executor, node.ended)
-            # Callbacks under way are waited for, and still have publishers and services.
-            executor.shutdown()
+            forward_logs(node.get_logger())
+            _spin(node, threads)
         except LandmarkNavError as error:
             print(f'{name}: {error}', file=sys.stderr)
             return 1
@@ -83,15 +81,29 @@ def _join_ros() -> None:
         raise LandmarkNavError(' '.join(str(error).split())) from error
 
 
-def _spin(executor: Executor, ended: Future[None]) -> None:
+def _spin(node: LandmarkNode, threads: int) -> None:
     """
-    Spin to the end.
+    Spin to the end of a node.
 
     Where a callback closes a subscription as another thread is about to wait for its events,
     rclpy throws; the next wait goes without it.
     """
-    while True:
-        try:
-            return executor.spin_until_future_complete(ended)
-        except InvalidHandle:
-            continue
+    executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def wake(_: object) -> None:
+        # A wait ends when there is something to do.
+        executor.create_task(bool)
+
+    # Not `spin_until_future_complete`: that of Jazzy adds another callback every turn.
+    node.ended.add_done_callback(wake)
+    try:
+        while not node.ended.done():
+            with suppress(InvalidHandle):
+                executor.spin_once()
+    finally:
+        node.end()
+        # Callbacks under way are waited for, and still have publishers and services.
+        executor.shutdown()
+        # Not every rclpy does that as it shuts down.
+        node.destroy_node()

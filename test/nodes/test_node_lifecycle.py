@@ -47,16 +47,19 @@ def test_all_start_and_end_cleanly(
 
 
 @pytest.mark.parametrize(
-    ('arguments', 'words'),
+    ('node', 'arguments', 'words'),
     [
-        ([], 'parameter robot_file of sweep_capture is not set'),
-        (['-p', 'robot_file:=nowhere.yaml'], 'nowhere.yaml: cannot be read'),
-        (['-p', 'capture.frames:=0'], 'capture.frames'),
-        (['-p', 'capture.frames:=many'], 'wrong type'),
+        ('sweep_capture', [], 'parameter robot_file of sweep_capture is not set'),
+        ('sweep_capture', ['-p', 'robot_file:=nowhere.yaml'], 'nowhere.yaml: cannot be read'),
+        ('sweep_capture', ['-p', 'capture.frames:=0'], 'capture.frames'),
+        ('sweep_capture', ['-p', 'capture.frames:=many'], 'wrong type'),
+        ('bag_player', ['-p', 'bag:=/nowhere'], '/nowhere: '),
     ],
 )
-def test_what_cannot_run_says_why(arguments: list[str], words: str, domain_id: int) -> None:
-    said = what_it_says(arguments, domain_id)
+def test_what_cannot_run_says_why(
+    node: str, arguments: list[str], words: str, domain_id: int
+) -> None:
+    said = what_it_says(arguments, domain_id, node)
     assert len(said) == 1
     assert words in said[0]
 
@@ -78,9 +81,9 @@ def test_arguments_that_are_not_of_ros_are_answered_with_the_usage(
     assert not done.stderr
 
 
-def what_it_says(arguments: list[str], domain_id: int) -> list[str]:
+def what_it_says(arguments: list[str], domain_id: int, node: str = 'sweep_capture') -> list[str]:
     """Lines of a node that cannot run."""
-    command = [sys.executable, '-m', 'landmark_nav.nodes.sweep_capture', '--ros-args', *arguments]
+    command = [sys.executable, '-m', f'landmark_nav.nodes.{node}', '--ros-args', *arguments]
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
     done = subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment)
     assert done.returncode == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 
 import pytest
 
@@ -55,6 +56,8 @@ def test_a_subscription_closed_by_another_thread_does_not_end_the_node(
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     monkeypatch.setattr('sys.argv', ['node'])
+    # At its end the node would end the tests.
+    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
     waitable = ClosedMeanwhile(ReentrantCallbackGroup())
     ticks: list[int] = []
 
@@ -73,3 +76,30 @@ def test_a_subscription_closed_by_another_thread_does_not_end_the_node(
     assert run_node(make, threads) == 0
     assert waitable.thrown > 1
     assert len(ticks) >= 5
+
+
+def test_a_callback_that_fails_ends_the_node_and_those_who_wait_for_its_end(
+    monkeypatch: pytest.MonkeyPatch, domain_id: int
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setattr('sys.argv', ['node'])
+    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+
+    def make() -> LandmarkNode:
+        node = Quiet('fails', 'test')
+        group = ReentrantCallbackGroup()
+
+        def wait() -> None:
+            waiting.cancel()
+            while not node.ended.done():
+                time.sleep(0.01)
+
+        def fail() -> None:
+            raise RuntimeError('a wheel fell off')
+
+        waiting = node.create_timer(0.05, wait, callback_group=group)
+        node.create_timer(0.2, fail, callback_group=group)
+        return node
+
+    with pytest.raises(RuntimeError, match='a wheel fell off'):
+        run_node(make, 3)

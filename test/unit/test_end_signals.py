@@ -37,6 +37,7 @@ def test_those_who_wait_are_asked_to_leave(number: signal.Signals) -> None:
         with EndSignals(asked.set, 20.0):
             os.kill(os.getpid(), {int(number)})
             asked.wait()
+            os.kill(os.getpid(), {int(number)})
         print('left')
     """)
     assert (done.returncode, done.stdout, done.stderr) == (0, 'left\n', '')
@@ -52,6 +53,15 @@ def test_who_does_not_leave_is_ended(number: signal.Signals) -> None:
             threading.Event().wait()
     """)
     assert (done.returncode, done.stdout, done.stderr) == (0, 'asked\n', '')
+
+
+def test_who_was_told_to_leave_without_a_signal_is_ended_too() -> None:
+    done = run("""
+        with EndSignals(lambda: None, 0.2) as signals:
+            signals.expect_end()
+            threading.Event().wait()
+    """)
+    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
 
 def test_who_holds_the_interpreter_is_ended() -> None:

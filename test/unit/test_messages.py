@@ -78,6 +78,9 @@ def test_values_that_are_no_numbers_are_refused_with_what_and_when():
     far = encode.odometry(FACTORY, OdometrySample(STAMP, np.array([0.0, 1e300, 0.0])))
     with pytest.raises(LandmarkNavError, match='not on this planet'):
         decode.odometry(far)
+    fast = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3), 1e300, 0.0))
+    with pytest.raises(LandmarkNavError, match='no robot is as fast'):
+        decode.odometry(fast)
     joints = encode.joint_state(FACTORY, JointSample(STAMP, np.inf), MOUNT)
     with pytest.raises(LandmarkNavError, match='joint_states position'):
         decode.joint_sample(joints, MOUNT)

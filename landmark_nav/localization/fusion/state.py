@@ -24,6 +24,7 @@ from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales, SLIP, W
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
+    jitter_variances,
     Motion,
     OdometryNoiseConfig,
     sensed_variances,
@@ -272,10 +273,10 @@ def propagate(
     covariance[:3, :3] += added
     if state.hangs:
         motion = motion._replace(blind_seconds=motion.blind_seconds + motion.still_seconds)
-    if state.still_s + state.moved_s > 0.0:
-        # What the last pose had of jitter, no measurement knows of: it is taken back.
-        motion = motion._replace(jitter_m2=0.0, jitter_rad2=0.0)
-    if max(motion.blind_seconds, motion.ahead_s4, motion.jitter_m2, motion.jitter_rad2) > 0.0:
+    if not state.still_s + state.moved_s:
+        # Later, jitter of the last pose is taken back by this one.
+        covariance[:3, :3] += (by_motion * jitter_variances(motion)) @ by_motion.T
+    if motion.blind_seconds > 0.0 or motion.ahead_s4 > 0.0:
         covariance[:3, :3] += (by_motion * blind_variances(motion, config)) @ by_motion.T
     covariance[_SLIP, _SLIP] += slip_variance
     by_noise = step @ state.by_noise @ step.T

@@ -23,6 +23,7 @@ __all__ = [
     'OdometryNoiseConfig',
     'blind_variances',
     'fraction_of_motion',
+    'jitter_variances',
     'motion_variances',
     'sensed_variances',
     'twist_motion',
@@ -176,18 +177,21 @@ def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
 
 
 def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (3,) of the time without odometry, of extrapolation, and of jitter."""
+    """Variances (3,) of the time without odometry, and of extrapolation."""
     position, heading = config.blind_m_per_sqrt_s**2, config.blind_rad_per_sqrt_s**2
     ahead = 0.25 * motion.ahead_s4
     return np.array(
         [
-            motion.blind_seconds * position + ahead * _ACCELERATION_M_S2**2 + motion.jitter_m2,
-            motion.blind_seconds * position + motion.jitter_m2,
-            motion.blind_seconds * heading
-            + ahead * _TURN_ACCELERATION_RAD_S2**2
-            + motion.jitter_rad2,
+            motion.blind_seconds * position + ahead * _ACCELERATION_M_S2**2,
+            motion.blind_seconds * position,
+            motion.blind_seconds * heading + ahead * _TURN_ACCELERATION_RAD_S2**2,
         ]
     )
+
+
+def jitter_variances(motion: Motion) -> FloatArray:
+    """Variances (3,) by white noise of the poses at both ends; parts have more of it in sum."""
+    return np.array([motion.jitter_m2, motion.jitter_m2, motion.jitter_rad2])
 
 
 def twist_motion(linear_m_s: float, angular_rad_s: float, seconds: float) -> FloatArray:

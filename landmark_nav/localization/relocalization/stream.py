@@ -12,6 +12,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import (
+    jitter_variances,
     Motion,
     motion_variances,
     OdometryNoiseConfig,
@@ -195,4 +196,5 @@ class Relocalizer:
         """Variances (3,) of a motion by wheels that are not calibrated yet."""
         way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
         share = _SLIP * np.array([way, way, turn])
-        return np.asarray(motion_variances(motion, self._odometry) + share**2)
+        sensed = motion_variances(motion, self._odometry) + jitter_variances(motion)
+        return np.asarray(sensed + share**2)

@@ -10,7 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.se2 import compose, rotation
-from landmark_nav.localization.odometry.noise import motion_variances, OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import (
+    jitter_variances,
+    motion_variances,
+    OdometryNoiseConfig,
+)
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, OdometrySample
 
@@ -96,4 +100,6 @@ def _between(
     shifted[:, 2, 2] = step[:, 2]
     shifted[:, 0, 3] = -np.abs(step[:, 2])
     covariance = np.einsum('mij,mj,mkj->ik', effect, np.array(variances), effect)
-    return pose[-1], np.sum(effect @ shifted, axis=0), covariance + _LEAST_VARIANCE * np.eye(3)
+    jitter = jitter_variances(track.motion(int(times_ns[0]), int(times_ns[-1])))
+    covariance += np.diag(jitter + _LEAST_VARIANCE)
+    return pose[-1], np.sum(effect @ shifted, axis=0), covariance

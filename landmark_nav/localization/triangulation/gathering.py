@@ -20,7 +20,11 @@ import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose, compose_jacobians, inverse, rotation
-from landmark_nav.localization.odometry.noise import motion_variances, OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import (
+    jitter_variances,
+    motion_variances,
+    OdometryNoiseConfig,
+)
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.localization.triangulation.robust import Fix, triangulate, TriangulationConfig
@@ -210,6 +214,10 @@ class SightingGatherer:
             pose = np.asarray(compose(pose, back))
             poses[k], factors[k], later_ns = pose, factor, int(times[k])
         joint = np.einsum('iam,jbm->iajb', factors, factors)
+        for k in np.flatnonzero(times != stamp_ns).tolist():
+            joint[k, :, k] += np.diag(
+                jitter_variances(self._track.motion(int(times[k]), stamp_ns))
+            )
         return poses[place], joint[place][:, :, place]
 
 

@@ -15,6 +15,8 @@ __all__ = ['odometry', 'pose_estimate']
 
 # Half around the earth: in UTM coordinates, too, a robot is nearer to their origin.
 _FARTHEST_M = 2.0e7
+# Metres or radians per second.
+_FASTEST = 1.0e3
 
 
 def odometry(msg: Any) -> OdometrySample:
@@ -24,12 +26,17 @@ def odometry(msg: Any) -> OdometrySample:
     Raises
     ------
     LandmarkNavError
-        A value is not a number, or no place or heading of a robot on a floor.
+        A value is not a number, or no place, heading or speed of a robot.
 
     """
     stamp = stamp_ns(msg.header)
     twist = msg.twist.twist
     speeds = finite([twist.linear.x, twist.angular.z], 'odometry speed', stamp)
+    if np.abs(speeds).max() > _FASTEST:
+        raise LandmarkNavError(
+            f'odometry speed at {stamp * 1e-9:.3f} s is {np.array2string(speeds, precision=3)} '
+            'm/s, rad/s: no robot is as fast, mend its publisher'
+        )
     return OdometrySample(
         stamp, _planar(msg.pose.pose, 'odometry', stamp), float(speeds[0]), float(speeds[1])
     )
@@ -42,7 +49,7 @@ def pose_estimate(msg: Any) -> PoseEstimate:
     Raises
     ------
     LandmarkNavError
-        A value is not a number, or no place or heading of a robot on a floor.
+        A value is not a number, or no place, heading or speed of a robot.
 
     """
     stamp = stamp_ns(msg.header)

@@ -20,7 +20,7 @@ from landmark_nav.storage.bags.container import ChannelInfo, McapFile, RawMessag
 from landmark_nav.storage.bags.topics import find_topic
 from landmark_nav.storage.setup_files import read_yaml_mapping
 
-__all__ = ['Bag', 'BagMessage']
+__all__ = ['Bag', 'BagMessage', 'once']
 
 _LOG = logging.getLogger(__name__)
 
@@ -61,6 +61,15 @@ class BagMessage:
                 f'{self._path}: a message on {self.topic} is not a {self.type_name} '
                 f'({error}): the recording is damaged'
             ) from error
+
+
+def once(messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
+    """Messages without those that equal the one before on their topic: recorded twice."""
+    last: dict[str, bytes] = {}
+    for entry in messages:
+        if entry.data != last.get(entry.topic):
+            last[entry.topic] = entry.data
+            yield entry
 
 
 class Bag:

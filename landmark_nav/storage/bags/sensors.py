@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags.reader import Bag, BagMessage
+from landmark_nav.storage.bags.reader import Bag, BagMessage, once
 from landmark_nav.storage.bags.sieve import Sieve
 from landmark_nav.storage.bags.timelines import CameraInfos, JointLog
 from landmark_nav.types import (
@@ -58,7 +58,7 @@ def sensor_events(
     }
     if truth is not None:
         decoders[truth] = lambda entry: decode.pose_estimate(entry.message)
-    messages = _pictures_last(_once(bag.messages(decoders)), images)
+    messages = _pictures_last(once(bag.messages(decoders)), images)
     yield from _usable(bag, messages, decoders, {images: 'pictures'})
 
 
@@ -76,15 +76,6 @@ def _usable(
             yield event
     for sieve in sieves.values():
         sieve.tell()
-
-
-def _once(messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
-    """Messages without those that equal the one before on their topic: recorded twice."""
-    last: dict[str, bytes] = {}
-    for entry in messages:
-        if entry.data != last.get(entry.topic):
-            last[entry.topic] = entry.data
-            yield entry
 
 
 def _pictures_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMessage]:
@@ -109,7 +100,7 @@ def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
     }
     if truth := bag.find('ground_truth/odom'):
         decoders[truth] = lambda entry: decode.pose_estimate(entry.message)
-    yield from _usable(bag, _once(bag.messages(decoders)), decoders, {})
+    yield from _usable(bag, once(bag.messages(decoders)), decoders, {})
 
 
 def _frame(

@@ -11,7 +11,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.coverage import check_coverage
-from landmark_nav.storage.bags.reader import Bag, BagMessage
+from landmark_nav.storage.bags.reader import Bag, BagMessage, once
 from landmark_nav.storage.bags.sieve import naming
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
@@ -94,7 +94,7 @@ def _plans(bag: Bag, mount: PanTiltMount, pictures: _Pictures) -> list[_Plan]:
     left = dict(pictures)
     plans = []
     if trajectory := bag.find('sweep/trajectory'):
-        for entry in bag.messages([trajectory]):
+        for entry in once(bag.messages([trajectory])):
             with naming(bag, trajectory):
                 samples = decode.sweep_trajectory(entry.message, mount)
             if samples:
