@@ -98,6 +98,7 @@ class OdometryFusionNode(LandmarkNode):
         self._odom_frame = 'odom'
         self._latency = Latency()
         self._waiting: deque[Detections] = deque()
+        self._last_message: Any = None
         self.listen('odom', self._on_odometry, depth=50)
         self._frames = CameraFrames(self, self._mount)
         self.listen('detections', self._on_detections)
@@ -171,6 +172,10 @@ class OdometryFusionNode(LandmarkNode):
         self.get_logger().info(f'start at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
 
     def _on_odometry(self, message: Any) -> None:
+        if message == self._last_message:
+            # It came twice; a source that repeats it on and on is as good as silent.
+            return
+        self._last_message = message
         sample = decode.odometry(message)
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
         self._odom_frame = message.header.frame_id

@@ -85,9 +85,12 @@ def test_odometry_that_is_doubted_is_fused_all_the_same(domain_id: int, tmp_path
         assert doubted.index(True) == KNOCKED_AT + 1
         assert sum(doubted) > 10
         assert 'dropped' not in ''.join(said)
-        # What can't be used is told as before.
+        # What comes twice is no news, and what can't be used is told as before.
         fused.clear()
         hear(encode.odometry(ros_factory, OdometrySample(k * PERIOD_NS, np.zeros(3))))
+        assert not fused
+        assert 'dropped' not in node._checked_health().reason
+        hear(encode.odometry(ros_factory, OdometrySample(k * PERIOD_NS, np.full(3, 0.01))))
         assert not fused
         assert 'odom dropped' in node._checked_health().reason
     finally:

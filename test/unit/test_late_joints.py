@@ -18,12 +18,12 @@ from landmark_nav.types import CameraFrame, Detections, PoseEstimate
 LATE_S = 0.2
 
 
-def stamped_late(step: Step, frame: CameraFrame | None) -> Sensed:
-    """Joint states tell of every moment where the camera looked 0.2 s before."""
+def stamped_late(step: Step, frame: CameraFrame | None, late_s: float = LATE_S) -> Sensed:
+    """Joint states tell of every moment where the camera looked a while before."""
     if frame is None:
         return step, frame
     about = np.linspace(-0.4, 0.4, 17)
-    told = np.array([pan_rad(step.stamp_ns * 1e-9 - LATE_S + t) for t in about])
+    told = np.array([pan_rad(step.stamp_ns * 1e-9 - late_s + t) for t in about])
     rate = float((told[9] - told[7]) / (about[9] - about[7]))
     track = PanTrack(about, told)
     frame = replace(frame, pan_rad=float(told[8]), pan_rate_rad_s=rate, pan_track=track)
@@ -55,6 +55,24 @@ def test_how_late_they_are_is_known_after_a_few_pictures(sensed: list[Sensed]) -
     late = localizer.late
     assert late.sigma_s < 0.02
     assert late.delay_s == pytest.approx(LATE_S, abs=4.0 * late.sigma_s + 0.005)
+
+
+@pytest.mark.parametrize('seconds', [1.5, 2.0, 3.0, 4.0])
+def test_a_delay_that_is_over_is_taken_back(sensed: list[Sensed], seconds: float) -> None:
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    delays = []
+    for step, frame in sensed:
+        since = step.stamp_ns * 1e-9 - FAULT_S
+        localizer.add_odometry(step.odometry)
+        _, frame = stamped_late(step, frame, LATE_S if 0.0 < since < seconds else 0.0)
+        if frame is not None and since < seconds + 3.0:
+            localizer.add_frame(frame)
+            delays.append(localizer.late.delay_s)
+    assert max(delays) > 0.15
+    # The joints tell nothing of longer ones.
+    assert np.abs(delays).max() < 0.4
+    assert abs(delays[-1]) < 0.02
 
 
 def test_joint_states_that_freeze_are_never_believed_for_long(sensed: list[Sensed]) -> None:
