@@ -6,7 +6,7 @@ from collections.abc import Callable
 import os
 import signal
 from threading import Thread
-from types import FrameType, TracebackType
+from types import FrameType
 
 from landmark_nav.ros.exit_timer import ExitTimer
 
@@ -45,12 +45,7 @@ class EndSignals:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Signals are again what they were before."""
         signal.set_wakeup_fd(self._wakeup)
         for number, handler in self._handlers.items():

@@ -53,10 +53,9 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
                 print(_usage(name, sys.modules[make_node.__module__].__doc__ or ''))
                 return 0 if set(own) & {'-h', '--help'} else 2
             node = make_node()
-            node.ended.add_done_callback(lambda _: end_signals.expect_end())
             asked.add_done_callback(lambda _: node.end())
             forward_logs(node.get_logger())
-            _spin(node, threads)
+            _spin(node, threads, end_signals)
         except LandmarkNavError as error:
             print(f'{name}: {error}', file=sys.stderr)
             return 1
@@ -81,7 +80,7 @@ def _join_ros() -> None:
         raise LandmarkNavError(' '.join(str(error).split())) from error
 
 
-def _spin(node: LandmarkNode, threads: int) -> None:
+def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:
     """
     Spin to the end of a node.
 
@@ -101,6 +100,8 @@ def _spin(node: LandmarkNode, threads: int) -> None:
         while not node.ended.done():
             with suppress(InvalidHandle):
                 executor.spin_once()
+        # Not where a callback failed: the status has to say so.
+        end_signals.expect_end()
     finally:
         node.end()
         # Callbacks under way are waited for, and still have publishers and services.

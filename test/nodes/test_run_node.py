@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import textwrap
 import time
 
 import pytest
@@ -103,3 +106,40 @@ def test_a_callback_that_fails_ends_the_node_and_those_who_wait_for_its_end(
 
     with pytest.raises(RuntimeError, match='a wheel fell off'):
         run_node(make, 3)
+
+
+def test_a_failure_is_told_though_another_callback_takes_longer_than_the_grace(
+    domain_id: int,
+) -> None:
+    script = """
+        import sys, time
+        from rclpy.callback_groups import ReentrantCallbackGroup
+        from landmark_nav.ros.node import LandmarkNode
+        from landmark_nav.ros.run import run_node
+
+        class Busy(LandmarkNode):
+            def __init__(self):
+                super().__init__('busy', 'test')
+                group = ReentrantCallbackGroup()
+                self.work = self.create_timer(0.05, self.learn, callback_group=group)
+                self.create_timer(0.3, self.fail, callback_group=group)
+
+            def learn(self):
+                self.work.cancel()
+                time.sleep(3.5)
+
+            def fail(self):
+                raise RuntimeError('a wheel fell off')
+
+        sys.argv = ['busy']
+        sys.exit(run_node(Busy, 3))
+    """
+    done = subprocess.run(
+        [sys.executable, '-c', textwrap.dedent(script)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+    )
+    assert done.returncode == 1
+    assert 'a wheel fell off' in done.stderr

@@ -25,10 +25,19 @@ _LEAST = (1e-3, 1e-3)
 
 
 class Jitter:
-    """Running estimate from increments (3,) as they come."""
+    """
+    Running estimate from increments as they come.
+
+    Attributes
+    ----------
+    variances : tuple of float
+        Of a position on an axis [m^2] and of a heading [rad^2]; zero if too small to tell.
+
+    """
 
     def __init__(self) -> None:
-        self._last: deque[FloatArray] = deque(maxlen=_IN_A_ROW)
+        self.variances = (0.0, 0.0)
+        self._last: deque[tuple[float, ...]] = deque(maxlen=_IN_A_ROW)
         self._count = 0
         self._mean, self._square = np.zeros(2), np.zeros(2)
 
@@ -37,24 +46,18 @@ class Jitter:
         self._last.clear()
 
     def add(self, increment: FloatArray, seconds: float) -> None:
-        """Take an increment, forward, left [m] and turn [rad], over some time."""
-        self._last.append(np.append(increment, seconds))
+        """Take an increment (3,), forward, left [m] and turn [rad], over some time."""
+        self._last.append((seconds, *(part / seconds for part in increment.tolist())))
         if len(self._last) < _IN_A_ROW:
             return
-        four = np.array(self._last)
-        steps = four[:, :3] * (four[:, 3].mean() / four[:, 3:])
-        products = -0.5 * (steps[2] - steps[1]) * (steps[3] - steps[0])
-        found = np.array([products[:2].mean(), products[2]])
+        times, *rates = zip(*self._last, strict=True)
+        scale = -0.5 * (sum(times) / _IN_A_ROW) ** 2
+        ahead, aside, turned = (scale * (c - b) * (d - a) for a, b, c, d in rates)
+        found = np.array([0.5 * (ahead + aside), turned])
         self._count = min(self._count + 1, _SAMPLES)
         self._mean += (found - self._mean) / self._count
         self._square += (found**2 - self._square) / self._count
-
-    @property
-    def variances(self) -> tuple[float, float]:
-        """Of a position on an axis [m^2] and of a heading [rad^2]; zero if too small to tell."""
-        if not self._count:
-            return 0.0, 0.0
         sigma = np.sqrt(self._square / self._count)
         counts = (self._mean > _SIGNIFICANT * sigma) & (self._mean > np.square(_LEAST))
         position, heading = np.where(counts, self._mean, 0.0).tolist()
-        return position, heading
+        self.variances = position, heading

@@ -214,10 +214,8 @@ class SightingGatherer:
             pose = np.asarray(compose(pose, back))
             poses[k], factors[k], later_ns = pose, factor, int(times[k])
         joint = np.einsum('iam,jbm->iajb', factors, factors)
-        for k in np.flatnonzero(times != stamp_ns).tolist():
-            joint[k, :, k] += np.diag(
-                jitter_variances(self._track.motion(int(times[k]), stamp_ns))
-            )
+        moved = np.flatnonzero(times != stamp_ns)
+        joint[moved, :, moved] += np.diag(jitter_variances(motion))
         return poses[place], joint[place][:, :, place]
 
 
