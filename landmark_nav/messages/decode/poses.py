@@ -49,7 +49,7 @@ def pose_estimate(msg: Any) -> PoseEstimate:
     Raises
     ------
     LandmarkNavError
-        A value is not a number, or no place, heading or speed of a robot.
+        A value is not a number, or no place or heading of a robot.
 
     """
     stamp = stamp_ns(msg.header)
