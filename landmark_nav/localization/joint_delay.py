@@ -9,12 +9,14 @@ from typing import NamedTuple
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.types import CameraFrame, Detections
 
-__all__ = ['STILL', 'JointDelay', 'Lag', 'in_time', 'seen_in_time']
+__all__ = ['DOUBT_S', 'STILL', 'JointDelay', 'Lag', 'in_time', 'seen_in_time']
 
 # Over a shorter time the slope of the pan is mostly noise.
 _LEAST_STEP_S = 0.02
 # A delay is known with this sigma: half a degree at a fast 2 rad/s.
 _KNOWN_S = 0.005
+# Sigma of a delay that nothing tells, for headings that are found while the pan turns.
+DOUBT_S = 0.1
 # A delay is corrected if it is more than so many sigmas, and more than does no harm.
 _SIGNIFICANT, _LEAST_DELAY_S = 4.0, 5e-4
 

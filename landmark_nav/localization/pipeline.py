@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
+from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.joint_delay import in_time, JointDelay
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -128,8 +128,8 @@ class Localizer:
         """Start anew at a pose of the base."""
         self._start(start)
 
-    def _start(self, start: PoseEstimate, witnesses: npt.NDArray[np.int64] | None = None) -> None:
-        self._filter.initialize(start, witnesses=witnesses)
+    def _start(self, start: PoseEstimate, found: Found | None = None) -> None:
+        self._filter.initialize(start, found=found)
         self._relocalizer = None
         self._unseen.restart()
 
@@ -209,11 +209,15 @@ class Localizer:
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Search for the place; the pictures from which it is found are not fused again."""
         assert self._relocalizer is not None, 'no pose is known'
-        frame, _ = in_time(frame, self._filter.late)
+        late = self._filter.late
+        frame, _ = in_time(frame, late)
         outcome = self._relocalizer.add_frame(self._observer.levelled(frame))
         if isinstance(outcome, Refusal):
             return outcome
-        self._start(outcome, self._relocalizer.witnesses)
+        swing = frame.pan_rate_rad_s, frame.pan_track, late.delay_s
+        # The filter itself doubts the heading of a camera that turned.
+        found = Found(self._relocalizer.witnesses, *swing)
+        self._start(self._relocalizer.in_time, found)
         return self._filter.estimate(frame.stamp_ns) or outcome
 
     def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:

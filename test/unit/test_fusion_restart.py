@@ -11,6 +11,7 @@ import pytest
 from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
     DELAY,
@@ -147,7 +148,7 @@ def found_after(
         if k == 200 and searched:
             found = true - np.array([0.0, 0.0, bumped_rad])
             start = PoseEstimate(here.odometry.stamp_ns, found, np.diag(FOUND_SIGMA**2))
-            fused.initialize(start, witnesses=MAP.ids[:5])
+            fused.initialize(start, found=Found(MAP.ids[:5]))
         elif k > 200 and k % 4 == 0:
             see(fused, replace(here, pose=true), k, bumped_rad)
             found = fused.estimate()

@@ -13,6 +13,7 @@ from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.fusion.config import HealthConfig
 from landmark_nav.localization.fusion.contradictions import Contradictions
 from landmark_nav.localization.fusion.health import Health
+from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
@@ -79,7 +80,7 @@ def test_a_map_of_one_wall_cannot_ask_for_two() -> None:
 def found_at(pose: FloatArray, stamp_ns: int, landmark_map: LandmarkMap) -> PoseFilter:
     fused = PoseFilter(landmark_map, MOUNT)
     start = PoseEstimate(stamp_ns, pose, np.diag(np.square([0.02, 0.02, 0.005])))
-    fused.initialize(start, witnesses=NOBODY)
+    fused.initialize(start, found=Found(NOBODY))
     return fused
 
 
@@ -104,7 +105,7 @@ def test_what_the_search_saw_speaks_once_a_picture_agrees() -> None:
     moment = next(iter(drive(0)))
     fused = PoseFilter(walls, MOUNT)
     start = PoseEstimate(0, moment.pose, np.diag(np.square([0.02, 0.02, 0.005])))
-    fused.initialize(start, witnesses=walls.ids)
+    fused.initialize(start, found=Found(walls.ids))
     fused.add_odometry(moment.odometry)
     for seen, status in ((range(0), 'coasting'), (range(5), 'tracking')):
         assert fused.status[0] == 'coasting'
@@ -156,7 +157,7 @@ def test_a_heading_from_a_turning_camera_leaves_the_lateness_of_its_joints_open(
     moment = next(iter(drive(0)))
     fused = PoseFilter(MAP, MOUNT)
     start = PoseEstimate(0, moment.pose, np.diag(np.square([0.02, 0.02, 0.2])))
-    fused.initialize(start, witnesses=MAP.ids)
+    fused.initialize(start, found=Found(MAP.ids))
     fused.add_odometry(moment.odometry)
     # The same late pan again is no evidence for the heading; a camera that stands is.
     seen = sighting(moment, 0, np.full(4, 0.2))
@@ -179,8 +180,8 @@ def test_joints_that_led_to_the_heading_that_is_found_are_in_time(
     moment, _ = run(fused, 60)
     pose = moment.pose + np.array([0.0, 0.0, off_rad])
     place = PoseEstimate(moment.odometry.stamp_ns, pose, np.diag(np.square([0.02, 0.02, 0.2])))
-    fused.initialize(place, witnesses=MAP.ids)
-    assert (fused.late.sigma_s > 0.1) == open_
+    fused.initialize(place, found=Found(MAP.ids))
+    assert (fused.late.sigma_s > 0.05) == open_
 
 
 def test_one_that_lies_just_within_its_gate_is_no_evidence_after_many_in_vain() -> None:
@@ -283,7 +284,7 @@ def test_nor_does_one_that_takes_it_in_fixes() -> None:
     fused = PoseFilter(walls, MOUNT, FusionConfig(mode='poses'))
     moments = list(drive(100))
     start = PoseEstimate(0, moments[0].pose, np.diag(np.square([0.02, 0.02, 0.005])))
-    fused.initialize(start, witnesses=NOBODY)
+    fused.initialize(start, found=Found(NOBODY))
     for k, moment in enumerate(moments):
         fused.add_odometry(moment.odometry)
         stamp_ns = moment.odometry.stamp_ns

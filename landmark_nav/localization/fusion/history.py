@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 
+from landmark_nav.localization.fusion.late_joints import seen_in_swing
 from landmark_nav.localization.fusion.mixture import Mixture
 from landmark_nav.localization.fusion.stand import doubted_stand
 from landmark_nav.localization.fusion.state import FilterState, measured, POSE, propagate, widened
@@ -105,11 +106,11 @@ class History:
         late = (self.begin_ns - stamp_ns) * 1e-9
         return Refusal('too late', f'{late:.3f} s before the history') if late > 0.0 else None
 
-    def restart(self, state: FilterState) -> None:
-        """Begin anew with a state; odometry that came after it is kept."""
+    def restart(self, state: Mixture) -> None:
+        """Begin anew with its hypotheses; odometry that came after it is kept."""
         self._events = [_Event(state.stamp_ns)]
         # The covariance is that of the given time: a stand before it does not count.
-        self._states = [Mixture((measured(state),))]
+        self._states = [state.each(measured)]
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what is wrong with the sample, if anything (`Distrusted` if it is used)."""
@@ -173,6 +174,10 @@ class History:
         # `still_s` counts from the last measurement; as long as the stand, if none came in it.
         if self.at(stamp_ns).still_s >= 1e-9 * (stamp_ns - stands_ns) - 1e-6:
             self.change(stamp_ns, partial(doubted_stand, config=self._config))
+
+    def doubt_joints(self, stamp_ns: int) -> None:
+        """Assume that the joint states may be late, if landmarks went out of sight in a swing."""
+        self.insert(stamp_ns, lambda mixture: (seen_in_swing(mixture), None))
 
     def at(self, stamp_ns: int | None = None) -> FilterState:
         """
@@ -241,7 +246,7 @@ class History:
         self._trusted = None
         if self._states:
             moved = widened(self.last, POSE, motion_variances(_BLIND_SECOND, self._config))
-            self.restart(replace(moved, stamp_ns=sample.stamp_ns))
+            self.restart(Mixture((replace(moved, stamp_ns=sample.stamp_ns),)))
         return Distrusted(
             'clock was set back',
             f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',

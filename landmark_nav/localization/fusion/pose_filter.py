@@ -10,7 +10,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.camera import PanTiltMount
@@ -21,8 +20,15 @@ from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.fix_sources import FixSources, Seen
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
 from landmark_nav.localization.fusion.history import History, Step
+from landmark_nav.localization.fusion.late_joints import found_in_swing, REACH_S
+from landmark_nav.localization.fusion.mixture import Mixture
 from landmark_nav.localization.fusion.recovery import Recovery
-from landmark_nav.localization.fusion.start import checked_start, is_finite, with_joints_in_doubt
+from landmark_nav.localization.fusion.start import (
+    checked_start,
+    Found,
+    is_finite,
+    joints_in_doubt,
+)
 from landmark_nav.localization.fusion.state import FilterState, initial_state, moved_to, with_map
 from landmark_nav.localization.fusion.turn import update_turning
 from landmark_nav.localization.fusion.update import FusionUpdate
@@ -42,6 +48,12 @@ __all__ = ['PoseFilter']
 
 # Chi-square level of the gate for triangulated poses.
 _POSE_PROBABILITY = 0.99
+# Late joint states lose landmarks where the pan turns so far meanwhile.
+_SWING_RAD = 0.035
+_BLIND = Refusal(
+    'nothing is found any more',
+    'joint_states are late, the camera is covered or the robot was moved',
+)
 _HANGS = Refusal('odometry stands', 'which pictures do not confirm')
 
 
@@ -119,7 +131,7 @@ class PoseFilter:
         self,
         start: PoseEstimate,
         now_ns: int | None = None,
-        witnesses: npt.NDArray[np.int64] | None = None,
+        found: Found | None = None,
     ) -> None:
         """
         Start anew at a pose; only what was learned of robot and camera is kept.
@@ -131,10 +143,10 @@ class PoseFilter:
             (RViz on another clock) is taken as now.
         now_ns : int, optional
             Present time; by default that of the last odometry.
-        witnesses : ndarray of int, shape (m,), optional
-            Ids of the landmarks from which the pose was found, if it was. Such a pose counts as
-            sure only when landmarks on two walls agree with it. If its heading is wide, the camera
-            was turning: then the joint states may be late, unless odometry led to that heading.
+        found : Found, optional
+            How the pose was found, if it was. It then counts as sure only when landmarks on two
+            walls agree with it. If the camera was turning, its joint states may be late, unless
+            odometry led to that heading as well.
 
         Raises
         ------
@@ -149,14 +161,15 @@ class PoseFilter:
             config = self._config
             sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
-        if witnesses is not None:
-            state = with_joints_in_doubt(state, start, self._history.dead_reckoned(start.stamp_ns))
-        self._history.restart(state)
+        begin, reckoned = Mixture((state,)), self._history.dead_reckoned(start.stamp_ns)
+        if found is not None and joints_in_doubt(start, found, state.late, reckoned):
+            begin = found_in_swing(state, found, self._lever)
+        self._history.restart(begin)
         self._recovery.restart()
         self._health.restart(start.stamp_ns)
-        self._witnesses = Witnesses(self._map, vouched=witnesses is None)
-        if witnesses is not None:
-            self._witnesses.found_by(self._frames.columns(witnesses))
+        self._witnesses = Witnesses(self._map, vouched=found is None)
+        if found is not None:
+            self._witnesses.found_by(self._frames.columns(found.witnesses))
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """Go on with other landmarks; the pose stays as it is, and as sure."""
@@ -165,7 +178,8 @@ class PoseFilter:
         self._fix_sources = FixSources(len(landmark_map.landmarks))
         self._witnesses = Witnesses(landmark_map)
         if self._history.started:
-            self._history.restart(with_map(self._history.at(), landmark_map))
+            state = with_map(self._history.at(), landmark_map)
+            self._history.restart(Mixture((state,)))
             self._health.change_map()
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
@@ -207,6 +221,9 @@ class PoseFilter:
             if expected and (since_ns := self._health.blind_since_ns) is not None:
                 self._history.doubt_stand(stamp, since_ns)
                 self._note_stand(stamp)
+                if frame.swing_rad(REACH_S) > _SWING_RAD:
+                    self._history.doubt_joints(stamp)
+                    self._health.note_trouble(stamp, _BLIND)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         update = self._measure(
             stamp,

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.fusion.state import FilterState, HEADING, with_late_joints
-from landmark_nav.localization.fusion.turn import LATE_S
+from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.localization.fusion.state import FilterState, HEADING
+from landmark_nav.localization.joint_delay import DOUBT_S, JointDelay
 from landmark_nav.types import PoseEstimate
 
-__all__ = ['checked_start', 'is_finite', 'is_headed', 'with_joints_in_doubt']
+__all__ = ['Found', 'checked_start', 'is_finite', 'is_headed', 'joints_in_doubt']
 
 # Sigmas of x, y, heading of a pose that is not known. Those who tell that by larger numbers leave
 # no digits for what is found.
@@ -28,7 +31,7 @@ def is_finite(estimate: PoseEstimate) -> bool:
     return bool(np.isfinite(estimate.pose).all() and np.isfinite(estimate.covariance).all())
 
 
-def is_headed(found: FilterState | PoseEstimate) -> bool:
+def is_headed(found: FilterState) -> bool:
     """Whether the heading is known as well as pictures tell it while the pan stands still."""
     return bool(found.covariance[HEADING, HEADING] <= _HEADED_RAD**2)
 
@@ -71,21 +74,34 @@ def checked_start(
     return replace(start, stamp_ns=now_ns)
 
 
-def with_joints_in_doubt(
-    state: FilterState, found: PoseEstimate, reckoned: FilterState | None
-) -> FilterState:
+class Found(NamedTuple):
     """
-    Return `state` with an open joint delay, if the delay may have bent the heading of `found`.
+    How a pose was found: `witnesses` (m,), the ids of the landmarks, and where the camera looked.
 
-    A pose that was found while the pan turned has a wide heading, as late joint states would turn
-    it. Nothing is to be opened if the delay was measured before, or if dead reckoning to the same
-    time, `reckoned`, has the same heading.
+    The pan of the last picture, with its rate and track, was put right for joint states that are
+    late by `pan_delay_s`.
     """
-    if is_headed(found) or (state.late.sigma_s > 0.0 and state.late.is_known):
-        return state
+
+    witnesses: npt.NDArray[np.int64]
+    pan_rate_rad_s: float = 0.0
+    pan_track: PanTrack | None = None
+    pan_delay_s: float = 0.0
+
+
+def joints_in_doubt(
+    start: PoseEstimate, found: Found, late: JointDelay, reckoned: FilterState | None
+) -> bool:
+    """
+    Whether late joint states may have turned the heading of a pose that was found.
+
+    They turn it as far as the pan turned meanwhile. They are not in doubt if `late` was measured
+    before, or if dead reckoning to the same time, `reckoned`, has the same heading.
+    """
+    variance = start.covariance[HEADING, HEADING] + (DOUBT_S * found.pan_rate_rad_s) ** 2
+    if variance <= _HEADED_RAD**2 or (late.sigma_s > 0.0 and late.is_known):
+        return False
     if reckoned is not None:
-        away = wrap_rad(found.pose[HEADING] - reckoned.mean[HEADING])
-        variances = reckoned.covariance[HEADING, HEADING], found.covariance[HEADING, HEADING]
-        if away**2 + variances[0] < _SAME_SHARE**2 * variances[1]:
-            return state
-    return with_late_joints(state, LATE_S)
+        away = wrap_rad(start.pose[HEADING] - reckoned.mean[HEADING])
+        if away**2 + reckoned.covariance[HEADING, HEADING] < _SAME_SHARE**2 * variance:
+            return False
+    return True

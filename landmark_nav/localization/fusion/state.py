@@ -193,11 +193,11 @@ def measured(state: FilterState) -> FilterState:
     return replace(state, still_s=0.0, moved_s=0.0)
 
 
-def with_late_joints(state: FilterState, sigma_s: float) -> FilterState:
-    """Return the state with an unknown delay of the joint stamps, zero with sigma `sigma_s`."""
+def with_late_joints(state: FilterState, sigma_s: float, delay_s: float = 0.0) -> FilterState:
+    """Return the state with a delay of the joint stamps of which nothing else is known."""
     mean, covariance, cross = state.mean.copy(), state.covariance.copy(), state.cross.copy()
-    mean[DELAY] = cross[DELAY] = covariance[DELAY] = covariance[:, DELAY] = 0.0
-    covariance[DELAY, DELAY] = sigma_s**2
+    cross[DELAY] = covariance[DELAY] = covariance[:, DELAY] = 0.0
+    mean[DELAY], covariance[DELAY, DELAY] = delay_s, sigma_s**2
     return replace(state, mean=mean, covariance=covariance, cross=cross)
 
 

@@ -7,6 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.localization.fusion.bearings import BearingFrame
+from landmark_nav.localization.fusion.late_joints import (
+    in_doubt,
+    late_joints,
+    perhaps_late,
+    REACH_S,
+)
 from landmark_nav.localization.fusion.measurement import expected_bearings, MeasurementModel
 from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
 from landmark_nav.localization.fusion.stand import standing_or_hanging
@@ -16,13 +22,12 @@ from landmark_nav.localization.fusion.state import (
     HEADING,
     looking_again,
     widened,
-    with_late_joints,
 )
 from landmark_nav.localization.fusion.update import FusionUpdate, update_bearings
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
 
-__all__ = ['KNOCKED', 'LATE_S', 'update_turning']
+__all__ = ['KNOCKED', 'update_turning']
 
 # An angle that all bearings share is a surprise beyond this many standard deviations, or beyond
 # fewer where it is as large as that of a knock: taken for an error of the odometry, a knock would
@@ -35,11 +40,9 @@ _DOUBTED = 0.5
 # Cameras are knocked less often than wheels slip: sigma of the boresight relative to that of the
 # heading.
 KNOCKED = 0.7
-# Joint states may be late by so much. They are suspected where the pan turned by so large a share
-# of the angle in that time, and then their delay has this sigma.
-_REACH_S, _LATE_SHARE, LATE_S = 0.3, 0.5, 0.15
-# Logarithms of the prior probabilities that they are late, and that they are not.
-_LATE, _IN_TIME = np.log([1.0 / 3.0, 2.0 / 3.0]).tolist()
+# Joint states are suspected to be late where the pan turned by so large a share of the angle in
+# the time by which they may be.
+_LATE_SHARE = 0.5
 
 
 def update_turning(
@@ -86,16 +89,16 @@ def update_turning(
         if as_before.update.refusal is None and not surprising:
             return [as_before]
         turned = _turned(state, frame, min(abs(angle), turn_sigma), surprising, stands)
-        loose = [(0.0, turned)]
-        swings = frame.swing_rad(_REACH_S) > _LATE_SHARE * abs(angle)
-        if surprising and swings and state.late.sigma_s < _DOUBTED * LATE_S:
-            # One that was known may be gone: zero is as likely as that.
-            late = with_late_joints(state if stands else turned, LATE_S)
-            known = state.late.is_known and frame.config.landmarks == 'consider'
+        loose = Mixture((turned,))
+        swings = frame.swing_rad(REACH_S) > _LATE_SHARE * abs(angle)
+        if surprising and swings and not in_doubt(state):
+            loose = late_joints(state if stands else turned, whole=single)
             # A known delay most likely stays as it is; an open one might take a slip for a delay.
-            loose = [(_IN_TIME, turned), (_LATE, late)] if known else [(0.0, late)]
+            if state.late.is_known and not single:
+                loose = perhaps_late(turned, loose)
         found = [
-            updated(other, max(least, _LEAST))._replace(log_prior=log) for log, other in loose
+            updated(other, max(least, _LEAST))._replace(log_prior=float(np.log(weight)))
+            for other, weight in zip(loose.states, loose.weights, strict=True)
         ]
         believed = [one for one in found if _explains(one.update, as_before.update)]
         if not surprising:

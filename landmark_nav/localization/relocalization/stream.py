@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.joint_delay import DOUBT_S
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
@@ -23,6 +24,7 @@ from landmark_nav.localization.relocalization.search import locate
 from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames
 from landmark_nav.localization.relocalization.views import shows_new, view_direction
+from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -39,8 +41,6 @@ _MAX_DRIFT_M = 0.1
 _MAX_DRIFT_RAD = 0.1
 # So many pictures are kept at most.
 _MAX_FRAMES = 30
-# Sigma of a delay of the joints that nothing has measured yet.
-_DELAY_SIGMA_S = 0.1
 # Odometry older by this is not late: the clock was set back.
 _CLOCK_STEP_NS = 2 * 10**9
 # Share of way and turn that wheels may be wrong by.
@@ -103,6 +103,7 @@ class Relocalizer:
         self._kept: list[_Glimpse] = []
         self._outcome = Refusal('nothing seen yet', 'no picture came')
         self._witnesses = np.empty(0, dtype=np.int64)
+        self._in_time: PoseEstimate | None = None
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
@@ -161,16 +162,27 @@ class Relocalizer:
             self._outcome = outcome
             return outcome
         # If joint states are late, all pictures agree on a heading that is wrong.
-        squared = np.square([glimpse.frame.pan_rate_rad_s for glimpse in self._kept])
-        doubt = _DELAY_SIGMA_S**2 * float(max(squared[-1], squared.mean()))
-        covariance = outcome.estimate.covariance + np.diag([0.0, 0.0, doubt])
-        self._witnesses = outcome.ids
-        return replace(outcome.estimate, covariance=covariance)
+        doubts = np.square([DOUBT_S * kept.frame.pan_rate_rad_s for kept in self._kept])
+        others = max(doubts.mean() - doubts[-1], 0.0)
+        self._witnesses, self._in_time = outcome.ids, self._turned(outcome.estimate, others)
+        return self._turned(self._in_time, doubts[-1])
+
+    @property
+    def in_time(self) -> PoseEstimate:
+        """The last place, if the joint states of its last picture are in time."""
+        assert self._in_time is not None, 'no place was found'
+        return self._in_time
 
     @property
     def witnesses(self) -> npt.NDArray[np.int64]:
         """Ids of the landmarks from which the last place was found."""
         return self._witnesses
+
+    def _turned(self, found: PoseEstimate, variance: float) -> PoseEstimate:
+        """Return a place that may have been turned about the pan axis."""
+        axis = axis_from_base(found, self._mount)
+        covariance = axis.covariance + np.diag([0.0, 0.0, variance])
+        return base_from_axis(replace(axis, covariance=covariance), self._mount)
 
     def moved_on(self, found: PoseEstimate) -> PoseEstimate:
         """Return a pose moved on to the time of the newest odometry."""

@@ -1,0 +1,109 @@
+"""
+Joint states that may be late: the hypotheses of how late they are.
+
+Where the pan speeds up or slows down, bearings are no linear function of the delay. If they were
+taken as linear over all delays that are possible, pictures of one swing would seem to tell it. So
+an unknown delay is a mixture of parts, each short enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import compose, compose_jacobians
+from landmark_nav.localization.fusion.mixture import Mixture
+from landmark_nav.localization.fusion.start import Found
+from landmark_nav.localization.fusion.state import (
+    DELAY,
+    FilterState,
+    HEADING,
+    POSE,
+    with_late_joints,
+)
+from landmark_nav.types import FloatArray
+
+__all__ = ['REACH_S', 'found_in_swing', 'in_doubt', 'late_joints', 'perhaps_late', 'seen_in_swing']
+
+# Joint states may be late by so much.
+REACH_S = 0.3
+# Sigma of an unknown delay, and of each of the parts about these delays.
+_LATE_S, _PART_S = 0.15, 0.06
+_PARTS_S = np.array([0.0, 0.1, -0.1, 0.2, -0.2])
+_WEIGHTS = np.exp(-0.5 * _PARTS_S**2 / (_LATE_S**2 - _PART_S**2))
+_WEIGHTS /= _WEIGHTS.sum()
+# Prior probability that joint states which may be late are.
+_LATE = 1.0 / 3.0
+# A sigma that is at least this share of a part's is in doubt already.
+_DOUBTED = 0.5
+
+
+def in_doubt(state: FilterState) -> bool:
+    """Whether the delay of the joints is open."""
+    return state.late.sigma_s >= _DOUBTED * _PART_S
+
+
+def late_joints(state: FilterState, whole: bool = False) -> Mixture:
+    """
+    Return hypotheses of a delay of the joint stamps of which nothing is known.
+
+    With `whole` it is one, where no more than one can be kept.
+    """
+    if whole:
+        return Mixture((with_late_joints(state, _LATE_S),))
+    parts = (with_late_joints(state, _PART_S, delay_s) for delay_s in _PARTS_S.tolist())
+    return Mixture(tuple(parts), _WEIGHTS)
+
+
+def perhaps_late(in_time: FilterState, late: Mixture) -> Mixture:
+    """Return the hypothesis that the delay is as it was known, and those that it is not."""
+    weights = np.concatenate([[1.0 - _LATE], _LATE * late.weights])
+    return Mixture((in_time, *late.states), weights)
+
+
+def seen_in_swing(mixture: Mixture) -> Mixture:
+    """Return the mixture with joint states that may be late, unless they are in doubt already."""
+    if any(in_doubt(state) for state in mixture.states):
+        return mixture
+    parts = [perhaps_late(state, late_joints(state)) for state in mixture.states]
+    weights = [weight * part.weights for weight, part in zip(mixture.weights, parts, strict=True)]
+    states = (state for part in parts for state in part.states)
+    return Mixture(tuple(states), np.concatenate(weights))
+
+
+def found_in_swing(state: FilterState, found: Found, lever: FloatArray) -> Mixture:
+    """
+    Return hypotheses of a pose that was found in a picture whose joint states may be late.
+
+    A pan that is off turns the pose that is found about the pan axis. So each delay has its own
+    heading.
+
+    Parameters
+    ----------
+    state : FilterState
+        With the pose that was found.
+    found : Found
+        How the pan turned meanwhile.
+    lever : ndarray, shape (2,)
+        Pan axis in the base frame, metres.
+
+    """
+    to_axis = np.array([*lever, 0.0])
+    axis = compose(state.mean[POSE], to_axis)
+    by_heading = compose_jacobians(axis, -to_axis)[0][:, HEADING]
+    in_time = with_late_joints(state, 0.0) if in_doubt(state) else state
+
+    def turned(part: FilterState) -> FilterState:
+        lag = part.late.lag(found.pan_rate_rad_s, found.pan_track, found.pan_delay_s)
+        mean, covariance = part.mean.copy(), part.covariance.copy()
+        mean[POSE] = compose(axis - np.array([0.0, 0.0, lag.shift_rad]), -to_axis)
+        mean[HEADING] = wrap_rad(mean[HEADING])
+        by_part = -lag.rate_rad_s * _PART_S
+        turn = by_part**2 + lag.bend_rad**2
+        covariance[:3, :3] += turn * np.outer(by_heading, by_heading)
+        covariance[:3, DELAY] = covariance[DELAY, :3] = by_part * _PART_S * by_heading
+        return replace(part, mean=mean, covariance=covariance)
+
+    return perhaps_late(in_time, late_joints(in_time).each(turned))
