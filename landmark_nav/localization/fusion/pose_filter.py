@@ -161,15 +161,16 @@ class PoseFilter:
             config = self._config
             sigmas = config.boresight_sigma_rad, config.delay_sigma_s, config.principal_point_sigma
             state = initial_state(start, self._map, self._odometry, *sigmas)
-        begin, reckoned = Mixture((state,)), self._history.dead_reckoned(start.stamp_ns)
-        if found is not None and joints_in_doubt(start, found, state.late, reckoned):
-            begin = found_in_swing(state, found, self._lever)
-        self._history.restart(begin)
-        self._recovery.restart()
-        self._health.restart(start.stamp_ns)
+        begin = Mixture((state,))
         self._witnesses = Witnesses(self._map, vouched=found is None)
         if found is not None:
             self._witnesses.found_by(self._frames.columns(found.witnesses))
+            reckoned = self._history.dead_reckoned(start.stamp_ns)
+            if joints_in_doubt(start, found, state.late, reckoned):
+                begin = found_in_swing(state, found, self._lever)
+        self._history.restart(begin)
+        self._recovery.restart()
+        self._health.restart(start.stamp_ns)
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """Go on with other landmarks; the pose stays as it is, and as sure."""
