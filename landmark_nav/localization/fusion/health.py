@@ -56,6 +56,7 @@ class Health:
         self._acceptances = 0
         self._astray: str = ''
         self._last_refusal: str = ''
+        self._blind_why = ''
         self._window: deque[tuple[float, int]] = deque(maxlen=_NIS_WINDOW)
         self._views = Views()
         self._doubts = 0
@@ -67,7 +68,7 @@ class Health:
         """Begin anew with a pose given at that time; only recent contradictions are kept."""
         self._accepted_ns = stamp_ns
         self._rejections = self._acceptances = 0
-        self._astray = self._last_refusal = ''
+        self._astray = self._last_refusal = self._blind_why = ''
         self._doubts = self._vain = 0
         self.change_map()
 
@@ -144,6 +145,10 @@ class Health:
         """Remember that the odometry cannot be right."""
         self._trouble = _Trouble(stamp_ns, _TROUBLE_S, str(refusal))
 
+    def note_blind(self, refusal: Refusal) -> None:
+        """Remember why no landmark may be in sight, until one is."""
+        self._blind_why = str(refusal)
+
     def note_surprise(self, stamp_ns: int, refusal: Refusal) -> None:
         """Remember that pictures contradict something, though the pose may be right."""
         seconds = max(_TROUBLE_S, min(self._contradictions.note(stamp_ns), _MOST_TROUBLE_S))
@@ -190,7 +195,7 @@ class Health:
         """Take note of what became of a measurement."""
         if update.degrees:
             self._rejections = 0
-            self._last_refusal = ''
+            self._last_refusal = self._blind_why = ''
             self._acceptances += 1
             self._accepted_ns = max(self._accepted_ns or 0, update.stamp_ns)
             self._window.append((update.nis, update.degrees))
@@ -253,8 +258,8 @@ class Health:
         waited = self.unseen_s(estimate.stamp_ns)
         if odometry_ns is not None and waited:
             return 'coasting', f'nothing accepted for {waited:.1f} s{self._last_refusal}'
-        if blind:
-            return 'coasting', blind
+        if blind or self._blind_why:
+            return 'coasting', blind or self._blind_why
         if 0.0 <= (estimate.stamp_ns - self._trouble.stamp_ns) * 1e-9 < self._trouble.seconds:
             return 'coasting', self._trouble.reason
         return 'tracking', ''

@@ -12,9 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
-from landmark_nav.localization.fusion.mixture import Mixture
+from landmark_nav.localization.fusion.mixture import Mixture, MOST
 from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.state import (
     DELAY,
@@ -23,13 +22,15 @@ from landmark_nav.localization.fusion.state import (
     POSE,
     with_late_joints,
 )
+from landmark_nav.localization.joint_delay import DOUBT_S
 from landmark_nav.types import FloatArray
 
 __all__ = ['REACH_S', 'found_in_swing', 'in_doubt', 'late_joints', 'perhaps_late', 'seen_in_swing']
 
 # Joint states may be late by so much.
 REACH_S = 0.3
-# Sigma of an unknown delay, and of each of the parts about these delays.
+# Sigma of an unknown delay, and of each of the parts about these delays, which reach as far as the
+# pan is known.
 _LATE_S, _PART_S = 0.15, 0.06
 _PARTS_S = np.array([0.0, 0.1, -0.1, 0.2, -0.2])
 _WEIGHTS = np.exp(-0.5 * _PARTS_S**2 / (_LATE_S**2 - _PART_S**2))
@@ -63,22 +64,27 @@ def perhaps_late(in_time: FilterState, late: Mixture) -> Mixture:
     return Mixture((in_time, *late.states), weights)
 
 
-def seen_in_swing(mixture: Mixture) -> Mixture:
+def seen_in_swing(mixture: Mixture, whole: bool = False) -> Mixture:
     """Return the mixture with joint states that may be late, unless they are in doubt already."""
     if any(in_doubt(state) for state in mixture.states):
         return mixture
+    if whole:
+        return mixture.each(lambda state: late_joints(state, whole).states[0])
     parts = [perhaps_late(state, late_joints(state)) for state in mixture.states]
-    weights = [weight * part.weights for weight, part in zip(mixture.weights, parts, strict=True)]
-    states = (state for part in parts for state in part.states)
-    return Mixture(tuple(states), np.concatenate(weights))
+    weights = np.outer(mixture.weights, parts[0].weights).reshape(-1)
+    states = [state for part in parts for state in part.states]
+    kept = np.argsort(-weights, kind='stable')[:MOST]
+    return Mixture(tuple(states[k] for k in kept), weights[kept] / weights[kept].sum())
 
 
-def found_in_swing(state: FilterState, found: Found, lever: FloatArray) -> Mixture:
+def found_in_swing(
+    state: FilterState, found: Found, lever: FloatArray, whole: bool = False
+) -> Mixture:
     """
     Return hypotheses of a pose that was found in a picture whose joint states may be late.
 
     A pan that is off turns the pose that is found about the pan axis. So each delay has its own
-    heading.
+    heading; `whole`, the heading is wide.
 
     Parameters
     ----------
@@ -93,17 +99,20 @@ def found_in_swing(state: FilterState, found: Found, lever: FloatArray) -> Mixtu
     to_axis = np.array([*lever, 0.0])
     axis = compose(state.mean[POSE], to_axis)
     by_heading = compose_jacobians(axis, -to_axis)[0][:, HEADING]
+    if whole:
+        wide = state.covariance.copy()
+        wide[:3, :3] += found.swing_rad(DOUBT_S) ** 2 * np.outer(by_heading, by_heading)
+        return late_joints(replace(state, covariance=wide), whole)
     in_time = with_late_joints(state, 0.0) if in_doubt(state) else state
 
     def turned(part: FilterState) -> FilterState:
-        lag = part.late.lag(found.pan_rate_rad_s, found.pan_track, found.pan_delay_s)
+        lag, sigma_s = found.lag(part.late), part.late.sigma_s
         mean, covariance = part.mean.copy(), part.covariance.copy()
         mean[POSE] = compose(axis - np.array([0.0, 0.0, lag.shift_rad]), -to_axis)
-        mean[HEADING] = wrap_rad(mean[HEADING])
-        by_part = -lag.rate_rad_s * _PART_S
-        turn = by_part**2 + lag.bend_rad**2
+        by_sigma = -lag.rate_rad_s * sigma_s
+        turn = by_sigma**2 + lag.bend_rad**2
         covariance[:3, :3] += turn * np.outer(by_heading, by_heading)
-        covariance[:3, DELAY] = covariance[DELAY, :3] = by_part * _PART_S * by_heading
+        covariance[:3, DELAY] = covariance[DELAY, :3] = by_sigma * sigma_s * by_heading
         return replace(part, mean=mean, covariance=covariance)
 
-    return perhaps_late(in_time, late_joints(in_time).each(turned))
+    return perhaps_late(in_time, late_joints(in_time)).each(turned)

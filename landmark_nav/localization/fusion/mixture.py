@@ -19,10 +19,10 @@ from landmark_nav.localization.fusion.state import FilterState, HEADING
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.types import FloatArray
 
-__all__ = ['Mixture', 'Outcome', 'weighed']
+__all__ = ['MOST', 'Mixture', 'Outcome', 'weighed']
 
 # Hypotheses less likely than this, relative to the likeliest, are dropped, and all beyond so many.
-_UNLIKELY, _MOST = 0.01, 12
+_UNLIKELY, MOST = 0.01, 12
 # Hypotheses are merged if each number of their means differs by less than this part of its sigma.
 _ALIKE = 0.5
 _CERTAIN = np.ones(1)
@@ -96,7 +96,7 @@ class Mixture:
         hangs = np.array([state.hangs for state in self.states])
         left = np.arange(len(means))
         groups: list[IndexArray] = []
-        while len(left) and len(groups) < _MOST:
+        while len(left) and len(groups) < MOST:
             away = np.abs(means[left] - means[left[0]])
             away[:, HEADING] = np.abs(wrap_rad(away[:, HEADING]))
             sigmas = np.sqrt(np.diag(self.states[left[0]].covariance))

@@ -83,6 +83,8 @@ class PoseFilter:
         self._pan_sigma_rad = mount.pan_sigma_rad
         self._config = config or FusionConfig()
         self._odometry = odometry or OdometryNoiseConfig()
+        # Each hypothesis would have its own map.
+        self._single = self._config.landmarks == 'refine'
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
         self._recovery = Recovery(
@@ -167,7 +169,9 @@ class PoseFilter:
             self._witnesses.found_by(self._frames.columns(found.witnesses))
             reckoned = self._history.dead_reckoned(start.stamp_ns)
             if joints_in_doubt(start, found, state.late, reckoned):
-                begin = found_in_swing(state, found, self._lever)
+                # A pose measured in the same swing is off by the same angle.
+                whole = self._single or self._config.mode == 'poses'
+                begin = found_in_swing(state, found, self._lever, whole)
         self._history.restart(begin)
         self._recovery.restart()
         self._health.restart(start.stamp_ns)
@@ -223,8 +227,8 @@ class PoseFilter:
                 self._history.doubt_stand(stamp, since_ns)
                 self._note_stand(stamp)
                 if frame.swing_rad(REACH_S) > _SWING_RAD:
-                    self._history.doubt_joints(stamp)
-                    self._health.note_trouble(stamp, _BLIND)
+                    self._history.doubt_joints(stamp, self._single)
+                    self._health.note_blind(_BLIND)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         update = self._measure(
             stamp,

@@ -12,7 +12,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.fusion.state import FilterState, HEADING
-from landmark_nav.localization.joint_delay import DOUBT_S, JointDelay
+from landmark_nav.localization.joint_delay import DOUBT_S, JointDelay, Lag
 from landmark_nav.types import PoseEstimate
 
 __all__ = ['Found', 'checked_start', 'is_finite', 'is_headed', 'joints_in_doubt']
@@ -79,13 +79,22 @@ class Found(NamedTuple):
     How a pose was found: `witnesses` (m,), the ids of the landmarks, and where the camera looked.
 
     The pan of the last picture, with its rate and track, was put right for joint states that are
-    late by `pan_delay_s`.
+    late by `pan_delay_s`, as far as that was known.
     """
 
     witnesses: npt.NDArray[np.int64]
     pan_rate_rad_s: float = 0.0
     pan_track: PanTrack | None = None
     pan_delay_s: float = 0.0
+
+    def lag(self, late: JointDelay) -> Lag:
+        """By how much the pan was off with joint states that are so late."""
+        return late.lag(self.pan_rate_rad_s, self.pan_track, self.pan_delay_s)
+
+    def swing_rad(self, seconds: float) -> float:
+        """How far the pan turned, at most, so much before and after."""
+        delays = (JointDelay(self.pan_delay_s + s) for s in (-seconds, seconds))
+        return max(abs(self.lag(late).shift_rad) for late in delays)
 
 
 def joints_in_doubt(
@@ -97,7 +106,7 @@ def joints_in_doubt(
     They turn it as far as the pan turned meanwhile. They are not in doubt if `late` was measured
     before, or if dead reckoning to the same time, `reckoned`, has the same heading.
     """
-    variance = start.covariance[HEADING, HEADING] + (DOUBT_S * found.pan_rate_rad_s) ** 2
+    variance = start.covariance[HEADING, HEADING] + found.swing_rad(DOUBT_S) ** 2
     if variance <= _HEADED_RAD**2 or (late.sigma_s > 0.0 and late.is_known):
         return False
     if reckoned is not None:

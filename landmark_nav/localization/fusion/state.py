@@ -196,9 +196,11 @@ def measured(state: FilterState) -> FilterState:
 def with_late_joints(state: FilterState, sigma_s: float, delay_s: float = 0.0) -> FilterState:
     """Return the state with a delay of the joint stamps of which nothing else is known."""
     mean, covariance, cross = state.mean.copy(), state.covariance.copy(), state.cross.copy()
+    by_noise = state.by_noise.copy()
     cross[DELAY] = covariance[DELAY] = covariance[:, DELAY] = 0.0
+    by_noise[:, DELAY] = by_noise[:, :, DELAY] = 0.0
     mean[DELAY], covariance[DELAY, DELAY] = delay_s, sigma_s**2
-    return replace(state, mean=mean, covariance=covariance, cross=cross)
+    return replace(state, mean=mean, covariance=covariance, cross=cross, by_noise=by_noise)
 
 
 def with_map(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
