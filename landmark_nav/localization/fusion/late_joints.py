@@ -94,6 +94,8 @@ def found_in_swing(
         How the pan turned meanwhile.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
+    whole : bool
+        Whether no more than one hypothesis can be kept.
 
     """
     to_axis = np.array([*lever, 0.0])
