@@ -7,6 +7,7 @@ import numpy as np
 __all__ = [
     'DETECTION',
     'DETECTION_DELAYS',
+    'FOUND_PLACE',
     'JOINT_DELAY',
     'LANDMARK_FIELDS',
     'PLANAR',
@@ -46,6 +47,18 @@ TRIPLET = np.dtype(
         ('bearing_sigma', '<f8'),
         ('pan', '<f8'),
         ('covariance', '<f8', (9,)),
+    ]
+)
+
+# Rows are landmarks; all but the first field is the same in all of them.
+FOUND_PLACE = np.dtype(
+    [
+        ('id', '<u4'),
+        ('pose', '<f8', (3,)),
+        ('covariance', '<f8', (9,)),
+        ('pan_rate', '<f8'),
+        ('joint_delay', '<f8'),
+        ('pan_delay', '<f8'),
     ]
 )
 

@@ -12,6 +12,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.spread import SpreadCorrection
+from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted
@@ -107,6 +108,7 @@ class OdometryFusionNode(LandmarkNode):
         if self._config.fusion.mode == 'poses':
             self.listen('triangulation/pose', self._on_pose)
         self.listen('initialpose', self._on_initial_pose)
+        self.listen('found_place', self._on_found_place)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
@@ -166,10 +168,22 @@ class OdometryFusionNode(LandmarkNode):
         if not start.covariance.any():
             sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)
             start = replace(start, covariance=np.diag(np.square(sigma)))
-        self._filter.initialize(start, self._now_ns())
+        self._start(start, 'start')
+
+    def _on_found_place(self, message: Any) -> None:
+        decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
+        place = decode.found_place(message)
+        seen_ns = place.estimate.stamp_ns + round(1e9 * place.joint_delay_s)
+        joints = self._frames.joints_at(seen_ns)
+        track = None if isinstance(joints, Refusal) else joints.pan_track
+        found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
+        self._start(place.estimate, 'found', found)
+
+    def _start(self, start: PoseEstimate, how: str, found: Found | None = None) -> None:
+        self._filter.initialize(start, self._now_ns(), found)
         self._spread.restart()
         x, y, heading = start.pose
-        self.get_logger().info(f'start at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
+        self.get_logger().info(f'{how} at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
 
     def _on_odometry(self, message: Any) -> None:
         if message == self._last_message:

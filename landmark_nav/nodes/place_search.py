@@ -26,7 +26,14 @@ from landmark_nav.messages import encode
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
+from landmark_nav.types import (
+    CameraFrame,
+    FoundPlace,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
 
 __all__ = ['PlaceSearch', 'PlaceSearchConfig']
 
@@ -55,7 +62,7 @@ class PlaceSearchConfig(RelocalizationConfig):
 
 class PlaceSearch:
     """
-    Finds the robot's place when called or lost, and tells it on ``initialpose``.
+    Finds the robot's place when called or lost, and tells it on ``found_place``.
 
     Parameters
     ----------
@@ -92,7 +99,7 @@ class PlaceSearch:
         self._asked = False
         self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
         self._found = Event()
-        self._start = node.advertise('initialpose')
+        self._place = node.advertise('found_place')
         node.offer('relocalize', self._search, group=MutuallyExclusiveCallbackGroup())
 
     def use(self, landmarks: LandmarkMap) -> None:
@@ -137,8 +144,15 @@ class PlaceSearch:
         """Take note of how many landmarks a picture showed."""
         self._unseen.note(stamp_ns, found)
 
-    def look(self, frame: CameraFrame) -> PoseEstimate | Refusal:
-        """Go on with a picture; what is known of the place by now."""
+    def look(
+        self, frame: CameraFrame, joint_delay_s: float = 0.0, pan_delay_s: float = 0.0
+    ) -> PoseEstimate | Refusal:
+        """
+        Go on with a picture; what is known of the place by now.
+
+        Its pan is that of joint states which are stamped so much later, as the node was told and
+        as was measured beyond that.
+        """
         relocalizer = self._relocalizer
         if relocalizer is None:
             return self._outcome
@@ -148,13 +162,16 @@ class PlaceSearch:
         # That took a while, in which somebody may have told the place.
         self.consider(self._odometry[-1].stamp_ns if self._odometry else frame.stamp_ns)
         if isinstance(outcome, PoseEstimate) and self.active:
-            # The filter may not reach back to the picture.
-            while self._odometry:
-                relocalizer.add_odometry(self._odometry.popleft())
-            place = relocalizer.moved_on(outcome)
             self._relocalizer, self._asked = None, False
             self._unseen.restart()
-            self._start.publish(encode.pose(ros_factory, place, self._map_frame))
+            place = FoundPlace(
+                relocalizer.in_time,
+                relocalizer.witnesses,
+                frame.pan_rate_rad_s,
+                joint_delay_s,
+                pan_delay_s,
+            )
+            self._place.publish(encode.found_place(ros_factory, place, self._map_frame))
             self._found.set()
         return outcome
 

@@ -194,8 +194,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         frame, late = self._complete(message, self._search.reaches)
         assert self._observer is not None, 'pictures come after the map'
         frame, _ = in_time(frame, late)
-        outcome = self._search.look(self._observer.levelled(frame))
-        found = 'place found, and told on initialpose'
+        outcome = self._search.look(
+            self._observer.levelled(frame), self._config.joint_delay_s, late.delay_s
+        )
+        found = 'place found, and told on found_place'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)
 

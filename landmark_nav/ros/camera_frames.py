@@ -16,8 +16,8 @@ from landmark_nav.types import CameraFrame, JointSample, Refusal
 
 __all__ = ['CameraFrames']
 
-# Two seconds at 100 Hz.
-_HISTORY = 200
+# Joint states of so long are kept, and of those that come faster one in each such step.
+_HISTORY_NS, _STEP_NS = 3 * 10**9, 5_000_000
 # Joint states older by this are not late: the clock was set back.
 _CLOCK_STEP_NS = 500_000_000
 _POLL_S = 0.005
@@ -42,7 +42,7 @@ class CameraFrames:
         self, node: LandmarkNode, mount: PanTiltMount, joint_delay_s: float = 0.0
     ) -> None:
         self._mount, self._delay_ns = mount, round(1e9 * joint_delay_s)
-        self._joints: deque[JointSample] = deque(maxlen=_HISTORY)
+        self._joints: deque[JointSample] = deque()
         self._camera: CameraModel | None = None
         node.listen('joint_states', self._on_joints, depth=50)
         node.listen('camera/camera_info', self._on_camera_info)
@@ -118,7 +118,13 @@ class CameraFrames:
             return
         if self._joints and sample.stamp_ns < self._joints[-1].stamp_ns - _CLOCK_STEP_NS:
             self._joints.clear()
+        if len(self._joints) > 1 and 0 <= sample.stamp_ns - self._joints[-2].stamp_ns < _STEP_NS:
+            # The newest one is always kept: it tells how far they reach.
+            self._joints[-1] = max(sample, self._joints[-1], key=lambda known: known.stamp_ns)
+            return
         self._joints.append(sample)
+        while self._joints[0].stamp_ns < sample.stamp_ns - _HISTORY_NS:
+            self._joints.popleft()
 
     def _on_camera_info(self, message: Any) -> None:
         self._camera = decode.camera_model(message)

@@ -72,7 +72,15 @@ _PROFILES = (
     (RELIABLE, 'sweep/trajectory', 'sweep/pose', 'pan_tilt/command', 'cmd_vel', 'initialpose'),
     (PANORAMAS, 'panorama/image', 'panorama/camera_info', 'panorama/pose'),
     (LATCHED, 'landmarks', 'landmarks/atlas', 'landmarks/markers'),
-    (RELIABLE, 'triplet', 'detections', 'triangulation/pose', 'odometry/fused', 'joint_delay'),
+    (
+        RELIABLE,
+        'triplet',
+        'detections',
+        'triangulation/pose',
+        'found_place',
+        'odometry/fused',
+        'joint_delay',
+    ),
 )
 
 TOPICS = {

@@ -1,4 +1,9 @@
-"""Joint states that are stamped 200 ms late: the nodes measure it, and turn pictures by it."""
+"""
+Joint states that are stamped 200 ms late.
+
+The nodes measure it, and turn pictures by it; a place that they find meanwhile is not sure of a
+heading that such joint states turned.
+"""
 
 from __future__ import annotations
 
@@ -47,15 +52,9 @@ def stamped_late(path: Path, arrive_late: bool) -> Path:
     return path
 
 
-@pytest.mark.parametrize('arrive_late', [False, True])
-def test_late_joint_states_are_measured_and_pictures_turned_by_it(
-    arrive_late: bool,
-    learned_map: Path,
-    start: Callable[..., None],
-    client: RobotClient,
-    play: Callable[..., subprocess.Popen[bytes]],
-    tmp_path: Path,
-) -> None:
+@pytest.fixture
+def localizing(learned_map: Path, start: Callable[..., None], client: RobotClient) -> None:
+    """Nodes that know the map, and not yet the place."""
     robot = str(RECORDED / 'robot.yaml')
     start(
         'landmark_learner',
@@ -68,6 +67,23 @@ def test_late_joint_states_are_measured_and_pictures_turned_by_it(
     client.wait(
         lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 60.0, 'the map'
     )
+
+
+def true_places(drive: Bag) -> PoseTrack:
+    return PoseTrack.of(
+        (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
+        for entry in drive.messages([drive.require('ground_truth/odom')])
+    )
+
+
+@pytest.mark.parametrize('arrive_late', [False, True])
+def test_late_joint_states_are_measured_and_pictures_turned_by_it(
+    arrive_late: bool,
+    localizing: None,
+    client: RobotClient,
+    play: Callable[..., subprocess.Popen[bytes]],
+    tmp_path: Path,
+) -> None:
     drive = Bag(stamped_late(tmp_path / 'drive', arrive_late))
     first = next(drive.messages([drive.require('odom')])).message
     begin_ns = decode.stamp_ns(first.header)
@@ -97,10 +113,7 @@ def test_late_joint_states_are_measured_and_pictures_turned_by_it(
     assert sigma_s < 0.005
     assert delay_s == pytest.approx(1e-9 * LATE_NS, abs=4.0 * sigma_s + 0.002)
     assert 'ms late, which is put right' in client.said('odometry_fusion').reason
-    truth = PoseTrack.of(
-        (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
-        for entry in drive.messages([drive.require('ground_truth/odom')])
-    )
+    truth = true_places(drive)
     later = [stamp for stamp in fused if stamp - begin_ns > KNOWN_S * 1e9]
     errors = pose_errors(np.array([fused[stamp] for stamp in later]), truth.at(later))
     assert np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))) < 0.03
@@ -116,3 +129,25 @@ def test_late_joint_states_are_measured_and_pictures_turned_by_it(
     ]
     # Three of five look at landmarks; one in ten finds some with the pan as it is told.
     assert np.mean(np.array(turning) >= 3) > 0.5
+
+
+def test_a_place_that_is_found_is_not_sure_of_a_heading_that_late_joint_states_turned(
+    localizing: None,
+    client: RobotClient,
+    play: Callable[..., subprocess.Popen[bytes]],
+    tmp_path: Path,
+) -> None:
+    drive = Bag(stamped_late(tmp_path / 'drive', arrive_late=False))
+    told: list[PoseEstimate] = []
+    client.listen('odometry/fused', lambda message: told.append(decode.pose_estimate(message)))
+    player = play(drive.path)
+    client.wait(lambda: player.poll() == 0, 60.0, 'the end of the drive')
+    errors = pose_errors(
+        np.array([estimate.pose for estimate in told]),
+        true_places(drive).at([estimate.stamp_ns for estimate in told]),
+    )
+    inside = np.isfinite(errors).all(axis=1)
+    assert inside.sum() > 100
+    inverse = np.linalg.inv([estimate.covariance for estimate in told])
+    sigmas = np.sqrt(np.einsum('ni,nij,nj->n', errors, inverse, errors)[inside])
+    assert sigmas.max() < 5.0

@@ -47,6 +47,25 @@ def driven(steps: int, bumped_at: int | None = None) -> tuple[PoseFilter, Moment
     return fused, moment
 
 
+@pytest.mark.parametrize('begun', [False, True])
+def test_a_place_of_seconds_ago_moves_on_with_the_odometry_since_then(begun: bool) -> None:
+    moments = list(drive(100))
+    fused = PoseFilter(MAP, MOUNT)
+    if begun:
+        fused.initialize(start_estimate())
+    for moment in moments:
+        fused.add_odometry(moment.odometry)
+    then, now = moments[20], moments[-1]
+    assert now.odometry.stamp_ns - then.odometry.stamp_ns > 3 * 10**9
+    place = PoseEstimate(then.odometry.stamp_ns, then.pose, np.diag(np.square(FOUND_SIGMA)))
+    fused.initialize(place, found=Found(MAP.ids))
+    estimate = fused.estimate()
+    assert estimate is not None
+    assert estimate.stamp_ns == now.odometry.stamp_ns
+    assert np.hypot(*error_of(estimate, now.pose)[:2]) < 0.02
+    assert estimate.covariance[0, 0] > place.covariance[0, 0]
+
+
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('sigmas', [(1e9, 1e9, 1e9), (0.05, 0.05, 1e9), (1e9, 1e9, 0.03)])
 def test_unknown_may_be_told_by_any_number(sigmas: tuple[float, float, float]) -> None:

@@ -89,18 +89,3 @@ def test_a_stream_without_pictures_does_not_grow() -> None:
         if k in (100, 3999):
             sizes.append(len(pickle.dumps(relocalizer)))
     assert sizes[1] < sizes[0] + 100
-
-
-def test_a_place_moves_on_with_the_odometry_that_came_meanwhile() -> None:
-    relocalizer = Relocalizer(MAP, MOUNT)
-    found = PoseEstimate(0, np.array([1.0, 2.0, np.pi / 2]), np.diag([0.01, 0.01, 0.005]) ** 2)
-    assert relocalizer.moved_on(found) is found
-    for k in range(11):
-        relocalizer.add_odometry(OdometrySample(k * 10**8, np.array([0.05 * k, 0.0, 0.0])))
-    place = relocalizer.moved_on(found)
-    assert place.stamp_ns == 10**9
-    np.testing.assert_allclose(place.pose, [1.0, 2.5, np.pi / 2], atol=1e-9)
-    sigma = np.sqrt(np.diag(place.covariance))
-    # Along the way, that is y, the wheels may err by a share of it.
-    assert 0.02 < sigma[1] < 0.04
-    assert sigma[2] > 0.005

@@ -40,6 +40,8 @@ _LATE_IN_A_ROW = 5
 # Not every odometry sample gets a state of its own, only the first in each interval of this length
 # (counted from 1970, so that it does not depend on when the filter began).
 _STRIDE_NS = 100_000_000
+# A place may be that of a picture which was searched for so long.
+_REACH_NS = 10 * 10**9
 # The robot may have moved while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
 
@@ -127,7 +129,7 @@ class History:
             return self._turn_back(sample, newest_ns)
         refusal = self._track.add(sample)
         if not self._events:
-            self._track.trim(sample.stamp_ns - self._span_ns)
+            self._track.trim(sample.stamp_ns - _REACH_NS)
         now_known = self._track.stamps_ns
         if not self._events or now_known is None or now_known == known:
             return refusal
@@ -237,7 +239,7 @@ class History:
             del self._events[:drop], self._states[:drop]
             if self._trusted is not None and self._trusted.stamp_ns < self.begin_ns:
                 self._trusted = self._moved(self._trusted, self.begin_ns)
-            self._track.trim(self.begin_ns)
+            self._track.trim(self.begin_ns - _REACH_NS)
 
     def _turn_back(self, sample: OdometrySample, last_ns: int) -> Refusal:
         """Go on from the newest state after the clock was set back (a bag that starts over)."""

@@ -184,20 +184,6 @@ class Relocalizer:
         covariance = axis.covariance + np.diag([0.0, 0.0, variance])
         return base_from_axis(replace(axis, covariance=covariance), self._mount)
 
-    def moved_on(self, found: PoseEstimate) -> PoseEstimate:
-        """Return a pose moved on to the time of the newest odometry."""
-        known = self._track.stamps_ns
-        if known is None or known[1] <= found.stamp_ns:
-            return found
-        motion = self._track.motion(found.stamp_ns, known[1])
-        by_pose, by_motion = se2.compose_jacobians(found.pose, motion.increment)
-        variances = self._variances(motion)
-        return PoseEstimate(
-            known[1],
-            se2.compose(found.pose, motion.increment),
-            by_pose @ found.covariance @ by_pose.T + (by_motion * variances) @ by_motion.T,
-        )
-
     def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
         """Poses (n, 3) of the base at the kept pictures, relative to now, and their variances."""
         motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]

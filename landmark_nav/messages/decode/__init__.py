@@ -12,12 +12,13 @@ from landmark_nav.messages.decode.images import image
 from landmark_nav.messages.decode.joints import joint_delay, joint_sample, sweep_trajectory
 from landmark_nav.messages.decode.landmarks import landmark_map
 from landmark_nav.messages.decode.panoramas import panorama
-from landmark_nav.messages.decode.poses import odometry, pose_estimate
+from landmark_nav.messages.decode.poses import found_place, odometry, pose_estimate
 
 __all__ = [
     'camera_model',
     'check_frame',
     'detections',
+    'found_place',
     'image',
     'joint_delay',
     'joint_sample',

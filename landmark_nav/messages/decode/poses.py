@@ -1,4 +1,4 @@
-"""Odometry and poses in the plane."""
+"""Odometry, poses in the plane, and places that were found."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import finite, stamp_ns, yaw_rad
-from landmark_nav.messages.layouts import PLANAR
-from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
+from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
+from landmark_nav.types import FloatArray, FoundPlace, OdometrySample, PoseEstimate
 
-__all__ = ['odometry', 'pose_estimate']
+__all__ = ['found_place', 'odometry', 'pose_estimate']
 
 # Half around the earth: in UTM coordinates, too, a robot is nearer to their origin.
 _FARTHEST_M = 2.0e7
@@ -55,6 +56,30 @@ def pose_estimate(msg: Any) -> PoseEstimate:
     stamp = stamp_ns(msg.header)
     full = finite(msg.pose.covariance, 'pose covariance', stamp).reshape(6, 6)
     return PoseEstimate(stamp, _planar(msg.pose.pose, 'pose', stamp), full[PLANAR])
+
+
+def found_place(msg: Any) -> FoundPlace:
+    """
+    A place and what it was found from, out of ``found_place``.
+
+    Raises
+    ------
+    LandmarkNavError
+        Fields are missing, no point, or values that are not numbers.
+
+    """
+    points = unpack_cloud(msg, FOUND_PLACE.names or ())
+    stamp = stamp_ns(msg.header)
+    if not len(points):
+        raise LandmarkNavError(f'found_place at {stamp * 1e-9:.3f} s names no landmark')
+    first = points[0]
+    covariance = finite(first['covariance'], 'found_place covariance', stamp).reshape(3, 3)
+    pan = [first[name] for name in ('pan_rate', 'joint_delay', 'pan_delay')]
+    return FoundPlace(
+        PoseEstimate(stamp, finite(first['pose'], 'found_place pose', stamp), covariance),
+        points['id'].astype(np.int64),
+        *finite(pan, 'found_place pan', stamp).tolist(),
+    )
 
 
 def _planar(pose: Any, what: str, stamp: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Odometry and poses in the plane."""
+"""Odometry, poses in the plane, and places that were found."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.messages.encode.headers import header, pose_with_covariance, vector
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.layouts import PLANAR
-from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
+from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
+from landmark_nav.types import FloatArray, FoundPlace, OdometrySample, PoseEstimate
 
-__all__ = ['odometry', 'pose']
+__all__ = ['found_place', 'odometry', 'pose']
 
 _UNKNOWN: FloatArray = np.zeros((3, 3))
 
@@ -62,3 +63,14 @@ def pose(factory: MessageFactory, estimate: PoseEstimate, frame_id: str = 'map')
         header=header(factory, estimate.stamp_ns, frame_id),
         pose=pose_with_covariance(factory, (x, y, 0.0, yaw), estimate.covariance, PLANAR),
     )
+
+
+def found_place(factory: MessageFactory, place: FoundPlace, frame_id: str = 'map') -> Any:
+    """Build the PointCloud2 of ``found_place``, stamped with the picture."""
+    points = np.zeros(len(place.ids), dtype=FOUND_PLACE)
+    points['id'] = place.ids
+    points['pose'] = place.estimate.pose
+    points['covariance'] = place.estimate.covariance.reshape(-1)
+    points['pan_rate'] = place.pan_rate_rad_s
+    points['joint_delay'], points['pan_delay'] = place.joint_delay_s, place.pan_delay_s
+    return pack_cloud(factory, header(factory, place.estimate.stamp_ns, frame_id), points)

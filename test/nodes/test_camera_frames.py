@@ -1,0 +1,38 @@
+"""Joint states that nodes keep for pictures of a while ago."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages import encode
+from landmark_nav.types import JointSample
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+from landmark_nav.ros.camera_frames import CameraFrames
+from landmark_nav.ros.factory import ros_factory
+
+MOUNT = PanTiltMount()
+RATE_RAD_S = 0.5
+
+
+@pytest.mark.parametrize('step_ns', [1_000_000, 20_000_000])
+def test_they_reach_back_however_fast_they_come(step_ns: int) -> None:
+    callbacks: dict[str, Any] = {}
+    node: Any = SimpleNamespace(listen=lambda topic, call, **_: callbacks.setdefault(topic, call))
+    frames = CameraFrames(node, MOUNT)
+    last_ns = 6 * 10**9
+    for stamp_ns in range(0, last_ns + 1, step_ns):
+        sample = JointSample(stamp_ns, 1e-9 * stamp_ns * RATE_RAD_S)
+        callbacks['joint_states'](encode.joint_state(ros_factory, sample, MOUNT))
+        assert frames.reaches(stamp_ns)
+    for before_ns in (0, 10**9, 2 * 10**9):
+        joints = frames.joints_at(last_ns - before_ns)
+        assert isinstance(joints, JointSample)
+        assert joints.pan_rad == pytest.approx(1e-9 * (last_ns - before_ns) * RATE_RAD_S)
+        assert joints.pan_rate_rad_s == pytest.approx(RATE_RAD_S)
+    assert frames.swing_rad == pytest.approx(3.0 * RATE_RAD_S, abs=0.02)
