@@ -12,6 +12,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.aim import AimedDetector
+from landmark_nav.localization.detection.company import Company
 from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.frozen import FrozenPicture
@@ -122,6 +123,7 @@ class Observer:
         self._vain = 0
         self._found_most = False
         self._novelty = np.ones(len(landmark_map.landmarks))
+        self._company = Company(landmark_map)
         self._frozen = FrozenPicture()
         self._window_ns = int(1e9 * window_s)
         self._gatherer = SightingGatherer(
@@ -201,7 +203,7 @@ class Observer:
         looked = replace(looked_from, covariance=looked_from.covariance + turned)
         result = self._detected(frame, looked, visible, wanted, not wide)
         missed = np.array(sorted(result.refused), dtype=np.int64)
-        found, refused = result.detections, dict(result.refused)
+        found, refused = self._doubted(result.detections, missed, looked), dict(result.refused)
         if not known and len(found) < _AGREE:
             # So few matches may all be mistaken.
             alone = Refusal('the expected pose is hardly known', f'{len(found)} found in all')
@@ -250,6 +252,16 @@ class Observer:
         self._novelty = 1.0 - _STILL_KNOWN * (1.0 - self._novelty)
         self._novelty[expected] *= _NEW
         return result
+
+    def _doubted(
+        self, found: Detections, missed: npt.NDArray[np.int64], prior: PoseEstimate
+    ) -> Detections:
+        """Bearings, less certain where what hangs around a landmark was looked for in vain."""
+        columns = self._map.indices(found.ids)
+        self._company.note(columns, self._map.indices(missed))
+        away = self._map.positions[columns, :2] - axis_from_base(prior, self._mount).pose[:2]
+        across = self._company.variance_m2(columns) / np.sum(away**2, axis=1)
+        return replace(found, variance_rad2=found.variance_rad2 + across)
 
     def _narrowed(self, frame: CameraFrame, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """Find the pose within a wide prior; if that fails again and again, try less often."""
