@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scenes import blurred_by, draw_frame, textured_room, true_landmark
 
+from landmark_nav.localization.detection import DetectionResult
 from landmark_nav.localization.detection.aim import AimedDetector
-from landmark_nav.types import FloatArray, PoseEstimate
+from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 
 @pytest.mark.parametrize('sigmas_px', [(1.5, 1.5), (2.5, 2.5), (2.5, 0.01)])
@@ -141,3 +142,34 @@ def test_heights_that_are_a_centimetre_off_are_no_tilt() -> None:
     prior = PoseEstimate(frame.stamp_ns, pose, PRIOR)
     assert len(detector.detect(frame, prior, np.arange(4)).detections) >= 3
     assert detector.knocked_up_rad == 0.0
+
+
+@pytest.mark.parametrize(('fit_again', 'leans'), [(3, False), (4, True)])
+def test_a_camera_leans_where_most_of_what_hangs_too_high_or_low_is_found_again(
+    fit_again: int, leans: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of pictures that were exchanged, one or another fits some roll."""
+    roll_rad = 0.03
+    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    frame = replace(frame, roll_rad=frame.roll_rad - roll_rad)
+    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.03)
+    everywhere = detector._search(
+        frame, PoseEstimate(0, HERE, PRIOR), np.arange(4), CONFIG, np.array([0.0, 0.0, roll_rad])
+    )
+    assert len(everywhere.detections) == 4
+
+    def only(count: int) -> DetectionResult:
+        keep = np.arange(4) < count
+        too_high = dict.fromkeys(everywhere.detections.ids[~keep], Refusal('wrong height'))
+        return replace(
+            everywhere,
+            detections=everywhere.detections.chosen(keep),
+            refused=too_high,
+            rays=everywhere.rays[keep],
+            blur_px2=everywhere.blur_px2[keep],
+        )
+
+    found = iter([only(2), only(4), only(2), only(fit_again)])
+    monkeypatch.setattr(detector, '_search', lambda *_: next(found))
+    detector.detect(frame, PoseEstimate(0, HERE, PRIOR), np.arange(4))
+    assert detector.leaning_rad == pytest.approx(roll_rad if leans else 0.0, abs=2e-3)

@@ -125,12 +125,14 @@ class AimedDetector:
         if len(beside.detections) < _LEAST:
             return result
         # Mistaken matches are not found again in the narrow rows of a normal search.
-        for roll in (float(self._aim[2]), self._seen_roll(beside, frame, prior)):
+        leant = self.leaning_rad
+        for roll in (leant, self._seen_roll(beside, frame, prior)):
             aim, _ = self._seen_aim(beside, frame, prior, roll)
             again = self._search(frame, wide, expected, config, aim)
-            more = len(again.detections) > len(result.detections)
-            if more and self._tells(again, expected) and not _leans(again):
-                leant = self.leaning_rad
+            gained = len(again.detections) - len(result.detections)
+            # One or another of pictures that were exchanged fits some roll.
+            least = 0.0 if roll == leant else _MOST * _wrong_heights(result)
+            if gained > least and self._tells(again, expected) and not _leans(again):
                 self._follow(again, frame, prior, roll)
                 if leant != roll and leant != self.leaning_rad:
                     _LOG.warning('camera leans %.1f deg %s', *degrees_aside(self.leaning_rad))
@@ -258,10 +260,15 @@ def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
     )
 
 
+def _wrong_heights(result: DetectionResult) -> int:
+    """How many matches were refused for their height."""
+    return sum(refusal.reason in _BESIDE for refusal in result.refused.values())
+
+
 def _leans(result: DetectionResult) -> bool:
     """Whether many matches were refused for their height, as by an unknown roll."""
-    beside = sum(refusal.reason in _BESIDE for refusal in result.refused.values())
-    return beside >= max(_LEAST - 1, _HARDLY_ANY * (len(result.detections) + len(result.refused)))
+    looked = len(result.detections) + len(result.refused)
+    return _wrong_heights(result) >= max(_LEAST - 1, _HARDLY_ANY * looked)
 
 
 def _angles(rays: FloatArray) -> FloatArray:
