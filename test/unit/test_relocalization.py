@@ -239,6 +239,25 @@ def test_what_is_seen_must_tell_the_place_well(limit: dict[str, float], words: s
     assert np.hypot(*(outcome.place.pose - pose)[:2]) < 0.1
 
 
+@pytest.mark.parametrize(('max_sigma_m', 'found'), [(0.02, True), (0.012, False)])
+def test_no_single_landmark_decides(max_sigma_m: float, found: bool) -> None:
+    """Five on one wall leave the place open by 29 mm; with one of another it is 5 mm."""
+    pose, lone = (1.2, 2.0, 0.4), 30
+    few = tuple(k for k in MAP.landmarks if k.id in (10, 11, 12, 13, 14, lone))
+    config = RelocalizationConfig(max_sigma_m=max_sigma_m)
+    relocalizer = Relocalizer(replace(MAP, landmarks=few), MOUNT, config)
+    for frame in sweep(SCENE, pose):
+        relocalizer.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
+        outcome = relocalizer.add_frame(frame)
+        if isinstance(outcome, PoseEstimate):
+            break
+    if found:
+        assert_right(outcome, pose)
+    else:
+        assert isinstance(outcome, UnsurePlace)
+        assert f'landmark {lone} decides' in outcome.detail
+
+
 def test_what_odometry_may_have_erred_by_is_left_open() -> None:
     pose = np.array([2.4, 1.9, 0.4])
     frames = sweep(SCENE, pose.tolist(), PANS[::3])

@@ -120,6 +120,22 @@ class TestCovariance:
             values.append(expect_fix(triangulate(LANDMARKS, seen, variances(6))).chi_square)
         assert np.mean(values) == pytest.approx(3.0, abs=0.5)
 
+    @pytest.mark.parametrize('n', [4, 6])
+    def test_covariance_without_some_is_that_of_the_others(self, n: int) -> None:
+        bearing, joint = bearings(POSE, LANDMARKS[:n]), joint_map_covariance(n)
+        fix = expect_fix(triangulate(LANDMARKS[:n], bearing, variances(n), joint))
+        without = np.arange(n) == 1
+        keep = np.flatnonzero(~without)
+        rows = np.stack([2 * keep, 2 * keep + 1], -1).reshape(-1)
+        rest = expect_fix(
+            triangulate(
+                LANDMARKS[keep], bearing[keep], variances(n - 1), joint[np.ix_(rows, rows)]
+            )
+        )
+        np.testing.assert_allclose(
+            fix.solution.covariance_without(without), rest.covariance, rtol=1e-4
+        )
+
     def test_common_error_turns_the_heading_alone(self) -> None:
         seen = bearings(POSE, LANDMARKS)
         plain = expect_fix(triangulate(LANDMARKS, seen, variances(6)))

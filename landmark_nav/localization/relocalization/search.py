@@ -41,6 +41,8 @@ _MAX_RIVAL_SHARE = 0.5
 _CANDIDATES = 4
 # So many landmarks at a place are not found by chance.
 _TELLING = 4
+# Any one of them may be mistaken: without it the largest sigma may grow by this factor.
+_MOST_WITHOUT = 2.0
 # The landmarks found must span this angle.
 _MIN_SPREAD_RAD = 0.6
 
@@ -176,6 +178,14 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
         return UnsurePlace(
             'too little seen',
             f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
+            place=best.estimate,
+        )
+    decides = int(np.argmax(best.sigma_without_m))
+    if best.sigma_without_m[decides] > _MOST_WITHOUT * config.max_sigma_m:
+        return UnsurePlace(
+            'too little seen',
+            f'at {where} landmark {best.ids[decides]} decides, without it sigma is '
+            f'{best.sigma_without_m[decides]:.3f} m: look around',
             place=best.estimate,
         )
     return best

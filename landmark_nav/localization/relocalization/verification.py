@@ -48,13 +48,15 @@ class Verification:
     """
     A verified hypothesis.
 
-    `ids` are the landmarks found, `bearing_rad` their bearings at the estimated pose, `expected`
-    how many should have been found.
+    `ids` (n,) are the landmarks found, `bearing_rad` (n,) their bearings at the estimated pose,
+    `sigma_without_m` (n,) the sigma of its position (root of the trace) if each had not been
+    found; `expected` is how many should have been.
     """
 
     estimate: PoseEstimate
     ids: npt.NDArray[np.int64]
     bearing_rad: FloatArray
+    sigma_without_m: FloatArray
     expected: int
 
 
@@ -95,9 +97,12 @@ def verify(
             return fix
         estimate = base_from_axis(fix.at(carried.stamp_ns), mount)
     assert isinstance(fix, Fix)
-    landmark = np.unique(found.landmark[fix.used])
+    seen = found.landmark[fix.used]
+    landmark = np.unique(seen)
     bearing = se2.bearings(fix.pose, landmark_map.positions[landmark, :2])
-    return Verification(estimate, landmark_map.ids[landmark], bearing, expected)
+    without = np.array([fix.solution.covariance_without(seen == one) for one in landmark])
+    sigma = np.sqrt(without[:, 0, 0] + without[:, 1, 1])
+    return Verification(estimate, landmark_map.ids[landmark], bearing, sigma, expected)
 
 
 def _look(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.triangulation.model import (
     bearing_gradients,
@@ -38,6 +39,14 @@ class Solution:
     def chi_square(self) -> float:
         """Of the residuals."""
         return float(self.residual @ self.weight @ self.residual)
+
+    def covariance_without(self, rows: BoolArray) -> FloatArray:
+        """Covariance (3, 3) that the pose would have without some of the bearings, `rows` (n,)."""
+        weighted = (self.weight @ self.jacobian)[rows]
+        normal = self.jacobian.T @ self.weight @ self.jacobian
+        normal -= weighted.T @ np.linalg.solve(self.weight[np.ix_(rows, rows)], weighted)
+        # What is left undetermined has a large variance, not none.
+        return np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(3)))
 
 
 def best_start(

@@ -64,15 +64,20 @@ class Fix:
         First order, with the map's error.
     used : ndarray of bool, shape (n,)
         Which bearings the pose rests on.
-    chi_square : float
-        Of their residuals, with ``used.sum() - 3`` degrees of freedom.
+    solution : Solution
+        Of these bearings.
 
     """
 
     pose: FloatArray
     covariance: FloatArray
     used: npt.NDArray[np.bool_]
-    chi_square: float
+    solution: Solution
+
+    @property
+    def chi_square(self) -> float:
+        """Of the residuals, with ``used.sum() - 3`` degrees of freedom."""
+        return self.solution.chi_square
 
     def at(self, stamp_ns: int) -> PoseEstimate:
         """Return it as a pose estimate of that time."""
@@ -130,7 +135,7 @@ def triangulate(
         solved = _without_outliers(position, bearing, variance, map_cov, pose, used, config)
         if isinstance(solved, Refusal):
             return solved
-    fix = Fix(solved.pose, solved.covariance, used, solved.chi_square)
+    fix = Fix(solved.pose, solved.covariance, used, solved)
     return _doubt(fix, position[used], start, config) or fix
 
 
