@@ -70,6 +70,20 @@ class TestDoubt:
         np.testing.assert_array_equal(with_it.accepted_ids, without.accepted_ids)
         assert with_it.log_likelihood < without.log_likelihood - 1.0
 
+    def test_one_that_agrees_is_no_reason_to_be_lost(self) -> None:
+        """After a mistaken one it takes two to be used, where two should be in view."""
+        fused = started()
+        moment, _ = run(fused, 40)
+        stamp = moment.odometry.stamp_ns
+        mistaken = fused.add_detections(detections(MAP, moment.pose, stamp, [1], SIGMA, 0.05))
+        assert mistaken.contradicts
+        for k in range(6):
+            seen = detections(MAP, moment.pose, stamp + k + 1, [0], SIGMA)
+            update = fused.add_detections(replace(seen, missed=MAP.ids[2:3]))
+            assert update.refusal is not None
+            assert not update.contradicts
+        assert fused.status[0] == 'tracking'
+
     @pytest.mark.parametrize(('score', 'used'), [(0.99, 3), (0.85, 0)])
     def test_few_among_many_missing_are_used_where_they_cannot_be_mistaken(
         self, score: float, used: int

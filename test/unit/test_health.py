@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from landmark_nav.localization.fusion.config import HealthConfig
 from landmark_nav.localization.fusion.health import Health
@@ -64,7 +65,19 @@ def test_once_contradicted_chance_must_be_excluded() -> None:
     health = Health(HealthConfig())
     health.restart(0)
     assert [health.least(expected) for expected in (3, 20)] == [1, 1]
-    health.note_update(FusionUpdate(NS, refusal=Refusal('pose does not fit')))
+    health.note_update(FusionUpdate(NS, refusal=Refusal('pose does not fit'), contradicts=True))
     assert [health.least(expected) for expected in (0, 2, 20)] == [1, 2, 3]
     health.doubt(NS, 'nothing is found')
     assert [health.least(expected) for expected in (3, 20)] == [3, 8]
+
+
+@pytest.mark.parametrize(('contradicts', 'verdict'), [(True, 'lost'), (False, 'tracking')])
+def test_what_is_too_little_to_be_used_is_no_contradiction(
+    contradicts: bool, verdict: str
+) -> None:
+    health = Health(HealthConfig(coasting_after_s=1000.0))
+    health.restart(0)
+    for k in range(6):
+        refusal = Refusal('bearings do not fit the expected pose')
+        health.note_update(FusionUpdate(k * NS // 5, refusal=refusal, contradicts=contradicts))
+    assert status(health, 1.2) == verdict

@@ -84,7 +84,9 @@ def _outcome(
         model = _pose_model(loose, measured, columns, lever)
         nis = _nis(model)
     if nis > limit:
-        stray = FusionUpdate(prior.stamp_ns, refusal=refusal, log_likelihood=_LOG_STRAY)
+        stray = FusionUpdate(
+            prior.stamp_ns, refusal=refusal, contradicts=True, log_likelihood=_LOG_STRAY
+        )
         return Outcome(prior, stray)
     update = FusionUpdate(
         prior.stamp_ns,

@@ -211,9 +211,9 @@ class Health:
                 self._doubts = 0
         elif update.refusal is not None:
             self.note_refusal(update.refusal)
-            self._rejections += 1
+            self._rejections += update.contradicts
             self._acceptances = 0
-            if self._rejections >= self._config.lost_after_rejections:
+            if update.contradicts and self._rejections >= self._config.lost_after_rejections:
                 self._contradict(
                     update.stamp_ns,
                     f'{self._rejections} measurements rejected in a row, last: {update.refusal}',

@@ -61,6 +61,8 @@ class FusionUpdate:
         Why, by landmark id.
     refusal : Refusal or None
         Why the whole measurement was not used.
+    contradicts : bool
+        Whether it was not used because it does not fit the expected pose.
     turned_rad : float
         Angle by which all bearings were off, if that was a surprise; else 0.
     log_likelihood : float
@@ -76,6 +78,7 @@ class FusionUpdate:
     degrees: int = 0
     rejected: dict[int, Refusal] = field(default_factory=dict)
     refusal: Refusal | None = None
+    contradicts: bool = False
     turned_rad: float = 0.0
     log_likelihood: float = 0.0
 
@@ -160,6 +163,7 @@ def update_bearings(
         prior.stamp_ns,
         rejected=rejected,
         refusal=refusal,
+        contradicts=len(chosen) < len(seen),
         log_likelihood=len(seen) * _LOG_STRAY,
     )
 
