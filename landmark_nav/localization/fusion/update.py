@@ -154,16 +154,19 @@ def update_bearings(
             'disagrees with the others', f'joint NIS {nis:.1f} of {len(chosen)} bearings'
         )
         chosen = np.delete(chosen, worst)
-    refusal = Refusal(
-        'bearings do not fit the expected pose',
-        f'{len(chosen)} of {len(seen)} agree, '
-        f'largest innovation {np.degrees(np.abs(before.innovation).max()):.2f} deg',
-    )
+    contradicts = len(chosen) < len(seen)
+    refusal = Refusal('too few bearings', f'{len(seen)} agree, it takes {least}')
+    if contradicts:
+        refusal = Refusal(
+            'bearings do not fit the expected pose',
+            f'{len(chosen)} of {len(seen)} agree, '
+            f'largest innovation {np.degrees(np.abs(before.innovation).max()):.2f} deg',
+        )
     return prior, FusionUpdate(
         prior.stamp_ns,
         rejected=rejected,
         refusal=refusal,
-        contradicts=len(chosen) < len(seen),
+        contradicts=contradicts,
         log_likelihood=len(seen) * _LOG_STRAY,
     )
 
