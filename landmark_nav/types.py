@@ -25,7 +25,6 @@ __all__ = [
     'Candidate',
     'Detections',
     'FloatArray',
-    'FoundPlace',
     'ImageArray',
     'JointSample',
     'Landmark',
@@ -347,20 +346,3 @@ class Detections:
         """Some of them: `which` (n,) says whether to keep each."""
         names = ('ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px')
         return replace(self, **{name: getattr(self, name)[which] for name in names})
-
-
-@dataclass(frozen=True, eq=False)
-class FoundPlace:
-    """
-    A place that pictures told, without any prior.
-
-    `estimate` is the pose of the base at the last of them if its joint states are in time, `ids`
-    (m,) are the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`, its
-    joint states are those of `Detections`.
-    """
-
-    estimate: PoseEstimate
-    ids: npt.NDArray[np.int64]
-    pan_rate_rad_s: float = 0.0
-    joint_delay_s: float = 0.0
-    pan_delay_s: float = 0.0

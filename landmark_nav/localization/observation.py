@@ -14,6 +14,7 @@ from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.company import Company
 from landmark_nav.localization.detection.correlation import DetectionResult
+from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.frozen import FrozenPicture
 from landmark_nav.localization.joint_delay import in_time, JointDelay
@@ -203,12 +204,14 @@ class Observer:
         looked = replace(looked_from, covariance=looked_from.covariance + turned)
         result = self._detected(frame, looked, visible, wanted, not wide)
         missed = np.array(sorted(result.refused), dtype=np.int64)
-        found, refused = self._doubted(result.detections, missed, looked), dict(result.refused)
+        found, refused = result.detections, dict(result.refused)
         if not known and len(found) < _AGREE:
             # So few matches may all be mistaken.
             alone = Refusal('the expected pose is hardly known', f'{len(found)} found in all')
             refused.update(dict.fromkeys(found.ids.tolist(), alone))
             found = found.chosen(np.zeros(len(found), dtype=np.bool_))
+        if len(found):
+            found = self._doubted(found, refused, looked)
         found = replace(
             found,
             missed=missed,
@@ -254,11 +257,12 @@ class Observer:
         return result
 
     def _doubted(
-        self, found: Detections, missed: npt.NDArray[np.int64], prior: PoseEstimate
+        self, found: Detections, refused: Mapping[int, Refusal], prior: PoseEstimate
     ) -> Detections:
         """Bearings, less certain where what hangs around a landmark was looked for in vain."""
         columns = self._map.indices(found.ids)
-        self._company.note(columns, self._map.indices(missed))
+        missed = [k for k, why in refused.items() if why.reason not in NOT_LOOKED_FOR]
+        self._company.note(columns, self._map.indices(np.array(missed, dtype=np.int64)))
         away = self._map.positions[columns, :2] - axis_from_base(prior, self._mount).pose[:2]
         across = self._company.variance_m2(columns) / np.sum(away**2, axis=1)
         return replace(found, variance_rad2=found.variance_rad2 + across)

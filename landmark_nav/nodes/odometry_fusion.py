@@ -11,12 +11,14 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
+from landmark_nav.localization.fusion.late_joints import REACH_S
 from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.messages import decode, encode
+from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
@@ -27,7 +29,13 @@ from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.transforms import MapToOdom
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate, Refusal
+from landmark_nav.types import (
+    Detections,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
@@ -98,7 +106,7 @@ class OdometryFusionNode(LandmarkNode):
         self._heard_ns = 0
         self._odom_frame = 'odom'
         self._latency = Latency()
-        self._waiting: deque[Detections] = deque()
+        self._waiting: deque[Detections | FoundPlace] = deque()
         self._last_message: Any = None
         self.listen('odom', self._on_odometry, depth=50)
         self._frames = CameraFrames(self, self._mount)
@@ -173,11 +181,10 @@ class OdometryFusionNode(LandmarkNode):
     def _on_found_place(self, message: Any) -> None:
         decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
         place = decode.found_place(message)
-        seen_ns = place.estimate.stamp_ns + round(1e9 * place.joint_delay_s)
-        joints = self._frames.joints_at(seen_ns)
-        track = None if isinstance(joints, Refusal) else joints.pan_track
-        found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
-        self._start(place.estimate, 'found', found)
+        if not self._filter.reaches(place.stamp_ns):
+            raise LandmarkNavError('it is of a picture from before the odometry that is kept')
+        self._waiting.append(place)
+        self._use_waiting()
 
     def _start(self, start: PoseEstimate, how: str, found: Found | None = None) -> None:
         self._filter.initialize(start, self._now_ns(), found)
@@ -214,9 +221,13 @@ class OdometryFusionNode(LandmarkNode):
     def _use_waiting(self) -> None:
         """Use what was found in pictures, in their order, as far as it need not wait."""
         while self._waiting and not self._waits(self._waiting[0]):
-            self._use(self._waiting.popleft())
+            found = self._waiting.popleft()
+            if isinstance(found, Detections):
+                self._use(found)
+            else:
+                self._use_place(found)
 
-    def _waits(self, found: Detections) -> bool:
+    def _waits(self, found: Detections | FoundPlace) -> bool:
         """Whether joint states that may tell where the camera looked are still to come."""
         late = self._filter.late
         settled = late.is_known or self._frames.swing_rad < _SWING_RAD
@@ -246,6 +257,14 @@ class OdometryFusionNode(LandmarkNode):
                 encode.joint_delay(ros_factory, found.stamp_ns, late.delay_s, late.sigma_s)
             )
         self._corrected(found.stamp_ns)
+
+    def _use_place(self, place: FoundPlace) -> None:
+        joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
+        # A track that ends before would say that the pan stood there.
+        known = not isinstance(joints, Refusal) and joints.pan_track
+        track = known if known and known.covers(REACH_S) else None
+        found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
+        self._start(place, 'found', found)
 
     def _on_pose(self, message: Any) -> None:
         measured = decode.pose_estimate(message)

@@ -23,12 +23,12 @@ from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import encode
+from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import (
     CameraFrame,
-    FoundPlace,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -161,11 +161,14 @@ class PlaceSearch:
         outcome = self._outcome = relocalizer.add_frame(frame)
         # That took a while, in which somebody may have told the place.
         self.consider(self._odometry[-1].stamp_ns if self._odometry else frame.stamp_ns)
-        if isinstance(outcome, PoseEstimate) and self.active:
+        if isinstance(outcome, PoseEstimate) and self._relocalizer is relocalizer:
             self._relocalizer, self._asked = None, False
             self._unseen.restart()
+            found = relocalizer.in_time
             place = FoundPlace(
-                relocalizer.in_time,
+                found.stamp_ns,
+                found.pose,
+                found.covariance,
                 relocalizer.witnesses,
                 frame.pan_rate_rad_s,
                 joint_delay_s,

@@ -175,10 +175,10 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._health = Health(Level.DEGRADED, late, {'stale': self._stale})
             return
         self._search.consider(stamp)
-        if self._search.active and not self._hangs:
-            self._look(message)
-            if self._prior.recent(stamp) is None:
-                return
+        searches = self._search.active and not self._hangs
+        # What told the place is not to tell it again.
+        if searches and (self._look(message) or self._prior.recent(stamp) is None):
+            return
         start = time.monotonic()
         seen = self._observe(message)
         self._hangs = seen.unusable
@@ -190,7 +190,8 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
 
-    def _look(self, message: Any) -> None:
+    def _look(self, message: Any) -> bool:
+        """Search for the place in a picture; whether it was found."""
         frame, late = self._complete(message, self._search.reaches)
         assert self._observer is not None, 'pictures come after the map'
         frame, _ = in_time(frame, late)
@@ -200,6 +201,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         found = 'place found, and told on found_place'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)
+        return isinstance(outcome, PoseEstimate)
 
     def _observe(self, message: Any) -> Observation:
         stamp = decode.stamp_ns(message.header)

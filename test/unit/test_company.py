@@ -51,9 +51,17 @@ def test_a_map_without_landmarks() -> None:
     assert company.variance_m2(columns()).shape == (0,)
 
 
-def look(frame: CameraFrame, landmark_map: LandmarkMap, pose: np.ndarray) -> Observation:
+def look(
+    frame: CameraFrame,
+    landmark_map: LandmarkMap,
+    pose: np.ndarray,
+    before: CameraFrame | None = None,
+) -> Observation:
     prior = PoseEstimate(0, pose, np.diag(np.square([0.01, 0.01, 0.005])))
-    return Observer(landmark_map, MOUNT, ObservationConfig()).look(frame, prior)
+    observer = Observer(landmark_map, MOUNT, ObservationConfig())
+    if before is not None:
+        assert not len(observer.look(before, prior).detections)
+    return observer.look(frame, prior)
 
 
 def test_bearings_of_a_picture_where_the_neighbours_were_exchanged() -> None:
@@ -69,6 +77,10 @@ def test_bearings_of_a_picture_where_the_neighbours_were_exchanged() -> None:
     frame = picture(pose, 0.0, np.random.default_rng(3))
     usual = look(frame, landmark_map, pose)
     assert set(usual.detections.ids) == {1, 2, 3, 4}
+    # A lens that was covered says nothing of them.
+    dark = replace(frame, stamp_ns=-1, image=np.zeros_like(frame.image))
+    later = look(frame, landmark_map, pose, before=dark)
+    np.testing.assert_allclose(later.detections.variance_rad2, usual.detections.variance_rad2)
     u, v = np.round(usual.detections.uv_px[2]).astype(int)
     image = frame.image.copy()
     image[v - 14 : v + 15, u - 14 : u + 40] = 128

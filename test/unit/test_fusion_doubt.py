@@ -84,6 +84,22 @@ class TestDoubt:
             assert not update.contradicts
         assert fused.status[0] == 'tracking'
 
+    def test_one_that_agrees_makes_a_lost_pose_no_wider(self) -> None:
+        fused = started()
+        moment, _ = run(fused, 40)
+        stamp = moment.odometry.stamp_ns
+        for k in range(6):
+            fused.add_detections(detections(MAP, moment.pose, stamp + k, [1], SIGMA, 0.05))
+        assert fused.status[0] == 'lost'
+        before = fused.state
+        for k in range(3):
+            seen = detections(MAP, moment.pose, stamp + 10 + k, [0], SIGMA)
+            assert not fused.add_detections(replace(seen, missed=MAP.ids[2:3])).contradicts
+        after = fused.state
+        assert before is not None
+        assert after is not None
+        assert after.covariance[0, 0] < 1.01 * before.covariance[0, 0]
+
     @pytest.mark.parametrize(('score', 'used'), [(0.99, 3), (0.85, 0)])
     def test_few_among_many_missing_are_used_where_they_cannot_be_mistaken(
         self, score: float, used: int

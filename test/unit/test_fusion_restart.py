@@ -63,7 +63,37 @@ def test_a_place_of_seconds_ago_moves_on_with_the_odometry_since_then(begun: boo
     assert estimate is not None
     assert estimate.stamp_ns == now.odometry.stamp_ns
     assert np.hypot(*error_of(estimate, now.pose)[:2]) < 0.02
-    assert estimate.covariance[0, 0] > place.covariance[0, 0]
+    # As if it had been known then.
+    then_known = PoseFilter(MAP, MOUNT)
+    for k, moment in enumerate(moments):
+        then_known.add_odometry(moment.odometry)
+        if k == 20:
+            then_known.initialize(place, found=Found(MAP.ids))
+    expected = then_known.estimate()
+    assert expected is not None
+    np.testing.assert_allclose(estimate.covariance, expected.covariance, rtol=0.05, atol=1e-7)
+
+
+def test_a_person_who_tells_a_place_of_seconds_ago_is_at_another_clock() -> None:
+    moments = list(drive(100))
+    fused = PoseFilter(MAP, MOUNT)
+    for moment in moments:
+        fused.add_odometry(moment.odometry)
+    then, now = moments[20], moments[-1]
+    fused.initialize(replace(start_estimate(), stamp_ns=then.odometry.stamp_ns))
+    estimate = fused.estimate()
+    assert estimate is not None
+    assert estimate.stamp_ns == now.odometry.stamp_ns
+    np.testing.assert_allclose(estimate.pose, start_estimate().pose)
+
+
+def test_a_new_map_makes_a_found_place_no_surer() -> None:
+    fused = PoseFilter(MAP, MOUNT)
+    fused.initialize(start_estimate(), found=Found(MAP.ids[:1]))
+    fused.add_odometry(next(iter(drive(1))).odometry)
+    assert fused.status[0] == 'coasting'
+    fused.change_map(MAP)
+    assert fused.status[0] == 'coasting'
 
 
 @pytest.mark.filterwarnings('error')

@@ -16,10 +16,10 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
+from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.messages.layouts import DETECTION, DETECTION_DELAYS, FOUND_PLACE, JOINT_DELAY
 from landmark_nav.types import (
     Detections,
-    FoundPlace,
     JointSample,
     Landmark,
     LandmarkMap,
@@ -175,17 +175,20 @@ def test_joint_delay_comes_back(deliver):
 @both
 def test_found_place_comes_back(deliver):
     rng = np.random.default_rng(3)
-    estimate = PoseEstimate(STAMP, rng.normal(size=3), rng.normal(size=(3, 3)))
-    place = FoundPlace(estimate, np.array([4, 8, 15]), 0.7, 0.04, -0.01)
+    pose, covariance = rng.normal(size=3), rng.normal(size=(3, 3))
+    place = FoundPlace(STAMP, pose, covariance, np.array([4, 8, 15]), 0.7, 0.04, -0.01)
     again = decode.found_place(deliver(encode.found_place(FACTORY, place)))
-    assert again.estimate.stamp_ns == STAMP
-    np.testing.assert_array_equal(again.estimate.pose, estimate.pose)
-    np.testing.assert_array_equal(again.estimate.covariance, estimate.covariance)
+    assert again.stamp_ns == STAMP
+    np.testing.assert_array_equal(again.pose, pose)
+    np.testing.assert_array_equal(again.covariance, covariance)
     np.testing.assert_array_equal(again.ids, place.ids)
     assert (again.pan_rate_rad_s, again.joint_delay_s, again.pan_delay_s) == (0.7, 0.04, -0.01)
 
 
 def test_found_place_without_landmarks_or_numbers_is_refused():
+    short = np.zeros(1, dtype=[(k, 'f8') for k in FOUND_PLACE.names])
+    with pytest.raises(LandmarkNavError, match='no pose of 3'):
+        decode.found_place(pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'map'), short))
     head, points = encode.header(FACTORY, STAMP, 'map'), np.zeros(2, dtype=FOUND_PLACE)
     with pytest.raises(LandmarkNavError, match='names no landmark'):
         decode.found_place(pack_cloud(FACTORY, head, points[:0]))

@@ -120,7 +120,7 @@ class TestCovariance:
             values.append(expect_fix(triangulate(LANDMARKS, seen, variances(6))).chi_square)
         assert np.mean(values) == pytest.approx(3.0, abs=0.5)
 
-    @pytest.mark.parametrize('n', [4, 6])
+    @pytest.mark.parametrize('n', [4, 5, 6])
     def test_covariance_without_some_is_that_of_the_others(self, n: int) -> None:
         bearing, joint = bearings(POSE, LANDMARKS[:n]), joint_map_covariance(n)
         fix = expect_fix(triangulate(LANDMARKS[:n], bearing, variances(n), joint))
@@ -135,6 +135,17 @@ class TestCovariance:
         np.testing.assert_allclose(
             fix.solution.covariance_without(without), rest.covariance, rtol=1e-4
         )
+
+    @given(st.floats(0.7, 5.4), st.floats(0.7, 3.4), st.integers(0, 2))
+    def test_without_one_of_three_the_pose_is_open(self, x: float, y: float, one: int) -> None:
+        pose = np.array([x, y, 0.3])
+        start = PoseEstimate(0, pose, 1e-4 * np.eye(3))
+        fix = triangulate(
+            LANDMARKS[:3], bearings(pose, LANDMARKS[:3]), variances(3), 1e-8 * np.eye(6), start
+        )
+        if isinstance(fix, Fix):
+            covariance = fix.solution.covariance_without(np.arange(3) == one)
+            assert np.trace(covariance[:2, :2]) > 100.0 * np.trace(fix.covariance[:2, :2])
 
     def test_common_error_turns_the_heading_alone(self) -> None:
         seen = bearings(POSE, LANDMARKS)

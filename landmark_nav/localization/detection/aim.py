@@ -121,18 +121,20 @@ class AimedDetector:
         wide = replace(prior, covariance=prior.covariance + np.diag([0.0, 0.0, knock**2]))
         height = np.hypot(config.vertical_sigma_px, knock * frame.camera.fy)
         tall = replace(config, vertical_sigma_px=min(50.0, float(height)))
-        beside = self._search(frame, wide, expected, tall, self._aim * [0.0, 1.0, 1.0])
-        if len(beside.detections) < _LEAST:
+        around = self._search(frame, wide, expected, tall, self._aim * [0.0, 1.0, 1.0])
+        if len(around.detections) < _LEAST:
             return result
         # Mistaken matches are not found again in the narrow rows of a normal search.
         leant = self.leaning_rad
-        for roll in (leant, self._seen_roll(beside, frame, prior)):
-            aim, _ = self._seen_aim(beside, frame, prior, roll)
+        for roll in (leant, self._seen_roll(around, frame, prior)):
+            aim, _ = self._seen_aim(around, frame, prior, roll)
             again = self._search(frame, wide, expected, config, aim)
-            gained = len(again.detections) - len(result.detections)
-            # One or another of pictures that were exchanged fits some roll.
-            least = 0.0 if roll == leant else _MOST * _wrong_heights(result)
-            if gained > least and self._tells(again, expected) and not _leans(again):
+            more = len(again.detections) > len(result.detections)
+            if roll != leant:
+                # One or another of pictures that were exchanged fits some roll.
+                beside = _beside(result)
+                more &= np.isin(beside, again.detections.ids).sum() > _MOST * len(beside)
+            if more and self._tells(again, expected) and not _leans(again):
                 self._follow(again, frame, prior, roll)
                 if leant != roll and leant != self.leaning_rad:
                     _LOG.warning('camera leans %.1f deg %s', *degrees_aside(self.leaning_rad))
@@ -260,15 +262,15 @@ def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
     )
 
 
-def _wrong_heights(result: DetectionResult) -> int:
-    """How many matches were refused for their height."""
-    return sum(refusal.reason in _BESIDE for refusal in result.refused.values())
+def _beside(result: DetectionResult) -> list[int]:
+    """Ids of the landmarks whose matches were refused for their height."""
+    return [k for k, refusal in result.refused.items() if refusal.reason in _BESIDE]
 
 
 def _leans(result: DetectionResult) -> bool:
     """Whether many matches were refused for their height, as by an unknown roll."""
     looked = len(result.detections) + len(result.refused)
-    return _wrong_heights(result) >= max(_LEAST - 1, _HARDLY_ANY * looked)
+    return len(_beside(result)) >= max(_LEAST - 1, _HARDLY_ANY * looked)
 
 
 def _angles(rays: FloatArray) -> FloatArray:

@@ -13,7 +13,9 @@ from landmark_nav.geometry.patches import rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
-__all__ = ['Expectation', 'View', 'expect', 'quadratic']
+__all__ = ['NOT_LOOKED_FOR', 'Expectation', 'View', 'expect', 'quadratic']
+
+NOT_LOOKED_FOR = _OUT_OF_VIEW, _TOO_SMALL = 'out of view', 'too small or cut off'
 
 
 class View:
@@ -52,9 +54,9 @@ class Expectation(NamedTuple):
         """Why a landmark is not looked for, if its template is out of view or too small."""
         width, height = self.right - self.left + 1, self.bottom - self.top + 1
         if width <= 0 and height <= 0:
-            return Refusal('out of view')
+            return Refusal(_OUT_OF_VIEW)
         if min(width, height) < least_px:
-            return Refusal('too small or cut off', f'{width} x {height} px')
+            return Refusal(_TOO_SMALL, f'{width} x {height} px')
         return None
 
 

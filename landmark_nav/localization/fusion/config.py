@@ -87,7 +87,10 @@ class HealthConfig(Config):
         0.7, 'Seconds without odometry until coasting.', minimum=0.0, maximum=3600.0
     )
     lost_after_rejections: int = parameter(
-        5, 'Measurements rejected in a row until lost.', minimum=1, maximum=1000
+        5,
+        'Measurements that contradict the pose, with none used between them, until lost.',
+        minimum=1,
+        maximum=1000,
     )
     lost_sigma_m: float = parameter(
         1.0, 'Position sigma (root of the trace) above which the filter is lost, m.', minimum=0.0

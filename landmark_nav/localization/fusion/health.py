@@ -216,7 +216,8 @@ class Health:
             if update.contradicts and self._rejections >= self._config.lost_after_rejections:
                 self._contradict(
                     update.stamp_ns,
-                    f'{self._rejections} measurements rejected in a row, last: {update.refusal}',
+                    f'{self._rejections} measurements rejected and none used, last: '
+                    f'{update.refusal}',
                 )
                 self._window.clear()
 

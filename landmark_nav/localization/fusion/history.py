@@ -40,7 +40,7 @@ _LATE_IN_A_ROW = 5
 # Not every odometry sample gets a state of its own, only the first in each interval of this length
 # (counted from 1970, so that it does not depend on when the filter began).
 _STRIDE_NS = 100_000_000
-# A place may be that of a picture which was searched for so long.
+# A place may be that of a picture of so long ago.
 _REACH_NS = 10 * 10**9
 # The robot may have moved while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
@@ -101,6 +101,12 @@ class History:
         """First and last time of the odometry; None while there is none."""
         return self._track.stamps_ns
 
+    @property
+    def recent_odometry_ns(self) -> tuple[int, int] | None:
+        """`odometry_ns` within the span."""
+        known = self.odometry_ns
+        return None if known is None else (max(known[0], known[1] - self._span_ns), known[1])
+
     def untimely(self, stamp_ns: int) -> Refusal | None:
         """Why nothing can be inserted at a time; None if it can."""
         if not self._states:
@@ -113,6 +119,12 @@ class History:
         self._events = [_Event(state.stamp_ns)]
         # The covariance is that of the given time: a stand before it does not count.
         self._states = [state.each(measured)]
+        known = self._track.stamps_ns
+        if known is not None:
+            first_ns = (state.stamp_ns // _STRIDE_NS + 1) * _STRIDE_NS
+            self._events += [_Event(ns) for ns in range(first_ns, known[1], _STRIDE_NS)]
+            self._repeat(1)
+            self._forget()
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what is wrong with the sample, if anything (`Distrusted` if it is used)."""

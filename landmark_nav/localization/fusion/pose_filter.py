@@ -97,6 +97,11 @@ class PoseFilter:
         """The newest state, with the systematic errors; None before `initialize`."""
         return self._history.at() if self._history.started else None
 
+    def reaches(self, stamp_ns: int) -> bool:
+        """Whether odometry leads from a time to now."""
+        known = self._history.odometry_ns
+        return known is not None and known[0] <= stamp_ns
+
     @property
     def odometry_noise(self) -> OdometryNoiseConfig:
         """How far odometry is to be trusted, as far as it was learned."""
@@ -156,7 +161,9 @@ class PoseFilter:
             A pose or covariance that is not finite, or a covariance that is not positive.
 
         """
-        start = checked_start(start, self._history.odometry_ns, now_ns)
+        # Who gives a pose of long ago is at another clock; a search takes its time.
+        known = self._history.odometry_ns if found else self._history.recent_odometry_ns
+        start = checked_start(start, known, now_ns)
         if self._history.started:
             state = moved_to(self._history.at(start.stamp_ns), start)
         else:
@@ -181,8 +188,9 @@ class PoseFilter:
         self._map = landmark_map
         self._frames = FrameMaker(landmark_map.ids, self._config, self._pan_sigma_rad)
         self._fix_sources = FixSources(len(landmark_map.landmarks))
-        self._witnesses = Witnesses(landmark_map)
-        if self._history.started:
+        started = self._history.started
+        self._witnesses = Witnesses(landmark_map, not started or self._witnesses.vouched)
+        if started:
             state = with_map(self._history.at(), landmark_map)
             self._history.restart(Mixture((state,)))
             self._health.change_map()
@@ -325,7 +333,7 @@ class PoseFilter:
         turn_rad = update.turned_rad
         if self._health.astray:
             self._recovery.doubt()
-            if update.refusal is not None:
+            if update.contradicts:
                 self._history.change(stamp_ns, doubted_state)
                 self._witnesses.restart(vouched=False)
         elif update.degrees:

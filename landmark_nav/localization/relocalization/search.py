@@ -41,7 +41,7 @@ _MAX_RIVAL_SHARE = 0.5
 _CANDIDATES = 4
 # So many landmarks at a place are not found by chance.
 _TELLING = 4
-# Any one of them may be mistaken: without it the largest sigma may grow by this factor.
+# Any one of them may be mistaken: without it sigma may be this factor over its limit.
 _MOST_WITHOUT = 2.0
 # The landmarks found must span this angle.
 _MIN_SPREAD_RAD = 0.6
@@ -181,7 +181,7 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
             place=best.estimate,
         )
     decides = int(np.argmax(best.sigma_without_m))
-    if best.sigma_without_m[decides] > _MOST_WITHOUT * config.max_sigma_m:
+    if not best.sigma_without_m[decides] <= _MOST_WITHOUT * config.max_sigma_m:
         return UnsurePlace(
             'too little seen',
             f'at {where} landmark {best.ids[decides]} decides, without it sigma is '

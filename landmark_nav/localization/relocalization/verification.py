@@ -49,8 +49,8 @@ class Verification:
     A verified hypothesis.
 
     `ids` (n,) are the landmarks found, `bearing_rad` (n,) their bearings at the estimated pose,
-    `sigma_without_m` (n,) the sigma of its position (root of the trace) if each had not been
-    found; `expected` is how many should have been.
+    `sigma_without_m` (n,) the sigma of the pan axis (root of the trace) without each of them.
+    `expected` is how many should have been found.
     """
 
     estimate: PoseEstimate

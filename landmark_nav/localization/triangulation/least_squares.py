@@ -22,6 +22,8 @@ __all__ = ['Solution', 'best_start', 'solve', 'w_statistics']
 # Triples tried as starts: all of them up to 12 landmarks.
 _MAX_STARTS = 220
 _MAX_STEPS = 20
+# Least share of its information that is left of a direction.
+_UNTOLD = 1e-9
 _UNDETERMINED = Refusal('degenerate geometry', 'the bearings leave a direction undetermined')
 
 
@@ -43,10 +45,13 @@ class Solution:
     def covariance_without(self, rows: BoolArray) -> FloatArray:
         """Covariance (3, 3) that the pose would have without some of the bearings, `rows` (n,)."""
         weighted = (self.weight @ self.jacobian)[rows]
-        normal = self.jacobian.T @ self.weight @ self.jacobian
-        normal -= weighted.T @ np.linalg.solve(self.weight[np.ix_(rows, rows)], weighted)
-        # What is left undetermined has a large variance, not none.
-        return np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(3)))
+        lost = weighted.T @ np.linalg.solve(self.weight[np.ix_(rows, rows)], weighted)
+        # In units of the covariance rounding does not matter; what is left undetermined then has
+        # a large variance, not none.
+        root = np.linalg.cholesky(self.covariance)
+        value, vector = np.linalg.eigh(np.eye(3) - root.T @ lost @ root)
+        back = root @ vector
+        return np.asarray(back / np.maximum(value, _UNTOLD) @ back.T)
 
 
 def best_start(

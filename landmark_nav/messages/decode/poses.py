@@ -9,8 +9,9 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import finite, stamp_ns, yaw_rad
+from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
-from landmark_nav.types import FloatArray, FoundPlace, OdometrySample, PoseEstimate
+from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 __all__ = ['found_place', 'odometry', 'pose_estimate']
 
@@ -65,7 +66,7 @@ def found_place(msg: Any) -> FoundPlace:
     Raises
     ------
     LandmarkNavError
-        Fields are missing, no point, or values that are not numbers.
+        Fields are missing or of another size, no point, or values that are not numbers.
 
     """
     points = unpack_cloud(msg, FOUND_PLACE.names or ())
@@ -73,10 +74,16 @@ def found_place(msg: Any) -> FoundPlace:
     if not len(points):
         raise LandmarkNavError(f'found_place at {stamp * 1e-9:.3f} s names no landmark')
     first = points[0]
+    if np.shape(first['pose']) != (3,) or np.shape(first['covariance']) != (9,):
+        raise LandmarkNavError(
+            f'found_place at {stamp * 1e-9:.3f} s has no pose of 3 and covariance of 9 numbers'
+        )
     covariance = finite(first['covariance'], 'found_place covariance', stamp).reshape(3, 3)
     pan = [first[name] for name in ('pan_rate', 'joint_delay', 'pan_delay')]
     return FoundPlace(
-        PoseEstimate(stamp, finite(first['pose'], 'found_place pose', stamp), covariance),
+        stamp,
+        finite(first['pose'], 'found_place pose', stamp),
+        covariance,
         points['id'].astype(np.int64),
         *finite(pan, 'found_place pan', stamp).tolist(),
     )

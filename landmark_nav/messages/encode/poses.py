@@ -9,8 +9,9 @@ import numpy as np
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.messages.encode.headers import header, pose_with_covariance, vector
 from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
-from landmark_nav.types import FloatArray, FoundPlace, OdometrySample, PoseEstimate
+from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 __all__ = ['found_place', 'odometry', 'pose']
 
@@ -69,8 +70,8 @@ def found_place(factory: MessageFactory, place: FoundPlace, frame_id: str = 'map
     """Build the PointCloud2 of ``found_place``, stamped with the picture."""
     points = np.zeros(len(place.ids), dtype=FOUND_PLACE)
     points['id'] = place.ids
-    points['pose'] = place.estimate.pose
-    points['covariance'] = place.estimate.covariance.reshape(-1)
+    points['pose'] = place.pose
+    points['covariance'] = place.covariance.reshape(-1)
     points['pan_rate'] = place.pan_rate_rad_s
     points['joint_delay'], points['pan_delay'] = place.joint_delay_s, place.pan_delay_s
-    return pack_cloud(factory, header(factory, place.estimate.stamp_ns, frame_id), points)
+    return pack_cloud(factory, header(factory, place.stamp_ns, frame_id), points)

@@ -1,0 +1,28 @@
+"""What ``found_place`` says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.types import PoseEstimate
+
+__all__ = ['FoundPlace']
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPlace(PoseEstimate):
+    """
+    A place that pictures told, without any prior.
+
+    It is the pose of the base at the last of them if its joint states are in time; `ids` (m,) are
+    the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`; its delays are
+    those of `Detections`.
+    """
+
+    ids: npt.NDArray[np.int64]
+    pan_rate_rad_s: float = 0.0
+    joint_delay_s: float = 0.0
+    pan_delay_s: float = 0.0
