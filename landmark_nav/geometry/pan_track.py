@@ -24,6 +24,6 @@ class PanTrack:
         times = np.asarray(seconds, dtype=np.float64)
         return np.interp(times, self.seconds, self.pans_rad)
 
-    def covers(self, seconds: float) -> bool:
-        """Whether the pan is known so long before and after."""
-        return bool(self.seconds[0] <= -seconds and self.seconds[-1] >= seconds)
+    def reaches(self, seconds: float) -> bool:
+        """Whether the pan is known so long after."""
+        return bool(self.seconds[-1] >= seconds)

@@ -262,7 +262,7 @@ class OdometryFusionNode(LandmarkNode):
         joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
         # A track that ends before would say that the pan stood there.
         known = not isinstance(joints, Refusal) and joints.pan_track
-        track = known if known and known.covers(REACH_S) else None
+        track = known if known and known.reaches(REACH_S) else None
         found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
         self._start(place, 'found', found)
 

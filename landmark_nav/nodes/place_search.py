@@ -43,6 +43,8 @@ _NAP_S = 0.005
 # A fused pose that stays away for less is on its way: whoever fuses waits for the processor, and a
 # search would take a second of it.
 _LATE_S = 2.0
+# Within that time after its picture a place that was told has become the fused pose.
+_FUSED_NS = 10**9
 
 
 class _Nap:
@@ -96,7 +98,7 @@ class PlaceSearch:
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._relocalizer: Relocalizer | None = None
         self._unseen = Unseen(config.unseen_s)
-        self._asked = False
+        self._asked, self._told_ns = False, -_FUSED_NS
         self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
         self._found = Event()
         self._place = node.advertise('found_place')
@@ -125,7 +127,8 @@ class PlaceSearch:
         follows from a place: the fusion waits for it.
         """
         wanted = self._config.when_lost and self._moves and self.landmarks.landmarks
-        if self._asked or not wanted:
+        on_its_way = 0 <= stamp_ns - self._told_ns < _FUSED_NS
+        if self._asked or not wanted or on_its_way:
             return
         fused = self._fused(stamp_ns, _LATE_S)
         if fused is not None and is_known(fused) and not self._unseen.lasts:
@@ -163,6 +166,7 @@ class PlaceSearch:
         self.consider(self._odometry[-1].stamp_ns if self._odometry else frame.stamp_ns)
         if isinstance(outcome, PoseEstimate) and self._relocalizer is relocalizer:
             self._relocalizer, self._asked = None, False
+            self._told_ns = frame.stamp_ns
             self._unseen.restart()
             found = relocalizer.in_time
             place = FoundPlace(

@@ -35,6 +35,7 @@ from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import HORIZON_S
 from landmark_nav.types import (
     Detections,
     FloatArray,
@@ -98,9 +99,9 @@ class PoseFilter:
         return self._history.at() if self._history.started else None
 
     def reaches(self, stamp_ns: int) -> bool:
-        """Whether odometry leads from a time to now."""
+        """Whether a start at a time can be moved on to now."""
         known = self._history.odometry_ns
-        return known is not None and known[0] <= stamp_ns
+        return known is None or known[0] - round(1e9 * HORIZON_S) <= stamp_ns
 
     @property
     def odometry_noise(self) -> OdometryNoiseConfig:
@@ -162,7 +163,7 @@ class PoseFilter:
 
         """
         # Who gives a pose of long ago is at another clock; a search takes its time.
-        known = self._history.odometry_ns if found else self._history.recent_odometry_ns
+        known = None if found else self._history.recent_odometry_ns
         start = checked_start(start, known, now_ns)
         if self._history.started:
             state = moved_to(self._history.at(start.stamp_ns), start)
