@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.localization.relocalization import Relocalizer
+from landmark_nav.messages import decode
+from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -28,8 +32,14 @@ def prior() -> PriorTrack:
 
 
 @pytest.fixture
-def search(prior: PriorTrack) -> PlaceSearch:
-    node: Any = SimpleNamespace(advertise=lambda _name: None, offer=lambda *_, **__: None)
+def told() -> list[Any]:
+    return []
+
+
+@pytest.fixture
+def search(prior: PriorTrack, told: list[Any]) -> PlaceSearch:
+    publisher = SimpleNamespace(publish=told.append)
+    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=lambda *_, **__: None)
     made = PlaceSearch(
         node,
         PanTiltMount(),
@@ -69,4 +79,51 @@ def test_a_fused_pose_that_is_late_is_waited_for(search: PlaceSearch, prior: Pri
 def test_a_pose_that_is_not_known(search: PlaceSearch, prior: PriorTrack) -> None:
     fuse(prior, 0, WIDE)
     search.consider(0)
+    assert search.active
+
+
+class Finder:
+    """Finds a place with every picture."""
+
+    in_time = PoseEstimate(SECOND, np.array([1.0, 2.0, 0.5]), SURE)
+    witnesses = np.array([3, 7])
+
+    def __init__(self, meanwhile: Callable[[], None] = lambda: None) -> None:
+        self._meanwhile = meanwhile
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Not needed."""
+
+    def add_frame(self, frame: CameraFrame) -> PoseEstimate:
+        self._meanwhile()
+        return replace(self.in_time, covariance=WIDE)
+
+
+def frame_at(stamp_ns: int) -> CameraFrame:
+    lens = CameraModel(16, 16, 16.0, 16.0, 8.0, 8.0)
+    return CameraFrame(stamp_ns, np.zeros((16, 16), np.uint8), lens, 0.0, pan_rate_rad_s=0.7)
+
+
+def test_a_place_is_told_with_what_it_was_found_from(search: PlaceSearch, told: list[Any]) -> None:
+    search.consider(SECOND)
+    search._relocalizer = cast(Relocalizer, Finder())
+    search.look(frame_at(SECOND), 0.04, -0.01)
+    place = decode.found_place(told[0])
+    assert place.stamp_ns == SECOND
+    np.testing.assert_array_equal(place.pose, Finder.in_time.pose)
+    np.testing.assert_array_equal(place.covariance, SURE)
+    assert place.ids.tolist() == [3, 7]
+    assert (place.pan_rate_rad_s, place.joint_delay_s, place.pan_delay_s) == (0.7, 0.04, -0.01)
+    # It takes a moment to become the fused pose; if it does not, the search begins anew.
+    search.consider(SECOND + SECOND // 2)
+    assert not search.active
+    search.consider(3 * SECOND)
+    assert search.active
+
+
+def test_a_place_in_a_map_that_is_gone_is_not_told(search: PlaceSearch, told: list[Any]) -> None:
+    search.consider(SECOND)
+    search._relocalizer = cast(Relocalizer, Finder(lambda: search.use(search.landmarks)))
+    search.look(frame_at(SECOND))
+    assert not told
     assert search.active
