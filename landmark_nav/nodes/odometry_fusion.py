@@ -29,13 +29,7 @@ from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.transforms import MapToOdom
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.types import (
-    Detections,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 

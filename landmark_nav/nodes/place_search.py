@@ -27,13 +27,7 @@ from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.types import (
-    CameraFrame,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 __all__ = ['PlaceSearch', 'PlaceSearchConfig']
 

@@ -270,3 +270,18 @@ def test_joints_of_which_nothing_is_known_any_more_are_taken_as_in_time() -> Non
     assert not late.cross[DELAY].any()
     assert late.cross[BORESIGHT].all()
     np.testing.assert_array_equal(np.delete(late.mean, DELAY), np.delete(mean, DELAY))
+
+
+def test_a_found_place_by_another_clock_is_of_now() -> None:
+    """As pictures whose stamps count from the start of the camera: not replayed for decades."""
+    fused = PoseFilter(MAP, MOUNT)
+    for moment in drive(20):
+        stamp_ns = moment.odometry.stamp_ns + 50 * 365 * 86400 * 10**9
+        fused.add_odometry(replace(moment.odometry, stamp_ns=stamp_ns))
+    place = PoseEstimate(10**9, moment.pose, np.diag(np.square(FOUND_SIGMA)))
+    assert not fused.reaches(place.stamp_ns)
+    fused.initialize(place, found=Found(MAP.ids))
+    estimate = fused.estimate()
+    assert estimate is not None
+    assert estimate.stamp_ns == stamp_ns
+    np.testing.assert_allclose(estimate.pose, moment.pose)

@@ -133,7 +133,8 @@ class AimedDetector:
             if roll != leant:
                 # One or another of pictures that were exchanged fits some roll.
                 beside = _beside(result)
-                more &= np.isin(beside, again.detections.ids).sum() > _MOST * len(beside)
+                fits = np.isin(beside, again.detections.ids).sum()
+                more &= not beside or fits > _MOST * len(beside)
             if more and self._tells(again, expected) and not _leans(again):
                 self._follow(again, frame, prior, roll)
                 if leant != roll and leant != self.leaning_rad:

@@ -26,7 +26,7 @@ from landmark_nav.localization.odometry.noise import (
     motion_variances,
     OdometryNoiseConfig,
 )
-from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
+from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
 from landmark_nav.types import OdometrySample, Refusal
 
 __all__ = ['History', 'Step']
@@ -100,6 +100,12 @@ class History:
     def odometry_ns(self) -> tuple[int, int] | None:
         """First and last time of the odometry; None while there is none."""
         return self._track.stamps_ns
+
+    @property
+    def reach_ns(self) -> tuple[int, int] | None:
+        """First and last time from which the odometry leads to now."""
+        known = self.odometry_ns
+        return None if known is None else (known[0] - round(1e9 * HORIZON_S), known[1])
 
     @property
     def recent_odometry_ns(self) -> tuple[int, int] | None:

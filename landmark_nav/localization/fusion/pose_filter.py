@@ -35,7 +35,6 @@ from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.odometry.track import HORIZON_S
 from landmark_nav.types import (
     Detections,
     FloatArray,
@@ -100,8 +99,8 @@ class PoseFilter:
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether a start at a time can be moved on to now."""
-        known = self._history.odometry_ns
-        return known is None or known[0] - round(1e9 * HORIZON_S) <= stamp_ns
+        reach = self._history.reach_ns
+        return reach is None or reach[0] <= stamp_ns
 
     @property
     def odometry_noise(self) -> OdometryNoiseConfig:
@@ -163,7 +162,7 @@ class PoseFilter:
 
         """
         # Who gives a pose of long ago is at another clock; a search takes its time.
-        known = None if found else self._history.recent_odometry_ns
+        known = self._history.reach_ns if found else self._history.recent_odometry_ns
         start = checked_start(start, known, now_ns)
         if self._history.started:
             state = moved_to(self._history.at(start.stamp_ns), start)
