@@ -117,7 +117,9 @@ class RobotClient:
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
-                raise LandmarkNavError(f'waited {timeout_s:g} s in vain for {what}')
+                raise LandmarkNavError(
+                    f'waited {timeout_s:g} s in vain for {what}; last heard: {self._last_heard()}'
+                )
             self._executor.spin_once(timeout_sec=_POLL_S)
             self._watch()
 
@@ -195,6 +197,14 @@ class RobotClient:
             finally:
                 for subscription in subscriptions:
                     self._node.destroy_subscription(subscription)
+
+    def _last_heard(self) -> str:
+        """What the nodes last said of themselves: why it was in vain is often among it."""
+        own = self._node.get_name()
+        words = [
+            f'{name}: {word.reason}' for name, word in sorted(self.status.items()) if name != own
+        ]
+        return '; '.join(words) or 'nothing of any node'
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

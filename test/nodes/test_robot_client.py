@@ -67,3 +67,19 @@ def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(
         with RobotClient(domain_id, lambda: executor.spin_once(timeout_sec=0.0)) as client:
             assert client.call('/deep/down/count', 10.0) == 'asked 1 times'
         assert node.asked == 1
+
+
+def test_who_waits_in_vain_is_told_what_the_nodes_last_said(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with RobotClient(domain_id, lambda: None) as client:
+        with pytest.raises(LandmarkNavError, match='for rain; last heard: nothing of any node'):
+            client.wait(lambda: False, 0.1, 'rain')
+    with (
+        counting(domain_id) as (_, executor),
+        RobotClient(domain_id, lambda: executor.spin_once(timeout_sec=0.0)) as client,
+    ):
+        client.wait(lambda: 'counter' in client.status, 10.0, 'its first word')
+        with pytest.raises(LandmarkNavError, match='for rain; last heard: counter: counting$'):
+            client.wait(lambda: False, 0.1, 'rain')
