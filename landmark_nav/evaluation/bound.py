@@ -66,6 +66,7 @@ def posterior_bound(
         config.fusion,
         mode='bearings',
         landmarks='refine',
+        map_memory_m=1e9,
         bearing_probability=1.0,
         curvature_repeats=0.0,
     )

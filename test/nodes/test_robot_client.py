@@ -73,13 +73,15 @@ def test_who_waits_in_vain_is_told_what_the_nodes_last_said(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with RobotClient(domain_id, lambda: None) as client:
-        with pytest.raises(LandmarkNavError, match='for rain; last heard: nothing of any node'):
-            client.wait(lambda: False, 0.1, 'rain')
+    with (
+        RobotClient(domain_id, lambda: None) as client,
+        pytest.raises(LandmarkNavError, match='for rain; last heard: nothing of any node'),
+    ):
+        client.wait(lambda: False, 0.1, 'rain')
     with (
         counting(domain_id) as (_, executor),
         RobotClient(domain_id, lambda: executor.spin_once(timeout_sec=0.0)) as client,
     ):
         client.wait(lambda: 'counter' in client.status, 10.0, 'its first word')
-        with pytest.raises(LandmarkNavError, match='for rain; last heard: counter: counting$'):
+        with pytest.raises(LandmarkNavError, match='for rain; last heard: counter: counting'):
             client.wait(lambda: False, 0.1, 'rain')

@@ -24,7 +24,6 @@ from landmark_nav.localization.fusion.noise import NoiseScales
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
     initial_state,
-    looking_again,
     propagate,
 )
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
@@ -103,21 +102,18 @@ class TestRecovery:
             fused.add_detections(detections(EXACT, moment.pose, k * 10**8, range(5), SIGMA, off))
         assert fused.state is not None
         # Over the sigma of the share of a sighting's error that others repeat.
-        first, *others = fused.state.repeated[:5]
+        first, *others = fused.state.map_errors.repeated(np.arange(5))
         assert 0.8 < first < 1.0 / np.sqrt(FusionConfig().repeated_share)
         assert np.abs(others).max() < 0.3 * first
 
-    def test_slip_and_what_sightings_repeat_stay_as_large_as_told(self) -> None:
+    def test_slip_stays_as_large_as_told(self) -> None:
         config = OdometryNoiseConfig(learning_sigma=0.0)
         state = initial_state(start_estimate(), MAP, config, 0.0)
-        state = replace(state, repeated=np.ones_like(state.repeated))
-        before = state.considered_covariance
         for k in range(1, 6):
             motion = Motion(np.array([0.7, 0.0, 0.0]), 1.0)
-            state = looking_again(propagate(state, k * 10**9, motion, config), 0.5)
+            state = propagate(state, k * 10**9, motion, config)
         slip = BORESIGHT - 1
         assert np.sqrt(state.covariance[slip, slip]) == pytest.approx(config.slip_sigma)
-        np.testing.assert_allclose(state.considered_covariance, before, atol=1e-12)
 
     def test_beyond_the_odometry_it_may_have_sped_up(self) -> None:
         fused = started()
@@ -160,25 +156,27 @@ class TestJacobians:
         columns = np.array([1, 4, 7])
         measured = bearings(MAP, START)[columns]
         # With unit covariances and no noise the products are the Jacobians themselves.
-        unit = replace(state, covariance=np.eye(len(state.mean)), considered_covariance=np.eye(30))
+        errors = replace(state.map_errors, own=np.broadcast_to(np.eye(2), (10, 2, 2)))
+        unit = replace(state, covariance=np.eye(len(state.mean)), map_errors=errors)
         quiet, repeated = np.zeros(3), np.array([1e-3, 2e-3, 3e-3])
         model = bearing_model(unit, unit, columns, measured, quiet, repeated, 0.0, lever)
-        step = 1e-6
+        step, count = 1e-6, len(errors.estimate)
 
-        def expected(mean: FloatArray, considered: FloatArray) -> FloatArray:
-            landmarks = state.landmarks + considered[:20].reshape(-1, 2)
-            at = replace(unit, mean=mean, landmarks=landmarks, repeated=considered[20:])
+        def expected(mean: FloatArray, off: FloatArray) -> FloatArray:
+            # Told something, whatever it is: estimates count.
+            seen = errors.refined(columns, np.zeros((count, 3)), np.eye(3), quiet)
+            at = replace(unit, mean=mean, map_errors=replace(seen, estimate=off))
             model = bearing_model(at, at, columns, measured, quiet, repeated, 0.0, lever)
             return -model.innovation
 
         for k in range(len(state.mean)):
             offset = np.zeros(len(state.mean))
             offset[k] = step
-            change = expected(state.mean + offset, np.zeros(30))
-            change -= expected(state.mean - offset, np.zeros(30))
+            change = expected(state.mean + offset, np.zeros(count))
+            change -= expected(state.mean - offset, np.zeros(count))
             np.testing.assert_allclose(model.state_covariance[k], change / (2 * step), atol=1e-8)
-        for k in range(30):
-            offset = np.zeros(30)
+        for k in range(count):
+            offset = np.zeros(count)
             offset[k] = step
             change = expected(state.mean, offset) - expected(state.mean, -offset)
             np.testing.assert_allclose(

@@ -109,7 +109,8 @@ def learning_run(
     """Drive with wheels and sightings so many times as noisy as they claim; filter and NEES."""
     rng = np.random.default_rng([seed, key])
     true_map = landmark_map(14, seed=seed)
-    fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, FusionConfig(), NOISE)
+    # Errors that do not repeat.
+    fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, FusionConfig(repeated_share=0.0), NOISE)
     fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
     for k, moment in enumerate(drive(300, rng, NOISE.scaled(wheels, wheels))):
         fused.add_odometry(moment.odometry)

@@ -13,7 +13,7 @@ from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray, LandmarkMap
 
 NOISE = OdometryNoiseConfig()
-SIGMA_RAD, OWN_M, COUNT, SEEN = 1e-3, 0.005, 14, 6
+SIGMA_RAD, OWN_M, COUNT, SEEN = 1e-3, 0.001, 14, 6
 MAP = landmark_map(COUNT, 1e-5, OWN_M)
 # Errors that do not repeat.
 CONFIG = FusionConfig(repeated_share=0.0)

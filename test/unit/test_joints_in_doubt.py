@@ -75,7 +75,8 @@ def test_an_unknown_delay_is_zero_with_a_wide_sigma() -> None:
     whole = late_joints(found_state()).merged()
     assert whole.mean[DELAY] == pytest.approx(0.0, abs=1e-12)
     assert 0.12 < whole.late.sigma_s < 0.15
-    (single,) = late_joints(found_state(), whole=True).states
+    found = Found(NOBODY, RATE_RAD_S, track_at(3_200_000_000))
+    (single,) = found_in_swing(found_state(), found, LEVER, whole=True).states
     assert single.late.sigma_s == pytest.approx(0.15)
 
 

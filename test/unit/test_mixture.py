@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.fusion.measurement import bearing_model, correct
 from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
 from landmark_nav.localization.fusion.state import (
     FilterState,
@@ -19,6 +21,7 @@ from landmark_nav.localization.fusion.state import (
 )
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.types import FloatArray
 
 MAP = landmark_map(4)
 
@@ -34,7 +37,7 @@ def state(seed: int, heading_rad: float = 0.0) -> FilterState:
         start,
         mean=mean,
         covariance=root @ root.T,
-        cross=rng.normal(0.0, 0.01, (STATES, 3 * len(MAP.landmarks))),
+        cross=rng.normal(0.0, 0.01, start.cross.shape),
     )
 
 
@@ -122,10 +125,43 @@ def test_states_that_go_on_otherwise_are_not_merged() -> None:
     )
 
 
-def test_of_those_that_refine_the_map_one_stays() -> None:
-    logs = iter([0.0, 0.5, 0.2])
-    outcomes = [found(state(k), next(logs)) for k in range(3)]
-    after, update = weighed(Mixture((state(9),)), lambda _: outcomes, single=True)
-    assert after.states == (outcomes[1].state,)
-    assert after.weights == [1.0]
-    assert update is outcomes[1].update
+def measured_once(prior: FilterState, seed: int) -> Outcome:
+    """Return what bearings of three landmarks make of a state."""
+    columns, off = np.arange(3), np.random.default_rng(seed).normal(0.0, 1e-3, 3)
+    nothing, sigma = np.zeros(2), np.full(3, 1e-3)
+    expected = np.arctan2(*(MAP.positions[columns, :2] - prior.mean[:2]).T[::-1])
+    bearings = wrap_rad(expected - prior.mean[HEADING] + off)
+    seen = bearing_model(prior, prior, columns, bearings, sigma**2, sigma, 0.0, nothing)
+    return found(correct(prior, seen), 0.0)._replace(model=seen)
+
+
+def test_the_map_is_refined_where_nothing_is_in_doubt() -> None:
+    noise = OdometryNoiseConfig()
+    prior = initial_state(start_estimate(np.array([0.01, 0.01, 0.005])), MAP, noise, 0.0)
+
+    def estimate(outcomes: list[Outcome], refine: bool = True) -> FloatArray:
+        after, _ = weighed(Mixture((prior,)), lambda _: outcomes, refine)
+        return np.array([state.map_errors.estimate for state in after.states])
+
+    one = measured_once(prior, 0)
+    assert estimate([one]).any()
+    assert not estimate([one], refine=False).any()
+    # Where it is, what was refined before is forgotten.
+    known = one.state.map_errors.refined(
+        one.model.columns, one.model.considered_covariance, one.model.covariance, np.ones(3)
+    )
+    told = one._replace(state=replace(one.state, map_errors=known))
+    assert not estimate([told, told]).any()
+    turned = replace(one.update, turned_rad=0.03)
+    assert not estimate([told._replace(update=turned)]).any()
+    refused = one._replace(state=told.state, model=None)
+    assert estimate([refused]).any()
+
+
+def test_a_pose_known_to_decimetres_does_not_refine_the_map() -> None:
+    wide = initial_state(
+        start_estimate(np.array([0.1, 0.1, 0.05])), MAP, OdometryNoiseConfig(), 0.0
+    )
+    one = measured_once(wide, 0)
+    after, _ = weighed(Mixture((wide,)), lambda _: [one], refine=True)
+    assert not after.states[0].map_errors.estimate.any()

@@ -19,10 +19,15 @@ class FusionConfig(Config):
         choices=('bearings', 'poses'),
     )
     landmarks: str = parameter(
-        'consider',
-        'Landmark errors: carried along, so that the map is all that is ever claimed, or refined '
-        'by what is seen.',
+        'refine',
+        'Landmark errors: carried along, or refined by what is seen where nothing is in doubt.',
         choices=('consider', 'refine'),
+    )
+    map_memory_m: float = parameter(
+        3.0,
+        'Way over which it is forgotten what was seen of landmark errors, m.',
+        minimum=0.1,
+        maximum=1e9,
     )
     bearing_probability: float = parameter(
         0.999, 'Chi-square level of the gates for bearings.', minimum=0.5, maximum=1.0

@@ -96,7 +96,7 @@ def _outcome(
         turned_rad=turned,
         log_likelihood=log_density(nis, model.covariance),
     )
-    return Outcome(correct(loose, model, refine=False), update)
+    return Outcome(correct(loose, model), update)
 
 
 def _pose_model(
@@ -128,6 +128,7 @@ def _pose_model(
         + fix @ (seen.covariance @ fix.T + seen.state_covariance.T @ beside.T)
         + measured.covariance,
         np.zeros((LEARNED, 3, 3)),
+        columns,
     )
 
 

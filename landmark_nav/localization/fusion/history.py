@@ -195,9 +195,9 @@ class History:
         if self.at(stamp_ns).still_s >= 1e-9 * (stamp_ns - stands_ns) - 1e-6:
             self.change(stamp_ns, partial(doubted_stand, config=self._config))
 
-    def doubt_joints(self, stamp_ns: int, whole: bool) -> None:
+    def doubt_joints(self, stamp_ns: int) -> None:
         """Assume that the joint states may be late, if landmarks went out of sight in a swing."""
-        self.insert(stamp_ns, lambda mixture: (seen_in_swing(mixture, whole), None))
+        self.insert(stamp_ns, lambda mixture: (seen_in_swing(mixture), None))
 
     def at(self, stamp_ns: int | None = None) -> FilterState:
         """

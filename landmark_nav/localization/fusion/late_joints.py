@@ -46,14 +46,8 @@ def in_doubt(state: FilterState) -> bool:
     return state.late.sigma_s >= _DOUBTED * _PART_S
 
 
-def late_joints(state: FilterState, whole: bool = False) -> Mixture:
-    """
-    Return hypotheses of a delay of the joint stamps of which nothing is known.
-
-    With `whole` it is one, where no more than one can be kept.
-    """
-    if whole:
-        return Mixture((with_late_joints(state, _LATE_S),))
+def late_joints(state: FilterState) -> Mixture:
+    """Return hypotheses of a delay of the joint stamps of which nothing is known."""
     parts = (with_late_joints(state, _PART_S, delay_s) for delay_s in _PARTS_S.tolist())
     return Mixture(tuple(parts), _WEIGHTS)
 
@@ -64,12 +58,10 @@ def perhaps_late(in_time: FilterState, late: Mixture) -> Mixture:
     return Mixture((in_time, *late.states), weights)
 
 
-def seen_in_swing(mixture: Mixture, whole: bool = False) -> Mixture:
+def seen_in_swing(mixture: Mixture) -> Mixture:
     """Return the mixture with joint states that may be late, unless they are in doubt already."""
     if any(in_doubt(state) for state in mixture.states):
         return mixture
-    if whole:
-        return mixture.each(lambda state: late_joints(state, whole).states[0])
     parts = [perhaps_late(state, late_joints(state)) for state in mixture.states]
     weights = np.outer(mixture.weights, parts[0].weights).reshape(-1)
     states = [state for part in parts for state in part.states]
@@ -104,7 +96,7 @@ def found_in_swing(
     if whole:
         wide = state.covariance.copy()
         wide[:3, :3] += found.swing_rad(DOUBT_S) ** 2 * np.outer(by_heading, by_heading)
-        return late_joints(replace(state, covariance=wide), whole)
+        return Mixture((with_late_joints(replace(state, covariance=wide), _LATE_S),))
     in_time = with_late_joints(state, 0.0) if in_doubt(state) else state
 
     def turned(part: FilterState) -> FilterState:

@@ -17,7 +17,14 @@ from landmark_nav.localization.joint_delay import Lag, STILL
 from landmark_nav.localization.triangulation.model import bearing_gradients, bearing_residuals
 from landmark_nav.types import FloatArray
 
-__all__ = ['MeasurementModel', 'bearing_model', 'correct', 'expected_bearings']
+__all__ = [
+    'MeasurementModel',
+    'bearing_model',
+    'correct',
+    'expected_bearings',
+    'refined',
+    'unrefined',
+]
 
 _ALL = slice(None)
 
@@ -34,12 +41,14 @@ class MeasurementModel(NamedTuple):
         Derivative of the expected measurement by the state.
     state_covariance : ndarray, shape (STATES, m)
         Covariance of the state with the innovation.
-    considered_covariance : ndarray, shape (3n, m)
-        Covariance of landmarks and repeated errors with the innovation.
+    considered_covariance : ndarray, shape (F + 3n, m)
+        Covariance of the errors of the map with the innovation.
     covariance : ndarray, shape (m, m)
         Covariance of the innovation.
     by_noise : ndarray, shape (LEARNED, m, m)
         Part of it that each learned noise adds in this measurement.
+    columns : ndarray of int, shape (l,)
+        Landmarks that it is of.
 
     """
 
@@ -49,6 +58,7 @@ class MeasurementModel(NamedTuple):
     considered_covariance: FloatArray
     covariance: FloatArray
     by_noise: FloatArray
+    columns: IndexArray
 
 
 def expected_bearings(
@@ -108,7 +118,7 @@ def bearing_model(
     prior : FilterState
         State before the measurement.
     at : FilterState
-        Where to linearise; its covariances are not used.
+        Where to linearise, with the same map; its covariances are not used.
     columns : ndarray of int, shape (m,)
         Columns of the landmarks in the map.
     bearings : ndarray, shape (m,)
@@ -131,7 +141,7 @@ def bearing_model(
     cos, sin = np.cos(heading), np.sin(heading)
     arm = np.array([cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1]])
     axis = np.array([x + arm[0], y + arm[1], heading])
-    seen = at.landmarks[columns]
+    seen = at.map_errors.places(columns)
     straight, by_lens = straightened(bearings, pan, float(at.mean[LENS]))
     shift = at.mean[BORESIGHT] - lag.shift_rad
     residual = bearing_residuals(axis, seen, straight - shift)
@@ -144,35 +154,38 @@ def bearing_model(
     jacobian[:, DELAY] = -lag.rate_rad_s
     jacobian[:, LENS] = -by_lens
 
-    # The derivative by a landmark's x and y is minus the one by those of the pan axis.
-    m, n = len(columns), len(prior.landmarks)
-    places = np.concatenate([2 * columns, 2 * columns + 1, 2 * n + columns])
-    row = np.arange(m)
-    by_places = np.zeros((m, 3 * m))
-    by_places[row, row], by_places[row, m + row] = gradient.T
-    by_places[row, 2 * m + row] = -repeated_sigma
-    state_covariance = prior.covariance @ jacobian.T - prior.cross[:, places] @ by_places.T
+    # By a landmark's place a bearing changes as by that of the pan axis, with the opposite sign.
+    errors = prior.map_errors
+    through = errors.influence(columns, gradient, repeated_sigma)
+    numbers, by_errors = through.numbers, through.by_errors
+    state_covariance = prior.covariance @ jacobian.T - prior.cross[:, numbers] @ by_errors.T
     # The covariance is symmetric; its rows are contiguous in memory, its columns are not.
     considered_covariance = prior.cross.T @ jacobian.T
-    considered_covariance -= (by_places @ prior.considered_covariance[places]).T
+    considered_covariance -= errors.covariance_with(through)
     by_noise = np.zeros((LEARNED, len(columns), len(columns)))
     np.fill_diagonal(by_noise[SIGHTING], variance)
-    covariance = jacobian @ state_covariance - by_places @ considered_covariance[places]
+    covariance = jacobian @ state_covariance - by_errors @ considered_covariance[numbers]
     covariance += by_noise[SIGHTING] + common_variance + lag.bend_rad**2
 
     offset = prior.mean - at.mean
     offset[2] = wrap_rad(offset[2])
     innovation = residual - jacobian @ offset
-    innovation += np.sum(gradient * (prior.landmarks[columns] - seen), axis=-1)
-    innovation -= repeated_sigma * prior.repeated[columns]
+    if errors.told is not None:
+        innovation -= repeated_sigma * errors.repeated(columns)
     return MeasurementModel(
-        innovation, jacobian, state_covariance, considered_covariance, covariance, by_noise
+        innovation,
+        jacobian,
+        state_covariance,
+        considered_covariance,
+        covariance,
+        by_noise,
+        columns,
     )
 
 
-def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> FilterState:
+def correct(prior: FilterState, model: MeasurementModel) -> FilterState:
     """
-    Return the state after a Kalman step; landmarks are estimated as well with `refine`.
+    Return the state after a Kalman step; the map stays as it is.
 
     With a model that is not linearised at the prior this is one step of an iterated update (Bell
     and Cathey, The Iterated Kalman Filter Update as a Gauss-Newton Method, 1993).
@@ -182,24 +195,28 @@ def correct(prior: FilterState, model: MeasurementModel, refine: bool) -> Filter
     mean[2] = wrap_rad(mean[2])
     covariance = prior.covariance - gain @ model.state_covariance.T
     left = np.eye(STATES) - gain @ model.jacobian
-    state = replace(
+    return replace(
         prior,
         mean=mean,
         covariance=0.5 * (covariance + covariance.T),
         cross=prior.cross - gain @ model.considered_covariance.T,
         by_noise=left @ prior.by_noise @ left.T + gain @ model.by_noise @ gain.T,
     )
-    if not refine:
-        return state
-    refined_by = np.linalg.solve(model.covariance, model.considered_covariance.T).T
-    remaining = prior.considered_covariance - refined_by @ model.considered_covariance.T
-    step, n = refined_by @ model.innovation, len(prior.landmarks)
-    return replace(
-        state,
-        landmarks=prior.landmarks + step[: 2 * n].reshape(-1, 2),
-        repeated=prior.repeated + step[2 * n :],
-        considered_covariance=0.5 * (remaining + remaining.T),
+
+
+def refined(state: FilterState, model: MeasurementModel) -> FilterState:
+    """Return the state after `correct`, with the errors of the map estimated as well."""
+    errors = state.map_errors.refined(
+        model.columns, model.considered_covariance, model.covariance, model.innovation
     )
+    return replace(state, map_errors=errors)
+
+
+def unrefined(state: FilterState) -> FilterState:
+    """Return the state with the map as it was learned, whatever was seen of it since."""
+    if state.map_errors.told is None:
+        return state
+    return replace(state, map_errors=state.map_errors.as_learned())
 
 
 def _left_out(gradient: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.fusion.measurement import MeasurementModel, refined, unrefined
 from landmark_nav.localization.fusion.state import FilterState, HEADING
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.types import FloatArray
@@ -26,13 +27,21 @@ _UNLIKELY, MOST = 0.01, 12
 # Hypotheses are merged if each number of their means differs by less than this part of its sigma.
 _ALIKE = 0.5
 _CERTAIN = np.ones(1)
+# With sigmas of the pose beyond these, position (root of the trace) and heading, bearings are not
+# linear enough to tell what the map is off by.
+_KNOWN_M, _KNOWN_RAD = 0.1, 0.05
 
 
 class Outcome(NamedTuple):
-    """A hypothesis after a measurement, and the logarithm of its prior probability."""
+    """
+    A hypothesis after a measurement, and the logarithm of its prior probability.
+
+    `model` is that of the bearings that were used.
+    """
 
     state: FilterState
     update: FusionUpdate
+    model: MeasurementModel | None = None
     log_prior: float = 0.0
 
 
@@ -114,7 +123,7 @@ class Mixture:
 
 
 def weighed(
-    prior: Mixture, outcomes_of: Callable[[FilterState], list[Outcome]], single: bool = False
+    prior: Mixture, outcomes_of: Callable[[FilterState], list[Outcome]], refine: bool = False
 ) -> tuple[Mixture, FusionUpdate]:
     """
     Return the mixture after a measurement, and the update of its likeliest hypothesis.
@@ -125,8 +134,8 @@ def weighed(
         Before the measurement.
     outcomes_of : callable
         From a state to all hypotheses of what the measurement makes of it.
-    single : bool
-        Keep the likeliest hypothesis alone: where landmarks are refined, each has its own map.
+    refine : bool
+        Estimate what the map is off by as well; where there is doubt, forget what was estimated.
 
     """
     found = [
@@ -135,10 +144,22 @@ def weighed(
         for outcome in outcomes_of(state)
     ]
     if len(found) == 1:
-        return Mixture((found[0].state,)), found[0].update
+        state, update, model, _ = found[0]
+        if refine and update.turned_rad:
+            state = unrefined(state)
+        elif refine and model is not None and _is_known(prior.states[0]):
+            state = refined(state, model)
+        return Mixture((state,)), update
     logs = np.array([outcome.log_prior + outcome.update.log_likelihood for outcome in found])
     weights = np.exp(logs - logs.max())
     kept = np.argsort(-weights, kind='stable')
-    kept = kept[:1] if single else kept[weights[kept] >= _UNLIKELY]
+    kept = kept[weights[kept] >= _UNLIKELY]
     after = Mixture(tuple(found[k].state for k in kept), weights[kept] / weights[kept].sum())
-    return after.reduced(), found[kept[0]].update
+    after = after.reduced()
+    return after.each(unrefined) if refine else after, found[kept[0]].update
+
+
+def _is_known(state: FilterState) -> bool:
+    """Whether the pose is known well enough to learn of the map."""
+    x, y, heading = state.covariance.diagonal()[:3].tolist()
+    return bool(x + y < _KNOWN_M**2 and heading < _KNOWN_RAD**2)

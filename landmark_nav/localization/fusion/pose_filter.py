@@ -83,8 +83,6 @@ class PoseFilter:
         self._pan_sigma_rad = mount.pan_sigma_rad
         self._config = config or FusionConfig()
         self._odometry = odometry or OdometryNoiseConfig()
-        # Each hypothesis would have its own map.
-        self._single = self._config.landmarks == 'refine'
         self._history = History(self._odometry, self._config.history_s)
         self._health = Health(health or HealthConfig())
         self._recovery = Recovery(
@@ -177,7 +175,7 @@ class PoseFilter:
             reckoned = self._history.dead_reckoned(start.stamp_ns)
             if joints_in_doubt(start, found, state.late, reckoned):
                 # A pose measured in the same swing is off by the same angle.
-                whole = self._single or self._config.mode == 'poses'
+                whole = self._config.mode == 'poses'
                 begin = found_in_swing(state, found, self._lever, whole)
         self._history.restart(begin)
         self._recovery.restart()
@@ -235,7 +233,7 @@ class PoseFilter:
                 self._history.doubt_stand(stamp, since_ns)
                 self._note_stand(stamp)
                 if frame.swing_rad(REACH_S) > _SWING_RAD:
-                    self._history.doubt_joints(stamp, self._single)
+                    self._history.doubt_joints(stamp)
                     self._health.note_blind(_BLIND)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
         update = self._measure(
@@ -318,7 +316,8 @@ class PoseFilter:
 
     def with_landmarks(self, stamp_ns: int) -> FloatArray:
         """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
-        return self._history.at(stamp_ns).cross[:3, : 2 * len(self._map.landmarks)]
+        state = self._history.at(stamp_ns)
+        return state.map_errors.with_places(state.cross[:3])
 
     def _measure(self, stamp_ns: int, step: Step) -> FusionUpdate:
         """Apply a measurement at its time, and judge the pose by what became of it."""

@@ -32,7 +32,6 @@ def standing_or_hanging(
     state: FilterState,
     outcomes_of: Callable[[FilterState], list[Outcome]],
     config: OdometryNoiseConfig,
-    single: bool = False,
 ) -> list[Outcome]:
     """
     Return the outcomes of a measurement, with the odometry believed and, if it stands, not.
@@ -45,9 +44,6 @@ def standing_or_hanging(
         From a state to the outcomes of the measurement if its odometry is right.
     config : OdometryNoiseConfig
         Has the variances of a motion without odometry.
-    single : bool
-        Whether the likeliest outcome alone will be kept. Then a turn that the camera or the robot
-        may have made stays open in one state.
 
     """
     if not state.still_s:
@@ -68,8 +64,6 @@ def standing_or_hanging(
         ended = _fitting(stood)
         known = _with_prior(ended, _ENDS) + _with_prior([*turned, *gone], _GOES_ON)
         return known or _with_prior(_outcomes(outcomes_of, state), _KNOCKED)
-    if single and turned and all(one.update.degrees for one in stood):
-        return [one._replace(state=replace(one.state, hangs=True)) for one in stood]
     begun = [one for one in (*turned, *gone) if one.update.degrees >= _LEAST]
     return _with_prior(stood, _KNOCKED) + _with_prior(begun, _BEGINS)
 

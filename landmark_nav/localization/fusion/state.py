@@ -1,13 +1,13 @@
 """
 The Schmidt-Kalman state, and how it moves on, as pure functions.
 
-Landmarks are consider states (Schmidt, Application of State-Space Methods to Navigation Problems,
-1966): their errors and the correlations of these with the pose are carried along, but their places
-are not estimated. So repeated sightings never make the pose more certain than the map allows.
+What the map may be off by is considered (Schmidt, Application of State-Space Methods to Navigation
+Problems, 1966): its covariance and its correlations with the pose are carried along. So repeated
+sightings never make the pose more certain than the map allows.
 
-The repeated error of each landmark is a consider state as well: seen from nearly the same place, a
-patch is found off by nearly the same fraction of a pixel in picture after picture. On request both
-are estimated (`measurement.correct` with `refine`): EKF-SLAM with the map as its prior.
+Where nothing is in doubt it is also estimated (`refined`; Brink, Partial-Update Schmidt-Kalman
+Filter, 2017): what the map is off by shows as the robot moves on. It is forgotten over some
+metres, as what a landmark seems to be off by depends on where it is seen from.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
+from landmark_nav.localization.fusion.map_errors import MapErrors
 from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales, SLIP, WHEELS
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import (
@@ -73,14 +73,10 @@ class FilterState:
         Pose of the base in map and the systematic errors.
     covariance : ndarray, shape (STATES, STATES)
         Of `mean`.
-    cross : ndarray, shape (STATES, 3n)
-        Covariance of `mean` with the landmarks' (x, y), then with their repeated errors.
-    landmarks : ndarray, shape (n, 2)
-        Their places in map, metres.
-    repeated : ndarray, shape (n,)
-        Repeated error of each landmark's sightings, in units of its sigma.
-    considered_covariance : ndarray, shape (3n, 3n)
-        Joint covariance of places and repeated errors, in the order of `cross`.
+    cross : ndarray, shape (STATES, F + 3n)
+        Covariance of `mean` with the errors of the map.
+    map_errors : MapErrors
+        What the map may be off by.
     scales : NoiseScales
         How noisy odometry and sightings turned out to be.
     by_noise : ndarray, shape (LEARNED, STATES, STATES)
@@ -98,9 +94,7 @@ class FilterState:
     mean: FloatArray
     covariance: FloatArray
     cross: FloatArray
-    landmarks: FloatArray
-    repeated: FloatArray
-    considered_covariance: FloatArray
+    map_errors: MapErrors
     scales: NoiseScales
     by_noise: FloatArray
     way_m: float = 0.0
@@ -145,19 +139,18 @@ def initial_state(
     covariance[range(3, STATES), range(3, STATES)] = sigmas**2
     by_noise = np.zeros((LEARNED, STATES, STATES))
     by_noise[SLIP, _SLIP, _SLIP] = odometry.slip_sigma**2
-    mean, nothing = np.array([*start.pose, *np.zeros(STATES - 3)]), np.empty(0)
-    scales = NoiseScales.unknown(odometry)
-    alone = FilterState(
-        start.stamp_ns, mean, covariance, nothing, nothing, nothing, nothing, scales, by_noise
-    )
-    return with_map(alone, landmark_map)
+    mean, scales = np.array([*start.pose, *np.zeros(STATES - 3)]), NoiseScales.unknown(odometry)
+    errors = MapErrors.of(landmark_map)
+    cross = np.zeros((STATES, len(errors.estimate)))
+    return FilterState(start.stamp_ns, mean, covariance, cross, errors, scales, by_noise)
 
 
 def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
     """
     Return the state of the same robot at another pose.
 
-    What was learned of its odometry and its camera stays. The pose may come from a person, or from
+    What was learned of its odometry and its camera stays; not what was seen of the map, which at a
+    wrong place was wrong. The pose may come from a person, or from
     the camera; then its heading is off by the boresight. As it is not known which, the heading is
     corrected by half the boresight and widened by as much: the mean and covariance of a mixture of
     both cases. The next bearings tell.
@@ -177,6 +170,7 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
         mean=mean,
         covariance=covariance,
         cross=kept @ state.cross,
+        map_errors=state.map_errors.as_learned(),
         by_noise=kept @ state.by_noise @ kept.T,
     )
 
@@ -205,39 +199,23 @@ def with_late_joints(state: FilterState, sigma_s: float, delay_s: float = 0.0) -
 
 def with_map(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
     """Return the state with the landmarks of a map, uncorrelated with them."""
-    n = len(landmark_map.landmarks)
-    return replace(
-        state,
-        cross=np.zeros((STATES, 3 * n)),
-        landmarks=landmark_map.positions[:, :2],
-        repeated=np.zeros(n),
-        considered_covariance=block_diag(landmark_map.joint_covariance_xy, np.eye(n)),
-    )
+    errors = MapErrors.of(landmark_map)
+    return replace(state, cross=np.zeros((STATES, len(errors.estimate))), map_errors=errors)
 
 
-def looking_again(state: FilterState, length_m: float) -> FilterState:
+def looking_again(state: FilterState, repeat_length_m: float, memory_m: float) -> FilterState:
     """
-    Return the state with the repeated errors moved on by the way since the last picture.
+    Return the state with what is considered moved on by the way since the last picture.
 
-    They are a first-order Gauss-Markov process with the correlation length `length_m`.
+    Repeated errors are a first-order Gauss-Markov process with the correlation length
+    `repeat_length_m`; what was seen of the map is forgotten alike, over `memory_m`.
     """
     if state.way_m == 0.0:
         return state
-    kept, repeats = np.exp(-state.way_m / length_m), slice(2 * len(state.landmarks), None)
-    cross, covariance = state.cross.copy(), state.considered_covariance
-    cross[:, repeats] *= kept
-    if state.repeated.any():
-        covariance = covariance.copy()
-        covariance[repeats] *= kept
-        covariance[:, repeats] *= kept
-        covariance[repeats, repeats] += (1.0 - kept**2) * np.eye(len(state.landmarks))
-    return replace(
-        state,
-        cross=cross,
-        repeated=kept * state.repeated,
-        considered_covariance=covariance,
-        way_m=0.0,
-    )
+    again, known = np.exp(-state.way_m / np.array([repeat_length_m, memory_m])).tolist()
+    kept = state.map_errors.kept(known, again)
+    errors = state.map_errors.moved_on(kept, known)
+    return replace(state, cross=kept * state.cross, map_errors=errors, way_m=0.0)
 
 
 def propagate(

@@ -64,20 +64,19 @@ def update_turning(
 
     If the pan turns fast enough, late joint states may be the reason. A second hypothesis then
     opens their delay, and pictures at other rates tell which is true; where the delay is open
-    anyway, or landmarks are refined, the delay is opened without a second hypothesis.
+    anyway, the delay is opened without a second hypothesis.
 
     An angle too small to be a surprise, but too large for the gates, widens the heading alone.
 
     Parameters are those of `update_bearings`, with a mixture as the prior.
     """
-    single = frame.config.landmarks == 'refine'
 
     def updated(state: FilterState, enough: int, model: MeasurementModel | None = None) -> Outcome:
         return Outcome(*update_bearings(state, frame, lever, probability, odometry, enough, model))
 
     def outcomes(state: FilterState) -> list[Outcome]:
-        stands = state.stands and not single
-        state = looking_again(state, frame.config.repeat_length_m)
+        stands = state.stands
+        state = looking_again(state, frame.config.repeat_length_m, frame.config.map_memory_m)
         expected = expected_bearings(state, frame, lever)
         as_before = updated(state, least, expected)
         turn_sigma = frame.config.turn_sigma_rad
@@ -92,9 +91,9 @@ def update_turning(
         loose = Mixture((turned,))
         swings = frame.swing_rad(REACH_S) > _LATE_SHARE * abs(angle)
         if surprising and swings and not in_doubt(state):
-            loose = late_joints(state if stands else turned, whole=single)
+            loose = late_joints(state if stands else turned)
             # A known delay most likely stays as it is; an open one might take a slip for a delay.
-            if state.late.is_known and not single:
+            if state.late.is_known:
                 loose = perhaps_late(turned, loose)
         found = [
             updated(other, max(least, _LEAST))._replace(log_prior=float(np.log(weight)))
@@ -116,8 +115,8 @@ def update_turning(
 
     return weighed(
         prior,
-        lambda state: standing_or_hanging(state, outcomes, odometry, single),
-        single,
+        lambda state: standing_or_hanging(state, outcomes, odometry),
+        refine=frame.config.landmarks == 'refine',
     )
 
 
@@ -132,7 +131,7 @@ def _turned(
     loose = state if stands and surprising else widened(state, HEADING, turn_rad**2)
     if not surprising:
         return loose
-    away = state.landmarks[frame.columns] - state.mean[:2]
+    away = state.map_errors.places(frame.columns) - state.mean[:2]
     if not stands:
         loose = widened(loose, [0, 1], turn_rad**2 * np.mean(np.sum(away**2, axis=1)))
     # Wheels may continue to slip, but a camera is knocked once.

@@ -91,7 +91,7 @@ def update_bearings(
     odometry: OdometryNoiseConfig,
     least: int,
     expected: MeasurementModel | None = None,
-) -> tuple[FilterState, FusionUpdate]:
+) -> tuple[FilterState, FusionUpdate, MeasurementModel | None]:
     """
     Use the bearings of a frame that agree with the prior and with each other.
 
@@ -112,8 +112,13 @@ def update_bearings(
     expected : MeasurementModel, optional
         Result of `expected_bearings` for this prior and frame, if it was computed before.
 
+    Returns
+    -------
+    FilterState, FusionUpdate, MeasurementModel or None
+        State after it, what became of it, and the model of the bearings that were used.
+
     """
-    seen, refine = frame.ids, frame.config.landmarks == 'refine'
+    seen = frame.ids
     rejected = dict(frame.unusable)
     before = expected or expected_bearings(prior, frame, lever)
     chosen = _inside_gate(before, seen, probability, rejected)
@@ -121,7 +126,7 @@ def update_bearings(
     while len(chosen) >= least:
         model_at = partial(expected_bearings, prior, frame, lever, chosen)
         first = before if len(chosen) == len(seen) else model_at()
-        state, model = _iterated(prior, first, model_at, refine)
+        state, model = _iterated(prior, first, model_at)
         inverse = np.linalg.inv(model.covariance)
         weighted = inverse @ model.innovation
         nis = float(model.innovation @ weighted)
@@ -134,12 +139,12 @@ def update_bearings(
                 odometry,
             )
             strays = len(seen) - len(chosen)
-            tails = _tails(weighted, inverse)
+            tails, used = _tails(weighted, inverse), model
             if len(chosen) >= _FEW and tails.max() > _WORTH_WHILE:
                 tailed = frame.tailed(chosen, tails)
-                model_there = expected_bearings(prior, tailed, lever, chosen, state)
-                state = correct(prior, model_there, refine)
-            return replace(state, scales=scales), FusionUpdate(
+                used = expected_bearings(prior, tailed, lever, chosen, state)
+                state = correct(prior, used)
+            update = FusionUpdate(
                 prior.stamp_ns,
                 seen[chosen],
                 before.innovation[chosen],
@@ -148,6 +153,7 @@ def update_bearings(
                 rejected,
                 log_likelihood=strays * _LOG_STRAY + log_density(nis, model.covariance),
             )
+            return replace(state, scales=scales), update, used
         # How much the NIS would fall without each bearing.
         worst = int(np.argmax(weighted**2 / np.diag(inverse)))
         rejected[int(seen[chosen[worst]])] = Refusal(
@@ -162,13 +168,14 @@ def update_bearings(
             f'{len(chosen)} of {len(seen)} agree, '
             f'largest innovation {np.degrees(np.abs(before.innovation).max()):.2f} deg',
         )
-    return prior, FusionUpdate(
+    unused = FusionUpdate(
         prior.stamp_ns,
         rejected=rejected,
         refusal=refusal,
         contradicts=contradicts,
         log_likelihood=len(seen) * _LOG_STRAY,
     )
+    return prior, unused, None
 
 
 def _tails(weighted: FloatArray, inverse: npt.NDArray[Any]) -> FloatArray:
@@ -209,15 +216,14 @@ def _iterated(
     prior: FilterState,
     model: MeasurementModel,
     model_at: Callable[[FilterState], MeasurementModel],
-    refine: bool,
 ) -> tuple[FilterState, MeasurementModel]:
     """Repeat the update, linearised about its own result, until it converges."""
-    at, state = prior, correct(prior, model, refine)
+    at, state = prior, correct(prior, model)
     for _ in range(_MAX_ITERATIONS):
         moved = np.abs(state.mean - at.mean)
         if moved[:2].max() < _LINEAR_M and moved[DELAY] < _LINEAR_S:
             break
         at = state
         model = model_at(at)
-        state = correct(prior, model, refine)
+        state = correct(prior, model)
     return state, model
