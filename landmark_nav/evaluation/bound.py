@@ -65,7 +65,7 @@ def posterior_bound(
     told = replace(
         config.fusion,
         mode='bearings',
-        landmarks='refine',
+        landmarks='estimate',
         map_memory_m=1e9,
         bearing_probability=1.0,
         curvature_repeats=0.0,

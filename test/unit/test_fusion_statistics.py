@@ -104,13 +104,18 @@ def test_what_sightings_repeat_is_counted_once(landmarks: str) -> None:
 
 
 def learning_run(
-    seed: int, key: int, wheels: float, claimed: float, sightings: float, count: int
+    seed: int,
+    key: int,
+    wheels: float,
+    claimed: float,
+    sightings: float,
+    count: int,
+    config: FusionConfig | None = None,
 ) -> tuple[PoseFilter, float]:
     """Drive with wheels and sightings so many times as noisy as they claim; filter and NEES."""
     rng = np.random.default_rng([seed, key])
     true_map = landmark_map(14, seed=seed)
-    # Errors that do not repeat.
-    fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, FusionConfig(repeated_share=0.0), NOISE)
+    fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, config, NOISE)
     fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
     for k, moment in enumerate(drive(300, rng, NOISE.scaled(wheels, wheels))):
         fused.add_odometry(moment.odometry)
@@ -145,8 +150,13 @@ def test_how_noisy_the_wheels_are_is_learned(factor: float) -> None:
 
 
 @pytest.mark.parametrize('factor', [0.5, 2.0])
-def test_how_noisy_sightings_are_is_learned(factor: float) -> None:
-    runs = [learning_run(seed, 10, 1.0, 2e-3, factor, 8) for seed in range(8)]
+@pytest.mark.parametrize(
+    'config',
+    # The latter with errors that do not repeat, as they are drawn here.
+    [FusionConfig(landmarks='consider'), FusionConfig(landmarks='refine', repeated_share=0.0)],
+)
+def test_how_noisy_sightings_are_is_learned(factor: float, config: FusionConfig) -> None:
+    runs = [learning_run(seed, 10, 1.0, 2e-3, factor, 8, config) for seed in range(8)]
     found = [fused.sighting_sigma for fused, _ in runs]
     assert np.exp(np.mean(np.log(found))) == pytest.approx(factor, rel=0.2)
     check_honest([nees for _, nees in runs])
@@ -192,6 +202,55 @@ def test_a_slip_of_the_wheels_is_not_taken_for_a_knock(sigmas: float, knocked: b
     grown = np.sqrt(np.diag(after.covariance) / (np.diag(before.covariance) + 1e-12))
     assert (grown[BORESIGHT] > 100.0) == knocked
     assert (grown[HEADING] > 10.0) == knocked
+
+
+@pytest.mark.parametrize('landmarks', ['consider', 'refine'])
+def test_landmarks_that_are_seen_again_after_long_repeat_their_errors(landmarks: str) -> None:
+    """The pose is wide then: nothing is estimated, and what they are off by does not average."""
+    nees = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        true_map = landmark_map(14, 1e-5, 0.1, seed)
+        config = FusionConfig(landmarks=landmarks, repeated_share=0.0)
+        fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, config, NOISE)
+        fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
+        for k, moment in enumerate(drive(900, rng, NOISE)):
+            fused.add_odometry(moment.odometry)
+            # Seen for a moment, out of sight for 15 m, then seen again.
+            if k % 4 == 0 and (k < 40 or k > 800):
+                noise = rng.normal(0.0, SIGMA, 4)
+                stamp = moment.odometry.stamp_ns
+                fused.add_detections(
+                    detections(true_map, moment.pose, stamp, range(4), SIGMA, noise)
+                )
+        final = fused.estimate()
+        assert final is not None
+        error = error_of(final, moment.pose)
+        nees.append(float(error @ np.linalg.solve(final.covariance, error)))
+    check_honest(nees)
+
+
+@pytest.mark.parametrize('wheels', [1.0, 0.3])
+def test_the_pose_never_claims_more_than_what_landmarks_share(wheels: float) -> None:
+    """However exact the odometry is, and however far the robot drives."""
+    nees = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        true_map, noise = landmark_map(14, 0.03, 0.005, seed), NOISE.scaled(wheels, wheels)
+        fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, odometry=noise)
+        fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
+        for k, moment in enumerate(drive(600, rng, noise)):
+            fused.add_odometry(moment.odometry)
+            if k % 4 == 0:
+                places = (int(rng.integers(14)) + np.arange(4)) % 14
+                off, stamp = rng.normal(0.0, SIGMA, 4), moment.odometry.stamp_ns
+                fused.add_detections(detections(true_map, moment.pose, stamp, places, SIGMA, off))
+        final = fused.estimate()
+        assert final is not None
+        assert np.sqrt(np.diag(final.covariance)[:2]).min() > 0.8 * 0.03
+        error = error_of(final, moment.pose)
+        nees.append(float(error @ np.linalg.solve(final.covariance, error)))
+    check_honest(nees)
 
 
 def test_refining_the_map_is_worth_it() -> None:

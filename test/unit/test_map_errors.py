@@ -6,6 +6,7 @@ from fusion_drives import landmark_map
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
+import pytest
 from scipy.linalg import block_diag
 
 from landmark_nav.localization.fusion.map_errors import MapErrors
@@ -36,11 +37,13 @@ def dense_influence(columns: FloatArray, gradient: FloatArray, sigma: float) -> 
 class Both:
     """The same measurements of a place (2,) and a map, in a dense filter and by `MapErrors`."""
 
-    def __init__(self, seed: int) -> None:
-        self.rng = np.random.default_rng(seed)
+    def __init__(self, seed: int, shared: bool) -> None:
+        self.rng, self.shared = np.random.default_rng(seed), shared
         self.mean = np.zeros(2 + FACTORS + 3 * COUNT)
         self.joint = block_diag(POSE**2, prior_covariance())
-        self.errors, self.pose, self.cross = ERRORS, POSE**2, np.zeros((2, len(self.mean) - 2))
+        # Share of each error that is still kept since it was seen; 0 of what nothing is told of.
+        self.fresh = np.zeros(FACTORS + 3 * COUNT)
+        self.errors, self.pose, self.cross = ERRORS, POSE**2, np.zeros((2, len(self.fresh)))
 
     def look(self) -> None:
         """See some landmarks."""
@@ -51,9 +54,15 @@ class Both:
         rows = np.hstack([gradient, -dense_influence(columns, gradient, sigma)])
         covariance = rows @ self.joint @ rows.T + noise
         gain = np.linalg.solve(covariance, rows @ self.joint).T
+        if not self.shared:
+            gain[2 : 2 + FACTORS] = 0.0
         innovation = measured - rows @ self.mean
         self.mean = self.mean + gain @ innovation
-        self.joint = self.joint - gain @ rows @ self.joint
+        # Joseph's form holds for any gain.
+        left = np.eye(len(self.mean)) - gain @ rows
+        self.joint = left @ self.joint @ left.T + gain @ noise @ gain.T
+        for k in columns:
+            self.fresh[FACTORS + 3 * k : FACTORS + 3 * k + 3] = 1.0
 
         through = self.errors.influence(columns, gradient, np.full(3, sigma))
         with_pose = self.pose @ gradient.T
@@ -64,17 +73,27 @@ class Both:
         gain = np.linalg.solve(spread, with_pose.T).T
         self.pose = self.pose - gain @ with_pose.T
         self.cross = self.cross - gain @ with_errors.T
-        self.errors = self.errors.refined(columns, with_errors, spread, innovation)
+        self.errors = self.errors.refined(columns, with_errors, spread, innovation, self.shared)
 
     def move(self, known: float, again: float) -> None:
-        """Forget some of it."""
-        kept = self.errors.kept(known, again)
-        self.errors, self.cross = self.errors.moved_on(kept, known), kept * self.cross
-        self.mean[2:] *= kept
-        self.joint[:2, 2:] *= kept
-        self.joint[2:, :2] *= kept[:, None]
-        both = np.outer(kept, kept)
-        prior = prior_covariance()
+        """Forget some of what was seen of single landmarks, all of what was not seen for long."""
+        self.errors, kept = self.errors.moved_on(known, again)
+        self.cross = kept * self.cross
+        shares, own = np.ones(len(self.fresh)), self.fresh > 0.0
+        shares[own] = known
+        shares[FACTORS + 2 :: 3] = again
+        self.fresh *= shares
+        shares[own & (self.fresh < 0.05)] = 0.0
+        self.fresh[self.fresh < 0.05] = 0.0
+        np.testing.assert_allclose(kept, shares, atol=1e-12)
+        self.keep(shares)
+
+    def keep(self, shares: FloatArray) -> None:
+        """The rest of each error is drawn anew."""
+        self.mean[2:] *= shares
+        self.joint[:2, 2:] *= shares
+        self.joint[2:, :2] *= shares[:, None]
+        both, prior = np.outer(shares, shares), prior_covariance()
         self.joint[2:, 2:] = prior - both * (prior - self.joint[2:, 2:])
 
     def covariance(self) -> FloatArray:
@@ -85,23 +104,38 @@ class Both:
         return np.block([[self.pose, self.cross], [self.cross.T, errors]])
 
 
-@given(
-    st.integers(0, 1000),
-    st.lists(st.tuples(st.integers(1, 4), st.floats(0.02, 1.0), st.floats(0.0, 1.0)), max_size=5),
+COURSES = st.lists(
+    st.tuples(st.integers(1, 4), st.floats(0.02, 1.0), st.floats(0.0, 1.0)), max_size=5
 )
-def test_as_a_filter_of_all_errors(seed: int, course: list[tuple[int, float, float]]) -> None:
-    both = Both(seed)
+
+
+@given(st.integers(0, 1000), st.booleans(), COURSES)
+def test_as_a_filter_of_all_errors(
+    seed: int, shared: bool, course: list[tuple[int, float, float]]
+) -> None:
+    both = Both(seed, shared)
     for pictures, known, again in course:
         for _ in range(pictures):
             both.look()
-        both.move(known, min(known, again))
+        both.move(known, again)
     np.testing.assert_allclose(both.errors.estimate, both.mean[2:], atol=1e-9)
     np.testing.assert_allclose(both.covariance(), both.joint, atol=1e-9)
     assert np.linalg.eigvalsh(both.covariance())[0] > -1e-10
 
 
-def test_after_a_long_drive() -> None:
-    both = Both(5)
+def test_what_all_share_is_estimated_on_request_alone() -> None:
+    for shared in (True, False):
+        both = Both(2, shared)
+        both.look()
+        assert both.errors.estimate[:FACTORS].any() == shared
+        # Estimated or not, it is as certain as before, or more so.
+        certain = np.diag(both.covariance())[2 : 2 + FACTORS] < 1.0 - 1e-9
+        assert certain.all() == shared
+
+
+@pytest.mark.parametrize('shared', [True, False])
+def test_after_a_long_drive(shared: bool) -> None:
+    both = Both(5, shared)
     for _ in range(500):
         both.look()
         both.move(0.98, 0.8)
@@ -110,7 +144,7 @@ def test_after_a_long_drive() -> None:
 
 
 def test_places_and_what_goes_with_them() -> None:
-    both = Both(3)
+    both = Both(3, shared=True)
     for _ in range(3):
         both.look()
     shared = MAP.shared_loadings[:, :2] @ both.mean[2 : 2 + FACTORS]
@@ -128,17 +162,18 @@ def test_places_and_what_goes_with_them() -> None:
     )
 
 
-def test_what_was_not_seen_for_long_is_as_it_was_learned() -> None:
-    both = Both(4)
-    both.look()
-    both.move(0.01, 0.01)
-    told = both.errors.told
-    assert told is not None
-    assert (told.which < FACTORS).all()
-    assert np.abs(both.cross[:, FACTORS:]).max() == 0.0
-    again = both.errors.as_learned()
-    assert not again.estimate.any()
-    assert again.told is None
+def test_what_was_seen_of_single_landmarks_is_forgotten_as_a_whole() -> None:
+    both = Both(4, shared=True)
+    for _ in range(3):
+        both.look()
+    both.errors, kept = both.errors.forgotten()
+    both.cross = kept * both.cross
+    both.keep(np.repeat([1.0, 0.0], [FACTORS, 3 * COUNT]))
+    np.testing.assert_allclose(both.covariance(), both.joint, atol=1e-9)
+    assert not both.errors.estimate[FACTORS:].any()
+    again, kept = both.errors.forgotten()
+    assert again is both.errors
+    assert kept.all()
 
 
 def test_two_sightings_of_one_landmark_in_a_picture() -> None:

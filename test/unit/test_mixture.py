@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.fusion.measurement import bearing_model, correct
+from landmark_nav.localization.fusion.measurement import bearing_model, correct, refined
 from landmark_nav.localization.fusion.mixture import Mixture, Outcome, weighed
 from landmark_nav.localization.fusion.state import (
     FilterState,
@@ -135,33 +135,47 @@ def measured_once(prior: FilterState, seed: int) -> Outcome:
     return found(correct(prior, seen), 0.0)._replace(model=seen)
 
 
-def test_the_map_is_refined_where_nothing_is_in_doubt() -> None:
-    noise = OdometryNoiseConfig()
-    prior = initial_state(start_estimate(np.array([0.01, 0.01, 0.005])), MAP, noise, 0.0)
+def known_state(*sigmas: float) -> FilterState:
+    start = start_estimate(np.array(sigmas))
+    return initial_state(start, MAP, OdometryNoiseConfig(), 0.0)
 
-    def estimate(outcomes: list[Outcome], refine: bool = True) -> FloatArray:
-        after, _ = weighed(Mixture((prior,)), lambda _: outcomes, refine)
-        return np.array([state.map_errors.estimate for state in after.states])
 
+def refine(outcomes: list[Outcome], prior: FilterState, landmarks: str = 'refine') -> FloatArray:
+    """Estimates of the errors of the map, (hypotheses, F + 3n)."""
+    after, _ = weighed(Mixture((prior,)), lambda _: outcomes, landmarks)
+    return np.array([state.map_errors.estimate for state in after.states])
+
+
+def seen_before(prior: FilterState) -> Outcome:
+    """Return what bearings make of a state that has seen them before."""
     one = measured_once(prior, 0)
-    assert estimate([one]).any()
-    assert not estimate([one], refine=False).any()
-    # Where it is, what was refined before is forgotten.
-    known = one.state.map_errors.refined(
-        one.model.columns, one.model.considered_covariance, one.model.covariance, np.ones(3)
-    )
-    told = one._replace(state=replace(one.state, map_errors=known))
-    assert not estimate([told, told]).any()
-    turned = replace(one.update, turned_rad=0.03)
-    assert not estimate([told._replace(update=turned)]).any()
-    refused = one._replace(state=told.state, model=None)
-    assert estimate([refused]).any()
+    assert one.model is not None
+    return one._replace(state=refined(one.state, one.model, shared=False))
 
 
-def test_a_pose_known_to_decimetres_does_not_refine_the_map() -> None:
-    wide = initial_state(
-        start_estimate(np.array([0.1, 0.1, 0.05])), MAP, OdometryNoiseConfig(), 0.0
-    )
-    one = measured_once(wide, 0)
-    after, _ = weighed(Mixture((wide,)), lambda _: [one], refine=True)
-    assert not after.states[0].map_errors.estimate.any()
+def test_landmarks_are_refined_where_nothing_is_in_doubt() -> None:
+    prior = known_state(0.01, 0.01, 0.005)
+    one = measured_once(prior, 0)
+    assert not refine([one], prior, 'consider').any()
+    (shared,), (own,) = refine([one], prior, 'estimate'), refine([one], prior)
+    assert shared[:3].any()
+    assert not own[:3].any()
+    assert own[3:].any()
+
+
+def test_in_doubt_what_was_seen_of_landmarks_is_forgotten() -> None:
+    prior = known_state(0.01, 0.01, 0.005)
+    before = seen_before(prior)
+    assert not refine([before, before], prior).any()
+    # As of a picture whose bearings had to turn.
+    used = replace(before.update, degrees=3)
+    assert not refine([before._replace(update=used, model=None)], prior).any()
+    against = replace(before.update, contradicts=True)
+    assert not refine([before._replace(update=against, model=None)], prior).any()
+    # Nothing seen is no doubt.
+    assert refine([before._replace(model=None)], prior).any()
+
+
+def test_a_pose_known_to_decimetres_does_not_refine_landmarks() -> None:
+    wide = known_state(0.1, 0.1, 0.05)
+    assert not refine([measured_once(wide, 0)], wide).any()

@@ -20,12 +20,13 @@ class FusionConfig(Config):
     )
     landmarks: str = parameter(
         'refine',
-        'Landmark errors: carried along, or refined by what is seen where nothing is in doubt.',
-        choices=('consider', 'refine'),
+        'Landmark errors: carried along; or what each has of its own refined where nothing is in '
+        'doubt; or what all share estimated as well.',
+        choices=('consider', 'refine', 'estimate'),
     )
     map_memory_m: float = parameter(
         3.0,
-        'Way over which it is forgotten what was seen of landmark errors, m.',
+        'Way over which it is forgotten what was seen of single landmarks, m.',
         minimum=0.1,
         maximum=1e9,
     )

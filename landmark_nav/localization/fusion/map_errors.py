@@ -1,9 +1,13 @@
 """
-What the map may be off by: considered always, and estimated where nothing is in doubt.
+What the map may be off by: considered, and in part estimated.
 
 A landmark is off by what all of them share (factors of unit variance) and by an error of its own.
 Seen from nearly the same place it is also found off by nearly the same fraction of a pixel in
 picture after picture: its repeated error. Before anything is seen all these are independent.
+
+What is estimated is forgotten as the robot moves on: what a landmark seems to be off by depends on
+where it is seen from. So what all share must not be estimated along with it, or the pose would in
+time claim more than the map allows.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from landmark_nav.types import FloatArray, LandmarkMap
 
 __all__ = ['Influence', 'MapErrors', 'Told']
 
-# Of a landmark that was not seen for so long that less than this share is kept nothing is kept.
+# What was not seen for so long that less than this share of it is kept is forgotten.
 _STALE = 0.05
 
 
@@ -50,13 +54,13 @@ class Told(NamedTuple):
     Parameters
     ----------
     which : ndarray of int, shape (a,)
-        Of which errors.
+        Of which errors: the F factors, then those of some landmarks.
     slots : ndarray of int, shape (F + 3n,)
         Where each error is among `which`, or -1.
     less : ndarray, shape (a, a)
-        How much smaller their covariance has become.
-    fresh : ndarray, shape (n,)
-        How much is still known of each landmark since it was seen last, from 0 to 1.
+        Their covariance before anything was seen minus what it is now.
+    fresh : ndarray, shape (a,)
+        Share of each that is still kept since it was seen last.
 
     """
 
@@ -101,18 +105,12 @@ class MapErrors:
         nothing = np.zeros(factors + 3 * count)
         return MapErrors(landmark_map.positions[:, :2], loadings, own, nothing)
 
-    def as_learned(self) -> MapErrors:
-        """Return those of the map as if nothing had been seen."""
-        return replace(self, estimate=np.zeros_like(self.estimate), told=None)
-
     def places(self, columns: IndexArray) -> FloatArray:
         """Where landmarks `columns` (m,) are in map as far as is known, (m, 2), metres."""
-        nominal = self.landmarks[columns]
-        if self.told is None:
-            return nominal
         factors = self.loadings.shape[2]
         own = self.estimate[factors:].reshape(-1, 3)[columns, :2]
-        return np.asarray(nominal + own + self.loadings[columns] @ self.estimate[:factors])
+        shared = self.loadings[columns] @ self.estimate[:factors]
+        return np.asarray(self.landmarks[columns] + shared + own)
 
     def repeated(self, columns: IndexArray) -> FloatArray:
         """Repeated errors (m,) of landmarks `columns` (m,), in units of their sigmas."""
@@ -168,6 +166,7 @@ class MapErrors:
         with_innovation: FloatArray,
         covariance: FloatArray,
         innovation: FloatArray,
+        shared: bool,
     ) -> MapErrors:
         """
         Return the errors after a Kalman step.
@@ -182,54 +181,71 @@ class MapErrors:
             Covariance of the innovation.
         innovation : ndarray, shape (m,)
             Measured minus expected.
+        shared : bool
+            Estimate the factors as well. Otherwise they are considered: the step moves what each
+            landmark is off by itself, a partial update.
 
         """
         which, slots, less, fresh = self.told or self._nothing_told()
+        factors = self.loadings.shape[2]
         new = np.flatnonzero((slots < 0) & with_innovation.any(axis=1))
         if len(new):
             slots = slots.copy()
             slots[new] = len(which) + np.arange(len(new))
-            which = np.concatenate([which, new])
+            which, fresh = np.concatenate([which, new]), np.append(fresh, np.ones(len(new)))
         seen = with_innovation[which]
         gain = np.linalg.solve(covariance, seen.T)
-        estimate, fresh, told = self.estimate.copy(), fresh.copy(), seen @ gain
-        estimate[which] += innovation @ gain
+        step, told = innovation @ gain, seen @ gain
+        if not shared:
+            step[:factors], told[:factors, :factors] = 0.0, 0.0
         told[: len(less), : len(less)] += less
         # What is not symmetric would grow with each step.
         told = 0.5 * (told + told.T)
-        fresh[columns] = 1.0
+        estimate, fresh = self.estimate.copy(), fresh.copy()
+        estimate[which] += step
+        fresh[slots[factors + 3 * columns[:, None] + [0, 1, 2]]] = 1.0
         return replace(self, estimate=estimate, told=Told(which, slots, told, fresh))
 
-    def kept(self, known: float, again: float) -> FloatArray:
+    def moved_on(self, known: float, again: float) -> tuple[MapErrors, FloatArray]:
         """
-        Return the share (F + 3n,) of each error that is kept when the robot moves on.
+        Return the errors when the robot has moved on, and the share (F + 3n,) kept of each.
 
-        That is `again` of repeated errors, `known` of what was seen of the others.
+        That is `again` of repeated errors and `known` of what was seen of each landmark's own; the
+        rest is as if they were drawn anew. It is kept of their covariance with the pose, too.
         """
-        factors = self.loadings.shape[2]
-        kept = np.ones(len(self.estimate))
-        own = kept[factors:].reshape(-1, 3)
+        kept, factors = np.ones(len(self.estimate)), self.loadings.shape[2]
         if self.told is not None:
-            kept *= known
-            own[self.told.fresh * known < _STALE] = 0.0
-        own[:, 2] *= again
-        return kept
+            kept[self.told.which[factors:]] = known
+        kept[factors + 2 :: 3] = again
+        return self._kept(kept), kept
 
-    def moved_on(self, kept: FloatArray, known: float) -> MapErrors:
-        """Return the errors of which shares are `kept` (F + 3n,), and `known` of the others."""
+    def forgotten(self) -> tuple[MapErrors, FloatArray]:
+        """Return them without what was seen of single landmarks, and the share kept of each."""
+        kept, factors = np.ones(len(self.estimate)), self.loadings.shape[2]
+        if self.told is None or len(self.told.which) == factors:
+            return self, kept
+        kept[self.told.which[factors:]] = 0.0
+        return self._kept(kept), kept
+
+    def _kept(self, kept: FloatArray) -> MapErrors:
+        """Keep these shares (F + 3n,); those that are stale become 0 in it."""
         if self.told is None:
             return self
         which, slots, less, fresh = self.told
-        shares = kept[which]
-        if not shares.all():
-            left = np.flatnonzero(shares)
-            which, shares, less = which[left], shares[left], less[np.ix_(left, left)]
+        fresh = fresh * kept[which]
+        stale = fresh < _STALE
+        if stale.any():
+            kept[which[stale]] = 0.0
+            left = np.flatnonzero(~stale)
+            which, fresh, less = which[left], fresh[left], less[np.ix_(left, left)]
             slots = np.full_like(slots, -1)
             slots[which] = np.arange(len(which))
-        told = Told(which, slots, np.outer(shares, shares) * less, fresh * known)
+        shares = kept[which]
+        told = Told(which, slots, shares[:, None] * less * shares, fresh)
         return replace(self, estimate=kept * self.estimate, told=told)
 
     def _nothing_told(self) -> Told:
-        none = np.empty(0, dtype=np.intp)
+        factors = np.arange(self.loadings.shape[2])
         slots = np.full(len(self.estimate), -1, dtype=np.intp)
-        return Told(none, slots, np.empty((0, 0)), np.ones(len(self.landmarks)))
+        slots[factors] = factors
+        return Told(factors, slots, np.zeros((len(factors),) * 2), np.ones(len(factors)))

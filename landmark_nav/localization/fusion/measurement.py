@@ -17,14 +17,7 @@ from landmark_nav.localization.joint_delay import Lag, STILL
 from landmark_nav.localization.triangulation.model import bearing_gradients, bearing_residuals
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'MeasurementModel',
-    'bearing_model',
-    'correct',
-    'expected_bearings',
-    'refined',
-    'unrefined',
-]
+__all__ = ['MeasurementModel', 'bearing_model', 'correct', 'expected_bearings', 'refined']
 
 _ALL = slice(None)
 
@@ -170,8 +163,7 @@ def bearing_model(
     offset = prior.mean - at.mean
     offset[2] = wrap_rad(offset[2])
     innovation = residual - jacobian @ offset
-    if errors.told is not None:
-        innovation -= repeated_sigma * errors.repeated(columns)
+    innovation -= repeated_sigma * errors.repeated(columns)
     return MeasurementModel(
         innovation,
         jacobian,
@@ -204,19 +196,12 @@ def correct(prior: FilterState, model: MeasurementModel) -> FilterState:
     )
 
 
-def refined(state: FilterState, model: MeasurementModel) -> FilterState:
-    """Return the state after `correct`, with the errors of the map estimated as well."""
+def refined(state: FilterState, model: MeasurementModel, shared: bool) -> FilterState:
+    """Return the state after `correct`, with the errors of the map estimated."""
     errors = state.map_errors.refined(
-        model.columns, model.considered_covariance, model.covariance, model.innovation
+        model.columns, model.considered_covariance, model.covariance, model.innovation, shared
     )
     return replace(state, map_errors=errors)
-
-
-def unrefined(state: FilterState) -> FilterState:
-    """Return the state with the map as it was learned, whatever was seen of it since."""
-    if state.map_errors.told is None:
-        return state
-    return replace(state, map_errors=state.map_errors.as_learned())
 
 
 def _left_out(gradient: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

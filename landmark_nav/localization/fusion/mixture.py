@@ -15,8 +15,8 @@ import numpy as np
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.fusion.measurement import MeasurementModel, refined, unrefined
-from landmark_nav.localization.fusion.state import FilterState, HEADING
+from landmark_nav.localization.fusion.measurement import MeasurementModel, refined
+from landmark_nav.localization.fusion.state import FilterState, HEADING, unrefined
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.types import FloatArray
 
@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
     """
     A hypothesis after a measurement, and the logarithm of its prior probability.
 
-    `model` is that of the bearings that were used.
+    `model` is that of the bearings that were used, if the landmarks may be estimated by them.
     """
 
     state: FilterState
@@ -50,7 +50,7 @@ class Mixture:
     """
     States of one time, the likeliest first, and their weights.
 
-    All have the landmarks at the same places.
+    All have the same `map_errors`.
 
     Parameters
     ----------
@@ -123,7 +123,9 @@ class Mixture:
 
 
 def weighed(
-    prior: Mixture, outcomes_of: Callable[[FilterState], list[Outcome]], refine: bool = False
+    prior: Mixture,
+    outcomes_of: Callable[[FilterState], list[Outcome]],
+    landmarks: str = 'consider',
 ) -> tuple[Mixture, FusionUpdate]:
     """
     Return the mixture after a measurement, and the update of its likeliest hypothesis.
@@ -134,8 +136,10 @@ def weighed(
         Before the measurement.
     outcomes_of : callable
         From a state to all hypotheses of what the measurement makes of it.
-    refine : bool
-        Estimate what the map is off by as well; where there is doubt, forget what was estimated.
+    landmarks : str
+        What is done about their errors, as in `FusionConfig`. Where there is doubt (several
+        hypotheses, an outcome without a model, a pose known to decimetres) nothing is estimated,
+        and what was is forgotten.
 
     """
     found = [
@@ -145,10 +149,11 @@ def weighed(
     ]
     if len(found) == 1:
         state, update, model, _ = found[0]
-        if refine and update.turned_rad:
-            state = unrefined(state)
-        elif refine and model is not None and _is_known(prior.states[0]):
-            state = refined(state, model)
+        if landmarks != 'consider':
+            if model is not None and _is_known(prior.states[0]):
+                state = refined(state, model, shared=landmarks == 'estimate')
+            elif update.degrees or update.contradicts:
+                state = unrefined(state)
         return Mixture((state,)), update
     logs = np.array([outcome.log_prior + outcome.update.log_likelihood for outcome in found])
     weights = np.exp(logs - logs.max())
@@ -156,7 +161,7 @@ def weighed(
     kept = kept[weights[kept] >= _UNLIKELY]
     after = Mixture(tuple(found[k].state for k in kept), weights[kept] / weights[kept].sum())
     after = after.reduced()
-    return after.each(unrefined) if refine else after, found[kept[0]].update
+    return after.each(unrefined), found[kept[0]].update
 
 
 def _is_known(state: FilterState) -> bool:

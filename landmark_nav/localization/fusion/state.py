@@ -5,9 +5,9 @@ What the map may be off by is considered (Schmidt, Application of State-Space Me
 Problems, 1966): its covariance and its correlations with the pose are carried along. So repeated
 sightings never make the pose more certain than the map allows.
 
-Where nothing is in doubt it is also estimated (`refined`; Brink, Partial-Update Schmidt-Kalman
-Filter, 2017): what the map is off by shows as the robot moves on. It is forgotten over some
-metres, as what a landmark seems to be off by depends on where it is seen from.
+Where nothing is in doubt, what each landmark is off by itself is also estimated, as it shows when
+the robot moves on (`measurement.refined`; Brink, Partial-Update Schmidt-Kalman Filter, 2017), and
+forgotten over some metres (`map_errors`).
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ __all__ = [
     'measured',
     'moved_to',
     'propagate',
+    'unrefined',
     'widened',
     'with_late_joints',
     'with_map',
@@ -150,10 +151,10 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
     Return the state of the same robot at another pose.
 
     What was learned of its odometry and its camera stays; not what was seen of the map, which at a
-    wrong place was wrong. The pose may come from a person, or from
-    the camera; then its heading is off by the boresight. As it is not known which, the heading is
-    corrected by half the boresight and widened by as much: the mean and covariance of a mixture of
-    both cases. The next bearings tell.
+    wrong place was wrong. The pose may come from a person, or from the camera; then its heading is
+    off by the boresight. As it is not known which, the heading is corrected by half the boresight
+    and widened by as much: the mean and covariance of a mixture of both cases. The next bearings
+    tell.
     """
     kept = np.eye(STATES)
     kept[:3, :3] = 0.0
@@ -164,15 +165,15 @@ def moved_to(state: FilterState, start: PoseEstimate) -> FilterState:
     covariance[:3, :3] += start.covariance
     turned = state.mean[BORESIGHT] ** 2 + state.covariance[BORESIGHT, BORESIGHT]
     covariance[HEADING, HEADING] += 0.25 * turned
-    return replace(
+    moved = replace(
         state,
         stamp_ns=start.stamp_ns,
         mean=mean,
         covariance=covariance,
         cross=kept @ state.cross,
-        map_errors=state.map_errors.as_learned(),
         by_noise=kept @ state.by_noise @ kept.T,
     )
+    return unrefined(moved)
 
 
 def widened(state: FilterState, which: int | list[int], variance: npt.ArrayLike) -> FilterState:
@@ -208,14 +209,21 @@ def looking_again(state: FilterState, repeat_length_m: float, memory_m: float) -
     Return the state with what is considered moved on by the way since the last picture.
 
     Repeated errors are a first-order Gauss-Markov process with the correlation length
-    `repeat_length_m`; what was seen of the map is forgotten alike, over `memory_m`.
+    `repeat_length_m`; what was seen of each landmark is forgotten alike, over `memory_m`.
     """
     if state.way_m == 0.0:
         return state
     again, known = np.exp(-state.way_m / np.array([repeat_length_m, memory_m])).tolist()
-    kept = state.map_errors.kept(known, again)
-    errors = state.map_errors.moved_on(kept, known)
+    errors, kept = state.map_errors.moved_on(known, again)
     return replace(state, cross=kept * state.cross, map_errors=errors, way_m=0.0)
+
+
+def unrefined(state: FilterState) -> FilterState:
+    """Return the state without what was seen of single landmarks."""
+    errors, kept = state.map_errors.forgotten()
+    if errors is state.map_errors:
+        return state
+    return replace(state, cross=kept * state.cross, map_errors=errors)
 
 
 def propagate(

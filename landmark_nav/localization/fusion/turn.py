@@ -64,7 +64,7 @@ def update_turning(
 
     If the pan turns fast enough, late joint states may be the reason. A second hypothesis then
     opens their delay, and pictures at other rates tell which is true; where the delay is open
-    anyway, the delay is opened without a second hypothesis.
+    anyway, it stays so.
 
     An angle too small to be a surprise, but too large for the gates, widens the heading alone.
 
@@ -96,7 +96,9 @@ def update_turning(
             if state.late.is_known:
                 loose = perhaps_late(turned, loose)
         found = [
-            updated(other, max(least, _LEAST))._replace(log_prior=float(np.log(weight)))
+            updated(other, max(least, _LEAST))._replace(
+                model=None, log_prior=float(np.log(weight))
+            )
             for other, weight in zip(loose.states, loose.weights, strict=True)
         ]
         believed = [one for one in found if _explains(one.update, as_before.update)]
@@ -116,7 +118,7 @@ def update_turning(
     return weighed(
         prior,
         lambda state: standing_or_hanging(state, outcomes, odometry),
-        refine=frame.config.landmarks == 'refine',
+        frame.config.landmarks,
     )
 
 
