@@ -210,14 +210,14 @@ def test_landmarks_that_are_seen_again_after_long_repeat_their_errors(landmarks:
     nees = []
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        true_map = landmark_map(14, 1e-5, 0.1, seed)
+        true_map = landmark_map(14, 1e-5, 0.2, seed)
         config = FusionConfig(landmarks=landmarks, repeated_share=0.0)
         fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, config, NOISE)
         fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
         for k, moment in enumerate(drive(900, rng, NOISE)):
             fused.add_odometry(moment.odometry)
             # Seen for a moment, out of sight for 15 m, then seen again.
-            if k % 4 == 0 and (k < 40 or k > 800):
+            if k % 4 == 0 and (k < 40 or k > 600):
                 noise = rng.normal(0.0, SIGMA, 4)
                 stamp = moment.odometry.stamp_ns
                 fused.add_detections(
