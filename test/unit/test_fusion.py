@@ -24,6 +24,7 @@ from landmark_nav.localization.fusion.noise import NoiseScales
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
     initial_state,
+    looking_again,
     propagate,
 )
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
@@ -105,6 +106,30 @@ class TestRecovery:
         first, *others = fused.state.map_errors.repeated(np.arange(5))
         assert 0.8 < first < 1.0 / np.sqrt(FusionConfig().repeated_share)
         assert np.abs(others).max() < 0.3 * first
+
+    def test_what_was_seen_of_landmarks_is_forgotten_on_the_way(self) -> None:
+        """Slowly what each is off by itself, soon what sightings repeat, not what all share."""
+        fused = started(FusionConfig(landmarks='estimate'), offset=[0.02, -0.01, 0.005])
+        run(fused, 40)
+        before = fused.state
+        assert before is not None
+        after = looking_again(replace(before, way_m=1.0), 0.5, 3.0)
+        factors, kept = MAP.shared_loadings.shape[2], np.exp(-1.0 / np.array([3.0, 0.5]))
+        shares = np.concatenate([np.ones(factors), np.tile(kept[[0, 0, 1]], 10)])
+        np.testing.assert_allclose(
+            after.map_errors.estimate, shares * before.map_errors.estimate, atol=1e-15
+        )
+        np.testing.assert_allclose(after.cross, shares * before.cross, atol=1e-15)
+        assert after.way_m == 0.0
+        assert np.abs(before.map_errors.estimate[factors:]).max() > 1e-3
+
+    def test_a_new_start_forgets_what_was_seen_of_landmarks(self) -> None:
+        fused = started(FusionConfig(landmarks='refine'), offset=[0.02, -0.01, 0.005])
+        moment, _ = run(fused, 40)
+        assert fused.state is not None
+        assert fused.state.map_errors.estimate.any()
+        fused.initialize(PoseEstimate(moment.odometry.stamp_ns, moment.pose, 1e-4 * np.eye(3)))
+        assert not fused.state.map_errors.estimate.any()
 
     def test_slip_stays_as_large_as_told(self) -> None:
         config = OdometryNoiseConfig(learning_sigma=0.0)
