@@ -150,6 +150,14 @@ def test_joints_are_in_doubt_where_the_pan_turned_shortly_before(
     assert not joints_in_doubt(start, found, JointDelay(0.2, 0.001), None)
 
 
+@pytest.mark.parametrize(('rate_rad_s', 'doubted'), [(0.13, True), (-0.4, True), (0.01, False)])
+def test_a_slow_swing_leaves_joints_in_doubt_as_well(rate_rad_s: float, doubted: bool) -> None:
+    """0.2 s late, the first makes the heading 1.5 deg off, which is claimed to 0.05 deg."""
+    start = start_estimate(np.array([0.003, 0.003, 0.001]))
+    found = Found(NOBODY, rate_rad_s)
+    assert joints_in_doubt(start, found, JointDelay(), None) == doubted
+
+
 @pytest.mark.parametrize('turns', [True, False])
 def test_landmarks_that_go_out_of_sight_in_a_swing_doubt_the_joints(turns: bool) -> None:
     fused, told, sigmas = started(), [], []

@@ -22,6 +22,8 @@ __all__ = ['Found', 'checked_start', 'is_finite', 'is_headed', 'joints_in_doubt'
 _UNKNOWN = np.array([100.0, 100.0, np.pi])
 # Heading sigma that pictures give at worst while the pan stands still.
 _HEADED_RAD = 0.02
+# A pan that turns no more than this meanwhile stands still.
+_STEADY_RAD = 0.005
 # If dead reckoning gives the same heading to this share of its sigma, joint states are in time.
 _SAME_SHARE = 0.3
 
@@ -106,8 +108,11 @@ def joints_in_doubt(
     They turn it as far as the pan turned meanwhile. They are not in doubt if `late` was measured
     before, or if dead reckoning to the same time, `reckoned`, has the same heading.
     """
-    variance = start.covariance[HEADING, HEADING] + found.swing_rad(DOUBT_S) ** 2
-    if variance <= _HEADED_RAD**2 or (late.sigma_s > 0.0 and late.is_known):
+    swing_rad = found.swing_rad(DOUBT_S)
+    variance = start.covariance[HEADING, HEADING] + swing_rad**2
+    if late.sigma_s > 0.0 and late.is_known:
+        return False
+    if variance <= _HEADED_RAD**2 and swing_rad <= _STEADY_RAD:
         return False
     if reckoned is not None:
         away = wrap_rad(start.pose[HEADING] - reckoned.mean[HEADING])
