@@ -24,6 +24,7 @@ from landmark_nav.localization.relocalization.narrowing import narrowed
 from landmark_nav.localization.triangulation.gathering import SightingGatherer
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import visible_landmarks
+from landmark_nav.localization.wide import is_wide
 from landmark_nav.parameters import parameter
 from landmark_nav.types import (
     CameraFrame,
@@ -44,9 +45,6 @@ _AGREE = 3
 # A wide prior is narrowed by a search that takes a tenth of a second: in each of the first so many
 # pictures, then, if all was in vain, in every third one.
 _EAGER, _PATIENT = 5, 3
-# Sigmas of the expected pose, position (root of the trace) and heading, beyond which the prior is
-# wide: it leaves open what landmarks look like.
-_WIDE_M, _WIDE_RAD = 0.1, 0.05
 # Share of the landmarks looked for that counts as most of them.
 _MOST = 0.75
 # The novelty of a landmark is halved when it is looked for, and recovers by a fifth a picture.
@@ -180,7 +178,7 @@ class Observer:
             return Observation(_nothing(frame.stamp_ns), {}, _FROZEN, unusable=True)
         config = self._config
         frame, pan_sigma = in_time(frame, late)
-        wide = _is_wide(prior)
+        wide = is_wide(prior.covariance)
         place = self._narrowed(frame, prior) if wide else prior
         known = not isinstance(place, Refusal)
         looked_from = prior if isinstance(place, Refusal) else place
@@ -291,12 +289,6 @@ class Observer:
                 names = ', '.join(map(str, missing))
                 return Refusal('the triplet is not complete', f'{names} still to be found')
         return self._gatherer.fix(prior)
-
-
-def _is_wide(prior: PoseEstimate) -> bool:
-    """Whether landmarks may look different from how they do at the expected pose."""
-    x, y, heading = prior.covariance.diagonal().tolist()
-    return bool(x + y > _WIDE_M**2 or heading > _WIDE_RAD**2)
 
 
 def _nothing(stamp_ns: int) -> Detections:

@@ -151,3 +151,10 @@ def error_of(estimate: PoseEstimate | None, truth: FloatArray) -> FloatArray:
     error = estimate.pose - truth
     error[2] = wrap_rad(error[2])
     return error
+
+
+def nees_of(estimate: PoseEstimate | None, truth: FloatArray) -> float:
+    """Squared error of an estimate in units of its covariance."""
+    assert estimate is not None
+    error = error_of(estimate, truth)
+    return float(error @ np.linalg.solve(estimate.covariance, error))

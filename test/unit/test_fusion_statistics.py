@@ -11,6 +11,7 @@ from fusion_drives import (
     error_of,
     landmark_map,
     MOUNT,
+    nees_of,
     PERIOD_NS,
     SPEED_M_S,
     start_estimate,
@@ -71,11 +72,7 @@ def one_run(
             )
             nis, degrees = nis + update.nis, degrees + update.degrees
             squares.append(np.sum(error_of(fused.estimate(), truth)[:2] ** 2))
-    final = fused.estimate()
-    error = error_of(final, truth)
-    assert final is not None
-    nees = float(error @ np.linalg.solve(final.covariance, error))
-    return nees, float(np.mean(squares)), nis / degrees
+    return nees_of(fused.estimate(), truth), float(np.mean(squares)), nis / degrees
 
 
 @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
@@ -125,9 +122,7 @@ def learning_run(
             noise += rng.normal(0.0, MOUNT.pan_sigma_rad)
             stamp = moment.odometry.stamp_ns
             fused.add_detections(detections(true_map, moment.pose, stamp, places, claimed, noise))
-    error, final = error_of(fused.estimate(), moment.pose), fused.estimate()
-    assert final is not None
-    return fused, float(error @ np.linalg.solve(final.covariance, error))
+    return fused, nees_of(fused.estimate(), moment.pose)
 
 
 def check_honest(nees: list[float]) -> None:
@@ -223,10 +218,7 @@ def test_landmarks_that_are_seen_again_after_long_repeat_their_errors(landmarks:
                 fused.add_detections(
                     detections(true_map, moment.pose, stamp, range(4), SIGMA, noise)
                 )
-        final = fused.estimate()
-        assert final is not None
-        error = error_of(final, moment.pose)
-        nees.append(float(error @ np.linalg.solve(final.covariance, error)))
+        nees.append(nees_of(fused.estimate(), moment.pose))
     check_honest(nees)
 
 
@@ -248,8 +240,7 @@ def test_the_pose_never_claims_more_than_what_landmarks_share(wheels: float) -> 
         final = fused.estimate()
         assert final is not None
         assert np.sqrt(np.diag(final.covariance)[:2]).min() > 0.8 * 0.03
-        error = error_of(final, moment.pose)
-        nees.append(float(error @ np.linalg.solve(final.covariance, error)))
+        nees.append(nees_of(final, moment.pose))
     check_honest(nees)
 
 
@@ -279,10 +270,7 @@ def test_poses_of_frames_far_apart_are_fused_consistently() -> None:
                 fix = triangulate(true_map.positions[:, :2], seen.bearing_rad, seen.variance_rad2)
                 assert not isinstance(fix, Refusal)
                 fused.add_pose(base_from_axis(fix.at(seen.stamp_ns), MOUNT))
-        final = fused.estimate()
-        assert final is not None
-        error = error_of(final, moment.pose)
-        nees.append(error @ np.linalg.solve(final.covariance, error))
+        nees.append(nees_of(fused.estimate(), moment.pose))
     low, high = chi2.ppf([0.025, 0.975], 3 * RUNS) / RUNS
     # The biases are drawn as zero here, so the filter is a little cautious.
     assert low * 0.8 < np.mean(nees) < high

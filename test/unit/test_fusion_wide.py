@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bare_landmarks import bare_landmark
-from fusion_drives import detections, drive, error_of, MOUNT, START
+from fusion_drives import detections, drive, MOUNT, nees_of, START
 import numpy as np
 import pytest
 
@@ -50,10 +50,7 @@ def squares(seed: int, start_sigma: FloatArray) -> list[float]:
             fused.add_detections(
                 detections(true_map, moment.pose, stamp_ns, range(3), SIGMA, noise)
             )
-            estimate = fused.estimate()
-            assert estimate is not None
-            error = error_of(estimate, moment.pose)
-            found.append(float(error @ np.linalg.solve(estimate.covariance, error)))
+            found.append(nees_of(fused.estimate(), moment.pose))
     return [found[k] for k in WATCHED]
 
 

@@ -107,21 +107,17 @@ class MapErrors:
 
     def places(self, columns: IndexArray) -> FloatArray:
         """Where landmarks `columns` (m,) are in map as far as is known, (m, 2), metres."""
-        factors = self.loadings.shape[2]
-        own = self.estimate[factors:].reshape(-1, 3)[columns, :2]
-        shared = self.loadings[columns] @ self.estimate[:factors]
-        return np.asarray(self.landmarks[columns] + shared + own)
+        shared = self.loadings[columns] @ self.estimate[: self._factors]
+        return np.asarray(self.landmarks[columns] + shared + self._single[columns, :2])
 
     def repeated(self, columns: IndexArray) -> FloatArray:
         """Repeated errors (m,) of landmarks `columns` (m,), in units of their sigmas."""
-        own = self.estimate[self.loadings.shape[2] :].reshape(-1, 3)
-        return np.asarray(own[columns, 2])
+        return np.asarray(self._single[columns, 2])
 
     def with_places(self, cross: FloatArray) -> FloatArray:
         """Turn covariances (k, F + 3n) with all errors into those (k, 2n) with x and y."""
-        factors = self.loadings.shape[2]
-        own = cross[:, factors:].reshape(len(cross), -1, 3)[..., :2]
-        shared = np.tensordot(cross[:, :factors], self.loadings, (1, 2))
+        own = cross[:, self._factors :].reshape(len(cross), -1, 3)[..., :2]
+        shared = np.tensordot(cross[:, : self._factors], self.loadings, (1, 2))
         return np.asarray((own + shared).reshape(len(cross), -1))
 
     def influence(
@@ -133,7 +129,7 @@ class MapErrors:
         `gradient` (m, 2) is the derivative of each by the place of the pan axis, `repeated_sigma`
         (m,) the sigma of the repeated error, radians.
         """
-        count, factors = len(columns), self.loadings.shape[2]
+        count, factors = len(columns), self._factors
         own = factors + 3 * columns[:, None] + [0, 1, 2]
         by_errors = np.zeros((count, factors + 3 * count))
         by_errors[:, :factors] = (gradient[:, None] @ self.loadings[columns])[:, 0]
@@ -144,7 +140,7 @@ class MapErrors:
 
     def covariance_with(self, seen: Influence) -> FloatArray:
         """Covariance (F + 3n, m) of the errors with what they move bearings by."""
-        count, factors = len(seen.columns), self.loadings.shape[2]
+        count, factors = len(seen.columns), self._factors
         row = np.arange(count)
         own = seen.by_errors[:, factors:].reshape(count, count, 3)[row, row]
         with_errors = np.zeros((len(self.estimate), count))
@@ -187,7 +183,7 @@ class MapErrors:
 
         """
         which, slots, less, fresh = self.told or self._nothing_told()
-        factors = self.loadings.shape[2]
+        factors = self._factors
         new = np.flatnonzero((slots < 0) & with_innovation.any(axis=1))
         if len(new):
             slots = slots.copy()
@@ -213,39 +209,49 @@ class MapErrors:
         That is `again` of repeated errors and `known` of what was seen of each landmark's own; the
         rest is as if they were drawn anew. It is kept of their covariance with the pose, too.
         """
-        kept, factors = np.ones(len(self.estimate)), self.loadings.shape[2]
+        shares = np.ones(len(self.estimate))
         if self.told is not None:
-            kept[self.told.which[factors:]] = known
-        kept[factors + 2 :: 3] = again
-        return self._kept(kept), kept
+            shares[self.told.which[self._factors :]] = known
+        shares[self._factors + 2 :: 3] = again
+        return self._kept(shares)
 
     def forgotten(self) -> tuple[MapErrors, FloatArray]:
         """Return them without what was seen of single landmarks, and the share kept of each."""
-        kept, factors = np.ones(len(self.estimate)), self.loadings.shape[2]
-        if self.told is None or len(self.told.which) == factors:
-            return self, kept
-        kept[self.told.which[factors:]] = 0.0
-        return self._kept(kept), kept
+        shares = np.ones(len(self.estimate))
+        if self.told is None or len(self.told.which) == self._factors:
+            return self, shares
+        shares[self.told.which[self._factors :]] = 0.0
+        return self._kept(shares)
 
-    def _kept(self, kept: FloatArray) -> MapErrors:
-        """Keep these shares (F + 3n,); those that are stale become 0 in it."""
+    @property
+    def _factors(self) -> int:
+        return int(self.loadings.shape[2])
+
+    @property
+    def _single(self) -> FloatArray:
+        """Of each landmark its own x and y and its repeated error, (n, 3)."""
+        return self.estimate[self._factors :].reshape(-1, 3)
+
+    def _kept(self, shares: FloatArray) -> tuple[MapErrors, FloatArray]:
+        """Keep these shares (F + 3n,), none of what is stale."""
         if self.told is None:
-            return self
+            return self, shares
         which, slots, less, fresh = self.told
-        fresh = fresh * kept[which]
+        fresh = fresh * shares[which]
         stale = fresh < _STALE
         if stale.any():
-            kept[which[stale]] = 0.0
+            shares = shares.copy()
+            shares[which[stale]] = 0.0
             left = np.flatnonzero(~stale)
             which, fresh, less = which[left], fresh[left], less[np.ix_(left, left)]
             slots = np.full_like(slots, -1)
             slots[which] = np.arange(len(which))
-        shares = kept[which]
-        told = Told(which, slots, shares[:, None] * less * shares, fresh)
-        return replace(self, estimate=kept * self.estimate, told=told)
+        kept = shares[which]
+        told = Told(which, slots, kept[:, None] * less * kept, fresh)
+        return replace(self, estimate=shares * self.estimate, told=told), shares
 
     def _nothing_told(self) -> Told:
-        factors = np.arange(self.loadings.shape[2])
+        factors = np.arange(self._factors)
         slots = np.full(len(self.estimate), -1, dtype=np.intp)
         slots[factors] = factors
         return Told(factors, slots, np.zeros((len(factors),) * 2), np.ones(len(factors)))

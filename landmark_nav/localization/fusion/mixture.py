@@ -18,6 +18,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.fusion.measurement import MeasurementModel, refined
 from landmark_nav.localization.fusion.state import FilterState, HEADING, unrefined
 from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.wide import is_wide
 from landmark_nav.types import FloatArray
 
 __all__ = ['MOST', 'Mixture', 'Outcome', 'weighed']
@@ -27,9 +28,6 @@ _UNLIKELY, MOST = 0.01, 12
 # Hypotheses are merged if each number of their means differs by less than this part of its sigma.
 _ALIKE = 0.5
 _CERTAIN = np.ones(1)
-# With sigmas of the pose beyond these, position (root of the trace) and heading, bearings are not
-# linear enough to tell what the map is off by.
-_KNOWN_M, _KNOWN_RAD = 0.1, 0.05
 
 
 class Outcome(NamedTuple):
@@ -138,7 +136,7 @@ def weighed(
         From a state to all hypotheses of what the measurement makes of it.
     landmarks : str
         What is done about their errors, as in `FusionConfig`. Where there is doubt (several
-        hypotheses, an outcome without a model, a pose known to decimetres) nothing is estimated,
+        hypotheses, an outcome without a model, a pose hardly known) nothing is estimated,
         and what was is forgotten.
 
     """
@@ -150,7 +148,7 @@ def weighed(
     if len(found) == 1:
         state, update, model, _ = found[0]
         if landmarks != 'consider':
-            if model is not None and _is_known(prior.states[0]):
+            if model is not None and not is_wide(prior.states[0].covariance[:3, :3]):
                 state = refined(state, model, shared=landmarks == 'estimate')
             elif update.degrees or update.contradicts:
                 state = unrefined(state)
@@ -160,11 +158,4 @@ def weighed(
     kept = np.argsort(-weights, kind='stable')
     kept = kept[weights[kept] >= _UNLIKELY]
     after = Mixture(tuple(found[k].state for k in kept), weights[kept] / weights[kept].sum())
-    after = after.reduced()
-    return after.each(unrefined), found[kept[0]].update
-
-
-def _is_known(state: FilterState) -> bool:
-    """Whether the pose is known well enough to learn of the map."""
-    x, y, heading = state.covariance.diagonal()[:3].tolist()
-    return bool(x + y < _KNOWN_M**2 and heading < _KNOWN_RAD**2)
+    return after.reduced().each(unrefined), found[kept[0]].update

@@ -75,7 +75,6 @@ def update_turning(
         return Outcome(*update_bearings(state, frame, lever, probability, odometry, enough, model))
 
     def outcomes(state: FilterState) -> list[Outcome]:
-        stands = state.stands
         state = looking_again(state, frame.config.repeat_length_m, frame.config.map_memory_m)
         expected = expected_bearings(state, frame, lever)
         as_before = updated(state, least, expected)
@@ -87,11 +86,11 @@ def update_turning(
         surprising = abs(angle) > limit
         if as_before.update.refusal is None and not surprising:
             return [as_before]
-        turned = _turned(state, frame, min(abs(angle), turn_sigma), surprising, stands)
+        turned = _turned(state, frame, min(abs(angle), turn_sigma), surprising)
         loose = Mixture((turned,))
         swings = frame.swing_rad(REACH_S) > _LATE_SHARE * abs(angle)
         if surprising and swings and not in_doubt(state):
-            loose = late_joints(state if stands else turned)
+            loose = late_joints(state if state.stands else turned)
             # A known delay most likely stays as it is; an open one might take a slip for a delay.
             if state.late.is_known:
                 loose = perhaps_late(turned, loose)
@@ -123,18 +122,18 @@ def update_turning(
 
 
 def _turned(
-    state: FilterState, frame: BearingFrame, turn_rad: float, surprising: bool, stands: bool
+    state: FilterState, frame: BearingFrame, turn_rad: float, surprising: bool
 ) -> FilterState:
     """
     Widen heading, boresight and position by an angle; the heading alone if it is no surprise.
 
     While the robot stands its wheels cannot slip: only the camera may have been knocked.
     """
-    loose = state if stands and surprising else widened(state, HEADING, turn_rad**2)
+    loose = state if state.stands and surprising else widened(state, HEADING, turn_rad**2)
     if not surprising:
         return loose
     away = state.map_errors.places(frame.columns) - state.mean[:2]
-    if not stands:
+    if not state.stands:
         loose = widened(loose, [0, 1], turn_rad**2 * np.mean(np.sum(away**2, axis=1)))
     # Wheels may continue to slip, but a camera is knocked once.
     knock_rad, most_rad = KNOCKED * turn_rad, KNOCKED * frame.config.turn_sigma_rad
