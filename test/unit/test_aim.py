@@ -11,6 +11,7 @@ from scenes import blurred_by, draw_frame, textured_room, true_landmark
 
 from landmark_nav.localization.detection import DetectionResult
 from landmark_nav.localization.detection.aim import AimedDetector
+from landmark_nav.localization.detection.height import Lean
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 
@@ -158,7 +159,7 @@ def test_a_camera_leans_where_most_of_what_hangs_too_high_or_low_is_found_again(
     )
     assert len(everywhere.detections) == 4
 
-    def only(count: int) -> DetectionResult:
+    def only(count: int, *, told: bool) -> DetectionResult:
         keep = np.arange(4) < count
         too_high = dict.fromkeys(everywhere.detections.ids[~keep], Refusal('wrong height'))
         return replace(
@@ -167,9 +168,28 @@ def test_a_camera_leans_where_most_of_what_hangs_too_high_or_low_is_found_again(
             refused=too_high,
             rays=everywhere.rays[keep],
             blur_px2=everywhere.blur_px2[keep],
+            lean=Lean(0.0, roll_rad, 1e-3, sure=True) if told else Lean(),
         )
 
-    found = iter([only(2), only(4), only(2), only(fit_again)])
+    # As it is; with the roll that it tells; all around; with the roll of that; without.
+    before, again = only(2, told=True), only(fit_again, told=False)
+    found = iter([before, again, only(4, told=True), again, before])
     monkeypatch.setattr(detector, '_search', lambda *_: next(found))
     detector.detect(frame, PoseEstimate(0, HERE, PRIOR), np.arange(4))
     assert detector.leaning_rad == pytest.approx(roll_rad if leans else 0.0, abs=2e-3)
+
+
+@pytest.mark.parametrize('roll_rad', [-0.035, 0.02])
+def test_a_camera_that_leans_is_told_by_the_first_picture_and_by_the_first_that_is_level(
+    roll_rad: float,
+) -> None:
+    level = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
+    leaning = draw_frame(SCENE, LENS, replace(MOUNT, camera_roll_rad=roll_rad), HERE, 0.05)
+    detector = AimedDetector(LANDMARKS, MOUNT, CONFIG, 0.035)
+    for frame, truth_rad in [(level, 0.0), *2 * [(leaning, roll_rad)], (level, 0.0)]:
+        prior = PoseEstimate(frame.stamp_ns, HERE, PRIOR)
+        found = detector.detect(frame, prior, np.arange(4))
+        assert len(found.detections) == 4
+        assert np.abs(errors_of(found, HERE)).max() < 3e-4
+        assert detector.leaning_rad == pytest.approx(truth_rad, abs=2e-3)
+    assert detector.leaning_rad == 0.0

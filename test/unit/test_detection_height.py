@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection.height import RowModel, wrong_heights
+from landmark_nav.localization.detection.height import RowModel, told_lean, wrong_heights
 from landmark_nav.types import FloatArray
 
 PLAIN = CameraModel(512, 512, 555.0, 555.0, 256.0, 256.0, distortion=(-0.1, 0.02, 0.0, 0.0))
@@ -50,7 +50,7 @@ def test_derivatives_are_those_of_the_camera(camera: CameraModel, spread: float)
         for s in step
     ]
     np.testing.assert_allclose(model.by_pose.T, by[:3], rtol=1e-3, atol=0.05)
-    np.testing.assert_allclose(np.abs(model.by_lean.T), np.abs(by[3:5]), rtol=1e-3, atol=0.05)
+    np.testing.assert_allclose(model.by_lean.T, by[3:5], rtol=1e-3, atol=0.05)
     np.testing.assert_allclose(model.by_height, by[5], rtol=1e-3, atol=0.05)
 
 
@@ -58,7 +58,8 @@ def test_derivatives_are_those_of_the_camera(camera: CameraModel, spread: float)
 def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: CameraModel) -> None:
     model, _ = model_of(camera, 0.8)
     own = 0.15
-    shared = model.covariance(np.diag([0.01, 0.01, 0.005]) ** 2, 0.002)
+    shared = model.covariance(np.diag([0.01, 0.01, 0.005]) ** 2)
+    shared += 0.002**2 * model.by_lean @ model.by_lean.T
     covariance = shared + own**2 * np.eye(8)
     rng = np.random.default_rng(2)
     refused = 0
@@ -74,3 +75,25 @@ def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: Camera
 
 def test_two_heights_do_not_tell_which_is_wrong() -> None:
     assert not wrong_heights(np.array([0.0, 9.0]), 0.01 * np.eye(2)).any()
+
+
+@pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
+def test_a_lean_is_told_by_all_rows_together_and_not_by_any_single_one(
+    camera: CameraModel,
+) -> None:
+    model, _ = model_of(camera, 0.8)
+    own, runs, leant = 0.3, 200, np.array([0.01, -0.03])
+    covariance = model.covariance(np.diag([0.01, 0.01, 0.005]) ** 2) + own**2 * np.eye(8)
+    rng = np.random.default_rng(4)
+    squares, level, mistaken, told = [], 0, 0, 0
+    for _ in range(runs):
+        off = rng.multivariate_normal(np.zeros(8), covariance)
+        level += told_lean(off, model.by_lean, covariance).sure
+        lean = told_lean(off + model.by_lean @ leant, model.by_lean, covariance)
+        told += lean.sure
+        squares.append(((lean.roll_rad - leant[1]) / lean.roll_sigma_rad) ** 2)
+        off[int(rng.integers(8))] += 5.0 * rng.choice([-1.0, 1.0])
+        mistaken += told_lean(off, model.by_lean, covariance).sure
+    assert told == runs
+    assert level + mistaken <= 2
+    assert 0.75 < np.mean(squares) < 1.3

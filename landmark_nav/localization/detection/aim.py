@@ -27,13 +27,11 @@ _HARDLY_ANY, _MOST = 0.25, 0.5
 _LEAST = 3
 # Why matches are refused if the camera has a roll that is not known.
 _BESIDE = ('wrong height', 'peak at the border of the search window')
-# A roll is estimated if rays are so far (RMS) from the optical axis, by so many iterations of
-# reweighted least squares: a least sum of distances, those below `_FINEST_RAD` weighted alike.
-# Each later picture corrects it by the last share.
-_ASIDE, _REWEIGHTED, _FINEST_RAD, _ROLL_SHARE = 0.1, 8, 2e-4, 0.2
-# A tilt is a knock if it is more than an uneven floor causes, and more than heights that are a
-# centimetre off.
+# A tilt or a roll is a knock if it is more than an uneven floor causes; a tilt, if it is also more
+# than heights that are a centimetre off.
 _TILTED_RAD, _HEIGHT_M = 0.005, 0.01
+# Each later picture that tells the roll as well as that corrects it by this share.
+_ROLL_SHARE = 0.2
 
 
 class AimedDetector:
@@ -113,7 +111,13 @@ class AimedDetector:
             # What passed for a turn of the camera may have been an error of the heading.
             ahead = self._search(frame, prior, expected, config, self._aim * [0.0, 1.0, 1.0])
             result = max(ahead, result, key=lambda found: len(found.detections))
-        few = len(result.detections) <= _HARDLY_ANY * len(expected) or _leans(result)
+        if tells and self._knock and _is_rolled(result):
+            aim = self._aim + np.array([0.0, result.lean.tilt_rad, result.lean.roll_rad])
+            again = self._search(frame, prior, expected, config, aim)
+            if self._leans(result, again, expected):
+                self._follow(again, frame, prior, float(aim[2]))
+                return again
+        few = len(result.detections) <= _HARDLY_ANY * len(expected) or _many_beside(result)
         if not few or len(expected) < _LEAST or not knock:
             if tells and self._tells(result, expected):
                 self._follow(result, frame, prior)
@@ -125,22 +129,29 @@ class AimedDetector:
         if len(around.detections) < _LEAST:
             return result
         # Mistaken matches are not found again in the narrow rows of a normal search.
-        leant = self.leaning_rad
-        for roll in (leant, self._seen_roll(around, frame, prior)):
-            aim, _ = self._seen_aim(around, frame, prior, roll)
+        for roll in (around.lean.roll_rad, 0.0) if _is_rolled(around) else (0.0,):
+            aim, _ = self._seen_aim(around, frame, prior, self.leaning_rad + roll)
             again = self._search(frame, wide, expected, config, aim)
+            right = self._leans(result, again, expected) if roll else self._tells(again, expected)
             more = len(again.detections) > len(result.detections)
-            if roll != leant:
-                # One or another of pictures that were exchanged fits some roll.
-                beside = _beside(result)
-                fits = np.isin(beside, again.detections.ids).sum()
-                more &= not beside or fits > _MOST * len(beside)
-            if more and self._tells(again, expected) and not _leans(again):
-                self._follow(again, frame, prior, roll)
-                if leant != roll and leant != self.leaning_rad:
-                    _LOG.warning('camera leans %.1f deg %s', *degrees_aside(self.leaning_rad))
+            if more and right and not _many_beside(again):
+                self._follow(again, frame, prior, float(aim[2]))
                 return again
         return result
+
+    def _leans(
+        self, before: DetectionResult, result: DetectionResult, expected: npt.NDArray[np.intp]
+    ) -> bool:
+        """Whether a result with another roll is no worse than the one before."""
+        # One or another of pictures that were exchanged fits some roll.
+        beside = _beside(before)
+        fits = np.isin(beside, result.detections.ids).sum()
+        return bool(
+            (not beside or fits > _MOST * len(beside))
+            and len(result.detections) >= len(before.detections)
+            and self._tells(result, expected)
+            and not _is_rolled(result)
+        )
 
     @staticmethod
     def _tells(result: DetectionResult, expected: npt.NDArray[np.intp]) -> bool:
@@ -155,9 +166,14 @@ class AimedDetector:
         knock_roll: float | None = None,
     ) -> None:
         """Update the correction by a picture, if there is one or the camera was knocked."""
-        roll = self.leaning_rad if knock_roll is None else knock_roll
-        if roll:
-            roll += _ROLL_SHARE * (self._seen_roll(result, frame, prior) - roll)
+        leant = self.leaning_rad
+        roll = leant if knock_roll is None else knock_roll
+        if roll and result.lean.roll_sigma_rad < _TILTED_RAD:
+            roll += _ROLL_SHARE * result.lean.roll_rad
+        if abs(roll) < _TILTED_RAD:
+            roll = 0.0
+        if knock_roll is not None and abs(roll - leant) > _TILTED_RAD:
+            _LOG.warning('camera leans %.1f deg %s', *degrees_aside(roll))
         aim, away = self._seen_aim(result, frame, prior, roll)
         reach = np.hypot(away[:, 0], away[:, 1])
         doubt_rad = _HEIGHT_M / median(reach.tolist())
@@ -186,10 +202,15 @@ class AimedDetector:
         result, self._blur = detect_blurred(
             _turned(frame, aim), prior, self._map, self._mount, config, expected, self._blur
         )
-        if not aim[0]:
-            return result
-        bearing = wrap_rad(result.detections.bearing_rad - aim[0])
-        return replace(result, detections=replace(result.detections, bearing_rad=bearing))
+        found = result.detections
+        if aim[0]:
+            found = replace(found, bearing_rad=wrap_rad(found.bearing_rad - aim[0]))
+        if aim[2]:
+            # A roll is not known exactly: it moves what is high or low in the picture aside.
+            x, y, z = result.rays.T
+            by_roll = y * z / (x**2 + z**2) * min(result.lean.roll_sigma_rad, _TILTED_RAD)
+            found = replace(found, variance_rad2=found.variance_rad2 + by_roll**2)
+        return replace(result, detections=found)
 
     def _seen_aim(
         self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
@@ -206,44 +227,13 @@ class AimedDetector:
             Landmarks found, relative to the camera, in the axes of the map, metres.
 
         """
-        expected, rotation = self._expected(found, frame, prior, roll)
-        seen = found.rays @ rotation.T
-        off = wrap_rad(_angles(expected) - _angles(seen)).tolist()
-        return np.array([*map(median, off), roll]), expected
-
-    def _seen_roll(self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate) -> float:
-        """
-        Return the roll of the camera, radians; the present one if a picture cannot tell.
-
-        Expected and seen rays are aligned by a rotation about all three axes that leaves the least
-        sum of distances.
-        """
-        expected, rotation = self._expected(found, frame, prior, 0.0)
-        seen = found.rays / np.linalg.norm(found.rays, axis=1, keepdims=True)
-        away = expected @ rotation
-        away = away / np.linalg.norm(away, axis=1, keepdims=True) - seen
-        if len(seen) < _LEAST or np.mean(seen[:, :2] ** 2) < _ASIDE**2:
-            return float(self._aim[2])
-        by_turn = np.cross(np.eye(3), seen[:, None]).transpose(0, 2, 1)
-        turn = np.zeros(3)
-        for _ in range(_REWEIGHTED):
-            left = np.linalg.norm(away - by_turn @ turn, axis=1)
-            weighted = by_turn / np.maximum(left, _FINEST_RAD)[:, None, None]
-            turn = np.linalg.lstsq(
-                np.einsum('kij,kil->jl', weighted, by_turn),
-                np.einsum('kij,ki->j', weighted, away),
-                rcond=None,
-            )[0]
-        return float(turn[2])
-
-    def _expected(
-        self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Landmarks (n, 3) relative to the camera, in map axes, and the camera's rotation."""
         rotation, center = self._mount.camera_pose_map(
             prior.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad + roll
         )
-        return self._map.positions[self._map.indices(found.detections.ids)] - center, rotation
+        expected = self._map.positions[self._map.indices(found.detections.ids)] - center
+        seen = found.rays @ rotation.T
+        off = wrap_rad(_angles(expected) - _angles(seen)).tolist()
+        return np.array([*map(median, off), roll]), expected
 
 
 def degrees_aside(roll_rad: float) -> tuple[float, str]:
@@ -268,8 +258,13 @@ def _beside(result: DetectionResult) -> list[int]:
     return [k for k, refusal in result.refused.items() if refusal.reason in _BESIDE]
 
 
-def _leans(result: DetectionResult) -> bool:
-    """Whether many matches were refused for their height, as by an unknown roll."""
+def _is_rolled(result: DetectionResult) -> bool:
+    """Whether the camera has another roll than was assumed, by more than an uneven floor."""
+    return result.lean.sure and abs(result.lean.roll_rad) > _TILTED_RAD
+
+
+def _many_beside(result: DetectionResult) -> bool:
+    """Whether many matches were refused for their height, as by an unknown tilt or roll."""
     looked = len(result.detections) + len(result.refused)
     return len(_beside(result)) >= max(_LEAST - 1, _HARDLY_ANY * looked)
 

@@ -26,7 +26,13 @@ from landmark_nav.localization.detection.expectation import (
     quadratic,
     View,
 )
-from landmark_nav.localization.detection.height import LEAST_HEIGHTS, RowModel, wrong_heights
+from landmark_nav.localization.detection.height import (
+    Lean,
+    LEAST_HEIGHTS,
+    RowModel,
+    told_lean,
+    wrong_heights,
+)
 from landmark_nav.matching import (
     blur_by,
     blur_sigmas,
@@ -60,13 +66,15 @@ class DetectionResult:
     Landmarks found in a picture, and why the others were not, by id.
 
     `rays` (n, 3) to the landmarks found are in the optical frame; `blur_px2` (n, 2) is the
-    variance by which the picture is more blurred at each than those it was learned from.
+    variance by which the picture is more blurred at each than those it was learned from. `lean` is
+    what the rows of all that was found, wrong heights too, say of the camera.
     """
 
     detections: Detections
     refused: Mapping[int, Refusal]
     rays: FloatArray
     blur_px2: FloatArray
+    lean: Lean
 
 
 def detect_landmarks(
@@ -112,8 +120,9 @@ def detect_landmarks(
             refused[landmark.id] = match
         else:
             found.append(match)
+    lean = Lean()
     if len(found) >= LEAST_HEIGHTS:
-        wrong = _wrong_heights(found, view, config)
+        wrong, lean = _by_heights(found, view, config)
         refused |= {
             f.landmark.id: Refusal('wrong height', f'{f.down_px:+.1f} px off')
             for f in compress(found, wrong)
@@ -136,6 +145,7 @@ def detect_landmarks(
         refused,
         rays[:, 0],
         blur_px2 + np.array([f.match.blur_px2 for f in found]).reshape(-1, 2),
+        lean,
     )
 
 
@@ -221,10 +231,10 @@ def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
     return template[v : height - v, u : width - u]
 
 
-def _wrong_heights(
+def _by_heights(
     found: Sequence[_Found], view: View, config: DetectionConfig
-) -> npt.NDArray[np.bool_]:
-    """Which matches (n,) are higher or lower than prior and the other matches allow."""
+) -> tuple[npt.NDArray[np.bool_], Lean]:
+    """Which matches (n,) are higher or lower than prior and others allow, or that it leans."""
     rows = RowModel.of(
         np.array([f.landmark.position for f in found]),
         view.prior.pose,
@@ -232,11 +242,13 @@ def _wrong_heights(
         view.center,
         view.camera,
     )
-    lean_rad = config.vertical_sigma_px / view.camera.fy
-    covariance = rows.covariance(view.prior.covariance, lean_rad)
+    off_px = np.array([f.down_px for f in found])
     own = rows.by_height**2 * [f.landmark.covariance[2, 2] for f in found]
     own += [f.match.covariance[1, 1] + config.lens_sigma_px**2 for f in found]
-    return wrong_heights(np.array([f.down_px for f in found]), covariance + np.diag(own))
+    covariance = rows.covariance(view.prior.covariance) + np.diag(own)
+    lean_px2 = (config.vertical_sigma_px / view.camera.fy) ** 2 * rows.by_lean @ rows.by_lean.T
+    wrong = wrong_heights(off_px, covariance + lean_px2)
+    return wrong, told_lean(off_px, rows.by_lean, covariance)
 
 
 def _bearings(

@@ -1,4 +1,4 @@
-"""A test of matches by their rows in the picture, which triangulation does not use."""
+"""What the rows of matches tell, which triangulation does not use: mistakes, and a lean."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray
 
-__all__ = ['LEAST_HEIGHTS', 'RowModel', 'wrong_heights']
+__all__ = ['LEAST_HEIGHTS', 'Lean', 'RowModel', 'told_lean', 'wrong_heights']
 
 # With fewer matches a wrong height cannot be told from a wrong tilt.
 LEAST_HEIGHTS = 3
@@ -18,6 +18,10 @@ LEAST_HEIGHTS = 3
 _STEP = 1e-4
 # A match is at a wrong height if it is so many sigmas off, given the others.
 _WRONG = 4.0
+# Sigma of a tilt and a roll of which nothing is known.
+_ANY_RAD = 0.1
+# A roll is sure if it is so many sigmas off, whichever of so many matches is left out.
+_SURE, _LEAST_SURE = 3.0, 4
 
 
 class RowModel(NamedTuple):
@@ -51,15 +55,62 @@ class RowModel(NamedTuple):
         moved[6, :, 2] = _STEP
         moved = moved @ rotation
         moved[4, :, 1], moved[4, :, 2] = _STEP * points[:, 2], -_STEP * points[:, 1]
-        moved[5, :, 0], moved[5, :, 1] = -_STEP * points[:, 1], _STEP * points[:, 0]
+        moved[5, :, 0], moved[5, :, 1] = _STEP * points[:, 1], -_STEP * points[:, 0]
         rows = camera.project(points + moved)[..., 1]
         by = ((rows[1:] - rows[0]) / _STEP).T
         return cls(by[:, :3], by[:, 3:5], by[:, 5])
 
-    def covariance(self, pose_covariance: FloatArray, lean_rad: float) -> FloatArray:
-        """Covariance (n, n) of the rows by errors of the pose, and of tilt and roll."""
-        by_pose = self.by_pose @ pose_covariance @ self.by_pose.T
-        return np.asarray(by_pose + lean_rad**2 * self.by_lean @ self.by_lean.T)
+    def covariance(self, pose_covariance: FloatArray) -> FloatArray:
+        """Covariance (n, n) of the rows by errors of the pose."""
+        return np.asarray(self.by_pose @ pose_covariance @ self.by_pose.T)
+
+
+class Lean(NamedTuple):
+    """
+    By how much a camera looks higher, and leans to its right, than was assumed; radians.
+
+    `roll_sigma_rad` is the standard deviation of the roll. `sure` tells whether all matches but
+    any one say that there is a roll.
+    """
+
+    tilt_rad: float = 0.0
+    roll_rad: float = 0.0
+    roll_sigma_rad: float = np.inf
+    sure: bool = False
+
+
+def told_lean(off_px: FloatArray, by_lean: FloatArray, covariance: FloatArray) -> Lean:
+    """
+    Estimate tilt and roll of a camera of which nothing is known.
+
+    Parameters
+    ----------
+    off_px : ndarray, shape (n,)
+        Rows found minus rows expected.
+    by_lean : ndarray, shape (n, 2)
+        Their derivatives by tilt and roll, as in `RowModel`.
+    covariance : ndarray, shape (n, n)
+        Of these differences, by anything else.
+
+    """
+    fits = ~wrong_heights(off_px, covariance + _ANY_RAD**2 * by_lean @ by_lean.T)
+    off_px, by_lean, covariance = off_px[fits], by_lean[fits], covariance[np.ix_(fits, fits)]
+    (tilt, roll), sigma = _lean(off_px, by_lean, covariance)
+    sure = len(off_px) >= _LEAST_SURE and abs(roll) > _SURE * sigma
+    for k in range(len(off_px) if sure else 0):
+        left = np.arange(len(off_px)) != k
+        (_, without), doubt = _lean(off_px[left], by_lean[left], covariance[np.ix_(left, left)])
+        sure &= bool(without * np.sign(roll) > _SURE * doubt)
+    return Lean(tilt, roll, sigma, sure)
+
+
+def _lean(
+    off_px: FloatArray, by_lean: FloatArray, covariance: FloatArray
+) -> tuple[list[float], float]:
+    """Tilt and roll of least squares, and the sigma of the roll."""
+    weighted = np.linalg.solve(covariance, by_lean)
+    spread = np.linalg.inv(by_lean.T @ weighted + np.eye(2) / _ANY_RAD**2)
+    return (spread @ (off_px @ weighted)).tolist(), float(np.sqrt(spread[1, 1]))
 
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:
