@@ -143,6 +143,10 @@ class Observer:
         """By how much the camera leans to its right; 0 unless it was knocked."""
         return self._detector.leaning_rad
 
+    def turn(self, tilt_rad: float, roll_rad: float) -> None:
+        """Take the camera to look so much higher, and to lean so much more to its right."""
+        self._detector.turn(tilt_rad, roll_rad)
+
     def levelled(self, frame: CameraFrame) -> CameraFrame:
         """Return a picture with the tilt and roll of the camera corrected."""
         return self._detector.levelled(frame)

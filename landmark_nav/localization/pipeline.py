@@ -214,6 +214,7 @@ class Localizer:
         outcome = self._relocalizer.add_frame(self._observer.levelled(frame))
         if isinstance(outcome, Refusal):
             return outcome
+        self._observer.turn(*self._relocalizer.lean_rad)
         swing = frame.pan_rate_rad_s, frame.pan_track, late.delay_s
         # The filter itself doubts the heading of a camera that turned.
         found = Found(self._relocalizer.witnesses, *swing)

@@ -94,6 +94,7 @@ class PlaceSearch:
         self._unseen = Unseen(config.unseen_s)
         self._asked, self._told_ns = False, -_FUSED_NS
         self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
+        self._lean_rad = (0.0, 0.0)
         self._found = Event()
         self._place = node.advertise('found_place')
         node.offer('relocalize', self._search, group=MutuallyExclusiveCallbackGroup())
@@ -141,6 +142,11 @@ class PlaceSearch:
         """Take note of how many landmarks a picture showed."""
         self._unseen.note(stamp_ns, found)
 
+    @property
+    def lean_rad(self) -> tuple[float, float]:
+        """By how much the camera looks higher, and leans to its right, by the last place."""
+        return self._lean_rad
+
     def look(
         self, frame: CameraFrame, joint_delay_s: float = 0.0, pan_delay_s: float = 0.0
     ) -> PoseEstimate | Refusal:
@@ -162,7 +168,7 @@ class PlaceSearch:
             self._relocalizer, self._asked = None, False
             self._told_ns = frame.stamp_ns
             self._unseen.restart()
-            found = relocalizer.in_time
+            found, self._lean_rad = relocalizer.in_time, relocalizer.lean_rad
             place = FoundPlace(
                 found.stamp_ns,
                 found.pose,

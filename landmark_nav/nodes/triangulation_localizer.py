@@ -201,7 +201,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         found = 'place found, and told on found_place'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)
-        return isinstance(outcome, PoseEstimate)
+        if isinstance(outcome, Refusal):
+            return False
+        self._observer.turn(*self._search.lean_rad)
+        return True
 
     def _observe(self, message: Any) -> Observation:
         stamp = decode.stamp_ns(message.header)

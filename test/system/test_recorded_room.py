@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from faults import bumped, CAMERA, Fault, FOR_GOOD_S, spoilt
 import numpy as np
 import pytest
 
@@ -114,3 +115,29 @@ def test_pictures_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
     for name in ('map/map.png', 'map/panorama_1.png', 'map/panorama_2.png'):
         assert (figures[1] / name).stat().st_size > 10_000
     assert '<img' in (figures[1] / 'run.html').read_text()
+
+
+@pytest.mark.parametrize('turned_deg', [(2.0, 0.0, 0.0), (-1.0, 0.0, 1.5)])
+def test_a_camera_that_was_knocked_while_switched_off_finds_its_place(
+    turned_deg: tuple[float, float, float],
+    figures: tuple[dict[str, float], Path],
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """No start is given; it looks above or below, or leans, from the first picture on."""
+    drive = Bag(BAGS / 'drive')
+    knock = Fault(bumped(drive, turned_deg), (CAMERA,), FOR_GOOD_S)
+    with BagWriter(tmp_path / 'knocked') as knocked:
+        for topic, message, stamp_ns in spoilt(drive, 'knocked', knock, 0.0):
+            knocked.write(topic, message, stamp_ns)
+    evaluate = ['evaluate', str(tmp_path / 'knocked'), '--map', str(figures[1] / 'map')]
+    evaluate += ['--robot', str(BAGS / 'robot.yaml'), '--json', str(tmp_path / 'run.json')]
+    assert main(evaluate) == 0
+    run = json.loads((tmp_path / 'run.json').read_text())
+    assert run['found']['after_s'] < 2.0
+    assert run['fused']['position_rmse_m'] < 0.006
+    assert run['fused']['heading_rmse_deg'] < 0.15
+    assert run['silently_wrong'] == 0
+    up_deg, _, right_deg = turned_deg
+    assert ('camera looks' in caplog.text) == bool(up_deg)
+    assert ('camera leans' in caplog.text) == bool(right_deg)

@@ -11,7 +11,7 @@ from scenes import blurred_by, draw_frame, textured_room, true_landmark
 
 from landmark_nav.localization.detection import DetectionResult
 from landmark_nav.localization.detection.aim import AimedDetector
-from landmark_nav.localization.detection.height import Lean
+from landmark_nav.localization.detection.height import Heights
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 
@@ -159,6 +159,11 @@ def test_a_camera_leans_where_most_of_what_hangs_too_high_or_low_is_found_again(
     )
     assert len(everywhere.detections) == 4
 
+    off_px = 400.0 * np.array([-0.4, -0.1, 0.1, 0.4])
+    by_lean = np.column_stack([np.full(4, 400.0), off_px])
+    level = Heights(np.zeros(4), by_lean, 0.01 * np.eye(4))
+    leaning = level._replace(off_px=roll_rad * off_px)
+
     def only(count: int, *, told: bool) -> DetectionResult:
         keep = np.arange(4) < count
         too_high = dict.fromkeys(everywhere.detections.ids[~keep], Refusal('wrong height'))
@@ -168,7 +173,7 @@ def test_a_camera_leans_where_most_of_what_hangs_too_high_or_low_is_found_again(
             refused=too_high,
             rays=everywhere.rays[keep],
             blur_px2=everywhere.blur_px2[keep],
-            lean=Lean(0.0, roll_rad, 1e-3, sure=True) if told else Lean(),
+            heights=leaning if told else level,
         )
 
     # As it is; with the roll that it tells; all around; with the roll of that; without.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection.height import RowModel, told_lean, wrong_heights
+from landmark_nav.localization.detection.height import Heights, RowModel, told_lean, wrong_heights
 from landmark_nav.types import FloatArray
 
 PLAIN = CameraModel(512, 512, 555.0, 555.0, 256.0, 256.0, distortion=(-0.1, 0.02, 0.0, 0.0))
@@ -88,12 +88,12 @@ def test_a_lean_is_told_by_all_rows_together_and_not_by_any_single_one(
     squares, level, mistaken, told = [], 0, 0, 0
     for _ in range(runs):
         off = rng.multivariate_normal(np.zeros(8), covariance)
-        level += told_lean(off, model.by_lean, covariance).sure
-        lean = told_lean(off + model.by_lean @ leant, model.by_lean, covariance)
+        level += told_lean(Heights(off, model.by_lean, covariance)).sure
+        lean = told_lean(Heights(off + model.by_lean @ leant, model.by_lean, covariance))
         told += lean.sure
         squares.append(((lean.roll_rad - leant[1]) / lean.roll_sigma_rad) ** 2)
         off[int(rng.integers(8))] += 5.0 * rng.choice([-1.0, 1.0])
-        mistaken += told_lean(off, model.by_lean, covariance).sure
+        mistaken += told_lean(Heights(off, model.by_lean, covariance)).sure
     assert told == runs
     assert level + mistaken <= 2
     assert 0.75 < np.mean(squares) < 1.3

@@ -22,9 +22,11 @@ from landmark_nav.localization.fusion.late_joints import (
 from landmark_nav.localization.fusion.mixture import Mixture
 from landmark_nav.localization.fusion.start import Found, joints_in_doubt
 from landmark_nav.localization.fusion.state import (
+    BORESIGHT,
     DELAY,
     FilterState,
     HEADING,
+    moved_to,
     with_late_joints,
 )
 from landmark_nav.localization.joint_delay import JointDelay
@@ -213,3 +215,17 @@ def test_what_is_in_doubt_is_not_doubted_again() -> None:
     assert len(many.states) == 12
     assert many.weights.sum() == pytest.approx(1.0)
     assert (np.diff(many.weights) <= 0.0).all()
+
+
+def test_a_place_found_again_leaves_covariances_that_can_be() -> None:
+    """What was learned of camera and joints goes together, and is carried over to the place."""
+    state, sigmas = found_state(), np.array([0.02, 0.001])
+    covariance = state.covariance.copy()
+    which = np.ix_([BORESIGHT, DELAY], [BORESIGHT, DELAY])
+    covariance[which] = np.outer(sigmas, sigmas) * [[1.0, 0.95], [0.95, 1.0]]
+    place = start_estimate(np.array([0.01, 0.01, 0.005]))
+    again = moved_to(replace(state, covariance=covariance), place)
+    for rate_rad_s in (0.0, -1.0, RATE_RAD_S):
+        for part in found_in_swing(again, Found(NOBODY, rate_rad_s), LEVER).states:
+            scale = np.sqrt(np.diag(part.covariance)) + 1e-12
+            assert np.linalg.eigvalsh(part.covariance / np.outer(scale, scale))[0] > -1e-9

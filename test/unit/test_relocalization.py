@@ -270,3 +270,31 @@ def test_what_odometry_may_have_erred_by_is_left_open() -> None:
         assert isinstance(found, Verification), str(found)
         sigmas.append(np.sqrt(np.trace(found.estimate.covariance[:2, :2])))
     assert sigmas[1] > 2.0 * sigmas[0]
+
+
+@pytest.mark.parametrize(
+    ('tilt_rad', 'roll_rad'), [(0.035, 0.0), (-0.035, 0.0), (0.0, 0.035), (0.015, -0.02)]
+)
+def test_a_camera_that_was_knocked_finds_its_place_and_how_it_looks(
+    tilt_rad: float, roll_rad: float
+) -> None:
+    pose = (2.4, 1.9, 0.4)
+    # The joints, as drawn, are those of a camera that looks higher than they say.
+    knocked = [
+        replace(k, tilt_rad=k.tilt_rad - tilt_rad, roll_rad=k.roll_rad - roll_rad)
+        for k in sweep(SCENE, pose)
+    ]
+    relocalizer, level = (
+        Relocalizer(MAP, MOUNT, config)
+        for config in (RelocalizationConfig(), RelocalizationConfig(lean_sigma_rad=0.0))
+    )
+    for frame in knocked:
+        for each in (relocalizer, level):
+            each.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
+        outcome = relocalizer.add_frame(frame)
+        if abs(tilt_rad) > 0.03:
+            assert isinstance(level.add_frame(frame), Refusal)
+        if isinstance(outcome, PoseEstimate):
+            break
+    assert_right(outcome, pose)
+    np.testing.assert_allclose(relocalizer.lean_rad, (tilt_rad, roll_rad), atol=2e-3)

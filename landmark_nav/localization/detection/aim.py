@@ -14,6 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import DetectionResult
+from landmark_nav.localization.detection.height import TILTED_RAD, told_lean
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['AimedDetector', 'degrees_aside']
@@ -27,9 +28,8 @@ _HARDLY_ANY, _MOST = 0.25, 0.5
 _LEAST = 3
 # Why matches are refused if the camera has a roll that is not known.
 _BESIDE = ('wrong height', 'peak at the border of the search window')
-# A tilt or a roll is a knock if it is more than an uneven floor causes; a tilt, if it is also more
-# than heights that are a centimetre off.
-_TILTED_RAD, _HEIGHT_M = 0.005, 0.01
+# A tilt is a knock if it is also more than heights that are a centimetre off.
+_HEIGHT_M = 0.01
 # Each later picture that tells the roll as well as that corrects it by this share.
 _ROLL_SHARE = 0.2
 
@@ -69,12 +69,19 @@ class AimedDetector:
     @property
     def knocked_up_rad(self) -> float:
         """`tilt_rad` if it is more than an uneven floor causes, else 0."""
-        return self.tilt_rad if abs(self.tilt_rad) > _TILTED_RAD else 0.0
+        return self.tilt_rad if abs(self.tilt_rad) > TILTED_RAD else 0.0
 
     @property
     def leaning_rad(self) -> float:
         """By how much the camera leans to its right; 0 unless it was knocked."""
         return float(self._aim[2])
+
+    def turn(self, tilt_rad: float, roll_rad: float) -> None:
+        """Take the camera to look so much higher, and to lean so much more to its right."""
+        if tilt_rad or roll_rad:
+            self._aim = np.array([0.0, self._aim[1] + tilt_rad, self._aim[2] + roll_rad])
+            if abs(roll_rad) > TILTED_RAD:
+                _LOG.warning('camera leans %.1f deg %s', *degrees_aside(self.leaning_rad))
 
     def levelled(self, frame: CameraFrame) -> CameraFrame:
         """Return a picture with tilt and roll corrected, and the pan as measured."""
@@ -111,8 +118,8 @@ class AimedDetector:
             # What passed for a turn of the camera may have been an error of the heading.
             ahead = self._search(frame, prior, expected, config, self._aim * [0.0, 1.0, 1.0])
             result = max(ahead, result, key=lambda found: len(found.detections))
-        if tells and self._knock and _is_rolled(result):
-            aim = self._aim + np.array([0.0, result.lean.tilt_rad, result.lean.roll_rad])
+        if tells and self._knock and (lean := told_lean(result.heights)).is_roll:
+            aim = self._aim + np.array([0.0, lean.tilt_rad, lean.roll_rad])
             again = self._search(frame, prior, expected, config, aim)
             if self._leans(result, again, expected):
                 self._follow(again, frame, prior, float(aim[2]))
@@ -129,7 +136,8 @@ class AimedDetector:
         if len(around.detections) < _LEAST:
             return result
         # Mistaken matches are not found again in the narrow rows of a normal search.
-        for roll in (around.lean.roll_rad, 0.0) if _is_rolled(around) else (0.0,):
+        lean = told_lean(around.heights)
+        for roll in (lean.roll_rad, 0.0) if lean.is_roll else (0.0,):
             aim, _ = self._seen_aim(around, frame, prior, self.leaning_rad + roll)
             again = self._search(frame, wide, expected, config, aim)
             right = self._leans(result, again, expected) if roll else self._tells(again, expected)
@@ -150,7 +158,7 @@ class AimedDetector:
             (not beside or fits > _MOST * len(beside))
             and len(result.detections) >= len(before.detections)
             and self._tells(result, expected)
-            and not _is_rolled(result)
+            and not told_lean(result.heights).is_roll
         )
 
     @staticmethod
@@ -168,20 +176,20 @@ class AimedDetector:
         """Update the correction by a picture, if there is one or the camera was knocked."""
         leant = self.leaning_rad
         roll = leant if knock_roll is None else knock_roll
-        if roll and result.lean.roll_sigma_rad < _TILTED_RAD:
-            roll += _ROLL_SHARE * result.lean.roll_rad
-        if abs(roll) < _TILTED_RAD:
+        if roll and (lean := told_lean(result.heights)).roll_sigma_rad < TILTED_RAD:
+            roll += _ROLL_SHARE * lean.roll_rad
+        if abs(roll) < TILTED_RAD:
             roll = 0.0
-        if knock_roll is not None and abs(roll - leant) > _TILTED_RAD:
+        if knock_roll is not None and abs(roll - leant) > TILTED_RAD:
             _LOG.warning('camera leans %.1f deg %s', *degrees_aside(roll))
         aim, away = self._seen_aim(result, frame, prior, roll)
         reach = np.hypot(away[:, 0], away[:, 1])
         doubt_rad = _HEIGHT_M / median(reach.tolist())
         sigma_m = np.sqrt(np.trace(prior.covariance[:2, :2]))
-        if sigma_m * median((np.abs(away[:, 2]) / reach**2).tolist()) > _TILTED_RAD:
+        if sigma_m * median((np.abs(away[:, 2]) / reach**2).tolist()) > TILTED_RAD:
             # The position is too uncertain: from nearer by, high landmarks appear higher.
             aim[1:] = self._aim[1:]
-        tilted = abs(aim[1] - self._told_rad) > _TILTED_RAD + doubt_rad
+        tilted = abs(aim[1] - self._told_rad) > TILTED_RAD + doubt_rad
         if tilted:
             self._told_rad = aim[1]
             side = 'above' if aim[1] > 0.0 else 'below'
@@ -208,8 +216,9 @@ class AimedDetector:
         if aim[2]:
             # A roll is not known exactly: it moves what is high or low in the picture aside.
             x, y, z = result.rays.T
-            by_roll = y * z / (x**2 + z**2) * min(result.lean.roll_sigma_rad, _TILTED_RAD)
-            found = replace(found, variance_rad2=found.variance_rad2 + by_roll**2)
+            sigma = min(told_lean(result.heights).roll_sigma_rad, TILTED_RAD)
+            across = sigma * y * z / (x**2 + z**2)
+            found = replace(found, variance_rad2=found.variance_rad2 + across**2)
         return replace(result, detections=found)
 
     def _seen_aim(
@@ -256,11 +265,6 @@ def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
 def _beside(result: DetectionResult) -> list[int]:
     """Ids of the landmarks whose matches were refused for their height."""
     return [k for k, refusal in result.refused.items() if refusal.reason in _BESIDE]
-
-
-def _is_rolled(result: DetectionResult) -> bool:
-    """Whether the camera has another roll than was assumed, by more than an uneven floor."""
-    return result.lean.sure and abs(result.lean.roll_rad) > _TILTED_RAD
 
 
 def _many_beside(result: DetectionResult) -> bool:

@@ -26,13 +26,7 @@ from landmark_nav.localization.detection.expectation import (
     quadratic,
     View,
 )
-from landmark_nav.localization.detection.height import (
-    Lean,
-    LEAST_HEIGHTS,
-    RowModel,
-    told_lean,
-    wrong_heights,
-)
+from landmark_nav.localization.detection.height import Heights, RowModel
 from landmark_nav.matching import (
     blur_by,
     blur_sigmas,
@@ -66,15 +60,15 @@ class DetectionResult:
     Landmarks found in a picture, and why the others were not, by id.
 
     `rays` (n, 3) to the landmarks found are in the optical frame; `blur_px2` (n, 2) is the
-    variance by which the picture is more blurred at each than those it was learned from. `lean` is
-    what the rows of all that was found, wrong heights too, say of the camera.
+    variance by which the picture is more blurred at each than those it was learned from. `heights`
+    are of all that was found, also where it is refused for its height.
     """
 
     detections: Detections
     refused: Mapping[int, Refusal]
     rays: FloatArray
     blur_px2: FloatArray
-    lean: Lean
+    heights: Heights
 
 
 def detect_landmarks(
@@ -120,9 +114,9 @@ def detect_landmarks(
             refused[landmark.id] = match
         else:
             found.append(match)
-    lean = Lean()
-    if len(found) >= LEAST_HEIGHTS:
-        wrong, lean = _by_heights(found, view, config)
+    heights = _heights(found, view, config)
+    wrong = heights.wrong(config.vertical_sigma_px / view.camera.fy)
+    if wrong.any():
         refused |= {
             f.landmark.id: Refusal('wrong height', f'{f.down_px:+.1f} px off')
             for f in compress(found, wrong)
@@ -145,7 +139,7 @@ def detect_landmarks(
         refused,
         rays[:, 0],
         blur_px2 + np.array([f.match.blur_px2 for f in found]).reshape(-1, 2),
-        lean,
+        heights,
     )
 
 
@@ -231,12 +225,10 @@ def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
     return template[v : height - v, u : width - u]
 
 
-def _by_heights(
-    found: Sequence[_Found], view: View, config: DetectionConfig
-) -> tuple[npt.NDArray[np.bool_], Lean]:
-    """Which matches (n,) are higher or lower than prior and others allow, or that it leans."""
+def _heights(found: Sequence[_Found], view: View, config: DetectionConfig) -> Heights:
+    """Rows of matches beside those that were expected."""
     rows = RowModel.of(
-        np.array([f.landmark.position for f in found]),
+        np.array([f.landmark.position for f in found]).reshape(-1, 3),
         view.prior.pose,
         view.rotation,
         view.center,
@@ -246,9 +238,7 @@ def _by_heights(
     own = rows.by_height**2 * [f.landmark.covariance[2, 2] for f in found]
     own += [f.match.covariance[1, 1] + config.lens_sigma_px**2 for f in found]
     covariance = rows.covariance(view.prior.covariance) + np.diag(own)
-    lean_px2 = (config.vertical_sigma_px / view.camera.fy) ** 2 * rows.by_lean @ rows.by_lean.T
-    wrong = wrong_heights(off_px, covariance + lean_px2)
-    return wrong, told_lean(off_px, rows.by_lean, covariance)
+    return Heights(off_px, rows.by_lean, covariance)
 
 
 def _bearings(

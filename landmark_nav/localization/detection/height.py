@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray
 
-__all__ = ['LEAST_HEIGHTS', 'Lean', 'RowModel', 'told_lean', 'wrong_heights']
+__all__ = ['TILTED_RAD', 'Heights', 'Lean', 'RowModel', 'told_lean', 'wrong_heights']
 
 # With fewer matches a wrong height cannot be told from a wrong tilt.
 LEAST_HEIGHTS = 3
@@ -18,6 +19,8 @@ LEAST_HEIGHTS = 3
 _STEP = 1e-4
 # A match is at a wrong height if it is so many sigmas off, given the others.
 _WRONG = 4.0
+# A tilt or a roll is a knock if it is more than an uneven floor causes.
+TILTED_RAD = 0.005
 # Sigma of a tilt and a roll of which nothing is known.
 _ANY_RAD = 0.1
 # A roll is sure if it is so many sigmas off, whichever of so many matches is left out.
@@ -65,49 +68,84 @@ class RowModel(NamedTuple):
         return np.asarray(self.by_pose @ pose_covariance @ self.by_pose.T)
 
 
-class Lean(NamedTuple):
+class Heights(NamedTuple):
     """
-    By how much a camera looks higher, and leans to its right, than was assumed; radians.
-
-    `roll_sigma_rad` is the standard deviation of the roll. `sure` tells whether all matches but
-    any one say that there is a roll.
-    """
-
-    tilt_rad: float = 0.0
-    roll_rad: float = 0.0
-    roll_sigma_rad: float = np.inf
-    sure: bool = False
-
-
-def told_lean(off_px: FloatArray, by_lean: FloatArray, covariance: FloatArray) -> Lean:
-    """
-    Estimate tilt and roll of a camera of which nothing is known.
+    Rows of matches in pictures of one camera.
 
     Parameters
     ----------
     off_px : ndarray, shape (n,)
         Rows found minus rows expected.
     by_lean : ndarray, shape (n, 2)
-        Their derivatives by tilt and roll, as in `RowModel`.
+        Their derivatives by tilt and roll of the camera, px/rad.
     covariance : ndarray, shape (n, n)
-        Of these differences, by anything else.
+        Of `off_px`, by anything but tilt and roll.
 
     """
-    fits = ~wrong_heights(off_px, covariance + _ANY_RAD**2 * by_lean @ by_lean.T)
-    off_px, by_lean, covariance = off_px[fits], by_lean[fits], covariance[np.ix_(fits, fits)]
-    (tilt, roll), sigma = _lean(off_px, by_lean, covariance)
-    sure = len(off_px) >= _LEAST_SURE and abs(roll) > _SURE * sigma
-    for k in range(len(off_px) if sure else 0):
-        left = np.arange(len(off_px)) != k
-        (_, without), doubt = _lean(off_px[left], by_lean[left], covariance[np.ix_(left, left)])
+
+    off_px: FloatArray
+    by_lean: FloatArray
+    covariance: FloatArray
+
+    @staticmethod
+    def joined(parts: Sequence[Heights]) -> Heights:
+        """Those of several pictures, whose errors have nothing in common."""
+        off_px = np.concatenate([np.empty(0), *(part.off_px for part in parts)])
+        by_lean = np.concatenate([np.empty((0, 2)), *(part.by_lean for part in parts)])
+        covariance = np.diag(np.zeros(len(off_px)))
+        first = 0
+        for part in parts:
+            rows = slice(first, first := first + len(part.off_px))
+            covariance[rows, rows] = part.covariance
+        return Heights(off_px, by_lean, covariance)
+
+    def wrong(self, lean_rad: float) -> npt.NDArray[np.bool_]:
+        """Which matches (n,) contradict the others, with this sigma of tilt and roll."""
+        by_lean = lean_rad * self.by_lean
+        return wrong_heights(self.off_px, self.covariance + by_lean @ by_lean.T)
+
+    def chosen(self, keep: npt.NDArray[np.bool_]) -> Heights:
+        """Return some of them."""
+        return Heights(self.off_px[keep], self.by_lean[keep], self.covariance[np.ix_(keep, keep)])
+
+
+class Lean(NamedTuple):
+    """
+    By how much a camera looks higher, and leans to its right, than was assumed; radians.
+
+    `matches` is how many tell so; `roll_sigma_rad` is the standard deviation of the roll; `sure`
+    tells whether all matches but any one say that there is a roll.
+    """
+
+    tilt_rad: float = 0.0
+    roll_rad: float = 0.0
+    roll_sigma_rad: float = np.inf
+    matches: int = 0
+    sure: bool = False
+
+    @property
+    def is_roll(self) -> bool:
+        """Whether there surely is a roll, and more than an uneven floor causes."""
+        return self.sure and abs(self.roll_rad) > TILTED_RAD
+
+
+def told_lean(heights: Heights) -> Lean:
+    """Estimate tilt and roll of a camera of which nothing is known, without wrong heights."""
+    if len(heights.off_px) < LEAST_HEIGHTS:
+        return Lean()
+    heights = heights.chosen(~heights.wrong(_ANY_RAD))
+    count = len(heights.off_px)
+    (tilt, roll), sigma = _lean(heights)
+    sure = count >= _LEAST_SURE and abs(roll) > _SURE * sigma
+    for k in range(count if sure else 0):
+        (_, without), doubt = _lean(heights.chosen(np.arange(count) != k))
         sure &= bool(without * np.sign(roll) > _SURE * doubt)
-    return Lean(tilt, roll, sigma, sure)
+    return Lean(tilt, roll, sigma, count, sure)
 
 
-def _lean(
-    off_px: FloatArray, by_lean: FloatArray, covariance: FloatArray
-) -> tuple[list[float], float]:
+def _lean(heights: Heights) -> tuple[list[float], float]:
     """Tilt and roll of least squares, and the sigma of the roll."""
+    off_px, by_lean, covariance = heights
     weighted = np.linalg.solve(covariance, by_lean)
     spread = np.linalg.inv(by_lean.T @ weighted + np.eye(2) / _ANY_RAD**2)
     return (spread @ (off_px @ weighted)).tolist(), float(np.sqrt(spread[1, 1]))

@@ -20,6 +20,7 @@ from landmark_nav.localization.fusion.state import (
     FilterState,
     HEADING,
     POSE,
+    STATES,
     with_late_joints,
 )
 from landmark_nav.localization.joint_delay import DOUBT_S
@@ -100,13 +101,17 @@ def found_in_swing(
     in_time = with_late_joints(state, 0.0) if in_doubt(state) else state
 
     def turned(part: FilterState) -> FilterState:
-        lag, sigma_s = found.lag(part.late), part.late.sigma_s
-        mean, covariance = part.mean.copy(), part.covariance.copy()
+        lag, mean, by_delay = found.lag(part.late), part.mean.copy(), np.eye(STATES)
         mean[POSE] = compose(axis - np.array([0.0, 0.0, lag.shift_rad]), -to_axis)
-        by_sigma = -lag.rate_rad_s * sigma_s
-        turn = by_sigma**2 + lag.bend_rad**2
-        covariance[:3, :3] += turn * np.outer(by_heading, by_heading)
-        covariance[:3, DELAY] = covariance[DELAY, :3] = by_sigma * sigma_s * by_heading
-        return replace(part, mean=mean, covariance=covariance)
+        by_delay[POSE, DELAY] = -lag.rate_rad_s * by_heading
+        covariance = by_delay @ part.covariance @ by_delay.T
+        covariance[:3, :3] += lag.bend_rad**2 * np.outer(by_heading, by_heading)
+        return replace(
+            part,
+            mean=mean,
+            covariance=covariance,
+            cross=by_delay @ part.cross,
+            by_noise=by_delay @ part.by_noise @ by_delay.T,
+        )
 
     return perhaps_late(in_time, late_joints(in_time)).each(turned)

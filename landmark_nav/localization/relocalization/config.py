@@ -32,3 +32,10 @@ class RelocalizationConfig(Config):
     max_sigma_rad: float = parameter(
         0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
     )
+    lean_sigma_rad: float = parameter(
+        0.02,
+        'how far the camera may look above or below where its joints say, or lean, where no place '
+        'is found without that; 0 takes it for level; rad',
+        minimum=0.0,
+        maximum=0.1,
+    )

@@ -61,6 +61,7 @@ def locate(
     mount: PanTiltMount,
     config: RelocalizationConfig,
     looking: LookingConfig,
+    lean_sigma_rad: float = 0.0,
 ) -> Verification | Refusal:
     """
     Find the robot's place without any prior.
@@ -71,6 +72,8 @@ def locate(
         Pictures, and the poses of the base at each by odometry.
     sightings : sequence of Sightings
         Possible sightings in each picture, found without a prior.
+    lean_sigma_rad : float
+        How far the camera may look above, below, or lean.
 
     Returns
     -------
@@ -91,7 +94,7 @@ def locate(
     proposed = propose(Sightings.joined(moved), landmark_map)
     if not len(proposed.poses):
         return Refusal('nothing recognised', 'no two sightings agree on a place')
-    places = verified_places(proposed.poses, carried, landmark_map, mount, looking)
+    places = verified_places(proposed.poses, carried, landmark_map, mount, looking, lean_sigma_rad)
     return _judged(best_place(places, len(proposed.poses)), config)
 
 
@@ -101,11 +104,12 @@ def verified_places(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     looking: LookingConfig,
+    lean_sigma_rad: float = 0.0,
 ) -> list[Verification]:
     """Verify the first of the poses (n, 3); return different places, most landmarks first."""
     places: list[Verification] = []
     for pose in poses[:_CANDIDATES]:
-        outcome = verify(pose, carried, landmark_map, mount, looking)
+        outcome = verify(pose, carried, landmark_map, mount, looking, lean_sigma_rad)
         if isinstance(outcome, Verification) and not _known(outcome, places):
             places.append(outcome)
     return sorted(places, key=lambda place: -len(place.ids))

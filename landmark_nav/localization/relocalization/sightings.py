@@ -83,6 +83,7 @@ def find_sightings(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     prior: PoseEstimate | None = None,
+    lean_sigma_rad: float = 0.0,
 ) -> Sightings:
     """
     Look for every landmark everywhere in a picture.
@@ -92,6 +93,8 @@ def find_sightings(
     prior : PoseEstimate, optional
         Of the base at that time: only what can be seen from where it allows is looked for, where
         and as it may appear.
+    lean_sigma_rad : float
+        How far the camera may look above, below, or lean: so much higher and lower is looked.
 
     Returns
     -------
@@ -104,10 +107,11 @@ def find_sightings(
         looks = {k: any_look(landmark, strip) for k, landmark in enumerate(landmarks)}
     else:
         looks = open_looks(prior, landmark_map, strip)
+    sigma = float(np.hypot(_TANGENT_SIGMA, lean_sigma_rad))
     found = []
     for k, look in looks.items():
-        profile = _search(landmarks[k], look, strip)
-        found.append(_measured(k, landmarks[k], profile, strip))
+        profile = _search(landmarks[k], look, strip, sigma)
+        found.append(_measured(k, landmarks[k], profile, strip, sigma))
     return Sightings.joined(found)
 
 
@@ -121,7 +125,7 @@ class _Profile:
     half_width: FloatArray
 
 
-def _search(landmark: Landmark, look: Look, strip: Strip) -> _Profile:
+def _search(landmark: Landmark, look: Look, strip: Strip, tangent_sigma: float) -> _Profile:
     columns = len(strip.azimuth)
     best = np.full(columns, -1.0, np.float32)
     tangent, reach, half_width = np.zeros(columns), np.ones(columns), np.ones(columns)
@@ -131,7 +135,7 @@ def _search(landmark: Landmark, look: Look, strip: Strip) -> _Profile:
         height = round(landmark.height_m / distance * strip.px_per_rad)
         # The rows where its centre can be, for ranges up to half a step to the next one.
         steepness = rise / distance * np.exp([-1.5 * RANGE_SIGMA, 1.5 * RANGE_SIGMA])
-        spread = 2.0 * _TANGENT_SIGMA
+        spread = 2.0 * tangent_sigma
         top = int(strip.row_of(steepness.max() + spread) - (height - 1) / 2.0)
         bottom = int(np.ceil(strip.row_of(steepness.min() - spread) + (height - 1) / 2.0))
         top, bottom = max(top, 0), min(bottom, len(strip.tangent) - 1)
@@ -157,7 +161,9 @@ def _search(landmark: Landmark, look: Look, strip: Strip) -> _Profile:
     return _Profile(best, tangent, reach, half_width)
 
 
-def _measured(index: int, landmark: Landmark, profile: _Profile, strip: Strip) -> Sightings:
+def _measured(
+    index: int, landmark: Landmark, profile: _Profile, strip: Strip, tangent_sigma: float
+) -> Sightings:
     """The best peaks of a landmark's profile, with the range that they tell."""
     columns = _peaks(profile)
     tangent, reach = profile.tangent[columns], profile.reach[columns]
@@ -165,7 +171,7 @@ def _measured(index: int, landmark: Landmark, profile: _Profile, strip: Strip) -
     # Range by height, where the landmark hangs above or below the camera, and by scale.
     with np.errstate(divide='ignore', invalid='ignore'):
         by_height = rise / tangent
-        sigma = np.hypot(_TANGENT_SIGMA, landmark.covariance[2, 2] ** 0.5 / reach)
+        sigma = np.hypot(tangent_sigma, landmark.covariance[2, 2] ** 0.5 / reach)
         sigma = sigma / np.abs(tangent)
     usable = (by_height > 0.0) & (sigma < 0.5)
     weight = np.where(usable, 1.0 / np.where(usable, sigma, 1.0) ** 2, 0.0)

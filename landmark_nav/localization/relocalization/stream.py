@@ -43,6 +43,8 @@ _MAX_DRIFT_RAD = 0.1
 _MAX_FRAMES = 30
 # Odometry older by this is not late: the clock was set back.
 _CLOCK_STEP_NS = 2 * 10**9
+# With so many pictures without a place the camera may have been knocked up, down, or aside.
+_VAIN = 2
 # Share of way and turn that wheels may be wrong by.
 _SLIP = 0.04
 
@@ -53,6 +55,8 @@ class _Glimpse(NamedTuple):
     frame: CameraFrame
     direction: FloatArray
     sightings: Sightings
+    # Those of a camera that may look above, below, or lean.
+    leaning: Sightings | None = None
 
 
 class Unseen:
@@ -104,6 +108,7 @@ class Relocalizer:
         self._outcome = Refusal('nothing seen yet', 'no picture came')
         self._witnesses = np.empty(0, dtype=np.int64)
         self._in_time: PoseEstimate | None = None
+        self._lean_rad = (0.0, 0.0)
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
@@ -158,6 +163,13 @@ class Relocalizer:
         )
         seen = [glimpse.sightings for glimpse in self._kept]
         outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
+        lean_sigma = self._config.lean_sigma_rad
+        if isinstance(outcome, Refusal) and lean_sigma and len(self._kept) >= _VAIN:
+            seen = self._leaning(lean_sigma)
+            leaning = locate(
+                carried, seen, self._map, self._mount, self._config, self._looking, lean_sigma
+            )
+            outcome = outcome if isinstance(leaning, Refusal) else leaning
         if isinstance(outcome, Refusal):
             self._outcome = outcome
             return outcome
@@ -165,6 +177,7 @@ class Relocalizer:
         doubts = np.square([DOUBT_S * kept.frame.pan_rate_rad_s for kept in self._kept])
         others = max(doubts.mean() - doubts[-1], 0.0)
         self._witnesses, self._in_time = outcome.ids, self._turned(outcome.estimate, others)
+        self._lean_rad = outcome.tilt_rad, outcome.roll_rad
         return self._turned(self._in_time, doubts[-1])
 
     @property
@@ -177,6 +190,22 @@ class Relocalizer:
     def witnesses(self) -> npt.NDArray[np.int64]:
         """Ids of the landmarks from which the last place was found."""
         return self._witnesses
+
+    @property
+    def lean_rad(self) -> tuple[float, float]:
+        """By how much the camera looks higher, and leans to its right, by the last place."""
+        return self._lean_rad
+
+    def _leaning(self, lean_sigma_rad: float) -> list[Sightings]:
+        """Sightings in the pictures that are kept, of a camera that may lean."""
+        found = [
+            glimpse.leaning
+            or find_sightings(glimpse.frame, self._map, self._mount, lean_sigma_rad=lean_sigma_rad)
+            for glimpse in self._kept
+        ]
+        pairs = zip(self._kept, found, strict=True)
+        self._kept = [glimpse._replace(leaning=sightings) for glimpse, sightings in pairs]
+        return found
 
     def _turned(self, found: PoseEstimate, variance: float) -> PoseEstimate:
         """Return a place that may have been turned about the pan axis."""

@@ -12,6 +12,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.blurred import detect_blurred
+from landmark_nav.localization.detection.height import Heights, Lean, told_lean
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
@@ -24,6 +25,8 @@ __all__ = ['CarriedFrames', 'Verification', 'verify']
 _VIEWS = 2
 # Sigmas (m, m, rad) of a hypothesis, and of the first fix found from it.
 _SIGMAS = ((0.08, 0.08, 0.025), (0.02, 0.02, 0.008))
+# Of the landmarks expected so many must agree on a tilt that is searched; a search so high, sigma.
+_MOST, _TALLEST_PX = 0.4, 50.0
 # Virtual landmarks depend on the heading: so many iterations.
 _HEADING_PASSES = 3
 
@@ -42,18 +45,33 @@ class CarriedFrames:
     poses_last_base: FloatArray
     variances: FloatArray
 
+    def levelled(self, lean: Lean) -> CarriedFrames:
+        """Return them with the tilt and roll of the camera corrected."""
+        frames = [
+            replace(
+                frame,
+                tilt_rad=frame.tilt_rad + lean.tilt_rad,
+                roll_rad=frame.roll_rad + lean.roll_rad,
+            )
+            for frame in self.frames
+        ]
+        return replace(self, frames=frames)
+
 
 @dataclass(frozen=True, eq=False)
 class Verification:
     """
     A verified hypothesis.
 
-    `ids` (n,) are the landmarks found, `bearing_rad` (n,) their bearings at the estimated pose,
-    `sigma_without_m` (n,) the sigma of the pan axis (root of the trace) without each of them.
-    `expected` is how many should have been found.
+    The camera looks higher by `tilt_rad`, and leans to its right by `roll_rad`. `ids` (n,) are the
+    landmarks found, `bearing_rad` (n,) their bearings at the estimated pose, `sigma_without_m`
+    (n,) the sigma of the pan axis (root of the trace) without each of them. `expected` is how many
+    should have been found.
     """
 
     estimate: PoseEstimate
+    tilt_rad: float
+    roll_rad: float
     ids: npt.NDArray[np.int64]
     bearing_rad: FloatArray
     sigma_without_m: FloatArray
@@ -76,9 +94,12 @@ def verify(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     looking: LookingConfig,
+    lean_sigma_rad: float = 0.0,
 ) -> Verification | Refusal:
     """
     Look for all landmarks that should be seen from a pose, and triangulate from those found.
+
+    A tilt and roll that all pictures share are estimated from the rows where they were found.
 
     Parameters
     ----------
@@ -86,12 +107,26 @@ def verify(
         Hypothesis: the base at the pictures' common time, good to some 10 cm and 2 degrees.
     carried : CarriedFrames
         The pictures.
+    lean_sigma_rad : float
+        How far the camera may look above, below, or lean; a small roll is found without.
 
     """
+    unlevelled = carried
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
+    if lean_sigma_rad:
+        prior = replace(estimate, covariance=np.diag(np.square(_SIGMAS[0])))
+        tall = _tall(looking, lean_sigma_rad, carried.frames[0])
+        _, expected, heights = _look(prior, carried, landmark_map, mount, tall)
+        lean = told_lean(heights)
+        if lean.matches < _MOST * expected:
+            return Refusal('no tilt', f'{lean.matches} of {expected} landmarks agree on one')
+        carried = carried.levelled(lean)
     for sigmas in _SIGMAS:
         prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
-        found, expected = _look(prior, carried, landmark_map, mount, looking)
+        found, expected, heights = _look(prior, carried, landmark_map, mount, looking)
+        if (lean := told_lean(heights)).is_roll:
+            carried = carried.levelled(lean)
+            found, expected, _ = _look(prior, carried, landmark_map, mount, looking)
         fix = _solve(found, prior, carried, landmark_map, mount, looking.triangulation)
         if isinstance(fix, Refusal):
             return fix
@@ -102,7 +137,16 @@ def verify(
     bearing = se2.bearings(fix.pose, landmark_map.positions[landmark, :2])
     without = np.array([fix.solution.covariance_without(seen == one) for one in landmark])
     sigma = np.sqrt(without[:, 0, 0] + without[:, 1, 1])
-    return Verification(estimate, landmark_map.ids[landmark], bearing, sigma, expected)
+    first, last = unlevelled.frames[0], carried.frames[0]
+    return Verification(
+        estimate,
+        last.tilt_rad - first.tilt_rad,
+        last.roll_rad - first.roll_rad,
+        landmark_map.ids[landmark],
+        bearing,
+        sigma,
+        expected,
+    )
 
 
 def _look(
@@ -111,8 +155,8 @@ def _look(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     looking: LookingConfig,
-) -> tuple[_Bearings, int]:
-    """Return the bearings found, and how many landmarks were expected."""
+) -> tuple[_Bearings, int, Heights]:
+    """Return the bearings found, how many landmarks were expected, and the rows of the matches."""
     priors = [
         PoseEstimate(frame.stamp_ns, np.asarray(pose), prior.covariance + np.diag(drift))
         for frame, pose, drift in zip(
@@ -140,12 +184,13 @@ def _look(
     best = np.arange(len(order)) - np.searchsorted(landmark, landmark) < _VIEWS
     expected = len(np.unique(landmark))
 
-    parts, blur = [], np.zeros(2)
+    parts, heights, blur = [], [], np.zeros(2)
     for k, (frame, here) in enumerate(zip(carried.frames, priors, strict=True)):
         index = landmark[best & (of_frame == k)]
         result, blur = detect_blurred(
             frame, here, landmark_map, mount, looking.detection, index, blur
         )
+        heights.append(result.heights)
         seen = result.detections
         where = landmark_map.indices(seen.ids)
         parts.append(_Bearings(where, np.full(len(seen), k), seen.bearing_rad, seen.variance_rad2))
@@ -157,7 +202,14 @@ def _look(
             np.concatenate([p.variance for p in parts]),
         ),
         expected,
+        Heights.joined(heights),
     )
+
+
+def _tall(looking: LookingConfig, lean_sigma_rad: float, frame: CameraFrame) -> LookingConfig:
+    """Parameters of a search far above and below."""
+    height_px = min(lean_sigma_rad * frame.camera.fy, _TALLEST_PX)
+    return replace(looking, detection=replace(looking.detection, vertical_sigma_px=height_px))
 
 
 def _solve(
