@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 import copy
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,7 +13,7 @@ import numpy as np
 
 from landmark_nav.geometry import se2
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.bags.topics import relative_name
 
 __all__ = ['FOR_GOOD_S', 'Fault', 'faults', 'spoilt']
@@ -233,3 +234,12 @@ def spoilt(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[str
         if message is not None:
             out += [(topic, message, log)] * copies
     yield from sorted(out, key=lambda sent: sent[2])
+
+
+def knocked_drive(bag: Bag, path: Path, turn_deg: tuple[float, float, float]) -> Path:
+    """Write a drive whose camera was knocked before its first picture."""
+    knock = Fault(bumped(bag, turn_deg), (CAMERA,), FOR_GOOD_S)
+    with BagWriter(path) as written:
+        for topic, message, stamp_ns in spoilt(bag, 'knocked', knock, 0.0):
+            written.write(topic, message, stamp_ns)
+    return path

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
+from faults import knocked_drive
 import numpy as np
 import pytest
 
@@ -22,9 +23,16 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 
 
+@pytest.mark.parametrize('turned_deg', [(0.0, 0.0, 0.0), (1.0, 0.0, -2.0)])
 def test_the_place_found_starts_the_fusion(
-    start: Callable[..., None], client: RobotClient, play: Callable[..., Any], learned_map: Path
+    turned_deg: tuple[float, float, float],
+    start: Callable[..., None],
+    client: RobotClient,
+    play: Callable[..., Any],
+    learned_map: Path,
+    tmp_path: Path,
 ) -> None:
+    """Also where the camera was knocked since the map was learned."""
     room, robot = str(RECORDED / 'room.yaml'), str(RECORDED / 'robot.yaml')
     localizer = 'triangulation_localizer'
     start('landmark_learner', room_file=room, map_folder=str(learned_map))
@@ -36,7 +44,8 @@ def test_the_place_found_starts_the_fusion(
     client.wait(lambda: 'no picture' in client.said(localizer).reason, 30.0, 'the map')
 
     drive = Bag(RECORDED / 'drive')
-    play(drive.path, 0.5)
+    path = knocked_drive(drive, tmp_path / 'drive', turned_deg) if any(turned_deg) else drive.path
+    play(path, 0.5)
     assert client.call('relocalize', 40.0).startswith('found at')
     client.wait(lambda: client.fused is not None, 20.0, 'a fused pose')
     assert client.fused is not None
@@ -48,3 +57,5 @@ def test_the_place_found_starts_the_fusion(
     error = pose_errors(fused.pose[None], truth.at([fused.stamp_ns]))[0]
     assert np.hypot(*error[:2]) < 0.05
     assert abs(error[2]) < np.radians(1.0)
+    if any(turned_deg):
+        client.wait(lambda: 'camera leans 2.' in client.said(localizer).reason, 20.0, 'a lean')

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from faults import bumped, CAMERA, Fault, FOR_GOOD_S, spoilt
+from faults import knocked_drive
 import numpy as np
 import pytest
 
@@ -125,12 +125,8 @@ def test_a_camera_that_was_knocked_while_switched_off_finds_its_place(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """No start is given; it looks above or below, or leans, from the first picture on."""
-    drive = Bag(BAGS / 'drive')
-    knock = Fault(bumped(drive, turned_deg), (CAMERA,), FOR_GOOD_S)
-    with BagWriter(tmp_path / 'knocked') as knocked:
-        for topic, message, stamp_ns in spoilt(drive, 'knocked', knock, 0.0):
-            knocked.write(topic, message, stamp_ns)
-    evaluate = ['evaluate', str(tmp_path / 'knocked'), '--map', str(figures[1] / 'map')]
+    drive = knocked_drive(Bag(BAGS / 'drive'), tmp_path / 'knocked', turned_deg)
+    evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map')]
     evaluate += ['--robot', str(BAGS / 'robot.yaml'), '--json', str(tmp_path / 'run.json')]
     assert main(evaluate) == 0
     run = json.loads((tmp_path / 'run.json').read_text())
