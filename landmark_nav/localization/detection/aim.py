@@ -30,6 +30,9 @@ _LEAST = 3
 _BESIDE = ('wrong height', 'peak at the border of the search window')
 # A tilt is a knock if it is also more than heights that are a centimetre off.
 _HEIGHT_M = 0.01
+# Most bearings of a camera that was turned are off by one angle, but for so much, and for this
+# share of the angle that the position may be off by.
+_APART_RAD, _APART_SHARE = 0.001, 0.5
 # Each later picture that tells the roll as well as that corrects it by this share.
 _ROLL_SHARE = 0.2
 
@@ -121,8 +124,9 @@ class AimedDetector:
         if tells and self._knock and (lean := told_lean(result.heights)).is_roll:
             aim = self._aim + np.array([0.0, lean.tilt_rad, lean.roll_rad])
             again = self._search(frame, prior, expected, config, aim)
-            if self._leans(result, again, expected):
-                self._follow(again, frame, prior, float(aim[2]))
+            roll = float(aim[2])
+            if self._leans(result, again, expected) and self._agree(again, frame, prior, roll):
+                self._follow(again, frame, prior, roll)
                 return again
         few = len(result.detections) <= _HARDLY_ANY * len(expected) or _many_beside(result)
         if not few or len(expected) < _LEAST or not knock:
@@ -138,12 +142,14 @@ class AimedDetector:
         # Mistaken matches are not found again in the narrow rows of a normal search.
         lean = told_lean(around.heights)
         for roll in (lean.roll_rad, 0.0) if lean.is_roll else (0.0,):
-            aim, _ = self._seen_aim(around, frame, prior, self.leaning_rad + roll)
+            leaning = self.leaning_rad + roll
+            aim, _ = self._seen_aim(around, frame, prior, leaning)
             again = self._search(frame, wide, expected, config, aim)
             right = self._leans(result, again, expected) if roll else self._tells(again, expected)
             more = len(again.detections) > len(result.detections)
-            if more and right and not _many_beside(again):
-                self._follow(again, frame, prior, float(aim[2]))
+            fits = not _many_beside(again) and self._agree(again, frame, prior, leaning)
+            if more and right and fits:
+                self._follow(again, frame, prior, leaning)
                 return again
         return result
 
@@ -161,6 +167,19 @@ class AimedDetector:
             and not told_lean(result.heights).is_roll
         )
 
+    def _agree(
+        self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
+    ) -> bool:
+        """
+        Whether most bearings are off by one angle, as those of a camera that was turned are.
+
+        From a wrong place landmarks are aside by other angles when they are near than when far.
+        """
+        (aside, _), away = self._off(found, frame, prior, roll)
+        apart = np.abs(aside - median(aside.tolist())).tolist()
+        reach_m = median(np.hypot(away[:, 0], away[:, 1]).tolist())
+        return bool(median(apart) < _APART_RAD + _APART_SHARE * _sigma_m(prior) / reach_m)
+
     @staticmethod
     def _tells(result: DetectionResult, expected: npt.NDArray[np.intp]) -> bool:
         """Whether enough was found to estimate the camera's direction."""
@@ -174,19 +193,15 @@ class AimedDetector:
         knock_roll: float | None = None,
     ) -> None:
         """Update the correction by a picture, if there is one or the camera was knocked."""
-        leant = self.leaning_rad
-        roll = leant if knock_roll is None else knock_roll
+        roll = self.leaning_rad if knock_roll is None else knock_roll
         if roll and (lean := told_lean(result.heights)).roll_sigma_rad < TILTED_RAD:
             roll += _ROLL_SHARE * lean.roll_rad
         if abs(roll) < TILTED_RAD:
             roll = 0.0
-        if knock_roll is not None and abs(roll - leant) > TILTED_RAD:
-            _LOG.warning('camera leans %.1f deg %s', *degrees_aside(roll))
         aim, away = self._seen_aim(result, frame, prior, roll)
         reach = np.hypot(away[:, 0], away[:, 1])
         doubt_rad = _HEIGHT_M / median(reach.tolist())
-        sigma_m = np.sqrt(np.trace(prior.covariance[:2, :2]))
-        if sigma_m * median((np.abs(away[:, 2]) / reach**2).tolist()) > TILTED_RAD:
+        if _sigma_m(prior) * median((np.abs(away[:, 2]) / reach**2).tolist()) > TILTED_RAD:
             # The position is too uncertain: from nearer by, high landmarks appear higher.
             aim[1:] = self._aim[1:]
         tilted = abs(aim[1] - self._told_rad) > TILTED_RAD + doubt_rad
@@ -195,6 +210,8 @@ class AimedDetector:
             side = 'above' if aim[1] > 0.0 else 'below'
             degrees = np.degrees(abs(aim[1]))
             _LOG.warning('camera looks %.1f deg %s where its joints say', degrees, side)
+        if abs(aim[2] - self.leaning_rad) > TILTED_RAD:
+            _LOG.warning('camera leans %.1f deg %s', *degrees_aside(float(aim[2])))
         if knock_roll is not None or tilted or self._aim.any():
             self._aim = aim
 
@@ -216,7 +233,8 @@ class AimedDetector:
         if aim[2]:
             # A roll is not known exactly: it moves what is high or low in the picture aside.
             x, y, z = result.rays.T
-            sigma = min(told_lean(result.heights).roll_sigma_rad, TILTED_RAD)
+            lean = told_lean(result.heights)
+            sigma = min(float(np.hypot(lean.roll_rad, lean.roll_sigma_rad)), TILTED_RAD)
             across = sigma * y * z / (x**2 + z**2)
             found = replace(found, variance_rad2=found.variance_rad2 + across**2)
         return replace(result, detections=found)
@@ -236,18 +254,29 @@ class AimedDetector:
             Landmarks found, relative to the camera, in the axes of the map, metres.
 
         """
+        off, expected = self._off(found, frame, prior, roll)
+        return np.array([*map(median, off.tolist()), roll]), expected
+
+    def _off(
+        self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Azimuth and elevation (2, n) expected minus seen, and `expected` of `_seen_aim`."""
         rotation, center = self._mount.camera_pose_map(
             prior.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad + roll
         )
         expected = self._map.positions[self._map.indices(found.detections.ids)] - center
         seen = found.rays @ rotation.T
-        off = wrap_rad(_angles(expected) - _angles(seen)).tolist()
-        return np.array([*map(median, off), roll]), expected
+        return wrap_rad(_angles(expected) - _angles(seen)), expected
 
 
 def degrees_aside(roll_rad: float) -> tuple[float, str]:
     """Return the roll of a camera in degrees, and its side in words."""
     return float(np.degrees(abs(roll_rad))), 'to the right' if roll_rad > 0.0 else 'to the left'
+
+
+def _sigma_m(prior: PoseEstimate) -> float:
+    """Sigma of a position, root of the trace."""
+    return float(np.sqrt(np.trace(prior.covariance[:2, :2])))
 
 
 def _turned(frame: CameraFrame, aim: FloatArray) -> CameraFrame:
