@@ -121,7 +121,8 @@ class AimedDetector:
             # What passed for a turn of the camera may have been an error of the heading.
             ahead = self._search(frame, prior, expected, config, self._aim * [0.0, 1.0, 1.0])
             result = max(ahead, result, key=lambda found: len(found.detections))
-        if tells and self._knock and (lean := told_lean(result.heights)).is_roll:
+        asked = tells and self._knock and result.heights.may_tell_a_roll
+        if asked and (lean := told_lean(result.heights)).is_roll:
             aim = self._aim + np.array([0.0, lean.tilt_rad, lean.roll_rad])
             again = self._search(frame, prior, expected, config, aim)
             roll = float(aim[2])

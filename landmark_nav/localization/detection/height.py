@@ -99,6 +99,15 @@ class Heights(NamedTuple):
             covariance[rows, rows] = part.covariance
         return Heights(off_px, by_lean, covariance)
 
+    @property
+    def may_tell_a_roll(self) -> bool:
+        """Whether they are as far apart as a roll that is a knock sets them; quick to tell."""
+        if len(self.off_px) < _LEAST_SURE:
+            return False
+        by_roll = self.by_lean[:, 1]
+        apart_px = self.off_px.max() - self.off_px.min()
+        return bool(apart_px > TILTED_RAD * (by_roll.max() - by_roll.min()))
+
     def wrong(self, lean_rad: float) -> npt.NDArray[np.bool_]:
         """Which matches (n,) contradict the others, with this sigma of tilt and roll."""
         by_lean = lean_rad * self.by_lean
