@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,22 +17,31 @@ MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.2))
 POSE, PAN, TILT = np.array([1.0, 2.0, 0.3]), 0.4, 0.1
 
 
-def model_of(camera: CameraModel, spread: float) -> tuple[RowModel, FloatArray]:
+def model_of(
+    camera: CameraModel, spread: float, mount: PanTiltMount = MOUNT
+) -> tuple[RowModel, FloatArray]:
     """Rows of eight points about 3 m away."""
-    rotation, center = MOUNT.camera_pose_map(POSE, PAN, TILT)
+    rotation, center = mount.camera_pose_map(POSE, PAN, TILT)
     offset = np.random.default_rng(0).uniform(-spread, spread, (8, 3))
     offset[:, 2] += 3.0
     points = center + offset @ rotation.T
     return RowModel.of(points, POSE, rotation, center, camera), points
 
 
-@pytest.mark.parametrize(('camera', 'spread'), [(PLAIN, 0.8), (FISHEYE, 2.0)])
-def test_derivatives_are_those_of_the_camera(camera: CameraModel, spread: float) -> None:
-    model, points = model_of(camera, spread)
+@pytest.mark.parametrize(
+    ('camera', 'spread', 'mounted_rad'),
+    [(PLAIN, 0.8, 0.0), (FISHEYE, 2.0, 0.0), (PLAIN, 0.8, np.pi), (PLAIN, 0.8, 0.5)],
+)
+def test_derivatives_are_those_of_the_camera(
+    camera: CameraModel, spread: float, mounted_rad: float
+) -> None:
+    """Also where it is mounted upside down, or aslant."""
+    mount = replace(MOUNT, camera_roll_rad=mounted_rad)
+    model, points = model_of(camera, spread, mount)
 
     def rows(pose: FloatArray, tilt_rad: float, roll_rad: float, higher_m: float) -> FloatArray:
-        turn, _ = MOUNT.camera_pose_base(PAN, tilt_rad, roll_rad)
-        _, center = MOUNT.camera_pose_map(pose, PAN, tilt_rad)
+        turn, _ = mount.camera_pose_base(PAN, tilt_rad, roll_rad)
+        _, center = mount.camera_pose_map(pose, PAN, tilt_rad)
         heading = np.eye(3)
         heading[:2, :2] = [
             [np.cos(pose[2]), -np.sin(pose[2])],

@@ -225,18 +225,23 @@ class AimedDetector:
         aim: FloatArray,
     ) -> DetectionResult:
         """Search with the camera turned by `aim` (3,); bearings are those of the joints."""
+        turned = _turned(frame, aim)
         result, self._blur = detect_blurred(
-            _turned(frame, aim), prior, self._map, self._mount, config, expected, self._blur
+            turned, prior, self._map, self._mount, config, expected, self._blur
         )
         found = result.detections
         if aim[0]:
             found = replace(found, bearing_rad=wrap_rad(found.bearing_rad - aim[0]))
         if aim[2]:
             # A roll is not known exactly: it moves what is high or low in the picture aside.
-            x, y, z = result.rays.T
+            rotation, _ = self._mount.camera_pose_base(
+                turned.pan_rad, turned.tilt_rad, turned.roll_rad
+            )
+            x, y, _ = (result.rays @ rotation.T).T
+            by_x, by_y, _ = np.cross(result.rays @ rotation.T, rotation[:, 2]).T
             lean = told_lean(result.heights)
             sigma = min(float(np.hypot(lean.roll_rad, lean.roll_sigma_rad)), TILTED_RAD)
-            across = sigma * y * z / (x**2 + z**2)
+            across = sigma * (x * by_y - y * by_x) / (x**2 + y**2)
             found = replace(found, variance_rad2=found.variance_rad2 + across**2)
         return replace(result, detections=found)
 

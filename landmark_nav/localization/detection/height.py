@@ -57,7 +57,10 @@ class RowModel(NamedTuple):
         moved[3, :, 0], moved[3, :, 1] = _STEP * away[:, 1], -_STEP * away[:, 0]
         moved[6, :, 2] = _STEP
         moved = moved @ rotation
-        moved[4, :, 1], moved[4, :, 2] = _STEP * points[:, 2], -_STEP * points[:, 1]
+        # A tilt turns the camera about what is level and to its right, however it is mounted.
+        ahead_x, ahead_y, _ = rotation[:, 2]
+        right = np.array([ahead_y, -ahead_x, 0.0]) / max(np.hypot(ahead_x, ahead_y), 1e-9)
+        moved[4] = _STEP * np.cross(points, right @ rotation)
         moved[5, :, 0], moved[5, :, 1] = _STEP * points[:, 1], -_STEP * points[:, 0]
         rows = camera.project(points + moved)[..., 1]
         by = ((rows[1:] - rows[0]) / _STEP).T
