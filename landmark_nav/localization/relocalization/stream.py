@@ -198,14 +198,13 @@ class Relocalizer:
 
     def _leaning(self, lean_sigma_rad: float) -> list[Sightings]:
         """Sightings in the pictures that are kept, of a camera that may lean."""
-        found = [
-            glimpse.leaning
-            or find_sightings(glimpse.frame, self._map, self._mount, lean_sigma_rad=lean_sigma_rad)
-            for glimpse in self._kept
-        ]
-        pairs = zip(self._kept, found, strict=True)
-        self._kept = [glimpse._replace(leaning=sightings) for glimpse, sightings in pairs]
-        return found
+        for k, glimpse in enumerate(self._kept):
+            if glimpse.leaning is None:
+                seen = find_sightings(
+                    glimpse.frame, self._map, self._mount, lean_sigma_rad=lean_sigma_rad
+                )
+                self._kept[k] = glimpse._replace(leaning=seen)
+        return [glimpse.leaning for glimpse in self._kept if glimpse.leaning is not None]
 
     def _turned(self, found: PoseEstimate, variance: float) -> PoseEstimate:
         """Return a place that may have been turned about the pan axis."""
