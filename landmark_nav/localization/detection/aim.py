@@ -30,8 +30,8 @@ _LEAST = 3
 _BESIDE = ('wrong height', 'peak at the border of the search window')
 # A tilt is a knock if it is also more than heights that are a centimetre off.
 _HEIGHT_M = 0.01
-# Most bearings of a camera that was turned are off by one angle, but for so much, and for this
-# share of the angle that the position may be off by.
+# Most bearings of a camera that leans are off by one angle, but for so much, and for this share of
+# the angle that the position may be off by.
 _APART_RAD, _APART_SHARE = 0.001, 0.5
 # Each later picture that tells the roll as well as that corrects it by this share.
 _ROLL_SHARE = 0.2
@@ -146,10 +146,11 @@ class AimedDetector:
             leaning = self.leaning_rad + roll
             aim, _ = self._seen_aim(around, frame, prior, leaning)
             again = self._search(frame, wide, expected, config, aim)
-            right = self._leans(result, again, expected) if roll else self._tells(again, expected)
-            more = len(again.detections) > len(result.detections)
-            fits = not _many_beside(again) and self._agree(again, frame, prior, leaning)
-            if more and right and fits:
+            right = self._tells(again, expected) and not _many_beside(again)
+            if roll:
+                right &= self._leans(result, again, expected)
+                right &= self._agree(again, frame, prior, leaning)
+            if right and len(again.detections) > len(result.detections):
                 self._follow(again, frame, prior, leaning)
                 return again
         return result
@@ -172,9 +173,10 @@ class AimedDetector:
         self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
     ) -> bool:
         """
-        Whether most bearings are off by one angle, as those of a camera that was turned are.
+        Whether most bearings are off by one angle, as those of a camera that leans are.
 
-        From a wrong place landmarks are aside by other angles when they are near than when far.
+        From a wrong place landmarks are aside by other angles when they are near than when far,
+        and those on one side are higher.
         """
         (aside, _), away = self._off(found, frame, prior, roll)
         apart = np.abs(aside - median(aside.tolist())).tolist()
