@@ -14,4 +14,4 @@ _WIDE_M, _WIDE_RAD = 0.1, 0.05
 def is_wide(covariance: FloatArray) -> bool:
     """Whether a pose with this covariance (3, 3) of x, y, heading, m and rad, is hardly known."""
     x, y, heading = covariance.diagonal().tolist()
-    return bool(x + y > _WIDE_M**2 or heading > _WIDE_RAD**2)
+    return not (x + y <= _WIDE_M**2 and heading <= _WIDE_RAD**2)

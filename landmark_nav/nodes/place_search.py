@@ -156,7 +156,7 @@ class PlaceSearch:
         Its pan is that of joint states which are stamped so much later, as the node was told and
         as was measured beyond that.
         """
-        relocalizer = self._relocalizer
+        relocalizer, self._lean_rad = self._relocalizer, (0.0, 0.0)
         if relocalizer is None:
             return self._outcome
         while self._odometry and self._odometry[0].stamp_ns <= frame.stamp_ns:

@@ -25,18 +25,24 @@ def model_of(
     offset = np.random.default_rng(0).uniform(-spread, spread, (8, 3))
     offset[:, 2] += 3.0
     points = center + offset @ rotation.T
-    return RowModel.of(points, POSE, rotation, center, camera), points
+    return RowModel.of(points, POSE, rotation, center, camera, mount.camera_roll_rad), points
 
 
 @pytest.mark.parametrize(
-    ('camera', 'spread', 'mounted_rad'),
-    [(PLAIN, 0.8, 0.0), (FISHEYE, 2.0, 0.0), (PLAIN, 0.8, np.pi), (PLAIN, 0.8, 0.5)],
+    ('camera', 'spread', 'mounted_rad', 'hung_rad'),
+    [
+        (PLAIN, 0.8, 0.0, 0.0),
+        (FISHEYE, 2.0, 0.0, 0.0),
+        (PLAIN, 0.8, np.pi, 0.0),
+        (PLAIN, 0.8, 0.5, 0.0),
+        (PLAIN, 0.8, 0.0, np.pi),
+    ],
 )
 def test_derivatives_are_those_of_the_camera(
-    camera: CameraModel, spread: float, mounted_rad: float
+    camera: CameraModel, spread: float, mounted_rad: float, hung_rad: float
 ) -> None:
-    """Also where it is mounted upside down, or aslant."""
-    mount = replace(MOUNT, camera_roll_rad=mounted_rad)
+    """Also where camera or unit are mounted upside down, or aslant."""
+    mount = replace(MOUNT, camera_roll_rad=mounted_rad, axis_rpy=(hung_rad, 0.0, 0.0))
     model, points = model_of(camera, spread, mount)
 
     def rows(pose: FloatArray, tilt_rad: float, roll_rad: float, higher_m: float) -> FloatArray:

@@ -82,13 +82,22 @@ class AimedDetector:
     def turn(self, tilt_rad: float, roll_rad: float) -> None:
         """Take the camera to look so much higher, and to lean so much more to its right."""
         if tilt_rad or roll_rad:
-            self._aim = np.array([0.0, self._aim[1] + tilt_rad, self._aim[2] + roll_rad])
-            if abs(roll_rad) > TILTED_RAD:
-                _LOG.warning('camera leans %.1f deg %s', *degrees_aside(self.leaning_rad))
+            aim = np.array([0.0, self._aim[1] + tilt_rad, self._aim[2] + roll_rad])
+            aim[np.abs(aim) < TILTED_RAD] = 0.0
+            self._tell_lean(float(aim[2]))
+            self._aim = aim
 
     def levelled(self, frame: CameraFrame) -> CameraFrame:
         """Return a picture with tilt and roll corrected, and the pan as measured."""
         return _turned(frame, self._aim * [0.0, 1.0, 1.0])
+
+    def _tell_lean(self, roll_rad: float) -> None:
+        """Log another lean than the present one."""
+        if abs(roll_rad - self.leaning_rad) > TILTED_RAD:
+            if roll_rad:
+                _LOG.warning('camera leans %.1f deg %s', *degrees_aside(roll_rad))
+            else:
+                _LOG.warning('camera leans no more')
 
     def detect(
         self,
@@ -206,15 +215,14 @@ class AimedDetector:
         doubt_rad = _HEIGHT_M / median(reach.tolist())
         if _sigma_m(prior) * median((np.abs(away[:, 2]) / reach**2).tolist()) > TILTED_RAD:
             # The position is too uncertain: from nearer by, high landmarks appear higher.
-            aim[1:] = self._aim[1:]
+            aim[1] = self._aim[1]
         tilted = abs(aim[1] - self._told_rad) > TILTED_RAD + doubt_rad
         if tilted:
             self._told_rad = aim[1]
             side = 'above' if aim[1] > 0.0 else 'below'
             degrees = np.degrees(abs(aim[1]))
             _LOG.warning('camera looks %.1f deg %s where its joints say', degrees, side)
-        if abs(aim[2] - self.leaning_rad) > TILTED_RAD:
-            _LOG.warning('camera leans %.1f deg %s', *degrees_aside(float(aim[2])))
+        self._tell_lean(float(aim[2]))
         if knock_roll is not None or tilted or self._aim.any():
             self._aim = aim
 

@@ -233,6 +233,7 @@ def _heights(found: Sequence[_Found], view: View, config: DetectionConfig) -> He
         view.rotation,
         view.center,
         view.camera,
+        view.roll_rad,
     )
     off_px = np.array([f.down_px for f in found])
     own = rows.by_height**2 * [f.landmark.covariance[2, 2] for f in found]

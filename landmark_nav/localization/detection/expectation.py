@@ -30,6 +30,7 @@ class View:
         self.rotation, self.center = mount.camera_pose_map(
             prior.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad
         )
+        self.roll_rad = mount.camera_roll_rad + frame.roll_rad
         self.axis = mount.axis_pose_map(prior.pose)[:2]
 
 

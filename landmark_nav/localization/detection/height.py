@@ -14,7 +14,7 @@ from landmark_nav.types import FloatArray
 __all__ = ['TILTED_RAD', 'Heights', 'Lean', 'RowModel', 'told_lean', 'wrong_heights']
 
 # With fewer matches a wrong height cannot be told from a wrong tilt.
-LEAST_HEIGHTS = 3
+_LEAST_HEIGHTS = 3
 # Step of numerical differentiation, metres or radians.
 _STEP = 1e-4
 # A match is at a wrong height if it is so many sigmas off, given the others.
@@ -23,8 +23,9 @@ _WRONG = 4.0
 TILTED_RAD = 0.005
 # Sigma of a tilt and a roll of which nothing is known.
 _ANY_RAD = 0.1
-# A roll is sure if it is so many sigmas off, whichever of so many matches is left out.
-_SURE, _LEAST_SURE = 3.0, 4
+# A roll is sure if it is so many sigmas off, whichever of so many matches is left out, and if so
+# large a share of all agree.
+_SURE, _LEAST_SURE, _MOST = 3.0, 4, 0.6
 
 
 class RowModel(NamedTuple):
@@ -47,8 +48,13 @@ class RowModel(NamedTuple):
         rotation: FloatArray,
         center: FloatArray,
         camera: CameraModel,
+        roll_rad: float,
     ) -> RowModel:
-        """Of points (n, 3) and a camera at `center` (3,), turned by `rotation` optical -> map."""
+        """
+        Of points (n, 3) and a camera at `center` (3,), turned by `rotation` optical -> map.
+
+        `roll_rad` is that of the camera on its tilt joint.
+        """
         points = (points_map - center) @ rotation
         away = points_map - [*pose_map_base[:2], 0.0]
         # As the camera sees them, points move against the base.
@@ -57,10 +63,9 @@ class RowModel(NamedTuple):
         moved[3, :, 0], moved[3, :, 1] = _STEP * away[:, 1], -_STEP * away[:, 0]
         moved[6, :, 2] = _STEP
         moved = moved @ rotation
-        # A tilt turns the camera about what is level and to its right, however it is mounted.
-        ahead_x, ahead_y, _ = rotation[:, 2]
-        right = np.array([ahead_y, -ahead_x, 0.0]) / max(np.hypot(ahead_x, ahead_y), 1e-9)
-        moved[4] = _STEP * np.cross(points, right @ rotation)
+        # The joint's axis, which is the picture's own where the camera is mounted upright.
+        by_tilt = np.array([np.cos(roll_rad), -np.sin(roll_rad), 0.0])
+        moved[4] = _STEP * np.cross(points, by_tilt)
         moved[5, :, 0], moved[5, :, 1] = _STEP * points[:, 1], -_STEP * points[:, 0]
         rows = camera.project(points + moved)[..., 1]
         by = ((rows[1:] - rows[0]) / _STEP).T
@@ -92,10 +97,10 @@ class Heights(NamedTuple):
 
     @staticmethod
     def joined(parts: Sequence[Heights]) -> Heights:
-        """Those of several pictures, whose errors have nothing in common."""
+        """Those of several pictures, whose errors are taken to have nothing in common."""
         off_px = np.concatenate([np.empty(0), *(part.off_px for part in parts)])
         by_lean = np.concatenate([np.empty((0, 2)), *(part.by_lean for part in parts)])
-        covariance = np.diag(np.zeros(len(off_px)))
+        covariance = np.zeros((len(off_px), len(off_px)))
         first = 0
         for part in parts:
             rows = slice(first, first := first + len(part.off_px))
@@ -125,8 +130,8 @@ class Lean(NamedTuple):
     """
     By how much a camera looks higher, and leans to its right, than was assumed; radians.
 
-    `matches` is how many tell so; `roll_sigma_rad` is the standard deviation of the roll; `sure`
-    tells whether all matches but any one say that there is a roll.
+    `matches` is how many tell so, wrong heights left out; `roll_sigma_rad` is the roll's sigma;
+    `sure` tells whether they are most of all, and all of them but any one say so.
     """
 
     tilt_rad: float = 0.0
@@ -143,12 +148,13 @@ class Lean(NamedTuple):
 
 def told_lean(heights: Heights) -> Lean:
     """Estimate tilt and roll of a camera of which nothing is known, without wrong heights."""
-    if len(heights.off_px) < LEAST_HEIGHTS:
+    fits = ~heights.wrong(_ANY_RAD)
+    count = int(fits.sum())
+    if count < _LEAST_HEIGHTS:
         return Lean()
-    heights = heights.chosen(~heights.wrong(_ANY_RAD))
-    count = len(heights.off_px)
+    heights = heights.chosen(fits)
     (tilt, roll), sigma = _lean(heights)
-    sure = count >= _LEAST_SURE and abs(roll) > _SURE * sigma
+    sure = count >= max(_LEAST_SURE, _MOST * len(fits)) and abs(roll) > _SURE * sigma
     for k in range(count if sure else 0):
         (_, without), doubt = _lean(heights.chosen(np.arange(count) != k))
         sure &= bool(without * np.sign(roll) > _SURE * doubt)
@@ -185,7 +191,7 @@ def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.
     """
     wrong = np.zeros(len(off_px), dtype=np.bool_)
     left = np.arange(len(off_px))
-    while len(left) >= LEAST_HEIGHTS:
+    while len(left) >= _LEAST_HEIGHTS:
         inverse = np.linalg.inv(covariance[np.ix_(left, left)])
         sigmas = np.abs(inverse @ off_px[left]) / np.sqrt(np.diag(inverse))
         worst = int(np.argmax(sigmas))

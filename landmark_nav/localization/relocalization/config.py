@@ -34,8 +34,8 @@ class RelocalizationConfig(Config):
     )
     lean_sigma_rad: float = parameter(
         0.02,
-        'how far the camera may look above or below where its joints say, or lean, where no place '
-        'is found without that; 0 takes it for level; rad',
+        'how far the camera may look above or below where its joints say, or lean, where nothing '
+        'is recognised without that; 0 does not search for it, and finds a small roll only; rad',
         minimum=0.0,
         maximum=0.1,
     )

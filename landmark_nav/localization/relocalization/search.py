@@ -27,12 +27,15 @@ from landmark_nav.localization.relocalization.verification import (
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = [
+    'UNRECOGNISED',
     'UnsurePlace',
     'best_place',
     'locate',
     'verified_places',
 ]
 
+# Why there is no place: none shows what should be there.
+UNRECOGNISED = 'nothing recognised'
 # Least share of the landmarks expected at a place that must be found there.
 _MIN_FOUND_SHARE = 0.4
 # Most landmarks that the second-best place may have, as a share of those of the best.
@@ -93,7 +96,7 @@ def locate(
     ]
     proposed = propose(Sightings.joined(moved), landmark_map)
     if not len(proposed.poses):
-        return Refusal('nothing recognised', 'no two sightings agree on a place')
+        return Refusal(UNRECOGNISED, 'no two sightings agree on a place')
     places = verified_places(proposed.poses, carried, landmark_map, mount, looking, lean_sigma_rad)
     return _judged(best_place(places, len(proposed.poses)), config)
 
@@ -137,9 +140,7 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
 
     """
     if not places:
-        return Refusal(
-            'nothing recognised', f'none of {proposed} places shows what is to be seen there'
-        )
+        return Refusal(UNRECOGNISED, f'none of {proposed} places shows what is to be seen there')
     best, *others = places
     found = len(best.ids)
     rival = max((len(other.ids) for other in others), default=0)
@@ -150,7 +151,7 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
         )
     if found < _MIN_FOUND_SHARE * best.expected:
         return Refusal(
-            'nothing recognised',
+            UNRECOGNISED,
             f'at {_where(best)} only {found} of {best.expected} landmarks are found',
         )
     return best

@@ -20,7 +20,7 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
-from landmark_nav.localization.relocalization.search import locate
+from landmark_nav.localization.relocalization.search import locate, UNRECOGNISED
 from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames
 from landmark_nav.localization.relocalization.views import shows_new, view_direction
@@ -164,7 +164,8 @@ class Relocalizer:
         seen = [glimpse.sightings for glimpse in self._kept]
         outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
         lean_sigma = self._config.lean_sigma_rad
-        if isinstance(outcome, Refusal) and lean_sigma and len(self._kept) >= _VAIN:
+        vain = isinstance(outcome, Refusal) and outcome.reason == UNRECOGNISED
+        if vain and lean_sigma and len(self._kept) >= _VAIN:
             seen = self._leaning(lean_sigma)
             leaning = locate(
                 carried, seen, self._map, self._mount, self._config, self._looking, lean_sigma

@@ -120,7 +120,7 @@ def verify(
         lean = told_lean(heights)
         if lean.matches < _MOST * expected:
             return Refusal('no tilt', f'{lean.matches} of {expected} landmarks agree on one')
-        carried = carried.levelled(lean)
+        carried = carried.levelled(lean if lean.is_roll else lean._replace(roll_rad=0.0))
     for sigmas in _SIGMAS:
         prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
         found, expected, heights = _look(prior, carried, landmark_map, mount, looking)
