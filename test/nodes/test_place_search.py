@@ -87,6 +87,7 @@ class Finder:
 
     in_time = PoseEstimate(SECOND, np.array([1.0, 2.0, 0.5]), SURE)
     witnesses = np.array([3, 7])
+    lean_rad = (0.035, -0.01)
 
     def __init__(self, meanwhile: Callable[[], None] = lambda: None) -> None:
         self._meanwhile = meanwhile
@@ -114,6 +115,7 @@ def test_a_place_is_told_with_what_it_was_found_from(search: PlaceSearch, told: 
     np.testing.assert_array_equal(place.covariance, SURE)
     assert place.ids.tolist() == [3, 7]
     assert (place.pan_rate_rad_s, place.joint_delay_s, place.pan_delay_s) == (0.7, 0.04, -0.01)
+    assert search.lean_rad == Finder.lean_rad
     # It takes a moment to become the fused pose; if it does not, the search begins anew.
     search.consider(SECOND + SECOND // 2)
     assert not search.active
