@@ -276,6 +276,11 @@ class PanTiltMount:
     def _axis_rotation(self) -> FloatArray:
         return rotation_rpy(self.axis_rpy)
 
+    @cached_property
+    def pan_sense(self) -> float:
+        """1 where larger pans look farther left and larger tilts higher; -1 if the unit hangs."""
+        return math.copysign(1.0, self._axis_rotation[2, 2])
+
     def axis_pose_map(self, pose_map_base: npt.ArrayLike) -> FloatArray:
         """Pan axis with the orientation of the base, planar, (..., 3), for bases at poses."""
         return compose(pose_map_base, [*self.axis_xyz[:2], 0.0])
@@ -292,7 +297,7 @@ class PanTiltMount:
         Parameters
         ----------
         pan_rad, tilt_rad : array_like, shape (...)
-            Joint angles; pan positive to the left, tilt positive upwards.
+            Joint angles; pan positive to the left, tilt positive upwards, in the axis frame.
         roll_rad : float or array_like, shape (...)
             Further turn of the camera about its optical axis, clockwise as it looks.
 

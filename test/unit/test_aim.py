@@ -145,6 +145,28 @@ def test_heights_that_are_a_centimetre_off_are_no_tilt() -> None:
     assert detector.knocked_up_rad == 0.0
 
 
+@pytest.mark.parametrize('hung_rad', [0.0, np.pi], ids=['stands', 'hangs'])
+@pytest.mark.parametrize(('aside_rad', 'up_rad'), [(0.0, 0.04), (0.04, -0.03)])
+def test_a_knock_is_told_alike_by_a_unit_that_stands_and_by_one_that_hangs(
+    hung_rad: float, aside_rad: float, up_rad: float
+) -> None:
+    """Its pan and tilt run the other way round; bearings stay as the joints have them."""
+    mount = replace(MOUNT, axis_rpy=(hung_rad, 0.0, 0.0))
+    sense = np.cos(hung_rad)
+    frame = draw_frame(SCENE, LENS, mount, HERE, 0.05)
+    knocked = replace(
+        frame,
+        pan_rad=frame.pan_rad - sense * aside_rad,
+        tilt_rad=frame.tilt_rad - sense * up_rad,
+    )
+    detector = AimedDetector(LANDMARKS, mount, CONFIG, 0.05)
+    for _ in range(3):
+        found = detector.detect(knocked, PoseEstimate(0, HERE, PRIOR), np.arange(4))
+        assert len(found.detections) == 4
+        assert detector.knocked_up_rad == pytest.approx(up_rad, abs=1e-3)
+        np.testing.assert_allclose(errors_of(found, HERE), -aside_rad, atol=3e-4)
+
+
 @pytest.mark.parametrize(('fit_again', 'leans'), [(3, False), (4, True)])
 def test_a_camera_leans_where_most_of_what_hangs_too_high_or_low_is_found_again(
     fit_again: int, leans: bool, monkeypatch: pytest.MonkeyPatch

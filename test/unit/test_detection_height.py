@@ -114,3 +114,24 @@ def test_a_lean_is_told_by_all_rows_together_and_not_by_any_single_one(
     assert told == runs
     assert level + mistaken <= 2
     assert 0.75 < np.mean(squares) < 1.3
+
+
+def test_no_single_row_decides_a_lean() -> None:
+    """As if each in turn were left out and all were worked out anew."""
+    model, _ = model_of(PLAIN, 0.8)
+    shared = model.covariance(np.diag([0.01, 0.01, 0.005]) ** 2)
+    rng = np.random.default_rng(11)
+    told = []
+    for _ in range(100):
+        covariance = shared + np.diag(rng.uniform(0.1, 1.0, 8))
+        off = rng.multivariate_normal(model.by_lean @ [0.0, 0.012], covariance)
+        heights = Heights(off, model.by_lean, covariance)
+        left = [heights.chosen(np.arange(8) != k) for k in range(8)]
+        rolls = np.array([told_lean(some)[1:3] for some in left])
+        lean = told_lean(heights)
+        if lean.matches < 8 or any(told_lean(some).matches < 7 for some in left):
+            continue
+        told.append(lean.sure)
+        agree = np.all(rolls[:, 0] * np.sign(lean.roll_rad) > 3.0 * rolls[:, 1])
+        assert lean.sure == (agree and abs(lean.roll_rad) > 3.0 * lean.roll_sigma_rad)
+    assert 20 < sum(told) < len(told) - 20

@@ -66,13 +66,13 @@ class AimedDetector:
 
     @property
     def tilt_rad(self) -> float:
-        """By how much the camera looks higher than its joints say."""
+        """By how much the tilt is larger than its joint says."""
         return float(self._aim[1])
 
     @property
     def knocked_up_rad(self) -> float:
-        """`tilt_rad` if it is more than an uneven floor causes, else 0."""
-        return self.tilt_rad if abs(self.tilt_rad) > TILTED_RAD else 0.0
+        """By how much the camera looks higher; 0 unless it is more than an uneven floor causes."""
+        return self._mount.pan_sense * self.tilt_rad if abs(self.tilt_rad) > TILTED_RAD else 0.0
 
     @property
     def leaning_rad(self) -> float:
@@ -80,7 +80,7 @@ class AimedDetector:
         return float(self._aim[2])
 
     def turn(self, tilt_rad: float, roll_rad: float) -> None:
-        """Take the camera to look so much higher, and to lean so much more to its right."""
+        """Take the tilt to be so much larger, and the camera to lean so much more to its right."""
         if tilt_rad or roll_rad:
             aim = np.array([0.0, self._aim[1] + tilt_rad, self._aim[2] + roll_rad])
             aim[np.abs(aim) < TILTED_RAD] = 0.0
@@ -135,7 +135,9 @@ class AimedDetector:
             aim = self._aim + np.array([0.0, lean.tilt_rad, lean.roll_rad])
             again = self._search(frame, prior, expected, config, aim)
             roll = float(aim[2])
-            if self._leans(result, again, expected) and self._agree(again, frame, prior, roll):
+            if self._confirms_roll(result, again, expected) and self._agree(
+                again, frame, prior, roll
+            ):
                 self._follow(again, frame, prior, roll)
                 return again
         few = len(result.detections) <= _HARDLY_ANY * len(expected) or _many_beside(result)
@@ -157,14 +159,14 @@ class AimedDetector:
             again = self._search(frame, wide, expected, config, aim)
             right = self._tells(again, expected) and not _many_beside(again)
             if roll:
-                right &= self._leans(result, again, expected)
+                right &= self._confirms_roll(result, again, expected)
                 right &= self._agree(again, frame, prior, leaning)
             if right and len(again.detections) > len(result.detections):
                 self._follow(again, frame, prior, leaning)
                 return again
         return result
 
-    def _leans(
+    def _confirms_roll(
         self, before: DetectionResult, result: DetectionResult, expected: npt.NDArray[np.intp]
     ) -> bool:
         """Whether a result with another roll is no worse than the one before."""
@@ -202,10 +204,10 @@ class AimedDetector:
         result: DetectionResult,
         frame: CameraFrame,
         prior: PoseEstimate,
-        knock_roll: float | None = None,
+        knock_roll_rad: float | None = None,
     ) -> None:
         """Update the correction by a picture, if there is one or the camera was knocked."""
-        roll = self.leaning_rad if knock_roll is None else knock_roll
+        roll = self.leaning_rad if knock_roll_rad is None else knock_roll_rad
         if roll and (lean := told_lean(result.heights)).roll_sigma_rad < TILTED_RAD:
             roll += _ROLL_SHARE * lean.roll_rad
         if abs(roll) < TILTED_RAD:
@@ -219,11 +221,11 @@ class AimedDetector:
         tilted = abs(aim[1] - self._told_rad) > TILTED_RAD + doubt_rad
         if tilted:
             self._told_rad = aim[1]
-            side = 'above' if aim[1] > 0.0 else 'below'
+            side = 'above' if self._mount.pan_sense * aim[1] > 0.0 else 'below'
             degrees = np.degrees(abs(aim[1]))
             _LOG.warning('camera looks %.1f deg %s where its joints say', degrees, side)
         self._tell_lean(float(aim[2]))
-        if knock_roll is not None or tilted or self._aim.any():
+        if knock_roll_rad is not None or tilted or self._aim.any():
             self._aim = aim
 
     def _search(
@@ -241,7 +243,9 @@ class AimedDetector:
         )
         found = result.detections
         if aim[0]:
-            found = replace(found, bearing_rad=wrap_rad(found.bearing_rad - aim[0]))
+            found = replace(
+                found, bearing_rad=wrap_rad(found.bearing_rad - self._mount.pan_sense * aim[0])
+            )
         if aim[2]:
             # A roll is not known exactly: it moves what is high or low in the picture aside.
             rotation, _ = self._mount.camera_pose_base(
@@ -271,7 +275,8 @@ class AimedDetector:
 
         """
         off, expected = self._off(found, frame, prior, roll)
-        return np.array([*map(median, off.tolist()), roll]), expected
+        pan, tilt = (self._mount.pan_sense * median(each) for each in off.tolist())
+        return np.array([pan, tilt, roll]), expected
 
     def _off(
         self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float

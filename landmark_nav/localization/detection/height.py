@@ -128,7 +128,7 @@ class Heights(NamedTuple):
 
 class Lean(NamedTuple):
     """
-    By how much a camera looks higher, and leans to its right, than was assumed; radians.
+    By how much a camera's tilt is larger, and it leans to its right, than was assumed; radians.
 
     `matches` is how many tell so, wrong heights left out; `roll_sigma_rad` is the roll's sigma;
     `sure` tells whether they are most of all, and all of them but any one say so.
@@ -153,20 +153,28 @@ def told_lean(heights: Heights) -> Lean:
     if count < _LEAST_HEIGHTS:
         return Lean()
     heights = heights.chosen(fits)
-    (tilt, roll), sigma = _lean(heights)
-    sure = count >= max(_LEAST_SURE, _MOST * len(fits)) and abs(roll) > _SURE * sigma
-    for k in range(count if sure else 0):
-        (_, without), doubt = _lean(heights.chosen(np.arange(count) != k))
-        sure &= bool(without * np.sign(roll) > _SURE * doubt)
-    return Lean(tilt, roll, sigma, count, sure)
-
-
-def _lean(heights: Heights) -> tuple[list[float], float]:
-    """Tilt and roll of least squares, and the sigma of the roll."""
     off_px, by_lean, covariance = heights
-    weighted = np.linalg.solve(covariance, by_lean)
-    spread = np.linalg.inv(by_lean.T @ weighted + np.eye(2) / _ANY_RAD**2)
-    return (spread @ (off_px @ weighted)).tolist(), float(np.sqrt(spread[1, 1]))
+    inverse = np.linalg.inv(covariance)
+    weighted = inverse @ by_lean
+    information, told = by_lean.T @ weighted + np.eye(2) / _ANY_RAD**2, off_px @ weighted
+    (tilt, roll), sigma = _solved(information, told)
+    sure = count >= max(_LEAST_SURE, _MOST * len(fits)) and abs(roll) > _SURE * sigma
+    if sure:
+        # The inverse of a covariance with one row left out is a rank-one update of the whole.
+        own = np.diag(inverse)[:, None]
+        less = weighted[:, :, None] * weighted[:, None] / own[..., None]
+        (_, without), doubt = _solved(
+            information - less, told - weighted * (inverse @ off_px)[:, None] / own
+        )
+        sure = bool(np.all(without * np.sign(roll) > _SURE * doubt))
+    return Lean(float(tilt), float(roll), float(sigma), count, sure)
+
+
+def _solved(information: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Tilt and roll (2, ...) of least squares, and the sigma (...) of the roll."""
+    spread = np.linalg.inv(information)
+    lean = np.einsum('...ij,...j->i...', spread, told)
+    return lean, np.sqrt(spread[..., 1, 1])
 
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:
