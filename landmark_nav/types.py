@@ -321,7 +321,8 @@ class Detections:
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
     cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
     that should be in view, were looked for and not found. The pan, its rate, sigma and track are
-    of the `JointSample` `joint_delay_s` after the stamp; bearings of a pan `pan_delay_s` later.
+    of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``; bearings of
+    a pan `pan_delay_s` later.
     """
 
     stamp_ns: int

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 import math
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,9 +17,11 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.rotation import rot_y, rot_z, rotation_rpy
 from landmark_nav.geometry.se2 import compose
 
-__all__ = ['CameraModel', 'PanTiltMount', 'rotation_rpy']
+__all__ = ['CameraModel', 'PanTiltMount']
 
 
 # How many distortion coefficients each ROS distortion model carries.
@@ -236,12 +237,6 @@ def _interpolation(size: int) -> tuple[FloatArray, FloatArray]:
     return nodes, weights
 
 
-def rotation_rpy(rpy_rad: npt.ArrayLike) -> FloatArray:
-    """Rotation (3, 3) of fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
-    roll, pitch, yaw = np.asarray(rpy_rad, dtype=np.float64)
-    return np.asarray(_rot_z(yaw) @ _rot_y(pitch) @ _rot_x(roll))
-
-
 @dataclass(frozen=True)
 class PanTiltMount:
     """
@@ -281,6 +276,20 @@ class PanTiltMount:
         """1 where larger pans look farther left and larger tilts higher; -1 if the unit hangs."""
         return math.copysign(1.0, self._axis_rotation[2, 2])
 
+    @cached_property
+    def _ahead_base_rad(self) -> float:
+        """Azimuth of pan 0 in ``base_link``."""
+        return math.atan2(self._axis_rotation[1, 0], self._axis_rotation[0, 0])
+
+    def azimuth_base_rad(self, pan_rad: npt.ArrayLike) -> FloatArray:
+        """Azimuths (...) in ``base_link`` where the camera looks at pans (...), not wrapped."""
+        return np.asarray(self._ahead_base_rad + self.pan_sense * np.asarray(pan_rad))
+
+    def pan_toward_rad(self, azimuth_base_rad: npt.ArrayLike) -> FloatArray:
+        """Pans (...) at which the camera looks at azimuths (...) in ``base_link``."""
+        ahead = np.asarray(azimuth_base_rad) - self._ahead_base_rad
+        return np.asarray(wrap_rad(self.pan_sense * ahead))
+
     def axis_pose_map(self, pose_map_base: npt.ArrayLike) -> FloatArray:
         """Pan axis with the orientation of the base, planar, (..., 3), for bases at poses."""
         return compose(pose_map_base, [*self.axis_xyz[:2], 0.0])
@@ -309,9 +318,9 @@ class PanTiltMount:
             Optical centre in base, metres.
 
         """
-        turned = self._axis_rotation @ _rot_z(pan_rad) @ _rot_y(np.negative(tilt_rad))
+        turned = self._axis_rotation @ rot_z(pan_rad) @ rot_y(np.negative(tilt_rad))
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)
-        roll = _rot_z(np.add(roll_rad, self.camera_roll_rad))
+        roll = rot_z(np.add(roll_rad, self.camera_roll_rad))
         return turned @ _BODY_FROM_OPTICAL @ roll, center
 
     def camera_pose_map(
@@ -324,30 +333,5 @@ class PanTiltMount:
         """As `camera_pose_base`, in map, of a base at a pose (3,)."""
         rotation, center = self.camera_pose_base(pan_rad, tilt_rad, roll_rad)
         x, y, heading = pose_map_base
-        turn = _rot_z(heading)
+        turn = rot_z(heading)
         return turn @ rotation, center @ turn.T + [x, y, 0.0]
-
-
-def _rot_x(angle: Any) -> FloatArray:
-    return _rotation_about(0, angle)
-
-
-def _rot_y(angle: Any) -> FloatArray:
-    return _rotation_about(1, angle)
-
-
-def _rot_z(angle: Any) -> FloatArray:
-    return _rotation_about(2, angle)
-
-
-def _rotation_about(axis: int, angle: Any) -> FloatArray:
-    # Most are single angles, which `math` is quicker with.
-    single = np.ndim(angle) == 0
-    cos, sin = (math.cos(angle), math.sin(angle)) if single else (np.cos(angle), np.sin(angle))
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    out = np.zeros((*np.shape(angle), 3, 3))
-    out[..., axis, axis] = 1.0
-    out[..., first, first] = out[..., second, second] = cos
-    out[..., first, second] = -sin
-    out[..., second, first] = sin
-    return out

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from math import hypot
 from typing import NamedTuple
 
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
-from landmark_nav.types import CameraFrame, Detections
+from landmark_nav.types import CameraFrame, Detections, JointSample
 
-__all__ = ['DOUBT_S', 'STILL', 'JointDelay', 'Lag', 'in_time', 'seen_in_time']
+__all__ = ['DOUBT_S', 'STILL', 'JointDelay', 'Lag', 'Swing', 'in_time', 'seen_in_time']
 
 # Over a shorter time the slope of the pan is mostly noise.
 _LEAST_STEP_S = 0.02
@@ -74,6 +75,24 @@ class JointDelay:
         times = [given_s, self.delay_s - step, self.delay_s, self.delay_s + step]
         given, before, at, after = track.at(times).tolist()
         return Lag(at - given, 0.5 * (after - before) / step, 0.5 * (after + before) - at)
+
+
+class Swing(NamedTuple):
+    """Azimuth in ``base_link`` where a camera looks, its rate and its track."""
+
+    azimuth_rad: float
+    rate_rad_s: float
+    track: PanTrack | None
+
+    @classmethod
+    def of(cls, joints: CameraFrame | JointSample, mount: PanTiltMount) -> Swing:
+        """Of a picture, or of joint states."""
+        track = joints.pan_track
+        return cls(
+            float(mount.azimuth_base_rad(joints.pan_rad)),
+            mount.pan_sense * joints.pan_rate_rad_s,
+            track and PanTrack(track.seconds, mount.azimuth_base_rad(track.pans_rad)),
+        )
 
 
 def in_time(frame: CameraFrame, late: JointDelay) -> tuple[CameraFrame, float]:

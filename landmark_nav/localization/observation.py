@@ -17,7 +17,7 @@ from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.frozen import FrozenPicture
-from landmark_nav.localization.joint_delay import in_time, JointDelay
+from landmark_nav.localization.joint_delay import in_time, JointDelay, Swing
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization.narrowing import narrowed
@@ -214,13 +214,14 @@ class Observer:
             found = found.chosen(np.zeros(len(found), dtype=np.bool_))
         if len(found):
             found = self._doubted(found, refused, looked)
+        swing = Swing.of(frame, self._mount)
         found = replace(
             found,
             missed=missed,
-            pan_rate_rad_s=frame.pan_rate_rad_s,
+            pan_rate_rad_s=swing.rate_rad_s,
             pan_sigma_rad=frame.pan_sigma_rad,
-            pan_rad=frame.pan_rad,
-            pan_track=frame.pan_track,
+            pan_rad=swing.azimuth_rad,
+            pan_track=swing.track,
             pan_delay_s=late.delay_s,
         )
         return Observation(found, refused, self._fix(found, prior, triplet))

@@ -14,7 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.start import Found
-from landmark_nav.localization.joint_delay import in_time, JointDelay
+from landmark_nav.localization.joint_delay import in_time, JointDelay, Swing
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import (
@@ -215,9 +215,9 @@ class Localizer:
         if isinstance(outcome, Refusal):
             return outcome
         self._observer.turn(*self._relocalizer.lean_rad)
-        swing = frame.pan_rate_rad_s, frame.pan_track, late.delay_s
+        swing = Swing.of(frame, self._mount)
         # The filter itself doubts the heading of a camera that turned.
-        found = Found(self._relocalizer.witnesses, *swing)
+        found = Found(self._relocalizer.witnesses, swing.rate_rad_s, swing.track, late.delay_s)
         self._start(self._relocalizer.in_time, found)
         return self._filter.estimate(frame.stamp_ns) or outcome
 

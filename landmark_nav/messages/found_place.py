@@ -18,7 +18,8 @@ class FoundPlace(PoseEstimate):
     A place that pictures told, without any prior.
 
     It is the pose of the base at the last of them if its joint states are in time; `ids` (m,) are
-    the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`; its delays are
+    the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`, to the
+    left; its delays are
     those of `Detections`.
     """
 

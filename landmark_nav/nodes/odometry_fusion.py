@@ -15,6 +15,7 @@ from landmark_nav.localization.fusion.late_joints import REACH_S
 from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
+from landmark_nav.localization.joint_delay import Swing
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.messages import decode, encode
@@ -237,12 +238,13 @@ class OdometryFusionNode(LandmarkNode):
     def _use(self, found: Detections) -> None:
         joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
         if not isinstance(joints, Refusal):
+            swing = Swing.of(joints, self._mount)
             found = replace(
                 found,
-                pan_rate_rad_s=joints.pan_rate_rad_s,
+                pan_rate_rad_s=swing.rate_rad_s,
                 pan_sigma_rad=joints.pan_sigma_rad,
-                pan_track=joints.pan_track,
-                pan_rad=joints.pan_rad,
+                pan_track=swing.track,
+                pan_rad=swing.azimuth_rad,
             )
         self._count(self._filter.add_detections(found))
         late = self._filter.late
@@ -255,7 +257,7 @@ class OdometryFusionNode(LandmarkNode):
     def _use_place(self, place: FoundPlace) -> None:
         joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
         # A track that ends before would say that the pan stood there.
-        known = not isinstance(joints, Refusal) and joints.pan_track
+        known = None if isinstance(joints, Refusal) else Swing.of(joints, self._mount).track
         track = known if known and known.reaches(REACH_S) else None
         found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
         self._start(place, 'found', found)

@@ -18,6 +18,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.joint_delay import Swing
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
@@ -174,7 +175,7 @@ class PlaceSearch:
                 found.pose,
                 found.covariance,
                 relocalizer.witnesses,
-                frame.pan_rate_rad_s,
+                Swing.of(frame, self._mount).rate_rad_s,
                 joint_delay_s,
                 pan_delay_s,
             )

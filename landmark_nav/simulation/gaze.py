@@ -75,8 +75,8 @@ class Gaze:
         """Pan that looks at the thing of the moment from a pose (3,); 0 if there is none."""
         axis = transform_points(pose_map_base, self._mount.axis_xyz[:2])
         offset = self._points[:, :2] - axis
-        yaw = self._mount.axis_rpy[2]
-        pan = wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - pose_map_base[2] - yaw)
+        azimuth = np.arctan2(offset[:, 1], offset[:, 0]) - pose_map_base[2]
+        pan = self._mount.pan_toward_rad(azimuth)
         usable = np.abs(pan) < self._limit_rad - _RESERVE_RAD
         quality = np.where(usable, self._quality(axis), 0.0)
         if self._chosen < 0 or self._lost(quality) or time_s >= self._until_s:

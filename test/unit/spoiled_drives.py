@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from picture_drives import drive, error_of, FRAME_NS, MAP, MOUNT, picture, START, START_SIGMA, Step
 
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
@@ -66,6 +67,7 @@ def run(
     start: FloatArray = START,
     config: LocalizationConfig | None = None,
     late: int = 0,
+    mount: PanTiltMount = MOUNT,
 ) -> Iterator[Moment]:
     """
     Drive with what `change` makes of each moment after the fault begins.
@@ -73,7 +75,7 @@ def run(
     Pictures come after so many samples of odometry that are newer.
     """
     on_the_way: deque[Sensed] = deque()
-    localizer = Localizer(landmarks, MOUNT, config or LocalizationConfig())
+    localizer = Localizer(landmarks, mount, config or LocalizationConfig())
     localizer.initialize(PoseEstimate(0, start, np.diag(START_SIGMA**2)))
     for step, frame in sensed:
         seconds = step.stamp_ns * 1e-9 - FAULT_S

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount, rotation_rpy
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.rotation import rotation_rpy
 
 SIZE: dict[str, Any] = {
     'width': 512, 'height': 384, 'fx': 570.0, 'fy': 572.0, 'cx': 254.0, 'cy': 193.5,
@@ -166,3 +168,16 @@ def test_camera_pose_in_map_is_that_in_the_base_moved_with_it():
     heading = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     assert turn == pytest.approx(heading @ base_turn)
     assert center == pytest.approx(heading @ base_center + [*pose[:2], 0.0])
+
+
+@pytest.mark.parametrize('roll_rad', [0.0, np.pi])
+@pytest.mark.parametrize('pitch_rad', [0.0, np.pi, 0.02])
+@given(yaw_rad=st.floats(-3.0, 3.0), pan_rad=st.floats(-3.0, 3.0))
+def test_a_pan_looks_at_its_azimuth_however_the_unit_is_mounted(
+    roll_rad: float, pitch_rad: float, yaw_rad: float, pan_rad: float
+) -> None:
+    mount = PanTiltMount(axis_rpy=(roll_rad, pitch_rad, yaw_rad))
+    x, y, _ = mount.camera_pose_base(pan_rad)[0][:, 2]
+    azimuth = mount.azimuth_base_rad(pan_rad)
+    assert abs(wrap_rad(np.arctan2(y, x) - azimuth)) < 1e-3
+    assert mount.pan_toward_rad(azimuth) == pytest.approx(pan_rad, abs=1e-9)

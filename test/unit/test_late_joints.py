@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from picture_drives import MAP, MOUNT, START, START_SIGMA, Step
@@ -13,7 +14,7 @@ from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.frozen import FrozenPicture
 from landmark_nav.localization.joint_delay import in_time, JointDelay, seen_in_time
 from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
-from landmark_nav.types import CameraFrame, Detections, PoseEstimate
+from landmark_nav.types import CameraFrame, Detections, FloatArray, PoseEstimate
 
 LATE_S = 0.2
 
@@ -28,6 +29,54 @@ def stamped_late(step: Step, frame: CameraFrame | None, late_s: float = LATE_S) 
     track = PanTrack(about, told)
     frame = replace(frame, pan_rad=float(told[8]), pan_rate_rad_s=rate, pan_track=track)
     return step, frame
+
+
+@pytest.mark.parametrize('rpy', [(np.pi, 0.0, 0.0), (np.pi, 0.0, 0.3), (0.0, 0.0, 0.3)], ids=str)
+def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_tells_the_same(
+    sensed: list[Sensed], rpy: tuple[float, float, float]
+) -> None:
+    """Pan and tilt are counted otherwise, and the pictures are the same."""
+    sense = np.cos(rpy[0])
+    x, y, z = MOUNT.optical_center_offset
+    hung = replace(
+        MOUNT,
+        axis_rpy=rpy,
+        optical_center_offset=(x, sense * y, sense * z),
+        camera_roll_rad=MOUNT.camera_roll_rad + rpy[0],
+    )
+
+    def pan_of(pan: FloatArray | float) -> Any:
+        return sense * (pan - rpy[2])
+
+    def counted(step: Step, frame: CameraFrame | None) -> Sensed:
+        if frame is not None:
+            track = frame.pan_track
+            frame = replace(
+                frame,
+                pan_rad=pan_of(frame.pan_rad),
+                tilt_rad=sense * frame.tilt_rad,
+                pan_rate_rad_s=sense * frame.pan_rate_rad_s,
+                pan_track=track and PanTrack(track.seconds, pan_of(track.pans_rad)),
+            )
+        return step, frame
+
+    same = [
+        moment.update.fused.pose
+        for given, mount, change in (
+            (sensed, MOUNT, stamped_late),
+            (
+                [counted(*each) for each in sensed],
+                hung,
+                # The tilt was counted anew before.
+                lambda step, frame: counted(
+                    *stamped_late(step, frame and replace(frame, tilt_rad=sense * frame.tilt_rad))
+                ),
+            ),
+        )
+        for moment in run(given, change, mount=mount)
+    ]
+    half = len(same) // 2
+    np.testing.assert_allclose(same[half:], same[:half], atol=1e-3)
 
 
 def test_joint_states_that_are_late_for_good_are_told_measured_and_put_right(

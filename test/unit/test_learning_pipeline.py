@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount, rotation_rpy
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.rotation import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.attention import AttentionConfig
 from landmark_nav.learning.calibration import CalibrationConfig

@@ -131,10 +131,14 @@ class TestSelection:
         other = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, found_rate=rate))
         assert first.ids[0] not in other.ids
 
-    def test_offset_camera_still_sees_all_three(self) -> None:
+    @pytest.mark.parametrize(
+        'rpy', [(0.0, 0.05, 0.4), (np.pi, 0.0, 0.4), (0.0, np.pi, -0.7)], ids=str
+    )
+    def test_offset_camera_still_sees_all_three(self, rpy: tuple[float, float, float]) -> None:
+        """On units that lean or hang."""
         mount = PanTiltMount(
             axis_xyz=(0.1, 0.05, 1.0),
-            axis_rpy=(0.0, 0.05, 0.4),
+            axis_rpy=rpy,
             optical_center_offset=(0.06, 0.03, 0.1),
         )
         landmark_map = random_map(40)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from landmark_nav.geometry.camera import PanTiltMount, rotation_rpy
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.rotation import rotation_rpy
 from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, SIGNIFICANT
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray

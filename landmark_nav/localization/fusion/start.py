@@ -80,8 +80,8 @@ class Found(NamedTuple):
     """
     How a pose was found: `witnesses` (m,), the ids of the landmarks, and where the camera looked.
 
-    The pan of the last picture, with its rate and track, was put right for joint states that are
-    late by `pan_delay_s`, as far as that was known.
+    The pan of the last picture, with its rate and track as azimuths in ``base_link``, was put
+    right for joint states that are late by `pan_delay_s`, as far as that was known.
     """
 
     witnesses: npt.NDArray[np.int64]

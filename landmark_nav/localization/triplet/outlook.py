@@ -114,7 +114,7 @@ class Outlook:
         # However wide the prior, some of the picture stays to be used.
         margin = np.minimum(self.config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
         reach = half_fov - margin - _half_width(self.axis.pose, self.landmark_map.corners)
-        return np.stack([wrap_rad(bearing - self.mount.axis_rpy[2]), reach])
+        return np.stack([self.mount.pan_toward_rad(bearing), reach])
 
     def whole(self, corners: FloatArray, pan_rad: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether views (m,) hold their patches' corners (m, 4, 3)."""
