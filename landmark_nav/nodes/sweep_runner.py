@@ -29,6 +29,8 @@ __all__ = ['SweepRunner']
 _LOG = logging.getLogger(__name__)
 
 _POLL_S = 0.1
+# What waiting for that long may take; whatever is longer, this process was held up itself.
+_LONGEST_POLL_S = 0.3
 # Log lines of a sweep.
 _LINES = 8
 
@@ -53,6 +55,7 @@ class SweepRunner:
         self._progress = Condition()
         self._sweep: SweepCapture[_Frame] | None = None
         self._running = False
+        self._held_up_ns = 0
         self.pan_rad: float | None = None
 
     def stop(self, reason: str) -> None:
@@ -72,15 +75,14 @@ class SweepRunner:
 
         """
         with self._progress:
-            now_ns = time.monotonic_ns()
-            sweep, note = begin_or_resume(self._sweep, self._config, self._inspect, now_ns)
+            sweep, note = begin_or_resume(self._sweep, self._config, self._inspect, self._now_ns())
             self._sweep, self._running = sweep, True
             _LOG.info('sweep %s', note or 'begun')
             try:
                 while not sweep.done and may_go_on():
-                    sweep.check(time.monotonic_ns())
+                    sweep.check(self._now_ns())
                     self._command(sweep)
-                    self._progress.wait(_POLL_S)
+                    self._wait()
             finally:
                 self._running = False
                 if may_go_on():
@@ -99,7 +101,7 @@ class SweepRunner:
             sweep = self._sweep
             if sweep is None or sweep.done:
                 return None
-            progress = describe_progress(sweep, time.monotonic_ns())
+            progress = describe_progress(sweep, self._now_ns())
             refused = {f'refused: {reason}': count for reason, count in sweep.refused.items()}
         if self._running:
             return Health(Level.OK, progress, refused)
@@ -117,7 +119,7 @@ class SweepRunner:
         shot = Shot((image, info), decode.stamp_ns(image.header), digest)
         with self._progress:
             if self._sweep is not None and self._running:
-                self._sweep.add_frame(shot, time.monotonic_ns())
+                self._sweep.add_frame(shot, self._now_ns())
 
     def add_joints(self, sample: JointSample) -> None:
         """Take measured angles; they move the sweep on."""
@@ -126,20 +128,35 @@ class SweepRunner:
             sweep = self._sweep
             if sweep is None or not self._running:
                 return
-            kept = sweep.add_joints(sample, time.monotonic_ns())
+            kept = sweep.add_joints(sample, self._now_ns())
             if kept is not None:
                 self._output.frame(*kept.frame)
                 if len(sweep.kept) % max(1, sweep.total // _LINES) == 0:
-                    _LOG.info('%s', describe_progress(sweep, time.monotonic_ns()))
+                    _LOG.info('%s', describe_progress(sweep, self._now_ns()))
             self._command(sweep)
             if sweep.done:
                 self._progress.notify_all()
+
+    def _now_ns(self) -> int:
+        """
+        Time of this process, without what it was held up for.
+
+        What came meanwhile still lies in the queues: a robot that was not listened to has not
+        been silent.
+        """
+        return time.monotonic_ns() - self._held_up_ns
+
+    def _wait(self) -> None:
+        before_ns = time.monotonic_ns()
+        self._progress.wait(_POLL_S)
+        took_ns = time.monotonic_ns() - before_ns
+        self._held_up_ns += max(0, took_ns - int(_LONGEST_POLL_S * 1e9))
 
     def _inspect(self, frame: _Frame) -> Look:
         image, info = frame
         return look_at(decode.image(image), decode.camera_model(info), self._camera_roll_rad)
 
     def _command(self, sweep: SweepCapture[_Frame]) -> None:
-        pan_rad = sweep.command(time.monotonic_ns())
+        pan_rad = sweep.command(self._now_ns())
         if pan_rad is not None:
             self._commander.command(pan_rad, self.pan_rad)

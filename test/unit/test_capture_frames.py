@@ -161,3 +161,16 @@ def test_a_picture_that_outran_its_joint_state_is_not_frozen_for_ever():
         assert not log.seen_elsewhere(b'picture', 20_000_000 * k, track)
     track.add(JointSample(10_000_000_000, 0.5))
     assert log.seen_elsewhere(b'picture', 10_000_000_000, track)
+
+
+def test_a_picture_whose_pan_was_never_known_is_not_frozen():
+    config = CaptureConfig()
+    log, track = FrameLog(config), JointTrack(config)
+    track.add(JointSample(0, -0.9))
+    # It shows 0.5, where the joint came while its states were lost.
+    assert not log.seen_elsewhere(b'picture', 200_000_000, track)
+    for stamp_ns in (10_000_000_000, 10_020_000_000):
+        track.add(JointSample(stamp_ns, 0.5))
+        assert not log.seen_elsewhere(b'picture', stamp_ns, track)
+    track.add(JointSample(20_000_000_000, -0.9))
+    assert log.seen_elsewhere(b'picture', 20_000_000_000, track)

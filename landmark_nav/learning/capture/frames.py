@@ -47,7 +47,7 @@ class FrameLog:
     def __init__(self, config: CaptureConfig) -> None:
         self._config = config
         self._last_ns = -1
-        self._first: dict[bytes, tuple[int, tuple[float, float]]] = {}
+        self._first: dict[bytes, tuple[int, tuple[float, float] | None]] = {}
 
     def untimely(self, stamp_ns: int, joints_ns: int) -> str:
         """Why a stamp cannot be right; nothing if it can. `joints_ns` is the newest joint's."""
@@ -63,8 +63,8 @@ class FrameLog:
         """Whether no other picture has come before this one."""
         return next(iter(self._first)) == digest
 
-    def remember(self, digest: bytes, stamp_ns: int, pans_rad: tuple[float, float]) -> None:
-        """Take a picture that came before, with the least and greatest pan it may have had."""
+    def remember(self, digest: bytes, stamp_ns: int, pans_rad: tuple[float, float] | None) -> None:
+        """Take a picture that came, with the least and greatest pan it may have had, if known."""
         self._first[digest] = (stamp_ns, pans_rad)
         if len(self._first) > _REMEMBERED:
             del self._first[next(iter(self._first))]
@@ -72,12 +72,20 @@ class FrameLog:
     def seen_elsewhere(self, digest: bytes, stamp_ns: int, track: JointTrack) -> bool:
         """Whether this very picture came at another pan; remembers it."""
         pans_rad = track.around(stamp_ns)
-        if pans_rad is None:
-            return False
-        first_ns, first_rad = self._first.get(digest, (stamp_ns, pans_rad))
+        first_ns, first_rad = self._first.get(digest, (stamp_ns, None))
         # It may have come before the joint state of its time.
         first_rad = track.around(first_ns) or first_rad
+        if first_rad is None:
+            # The joint states of its time never came, or not yet.
+            self.remember(digest, stamp_ns, pans_rad)
+            return False
         self.remember(digest, first_ns, first_rad)
+        if pans_rad is None:
+            newest = track.last
+            if newest is None or stamp_ns < newest.stamp_ns:
+                return False
+            # It came before the joint state of its time; the unit stands when that matters.
+            pans_rad = newest.pan_rad, newest.pan_rad
         apart = max(pans_rad[0] - first_rad[1], first_rad[0] - pans_rad[1])
         return apart > self._config.arrival_tolerance_rad
 

@@ -63,12 +63,12 @@ class JointTrack:
         return bool(still.any())
 
     def around(self, stamp_ns: int) -> tuple[float, float] | None:
-        """Least and greatest pan around a stamp; None before the samples that are kept."""
+        """Least and greatest pan around a stamp; None if no sample is kept on either side."""
         stamps = [sample.stamp_ns for sample in self._samples]
         after = bisect_left(stamps, stamp_ns)
         if after < len(stamps) and stamps[after] == stamp_ns:
             return self._samples[after].pan_rad, self._samples[after].pan_rad
-        if after == 0:
+        if after in (0, len(stamps)):
             return None
         near = [sample.pan_rad for sample in list(self._samples)[after - 1 : after + 1]]
         return min(near), max(near)
