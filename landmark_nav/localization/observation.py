@@ -15,12 +15,14 @@ from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.company import Company
 from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
+from landmark_nav.localization.detection.height import Lean
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.frozen import FrozenPicture
 from landmark_nav.localization.joint_delay import in_time, JointDelay, Swing
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization.narrowing import narrowed
+from landmark_nav.localization.relocalization.search import UNRECOGNISED
 from landmark_nav.localization.triangulation.gathering import SightingGatherer
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import visible_landmarks
@@ -147,9 +149,10 @@ class Observer:
         """Take the camera to look so much higher, and to lean so much more to its right."""
         self._detector.turn(tilt_rad, roll_rad)
 
-    def levelled(self, frame: CameraFrame) -> CameraFrame:
-        """Return a picture with the tilt and roll of the camera corrected."""
-        return self._detector.levelled(frame)
+    @property
+    def lean(self) -> Lean:
+        """Tilt and roll of the camera beyond those of its joints, however small."""
+        return self._detector.lean
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
@@ -273,9 +276,18 @@ class Observer:
     def _narrowed(self, frame: CameraFrame, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """Find the pose within a wide prior; if that fails again and again, try less often."""
         if self._vain > _EAGER and self._vain % _PATIENT:
-            return Refusal('nothing recognised', 'neither in the pictures before')
-        levelled = self._detector.levelled(frame)
-        return narrowed(levelled, prior, self._map, self._mount, self._config)
+            return Refusal(UNRECOGNISED, 'neither in the pictures before')
+        seen = self._detector.levelled(frame), prior, self._map, self._mount, self._config
+        place = narrowed(*seen)
+        unrecognised = isinstance(place, Refusal) and place.reason == UNRECOGNISED
+        if unrecognised and self._vain and self._config.turned_sigma_rad:
+            # Not only in this picture: the camera may have been knocked.
+            leaning = narrowed(*seen, self._config.turned_sigma_rad)
+            place = place if isinstance(leaning, Refusal) else leaning
+        if isinstance(place, Refusal):
+            return place
+        self.turn(place.tilt_rad, place.roll_rad)
+        return place.estimate
 
     def take(self, found: Detections, prior: PoseEstimate) -> Observation:
         """Triangulate from landmarks that somebody else found, leaving out unknown ones."""

@@ -211,7 +211,7 @@ class Localizer:
         assert self._relocalizer is not None, 'no pose is known'
         late = self._filter.late
         frame, _ = in_time(frame, late)
-        outcome = self._relocalizer.add_frame(self._observer.levelled(frame))
+        outcome = self._relocalizer.add_frame(frame, self._observer.lean)
         if isinstance(outcome, Refusal):
             return outcome
         self._observer.turn(*self._relocalizer.lean_rad)

@@ -18,6 +18,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection.height import Lean
 from landmark_nav.localization.joint_delay import Swing
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -149,20 +150,24 @@ class PlaceSearch:
         return self._lean_rad
 
     def look(
-        self, frame: CameraFrame, joint_delay_s: float = 0.0, pan_delay_s: float = 0.0
+        self,
+        frame: CameraFrame,
+        lean: Lean,
+        joint_delay_s: float = 0.0,
+        pan_delay_s: float = 0.0,
     ) -> PoseEstimate | Refusal:
         """
         Go on with a picture; what is known of the place by now.
 
-        Its pan is that of joint states which are stamped so much later, as the node was told and
-        as was measured beyond that.
+        `lean` is what is known of the camera. The picture's pan is that of joint states which are
+        stamped so much later, as the node was told and as was measured beyond that.
         """
         relocalizer, self._lean_rad = self._relocalizer, (0.0, 0.0)
         if relocalizer is None:
             return self._outcome
         while self._odometry and self._odometry[0].stamp_ns <= frame.stamp_ns:
             relocalizer.add_odometry(self._odometry.popleft())
-        outcome = self._outcome = relocalizer.add_frame(frame)
+        outcome = self._outcome = relocalizer.add_frame(frame, lean)
         # That took a while, in which somebody may have told the place.
         self.consider(self._odometry[-1].stamp_ns if self._odometry else frame.stamp_ns)
         if isinstance(outcome, PoseEstimate) and self._relocalizer is relocalizer:

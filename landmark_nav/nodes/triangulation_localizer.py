@@ -196,7 +196,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         assert self._observer is not None, 'pictures come after the map'
         frame, _ = in_time(frame, late)
         outcome = self._search.look(
-            self._observer.levelled(frame), self._config.joint_delay_s, late.delay_s
+            frame, self._observer.lean, self._config.joint_delay_s, late.delay_s
         )
         found = 'place found, and told on found_place'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found

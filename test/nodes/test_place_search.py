@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.detection.height import Lean
 from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -95,7 +96,7 @@ class Finder:
     def add_odometry(self, sample: OdometrySample) -> None:
         """Not needed."""
 
-    def add_frame(self, frame: CameraFrame) -> PoseEstimate:
+    def add_frame(self, frame: CameraFrame, lean: Lean) -> PoseEstimate:
         self._meanwhile()
         return replace(self.in_time, covariance=WIDE)
 
@@ -108,7 +109,7 @@ def frame_at(stamp_ns: int) -> CameraFrame:
 def test_a_place_is_told_with_what_it_was_found_from(search: PlaceSearch, told: list[Any]) -> None:
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND), 0.04, -0.01)
+    search.look(frame_at(SECOND), Lean(), 0.04, -0.01)
     place = decode.found_place(told[0])
     assert place.stamp_ns == SECOND
     np.testing.assert_array_equal(place.pose, Finder.in_time.pose)
@@ -126,6 +127,6 @@ def test_a_place_is_told_with_what_it_was_found_from(search: PlaceSearch, told: 
 def test_a_place_in_a_map_that_is_gone_is_not_told(search: PlaceSearch, told: list[Any]) -> None:
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder(lambda: search.use(search.landmarks)))
-    search.look(frame_at(SECOND))
+    search.look(frame_at(SECOND), Lean())
     assert not told
     assert search.active

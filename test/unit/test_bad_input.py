@@ -31,6 +31,7 @@ from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.relocalization.narrowing import narrowed
+from landmark_nav.localization.relocalization.verification import Verification
 from landmark_nav.types import CameraFrame, PoseEstimate, Refusal
 
 
@@ -142,11 +143,11 @@ def test_a_covered_lens_is_told_and_forgotten_when_free(sensed: list[Sensed]) ->
 def test_a_map_of_another_room_is_not_believed(
     sensed: list[Sensed], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tried: list[PoseEstimate | Refusal] = []
+    tried: dict[int, Verification | Refusal] = {}
 
-    def counted(*arguments: Any) -> PoseEstimate | Refusal:
-        tried.append(narrowed(*arguments))
-        return tried[-1]
+    def counted(frame: CameraFrame, *arguments: Any) -> Verification | Refusal:
+        tried[frame.stamp_ns] = place = narrowed(frame, *arguments)
+        return place
 
     monkeypatch.setattr(observation, 'narrowed', counted)
     rng = np.random.default_rng(0)
@@ -159,7 +160,7 @@ def test_a_map_of_another_room_is_not_believed(
     assert all(m.status == 'lost' for m in moments if m.after_s + FAULT_S >= 2.0)
     assert not any(isinstance(m.update.search, PoseEstimate) for m in moments)
     # What is in vain is not tried with each picture.
-    assert not any(isinstance(place, PoseEstimate) for place in tried)
+    assert all(isinstance(place, Refusal) for place in tried.values())
     assert 5 < len(tried) < 0.6 * sum(m.status == 'lost' for m in moments)
 
 

@@ -13,6 +13,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.relocalization.narrowing import narrowed
+from landmark_nav.localization.relocalization.verification import Verification
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
@@ -77,6 +78,25 @@ def test_a_pose_that_is_claimed_to_be_known_is_taken_at_its_word() -> None:
     assert len(seen.detections) <= 1
 
 
+@pytest.mark.parametrize('angle_rad', [-0.035, 0.03])
+@pytest.mark.parametrize('joint', ['tilt_rad', 'roll_rad'])
+def test_a_knocked_camera_is_told_where_the_pose_is_hardly_known(
+    joint: str, angle_rad: float
+) -> None:
+    """By two pictures: what is missing in one may be covered."""
+    wide = told(np.array([0.3, -0.3, 0.1]), np.array([0.4, 0.4, 0.15]))
+    observer = Observer(MAP, MOUNT, ObservationConfig())
+    rng = np.random.default_rng(6)
+    for _ in range(2):
+        frame = picture(TRUTH, -0.2, rng)
+        knocked = replace(frame, **{joint: getattr(frame, joint) - angle_rad})
+        seen = observer.look(knocked, wide)
+    assert len(seen.detections) == 4
+    assert np.abs(errors_of(seen)).max() < 0.002
+    lean = {'tilt_rad': observer.lean.tilt_rad, 'roll_rad': observer.lean.roll_rad}
+    assert lean == pytest.approx({'tilt_rad': 0.0, 'roll_rad': 0.0, joint: angle_rad}, abs=5e-3)
+
+
 def test_another_room_or_a_dark_picture_shows_nothing() -> None:
     wide = told(np.array([0.3, -0.3, 0.1]), np.array([0.5, 0.5, 0.2]))
     other = textured_room(ROOM, seed=31, feature_m=0.045)
@@ -111,9 +131,9 @@ def test_a_place_is_told_as_well_as_its_covariance_says() -> None:
         sigma = np.array([0.4, 0.4, 0.15])
         wide = told(sigma * rng.normal(size=3), sigma, truth)
         place = narrowed(picture(truth, 0.0, rng), wide, MAP, MOUNT, LookingConfig())
-        assert isinstance(place, PoseEstimate), str(place)
-        error = place.pose - truth
-        squares.append(error @ np.linalg.solve(place.covariance, error))
+        assert isinstance(place, Verification), str(place)
+        error = place.estimate.pose - truth
+        squares.append(error @ np.linalg.solve(place.estimate.covariance, error))
     assert np.max(squares) < 16.3
     assert 1.0 < np.mean(squares) < 6.0
 
@@ -129,7 +149,7 @@ def test_two_places_that_the_prior_allows_are_none() -> None:
     wide = told(np.array([0.0, 0.3, 0.0]), np.array([0.3, 0.5, 0.1]))
     assert isinstance(
         narrowed(FRAME, wide, LandmarkMap(tuple(east)), MOUNT, LookingConfig()),
-        PoseEstimate,
+        Verification,
     )
     place = narrowed(FRAME, wide, LandmarkMap(tuple(east + again)), MOUNT, LookingConfig())
     assert isinstance(place, Refusal)

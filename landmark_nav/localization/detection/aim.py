@@ -14,7 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import DetectionResult
-from landmark_nav.localization.detection.height import TILTED_RAD, told_lean
+from landmark_nav.localization.detection.height import Lean, TILTED_RAD, told_lean
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['AimedDetector', 'degrees_aside']
@@ -78,6 +78,11 @@ class AimedDetector:
     def leaning_rad(self) -> float:
         """By how much the camera leans to its right; 0 unless it was knocked."""
         return float(self._aim[2])
+
+    @property
+    def lean(self) -> Lean:
+        """Tilt and roll of the camera beyond those of its joints, however small."""
+        return Lean(self.tilt_rad, self.leaning_rad)
 
     def turn(self, tilt_rad: float, roll_rad: float) -> None:
         """Take the tilt to be so much larger, and the camera to lean so much more to its right."""

@@ -19,7 +19,7 @@ from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization.hypotheses import propose
 from landmark_nav.localization.relocalization.search import best_place, verified_places
 from landmark_nav.localization.relocalization.sightings import find_sightings
-from landmark_nav.localization.relocalization.verification import CarriedFrames
+from landmark_nav.localization.relocalization.verification import CarriedFrames, Verification
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = ['narrowed']
@@ -36,29 +36,34 @@ def narrowed(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     looking: LookingConfig,
-) -> PoseEstimate | Refusal:
+    lean_sigma_rad: float = 0.0,
+) -> Verification | Refusal:
     """
     Find the pose within a wide prior that fits a picture.
 
+    Parameters
+    ----------
+    lean_sigma_rad : float
+        How far the camera may look above, below, or lean; a small roll is found without.
+
     Returns
     -------
-    PoseEstimate or Refusal
+    Verification or Refusal
         Pose of the base by this picture alone, or why there is none.
 
     """
     prior = replace(prior, covariance=prior.covariance + np.diag(np.square(_LEAST_SIGMA)))
-    sightings = find_sightings(frame, landmark_map, mount, prior)
+    sightings = find_sightings(frame, landmark_map, mount, prior, lean_sigma_rad)
     poses = propose(sightings, landmark_map).poses
     rough = np.diag(np.square(_PROPOSED_SIGMA))
     likely = poses[[_allows(prior, pose, rough) for pose in poses]]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
     places = [
         place
-        for place in verified_places(likely, still, landmark_map, mount, looking)
+        for place in verified_places(likely, still, landmark_map, mount, looking, lean_sigma_rad)
         if _allows(prior, place.estimate.pose, place.estimate.covariance)
     ]
-    best = best_place(places, len(likely))
-    return best if isinstance(best, Refusal) else best.estimate
+    return best_place(places, len(likely))
 
 
 def _allows(prior: PoseEstimate, pose: FloatArray, covariance: FloatArray) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection.height import Lean
 from landmark_nav.localization.joint_delay import DOUBT_S
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import (
@@ -47,10 +49,11 @@ _CLOCK_STEP_NS = 2 * 10**9
 _VAIN = 2
 # Share of way and turn that wheels may be wrong by.
 _SLIP = 0.04
+_UPRIGHT = Lean()
 
 
 class _Glimpse(NamedTuple):
-    """A picture that is kept, with its viewing direction and what may be seen in it."""
+    """A picture as it came, with its viewing direction and what may be seen in it, levelled."""
 
     frame: CameraFrame
     direction: FloatArray
@@ -123,9 +126,16 @@ class Relocalizer:
         oldest_ns = sample.stamp_ns - _CLOCK_STEP_NS
         self._track.trim(min([oldest_ns, *(kept.frame.stamp_ns for kept in self._kept[:1])]))
 
-    def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
+    def add_frame(self, frame: CameraFrame, lean: Lean = _UPRIGHT) -> PoseEstimate | Refusal:
         """
         Look at a picture.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            Picture with its joint angles.
+        lean : Lean
+            What is known by now of the camera, in this picture and in those before.
 
         Returns
         -------
@@ -151,22 +161,21 @@ class Relocalizer:
         repeats = self._kept and np.array_equal(frame.image, self._kept[-1].frame.image)
         if repeats or not shows_new(frame, direction, looked, poses):
             return self._outcome
-        sightings = find_sightings(frame, self._map, self._mount)
-        self._kept.append(_Glimpse(frame, direction, sightings))
         recent = slice(-_MAX_FRAMES, None)
-        self._kept = self._kept[recent]
         carried = CarriedFrames(
             frame.stamp_ns,
-            [glimpse.frame for glimpse in self._kept],
+            [*(glimpse.frame for glimpse in self._kept), frame][recent],
             np.vstack([poses, np.zeros(3)])[recent],
             np.vstack([variances, np.zeros(3)])[recent],
-        )
+        ).levelled(lean)
+        sightings = find_sightings(carried.frames[-1], self._map, self._mount)
+        self._kept = [*self._kept, _Glimpse(frame, direction, sightings)][recent]
         seen = [glimpse.sightings for glimpse in self._kept]
         outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
         lean_sigma = self._config.lean_sigma_rad
         vain = isinstance(outcome, Refusal) and outcome.reason == UNRECOGNISED
         if vain and lean_sigma and len(self._kept) >= _VAIN:
-            seen = self._leaning(lean_sigma)
+            seen = self._leaning(carried.frames, lean_sigma)
             leaning = locate(
                 carried, seen, self._map, self._mount, self._config, self._looking, lean_sigma
             )
@@ -194,16 +203,14 @@ class Relocalizer:
 
     @property
     def lean_rad(self) -> tuple[float, float]:
-        """By how much the camera looks higher, and leans to its right, by the last place."""
+        """By how much more the camera looks up, and leans to its right, by the last place."""
         return self._lean_rad
 
-    def _leaning(self, lean_sigma_rad: float) -> list[Sightings]:
-        """Sightings in the pictures that are kept, of a camera that may lean."""
-        for k, glimpse in enumerate(self._kept):
+    def _leaning(self, frames: Sequence[CameraFrame], lean_sigma_rad: float) -> list[Sightings]:
+        """Sightings in the pictures that are kept, levelled, of a camera that may lean."""
+        for k, (glimpse, frame) in enumerate(zip(self._kept, frames, strict=True)):
             if glimpse.leaning is None:
-                seen = find_sightings(
-                    glimpse.frame, self._map, self._mount, lean_sigma_rad=lean_sigma_rad
-                )
+                seen = find_sightings(frame, self._map, self._mount, lean_sigma_rad=lean_sigma_rad)
                 self._kept[k] = glimpse._replace(leaning=seen)
         return [glimpse.leaning for glimpse in self._kept if glimpse.leaning is not None]
 
