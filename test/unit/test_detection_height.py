@@ -135,3 +135,21 @@ def test_no_single_row_decides_a_lean() -> None:
         agree = np.all(rolls[:, 0] * np.sign(lean.roll_rad) > 3.0 * rolls[:, 1])
         assert lean.sure == (agree and abs(lean.roll_rad) > 3.0 * lean.roll_sigma_rad)
     assert 20 < sum(told) < len(told) - 20
+
+
+def test_a_height_that_was_measured_wrongly_is_no_lean() -> None:
+    """What is near, on one side of the picture, is shifted more than what is far on the other."""
+    rotation, center = MOUNT.camera_pose_map(POSE, PAN, TILT)
+    aside = np.linspace(-0.35, 0.35, 8)
+    reach = np.linspace(1.2, 4.0, 8)
+    points = center + np.stack([reach * aside, 0.1 * reach, reach], -1) @ rotation.T
+    model = RowModel.of(points, POSE, rotation, center, PLAIN, 0.0)
+    own = 0.2
+    covariance = model.covariance(np.diag([0.003, 0.003, 0.002]) ** 2) + own**2 * np.eye(8)
+    rng = np.random.default_rng(3)
+    for lower_m in (-0.01, 0.01):
+        for _ in range(20):
+            off = lower_m * model.by_height + own * rng.normal(size=8)
+            assert not told_lean(Heights(off, model.by_lean, covariance)).is_roll
+            leans = off + model.by_lean @ [0.0, 0.035]
+            assert told_lean(Heights(leans, model.by_lean, covariance)).is_roll

@@ -14,7 +14,12 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import DetectionResult
-from landmark_nav.localization.detection.height import Lean, TILTED_RAD, told_lean
+from landmark_nav.localization.detection.height import (
+    CAMERA_HEIGHT_SIGMA_M,
+    Lean,
+    TILTED_RAD,
+    told_lean,
+)
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['AimedDetector', 'degrees_aside']
@@ -28,8 +33,6 @@ _HARDLY_ANY, _MOST = 0.25, 0.5
 _LEAST = 3
 # Why matches are refused if the camera has a roll that is not known.
 _BESIDE = ('wrong height', 'peak at the border of the search window')
-# A tilt is a knock if it is also more than heights that are a centimetre off.
-_HEIGHT_M = 0.01
 # Most bearings of a camera that leans are off by one angle, but for so much, and for this share of
 # the angle that the position may be off by.
 _APART_RAD, _APART_SHARE = 0.001, 0.5
@@ -219,7 +222,8 @@ class AimedDetector:
             roll = 0.0
         aim, away = self._seen_aim(result, frame, prior, roll)
         reach = np.hypot(away[:, 0], away[:, 1])
-        doubt_rad = _HEIGHT_M / median(reach.tolist())
+        # It is a knock if it is also more than the camera's height explains.
+        doubt_rad = CAMERA_HEIGHT_SIGMA_M / median(reach.tolist())
         if _sigma_m(prior) * median((np.abs(away[:, 2]) / reach**2).tolist()) > TILTED_RAD:
             # The position is too uncertain: from nearer by, high landmarks appear higher.
             aim[1] = self._aim[1]

@@ -11,7 +11,18 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray
 
-__all__ = ['TILTED_RAD', 'Heights', 'Lean', 'RowModel', 'told_lean', 'wrong_heights']
+__all__ = [
+    'CAMERA_HEIGHT_SIGMA_M',
+    'TILTED_RAD',
+    'Heights',
+    'Lean',
+    'RowModel',
+    'told_lean',
+    'wrong_heights',
+]
+
+# The camera hangs so much higher or lower than was measured with a tape.
+CAMERA_HEIGHT_SIGMA_M = 0.01
 
 # With fewer matches a wrong height cannot be told from a wrong tilt.
 _LEAST_HEIGHTS = 3
@@ -72,8 +83,11 @@ class RowModel(NamedTuple):
         return cls(by[:, :3], by[:, 3:5], by[:, 5])
 
     def covariance(self, pose_covariance: FloatArray) -> FloatArray:
-        """Covariance (n, n) of the rows by errors of the pose."""
-        return np.asarray(self.by_pose @ pose_covariance @ self.by_pose.T)
+        """Covariance (n, n) of the rows by errors of the pose and of the camera's height."""
+        # Unlike a tilt, a height shifts what is near more than what is far.
+        by_height = CAMERA_HEIGHT_SIGMA_M * self.by_height
+        by_pose = self.by_pose @ pose_covariance @ self.by_pose.T
+        return np.asarray(by_pose + np.outer(by_height, by_height))
 
 
 class Heights(NamedTuple):
