@@ -183,7 +183,8 @@ def test_a_camera_leans_where_most_of_what_hangs_too_high_or_low_is_found_again(
 
     off_px = 400.0 * np.array([-0.4, -0.1, 0.1, 0.4])
     by_lean = np.column_stack([np.full(4, 400.0), off_px])
-    level = Heights(np.zeros(4), by_lean, 0.01 * np.eye(4))
+    points = np.column_stack([np.arange(4.0), np.zeros((4, 2))])
+    level = Heights(np.zeros(4), by_lean, 0.01 * np.eye(4), points)
     leaning = level._replace(off_px=roll_rad * off_px)
 
     def only(count: int, *, told: bool) -> DetectionResult:

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection.height import Heights, RowModel, told_lean, wrong_heights
+from landmark_nav.localization.detection.height import (
+    CAMERA_HEIGHT_SIGMA_M,
+    Heights,
+    Lean,
+    RowModel,
+    told_lean,
+    wrong_heights,
+)
 from landmark_nav.types import FloatArray
 
 PLAIN = CameraModel(512, 512, 555.0, 555.0, 256.0, 256.0, distortion=(-0.1, 0.02, 0.0, 0.0))
@@ -71,13 +78,51 @@ def test_derivatives_are_those_of_the_camera(
     np.testing.assert_allclose(model.by_height, by[5], rtol=1e-3, atol=0.05)
 
 
+POSE_SIGMA = np.array([0.01, 0.01, 0.005])
+
+
+def rows_of(model: RowModel, own_px: float, sigma: FloatArray = POSE_SIGMA) -> FloatArray:
+    """Covariance (8, 8) of rows, of points that are where they seem to be."""
+    none = np.zeros((8, 3, 3))
+    return model.covariance(np.diag(sigma**2), none, none) + own_px**2 * np.eye(8)
+
+
+def test_rows_vary_with_pose_camera_and_points() -> None:
+    model, points = model_of(PLAIN, 0.8)
+    rng = np.random.default_rng(7)
+    own_sigma = np.array([0.002, 0.004, 0.001])
+    shared = 0.003 * rng.normal(size=(8, 3, 2))
+    claimed = model.covariance(
+        np.diag(POSE_SIGMA**2), np.tile(np.diag(own_sigma**2), (8, 1, 1)), shared
+    )
+    expected = rows_at(POSE, points, 0.0)
+    off = np.array(
+        [
+            rows_at(
+                POSE + POSE_SIGMA * rng.normal(size=3),
+                points + own_sigma * rng.normal(size=(8, 3)) + shared @ rng.normal(size=2),
+                CAMERA_HEIGHT_SIGMA_M * rng.normal(),
+            )
+            - expected
+            for _ in range(4000)
+        ]
+    )
+    scale = np.sqrt(np.diag(claimed))
+    np.testing.assert_allclose(
+        np.cov(off.T) / np.outer(scale, scale), claimed / np.outer(scale, scale), atol=0.07
+    )
+
+
+def rows_at(pose: FloatArray, points: FloatArray, higher_m: float) -> FloatArray:
+    """Rows (n,) of points seen by a camera that hangs higher than was measured."""
+    rotation, center = MOUNT.camera_pose_map(pose, PAN, TILT)
+    return PLAIN.project((points - center - [0.0, 0.0, higher_m]) @ rotation)[:, 1]
+
+
 @pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
 def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: CameraModel) -> None:
     model, _ = model_of(camera, 0.8)
-    own = 0.15
-    shared = model.covariance(np.diag([0.01, 0.01, 0.005]) ** 2)
-    shared += 0.002**2 * model.by_lean @ model.by_lean.T
-    covariance = shared + own**2 * np.eye(8)
+    covariance = rows_of(model, 0.15) + 0.002**2 * model.by_lean @ model.by_lean.T
     rng = np.random.default_rng(2)
     refused = 0
     for _ in range(300):
@@ -98,43 +143,62 @@ def test_two_heights_do_not_tell_which_is_wrong() -> None:
 def test_a_lean_is_told_by_all_rows_together_and_not_by_any_single_one(
     camera: CameraModel,
 ) -> None:
-    model, _ = model_of(camera, 0.8)
-    own, runs, leant = 0.3, 200, np.array([0.01, -0.03])
-    covariance = model.covariance(np.diag([0.01, 0.01, 0.005]) ** 2) + own**2 * np.eye(8)
+    model, points = model_of(camera, 0.8)
+    runs, leant = 200, np.array([0.01, -0.03])
+    covariance = rows_of(model, 0.3)
     rng = np.random.default_rng(4)
+
+    def lean_of(off: FloatArray) -> Lean:
+        return told_lean(Heights(off, model.by_lean, covariance, points))
+
     squares, level, mistaken, told = [], 0, 0, 0
     for _ in range(runs):
         off = rng.multivariate_normal(np.zeros(8), covariance)
-        level += told_lean(Heights(off, model.by_lean, covariance)).sure
-        lean = told_lean(Heights(off + model.by_lean @ leant, model.by_lean, covariance))
+        level += lean_of(off).sure
+        lean = lean_of(off + model.by_lean @ leant)
         told += lean.sure
         squares.append(((lean.roll_rad - leant[1]) / lean.roll_sigma_rad) ** 2)
         off[int(rng.integers(8))] += 5.0 * rng.choice([-1.0, 1.0])
-        mistaken += told_lean(Heights(off, model.by_lean, covariance)).sure
+        mistaken += lean_of(off).sure
     assert told == runs
     assert level + mistaken <= 2
     assert 0.75 < np.mean(squares) < 1.3
 
 
-def test_no_single_row_decides_a_lean() -> None:
-    """As if each in turn were left out and all were worked out anew."""
-    model, _ = model_of(PLAIN, 0.8)
-    shared = model.covariance(np.diag([0.01, 0.01, 0.005]) ** 2)
+def test_no_single_thing_on_a_wall_decides_a_lean() -> None:
+    """As if all that is near to each in turn were left out, and all were worked out anew."""
+    model, points = model_of(PLAIN, 0.8)
+    near = np.linalg.norm(points[:, None] - points, axis=-1) < 0.5
+    assert 1 < near.sum(axis=1).max() < 5
+    shared = rows_of(model, 0.0)
     rng = np.random.default_rng(11)
     told = []
     for _ in range(100):
         covariance = shared + np.diag(rng.uniform(0.1, 1.0, 8))
-        off = rng.multivariate_normal(model.by_lean @ [0.0, 0.012], covariance)
-        heights = Heights(off, model.by_lean, covariance)
-        left = [heights.chosen(np.arange(8) != k) for k in range(8)]
-        rolls = np.array([told_lean(some)[1:3] for some in left])
+        off = rng.multivariate_normal(model.by_lean @ [0.0, 0.014], covariance)
+        heights = Heights(off, model.by_lean, covariance, points)
+        left = [told_lean(heights.chosen(~out)) for out in near]
         lean = told_lean(heights)
-        if lean.matches < 8 or any(told_lean(some).matches < 7 for some in left):
+        if lean.matches < 8 or [one.matches for one in left] != np.sum(~near, axis=1).tolist():
             continue
         told.append(lean.sure)
+        rolls = np.array([one[1:3] for one in left])
         agree = np.all(rolls[:, 0] * np.sign(lean.roll_rad) > 3.0 * rolls[:, 1])
         assert lean.sure == (agree and abs(lean.roll_rad) > 3.0 * lean.roll_sigma_rad)
-    assert 20 < sum(told) < len(told) - 20
+    assert 15 < sum(told) < len(told) - 15
+
+
+def test_a_poster_that_was_exchanged_is_no_lean() -> None:
+    """Two things are in view; what hangs now instead of one of them looks like it, and higher."""
+    by_roll = np.array([-3.0, -1.0, 1.0, 3.0, 140.0, 150.0, 160.0, 170.0])
+    exchanged = by_roll > 10.0
+    by_lean = np.column_stack([np.full(8, 560.0), by_roll])
+    off = np.where(exchanged, 0.012 * by_roll, 0.0)
+    covariance = 1.0 + 0.15**2 * np.eye(8)
+    two_things = np.where(exchanged[:, None], [0.0, 1.0, 1.5], [4.0, 1.0, 1.5])
+    eight_things = np.arange(8.0)[:, None] * [1.0, 0.0, 0.0]
+    assert not told_lean(Heights(off, by_lean, covariance, two_things)).sure
+    assert told_lean(Heights(off, by_lean, covariance, eight_things)).sure
 
 
 def test_a_height_that_was_measured_wrongly_is_no_lean() -> None:
@@ -145,11 +209,11 @@ def test_a_height_that_was_measured_wrongly_is_no_lean() -> None:
     points = center + np.stack([reach * aside, 0.1 * reach, reach], -1) @ rotation.T
     model = RowModel.of(points, POSE, rotation, center, PLAIN, 0.0)
     own = 0.2
-    covariance = model.covariance(np.diag([0.003, 0.003, 0.002]) ** 2) + own**2 * np.eye(8)
+    covariance = rows_of(model, own, np.array([0.003, 0.003, 0.002]))
     rng = np.random.default_rng(3)
     for lower_m in (-0.01, 0.01):
         for _ in range(20):
             off = lower_m * model.by_height + own * rng.normal(size=8)
-            assert not told_lean(Heights(off, model.by_lean, covariance)).is_roll
+            assert not told_lean(Heights(off, model.by_lean, covariance, points)).is_roll
             leans = off + model.by_lean @ [0.0, 0.035]
-            assert told_lean(Heights(leans, model.by_lean, covariance)).is_roll
+            assert told_lean(Heights(leans, model.by_lean, covariance, points)).is_roll

@@ -14,6 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import DetectionResult
+from landmark_nav.localization.detection.expectation import LEAST_WINDOW_PX
 from landmark_nav.localization.detection.height import (
     CAMERA_HEIGHT_SIGMA_M,
     Lean,
@@ -164,6 +165,9 @@ class AimedDetector:
         for roll in (lean.roll_rad, 0.0) if lean.is_roll else (0.0,):
             leaning = self.leaning_rad + roll
             aim, _ = self._seen_aim(around, frame, prior, leaning)
+            if np.abs(aim - self._aim).max() * frame.camera.fx < LEAST_WINDOW_PX:
+                # That little aside everything would have been found at once: this is no knock.
+                continue
             again = self._search(frame, wide, expected, config, aim)
             right = self._tells(again, expected) and not _many_beside(again)
             if roll:

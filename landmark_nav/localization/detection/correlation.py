@@ -114,7 +114,7 @@ def detect_landmarks(
             refused[landmark.id] = match
         else:
             found.append(match)
-    heights = _heights(found, view, config)
+    heights = _heights(found, landmark_map, view, config)
     wrong = heights.wrong(config.vertical_sigma_px / view.camera.fy)
     if wrong.any():
         refused |= {
@@ -225,21 +225,23 @@ def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
     return template[v : height - v, u : width - u]
 
 
-def _heights(found: Sequence[_Found], view: View, config: DetectionConfig) -> Heights:
+def _heights(
+    found: Sequence[_Found], landmark_map: LandmarkMap, view: View, config: DetectionConfig
+) -> Heights:
     """Rows of matches beside those that were expected."""
+    index = landmark_map.indices(np.array([f.landmark.id for f in found], dtype=np.int64))
+    points = landmark_map.positions[index]
     rows = RowModel.of(
-        np.array([f.landmark.position for f in found]).reshape(-1, 3),
-        view.prior.pose,
-        view.rotation,
-        view.center,
-        view.camera,
-        view.roll_rad,
+        points, view.prior.pose, view.rotation, view.center, view.camera, view.roll_rad
     )
     off_px = np.array([f.down_px for f in found])
-    own = rows.by_height**2 * [f.landmark.covariance[2, 2] for f in found]
-    own += [f.match.covariance[1, 1] + config.lens_sigma_px**2 for f in found]
-    covariance = rows.covariance(view.prior.covariance) + np.diag(own)
-    return Heights(off_px, rows.by_lean, covariance)
+    by_match = [f.match.covariance[1, 1] + config.lens_sigma_px**2 for f in found]
+    covariance = rows.covariance(
+        view.prior.covariance,
+        landmark_map.own_covariances[index],
+        landmark_map.shared_loadings[index],
+    )
+    return Heights(off_px, rows.by_lean, covariance + np.diag(by_match), points)
 
 
 def _bearings(

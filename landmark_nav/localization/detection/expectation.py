@@ -13,8 +13,10 @@ from landmark_nav.geometry.patches import rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
-__all__ = ['NOT_LOOKED_FOR', 'Expectation', 'View', 'expect', 'quadratic']
+__all__ = ['LEAST_WINDOW_PX', 'NOT_LOOKED_FOR', 'Expectation', 'View', 'expect', 'quadratic']
 
+# It is searched so far around, however sure the prior is.
+LEAST_WINDOW_PX = 4
 NOT_LOOKED_FOR = _OUT_OF_VIEW, _TOO_SMALL = 'out of view', 'too small or cut off'
 
 
@@ -117,7 +119,8 @@ def _windows(
     # Off the optical axis an error of the bearing moves landmarks vertically as well.
     sigma_v += np.abs(aside) * rise * sigma_u
     sigmas = np.array([sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)]).T
-    window = np.clip(np.ceil(config.window_sigmas * sigmas + 2.0), 4, config.max_window_px)
+    half = np.ceil(config.window_sigmas * sigmas + 2.0)
+    window = np.clip(half, LEAST_WINDOW_PX, config.max_window_px)
     return [(u, v) for u, v in window.astype(int).tolist()]
 
 

@@ -34,9 +34,9 @@ _WRONG = 4.0
 TILTED_RAD = 0.005
 # Sigma of a tilt and a roll of which nothing is known.
 _ANY_RAD = 0.1
-# A roll is sure if it is so many sigmas off, whichever of so many matches is left out, and if so
-# large a share of all agree.
-_SURE, _LEAST_SURE, _MOST = 3.0, 4, 0.6
+# A roll is sure if it is so many sigmas off, of so many matches, if so large a share of all agree,
+# and whichever of them are left out that are so near to each other: pictures are exchanged whole.
+_SURE, _LEAST_SURE, _MOST, _NEAR_M = 3.0, 4, 0.6, 0.5
 
 
 class RowModel(NamedTuple):
@@ -82,12 +82,30 @@ class RowModel(NamedTuple):
         by = ((rows[1:] - rows[0]) / _STEP).T
         return cls(by[:, :3], by[:, 3:5], by[:, 5])
 
-    def covariance(self, pose_covariance: FloatArray) -> FloatArray:
-        """Covariance (n, n) of the rows by errors of the pose and of the camera's height."""
+    def covariance(
+        self, pose_covariance: FloatArray, own: FloatArray, shared: FloatArray
+    ) -> FloatArray:
+        """
+        Covariance (n, n) of the rows by errors of pose, camera height and points.
+
+        Parameters
+        ----------
+        pose_covariance : ndarray, shape (3, 3)
+            Of the base.
+        own : ndarray, shape (n, 3, 3)
+            Covariance of what each point is off by itself.
+        shared : ndarray, shape (n, 3, F)
+            Loadings of what they have in common.
+
+        """
+        by_point = np.column_stack([-self.by_pose[:, :2], self.by_height])[:, None]
         # Unlike a tilt, a height shifts what is near more than what is far.
-        by_height = CAMERA_HEIGHT_SIGMA_M * self.by_height
+        common = np.column_stack(
+            [(by_point @ shared)[:, 0], CAMERA_HEIGHT_SIGMA_M * self.by_height]
+        )
         by_pose = self.by_pose @ pose_covariance @ self.by_pose.T
-        return np.asarray(by_pose + np.outer(by_height, by_height))
+        by_own = (by_point @ own @ by_point.swapaxes(1, 2))[:, 0, 0]
+        return np.asarray(by_pose + common @ common.T + np.diag(by_own))
 
 
 class Heights(NamedTuple):
@@ -102,24 +120,28 @@ class Heights(NamedTuple):
         Their derivatives by tilt and roll of the camera, px/rad.
     covariance : ndarray, shape (n, n)
         Of `off_px`, by anything but tilt and roll.
+    points : ndarray, shape (n, 3)
+        Where the landmarks are in map, metres.
 
     """
 
     off_px: FloatArray
     by_lean: FloatArray
     covariance: FloatArray
+    points: FloatArray
 
     @staticmethod
     def joined(parts: Sequence[Heights]) -> Heights:
         """Those of several pictures, whose errors are taken to have nothing in common."""
         off_px = np.concatenate([np.empty(0), *(part.off_px for part in parts)])
         by_lean = np.concatenate([np.empty((0, 2)), *(part.by_lean for part in parts)])
+        points = np.concatenate([np.empty((0, 3)), *(part.points for part in parts)])
         covariance = np.zeros((len(off_px), len(off_px)))
         first = 0
         for part in parts:
             rows = slice(first, first := first + len(part.off_px))
             covariance[rows, rows] = part.covariance
-        return Heights(off_px, by_lean, covariance)
+        return Heights(off_px, by_lean, covariance, points)
 
     @property
     def may_tell_a_roll(self) -> bool:
@@ -137,7 +159,12 @@ class Heights(NamedTuple):
 
     def chosen(self, keep: npt.NDArray[np.bool_]) -> Heights:
         """Return some of them."""
-        return Heights(self.off_px[keep], self.by_lean[keep], self.covariance[np.ix_(keep, keep)])
+        return Heights(
+            self.off_px[keep],
+            self.by_lean[keep],
+            self.covariance[np.ix_(keep, keep)],
+            self.points[keep],
+        )
 
 
 class Lean(NamedTuple):
@@ -145,7 +172,8 @@ class Lean(NamedTuple):
     By how much a camera's tilt is larger, and it leans to its right, than was assumed; radians.
 
     `matches` is how many tell so, wrong heights left out; `roll_sigma_rad` is the roll's sigma;
-    `sure` tells whether they are most of all, and all of them but any one say so.
+    `sure` tells whether they are most of all, and whether those say so as well that are left
+    without any one thing on a wall.
     """
 
     tilt_rad: float = 0.0
@@ -166,29 +194,28 @@ def told_lean(heights: Heights) -> Lean:
     count = int(fits.sum())
     if count < _LEAST_HEIGHTS:
         return Lean()
-    heights = heights.chosen(fits)
-    off_px, by_lean, covariance = heights
+    off_px, by_lean, covariance, points = heights.chosen(fits)
     inverse = np.linalg.inv(covariance)
     weighted = inverse @ by_lean
     information, told = by_lean.T @ weighted + np.eye(2) / _ANY_RAD**2, off_px @ weighted
     (tilt, roll), sigma = _solved(information, told)
     sure = count >= max(_LEAST_SURE, _MOST * len(fits)) and abs(roll) > _SURE * sigma
     if sure:
-        # The inverse of a covariance with one row left out is a rank-one update of the whole.
-        own = np.diag(inverse)[:, None]
-        less = weighted[:, :, None] * weighted[:, None] / own[..., None]
-        (_, without), doubt = _solved(
-            information - less, told - weighted * (inverse @ off_px)[:, None] / own
-        )
-        sure = bool(np.all(without * np.sign(roll) > _SURE * doubt))
+        near = np.linalg.norm(points[:, None] - points, axis=-1) < _NEAR_M
+        for out in np.unique(near, axis=0):
+            # Least squares without some rows differ from those with all by their rank.
+            less = np.linalg.solve(inverse[np.ix_(out, out)], weighted[out]).T
+            (_, without), doubt = _solved(
+                information - less @ weighted[out], told - less @ (inverse @ off_px)[out]
+            )
+            sure &= bool(without * np.sign(roll) > _SURE * doubt)
     return Lean(float(tilt), float(roll), float(sigma), count, sure)
 
 
-def _solved(information: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Tilt and roll (2, ...) of least squares, and the sigma (...) of the roll."""
+def _solved(information: FloatArray, told: FloatArray) -> tuple[FloatArray, float]:
+    """Tilt and roll (2,) of least squares, and the sigma of the roll."""
     spread = np.linalg.inv(information)
-    lean = np.einsum('...ij,...j->i...', spread, told)
-    return lean, np.sqrt(spread[..., 1, 1])
+    return spread @ told, float(np.sqrt(spread[1, 1]))
 
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:

@@ -100,7 +100,7 @@ class MapErrors:
     def of(landmark_map: LandmarkMap) -> MapErrors:
         """Return those of a map of which nothing was seen yet."""
         loadings = landmark_map.shared_loadings[:, :2]
-        own = landmark_map.covariances[:, :2, :2] - loadings @ loadings.swapaxes(1, 2)
+        own = landmark_map.own_covariances[:, :2, :2]
         count, _, factors = loadings.shape
         nothing = np.zeros(factors + 3 * count)
         return MapErrors(landmark_map.positions[:, :2], loadings, own, nothing)
