@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.types import CameraFrame, ImageArray, PoseEstimate
+from landmark_nav.geometry.se2 import relative
+from landmark_nav.types import CameraFrame, FloatArray, ImageArray, OdometrySample
 
 __all__ = ['FrozenPicture']
 
@@ -14,24 +15,33 @@ _MOVED_PX, _MOVED_M = 1.0, 0.02
 
 
 class FrozenPicture:
-    """Recognises pictures that equal an earlier one although the camera has moved."""
+    """
+    Recognises pictures that equal an earlier one although the camera has moved.
+
+    Joints and odometry tell whether it has: a pose in map is also put right where nothing moves.
+    """
 
     def __init__(self) -> None:
-        self._first: tuple[CameraFrame, PoseEstimate] | None = None
+        self._pose_odom: FloatArray = np.zeros(3)
+        self._first: tuple[CameraFrame, FloatArray] | None = None
 
-    def repeats(self, frame: CameraFrame, pose: PoseEstimate) -> bool:
-        """Whether a picture, taken at a pose of the base, equals one from elsewhere exactly."""
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Move on."""
+        self._pose_odom = sample.pose_odom_base
+
+    def repeats(self, frame: CameraFrame) -> bool:
+        """Whether a picture, taken after the last odometry, equals one from elsewhere exactly."""
         if self._first is None or not _same(frame.image, self._first[0].image):
-            self._first = frame, pose
+            self._first = frame, self._pose_odom
             return False
         before, there = self._first
         if not np.ptp(frame.image):
             # The lens is covered: then all pictures are the same.
             return False
-        aside = wrap_rad(frame.pan_rad + pose.pose[2] - before.pan_rad - there.pose[2])
+        forward, left, heading = relative(there, self._pose_odom).tolist()
+        aside = wrap_rad(frame.pan_rad + heading - before.pan_rad)
         turn = max(abs(float(aside)), abs(frame.tilt_rad - before.tilt_rad))
-        way = float(np.hypot(*(pose.pose - there.pose)[:2]))
-        return turn * frame.camera.fx > _MOVED_PX or way > _MOVED_M
+        return turn * frame.camera.fx > _MOVED_PX or np.hypot(forward, left) > _MOVED_M
 
 
 def _same(image: ImageArray, other: ImageArray) -> bool:

@@ -156,6 +156,7 @@ class Observer:
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
+        self._frozen.add_odometry(sample)
         self._gatherer.add_odometry(sample)
 
     def look(
@@ -181,7 +182,7 @@ class Observer:
             Delay of the stamps of the joints.
 
         """
-        if self._frozen.repeats(frame, prior):
+        if self._frozen.repeats(frame):
             return Observation(_nothing(frame.stamp_ns), {}, _FROZEN, unusable=True)
         config = self._config
         frame, pan_sigma = in_time(frame, late)

@@ -6,15 +6,25 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from picture_drives import MAP, MOUNT, START, START_SIGMA, Step
+from picture_drives import MAP, MOUNT, picture, START, START_SIGMA, Step
 import pytest
 from spoiled_drives import check_honest, FAULT_S, first, pan_rad, run, Sensed
 
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.frozen import FrozenPicture
 from landmark_nav.localization.joint_delay import in_time, JointDelay, seen_in_time
-from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
-from landmark_nav.types import CameraFrame, Detections, FloatArray, PoseEstimate
+from landmark_nav.localization.pipeline import (
+    LocalizationConfig,
+    LocalizationUpdate,
+    Localizer,
+)
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    FloatArray,
+    OdometrySample,
+    PoseEstimate,
+)
 
 LATE_S = 0.2
 
@@ -158,14 +168,32 @@ def test_pictures_that_freeze_are_told_and_not_used(sensed: list[Sensed]) -> Non
 def test_a_picture_may_stay_the_same_while_nothing_moves(sensed: list[Sensed]) -> None:
     _, frame = next(pair for pair in sensed if pair[1] is not None)
     assert frame is not None
-    here = PoseEstimate(0, START, np.eye(3))
     frozen = FrozenPicture()
-    assert not any(frozen.repeats(frame, here) for _ in range(3))
+    assert not any(frozen.repeats(frame) for _ in range(3))
     turned = replace(frame, pan_rad=frame.pan_rad + 0.02)
-    assert frozen.repeats(turned, here)
+    assert frozen.repeats(turned)
+    for moved in ([0.03, 0.0, 0.0], [0.0, 0.0, 0.02]):
+        frozen.add_odometry(OdometrySample(0, np.array(moved)))
+        assert frozen.repeats(frame)
+    frozen.add_odometry(OdometrySample(0, np.zeros(3)))
+    assert not frozen.repeats(frame)
     black = replace(turned, image=np.zeros_like(frame.image))
-    assert not frozen.repeats(black, here)
-    assert not frozen.repeats(replace(black, pan_rad=0.0), here)
+    assert not frozen.repeats(black)
+    assert not frozen.repeats(replace(black, pan_rad=0.0))
+
+
+def test_a_camera_without_noise_that_stands_goes_on() -> None:
+    """As in a simulator; the first picture corrects a start that was a little off."""
+    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    covariance = np.diag(np.square([0.05, 0.05, 0.035]))
+    localizer.initialize(PoseEstimate(0, START + [0.03, -0.02, 0.01], covariance))
+    for k in range(12):
+        stamp_ns = k * 200_000_000
+        localizer.add_odometry(OdometrySample(stamp_ns, np.zeros(3)))
+        update = localizer.add_frame(replace(picture(START, 0.0), stamp_ns=stamp_ns))
+        assert isinstance(update, LocalizationUpdate)
+        assert update.status == 'tracking'
+        assert update.fusion.degrees >= 3
 
 
 def test_the_lag_of_a_pan_is_exact_where_it_speeds_up() -> None:

@@ -222,3 +222,22 @@ class TestTrack:
         np.testing.assert_array_equal(
             track.motion(620_000_000, 910_000_000).increment, before.increment
         )
+
+
+def test_a_source_that_tells_no_speeds_goes_on_as_its_poses_did() -> None:
+    """As scan matchers publish it."""
+    told, untold = circle_track(), OdometryTrack(CONFIG)
+    for k in range(11):
+        untold.add(replace(sample(0.1 * k), linear_m_s=0.0, angular_rad_s=0.0))
+    ahead = round(1e9), round(1.1e9)
+    expected, motion = told.motion(*ahead), untold.motion(*ahead)
+    np.testing.assert_allclose(motion.increment, expected.increment, atol=2e-3)
+    assert motion.ahead_s4 == expected.ahead_s4
+
+
+def test_a_source_that_has_told_speeds_stands_where_it_tells_none() -> None:
+    track = OdometryTrack(CONFIG)
+    for k, speed in enumerate([0.0, 0.5, 0.0]):
+        track.add(OdometrySample(k * 10**8, np.array([0.02 * k, 0.0, 0.0]), speed))
+    motion = track.motion(2 * 10**8, 3 * 10**8)
+    np.testing.assert_array_equal(motion.increment, np.zeros(3))

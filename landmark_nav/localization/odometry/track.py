@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -41,7 +41,7 @@ class OdometryTrack:
     Where the source jumps, the motion goes on with the last twist and counts as blind: nothing is
     known of it. Samples whose pose has frozen are left out. After the last sample, and before the
     first, the twist is extrapolated for a short while; beyond that no motion is assumed, and the
-    time counts as blind.
+    time counts as blind. A source that has told no speeds so far has those of its poses.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:
@@ -57,6 +57,7 @@ class OdometryTrack:
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
         self._stands_since_ns: int | None = None
+        self._tells_speeds = False
         self._jitter = Jitter()
 
     @property
@@ -81,6 +82,7 @@ class OdometryTrack:
 
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
+        self._tells_speeds |= bool(sample.linear_m_s or sample.angular_rad_s)
         if not all(map(math.isfinite, (*pose_odom, sample.linear_m_s, sample.angular_rad_s))):
             return Refusal('odometry is not a number')
         last = self._last
@@ -105,6 +107,9 @@ class OdometryTrack:
         if jumped:
             known = min(seconds, HORIZON_S)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
+        if not self._tells_speeds:
+            forward, _, turned = (increment / seconds).tolist()
+            sample = replace(sample, linear_m_s=forward, angular_rad_s=turned)
         blind = jumped or seconds > self._config.max_gap_s
         if blind or same_pose:
             self._jitter.interrupt()
