@@ -279,12 +279,6 @@ class LandmarkMap:
         return np.array(loadings, dtype=np.float64) if loadings else np.zeros((0, 3, 0))
 
     @cached_property
-    def own_covariances(self) -> FloatArray:
-        """Covariances without what they have in common, (n, 3, 3)."""
-        shared = self.shared_loadings
-        return np.asarray(self.covariances - shared @ shared.swapaxes(1, 2))
-
-    @cached_property
     def joint_covariance_xy(self) -> FloatArray:
         """Joint covariance of all (x, y), (2n, 2n), with the part that landmarks share."""
         n = len(self.landmarks)

@@ -194,7 +194,7 @@ class Localizer:
         if self._unseen.lasts and isinstance(outcome, UnsurePlace):
             # No landmark is expected here, so only another place can contradict the pose.
             self._filter.contradict(outcome.place, str(outcome))
-        status, reason = self._filter.status
+        status, reason = self._filter.status_at(frame.stamp_ns)
         fused = self._filter.estimate(frame.stamp_ns) or update.fused
         return replace(update, fused=fused, status=status, reason=reason, search=outcome)
 
@@ -244,7 +244,7 @@ class Localizer:
                 update = self._filter.no_pose(stamp_ns, seen.fix)
         fused = self._filter.estimate(stamp_ns)
         assert fused is not None, 'it was initialized'
-        status, reason = self._filter.status
+        status, reason = self._filter.status_at(stamp_ns)
         with_landmarks = self._filter.with_landmarks(stamp_ns)
         return LocalizationUpdate(
             stamp_ns, triplet, seen, update, fused, str(status), reason, with_landmarks

@@ -99,6 +99,7 @@ class OdometryFusionNode(LandmarkNode):
         self._accepted = self._rejected = 0
         self._last: OdometrySample | None = None
         self._heard_ns = 0
+        self._told_ns: int | None = None
         self._odom_frame = 'odom'
         self._latency = Latency()
         self._waiting: deque[Detections | FoundPlace] = deque()
@@ -172,12 +173,16 @@ class OdometryFusionNode(LandmarkNode):
             sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)
             start = replace(start, covariance=np.diag(np.square(sigma)))
         self._start(start, 'start')
+        self._told_ns = None if self._last is None else self._now_ns()
+        self._waiting = deque(one for one in self._waiting if isinstance(one, Detections))
 
     def _on_found_place(self, message: Any) -> None:
         decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
         place = decode.found_place(message)
         if not self._filter.reaches(place.stamp_ns):
             raise LandmarkNavError('it is of a picture from before the odometry that is kept')
+        if self._told_ns is not None and place.stamp_ns <= self._told_ns:
+            raise LandmarkNavError('it is of a picture from before the start pose that was told')
         self._waiting.append(place)
         self._use_waiting()
 
@@ -193,13 +198,17 @@ class OdometryFusionNode(LandmarkNode):
             return
         self._last_message = message
         sample = decode.odometry(message)
-        self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
-        self._odom_frame = message.header.frame_id
         refusal = self._filter.add_odometry(sample)
         if isinstance(refusal, Distrusted):
             self.note(str(refusal))
         elif refusal is not None:
+            # What is late, or hangs, does not move the filter on.
             raise LandmarkNavError(str(refusal))
+        if self._last is not None and sample.stamp_ns < self._last.stamp_ns:
+            # The clock was set back: by this one nothing was told yet.
+            self._told_ns = None
+        self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
+        self._odom_frame = message.header.frame_id
         self._use_waiting()
         estimate = self._filter.estimate(sample.stamp_ns)
         if estimate is not None:

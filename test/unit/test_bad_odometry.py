@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import fusion_drives
 import numpy as np
-from picture_drives import error_of, MAP, MOUNT, START, START_SIGMA, Step
+from picture_drives import error_of, MAP, MOUNT, picture, START, START_SIGMA, Step
 import pytest
 from spoiled_drives import (
     FAULT_S,
@@ -16,8 +17,9 @@ from spoiled_drives import (
 )
 
 from landmark_nav.geometry import se2
+from landmark_nav.localization.fusion import PoseFilter
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
-from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, OdometrySample, PoseEstimate
 
 
 def jumping(k: int, step: Step) -> Step | None:
@@ -178,3 +180,48 @@ def test_a_clock_set_back_by_a_second_is_no_second_of_silence(sensed: list[Sense
     assert 'back' in first(moments, 'coasting').reason
     assert all(np.hypot(*m.error[:2]) < 0.07 and m.nees < 25.0 for m in later)
     assert {m.status for m in later if m.after_s > 2.5} == {'tracking'}
+
+
+def reckoned(ahead_ns: int = 0) -> tuple[PoseFilter, OdometrySample]:
+    """Drive by odometry alone, with one sample of the future on the way; the last sample."""
+    fused = PoseFilter(fusion_drives.landmark_map(10), fusion_drives.MOUNT)
+    fused.initialize(fusion_drives.start_estimate())
+    for k, moment in enumerate(fusion_drives.drive(60)):
+        fused.add_odometry(moment.odometry)
+        if k == 30 and ahead_ns:
+            stamp_ns = moment.odometry.stamp_ns + ahead_ns
+            refusal = fused.add_odometry(replace(moment.odometry, stamp_ns=stamp_ns))
+            assert refusal is not None
+            assert refusal.reason == 'odometry is ahead'
+    return fused, moment.odometry
+
+
+@pytest.mark.parametrize('ahead_s', [3, 60])
+def test_one_sample_of_the_future_is_not_believed(ahead_s: int) -> None:
+    """Nor does it make the pose unsure; a pause is over with its second sample."""
+    usual, last = reckoned()
+    fused, _ = reckoned(ahead_s * 10**9)
+    expected, estimate = usual.estimate(), fused.estimate()
+    assert expected is not None
+    assert estimate is not None
+    assert estimate.stamp_ns == last.stamp_ns
+    np.testing.assert_array_equal(estimate.covariance, expected.covariance)
+    for k in (0, 1):
+        stamp_ns = last.stamp_ns + ahead_s * 10**9 + k * 50_000_000
+        refusal = fused.add_odometry(replace(last, stamp_ns=stamp_ns))
+        assert (refusal is None) == (k == 1)
+    assert fused.status[0] == 'lost'
+
+
+def test_pictures_that_show_nothing_do_not_hold_up_the_verdict_where_odometry_stops() -> None:
+    localizer = Localizer(LandmarkMap(()), MOUNT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    localizer.add_odometry(OdometrySample(0, np.zeros(3)))
+    told = []
+    for k in range(50):
+        update = localizer.add_frame(replace(picture(START, 0.0), stamp_ns=k * 200_000_000))
+        assert isinstance(update, LocalizationUpdate)
+        told.append(update.status)
+    assert told[0] == 'tracking'
+    assert 'tracking' not in told[10:]
+    assert told[-1] == 'lost'

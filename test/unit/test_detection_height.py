@@ -92,9 +92,8 @@ def test_rows_vary_with_pose_camera_and_points() -> None:
     rng = np.random.default_rng(7)
     own_sigma = np.array([0.002, 0.004, 0.001])
     shared = 0.003 * rng.normal(size=(8, 3, 2))
-    claimed = model.covariance(
-        np.diag(POSE_SIGMA**2), np.tile(np.diag(own_sigma**2), (8, 1, 1)), shared
-    )
+    points_covariance = np.diag(own_sigma**2) + shared @ shared.swapaxes(1, 2)
+    claimed = model.covariance(np.diag(POSE_SIGMA**2), points_covariance, shared)
     expected = rows_at(POSE, points, 0.0)
     off = np.array(
         [

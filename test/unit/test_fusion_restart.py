@@ -21,7 +21,7 @@ from landmark_nav.localization.fusion.state import (
 )
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.types import PoseEstimate
+from landmark_nav.types import LandmarkMap, PoseEstimate
 
 MAP = landmark_map(10)
 SIGMA_RAD = 5e-4
@@ -94,6 +94,36 @@ def test_a_new_map_makes_a_found_place_no_surer() -> None:
     assert fused.status[0] == 'coasting'
     fused.change_map(MAP)
     assert fused.status[0] == 'coasting'
+
+
+def test_the_same_map_told_again_leaves_what_the_pose_shares_with_it() -> None:
+    """A learner that is started anew, or loads its map again; ids may be others."""
+    fused, _ = driven(60)
+    before = fused.state
+    assert before is not None
+    assert np.abs(before.cross).max() > 0.0
+    again = tuple(replace(k, id=k.id + 100) for k in MAP.landmarks)
+    for landmark_map_again in (MAP, LandmarkMap(again)):
+        fused.change_map(landmark_map_again)
+        assert fused.state is not None
+        np.testing.assert_array_equal(fused.state.cross, before.cross)
+    fused.change_map(landmark_map(10, seed=1))
+    assert fused.state is not None
+    assert not fused.state.cross.any()
+
+
+@pytest.mark.parametrize('before_s', [30.0, 0.0])
+def test_a_start_told_before_any_odometry_is_that_of_the_first(before_s: float) -> None:
+    """With a stamp of nobody's clock, such as 0, as the command line of ROS gives it."""
+    start = start_estimate()
+    fused = PoseFilter(MAP, MOUNT)
+    fused.initialize(start)
+    for moment in drive(4):
+        late_ns = moment.odometry.stamp_ns + round(before_s * 1e9)
+        fused.add_odometry(replace(moment.odometry, stamp_ns=late_ns))
+    estimate = fused.estimate()
+    assert estimate is not None
+    np.testing.assert_allclose(estimate.covariance, start.covariance, atol=1e-4)
 
 
 @pytest.mark.filterwarnings('error')

@@ -186,7 +186,7 @@ def test_a_camera_without_noise_that_stands_goes_on() -> None:
     """As in a simulator; the first picture corrects a start that was a little off."""
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
     covariance = np.diag(np.square([0.05, 0.05, 0.035]))
-    localizer.initialize(PoseEstimate(0, START + [0.03, -0.02, 0.01], covariance))
+    localizer.initialize(PoseEstimate(0, START + np.array([0.03, -0.02, 0.01]), covariance))
     for k in range(12):
         stamp_ns = k * 200_000_000
         localizer.add_odometry(OdometrySample(stamp_ns, np.zeros(3)))

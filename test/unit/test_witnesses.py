@@ -212,7 +212,8 @@ def test_who_told_a_place_does_not_vouch_for_where_the_robot_went_blindly() -> N
     assert fused.status == ('tracking', '')
     stands = replace(moment.odometry, linear_m_s=0.0, angular_rad_s=0.0)
     blind_ns = stands.stamp_ns + 6 * NS
-    fused.add_odometry(replace(stands, stamp_ns=blind_ns))
+    for stamp in (blind_ns - NS // 5, blind_ns):
+        fused.add_odometry(replace(stands, stamp_ns=stamp))
     assert fused.status[0] == 'lost'
     told = []
     for k in range(10):

@@ -238,7 +238,7 @@ def _heights(
     by_match = [f.match.covariance[1, 1] + config.lens_sigma_px**2 for f in found]
     covariance = rows.covariance(
         view.prior.covariance,
-        landmark_map.own_covariances[index],
+        landmark_map.covariances[index],
         landmark_map.shared_loadings[index],
     )
     return Heights(off_px, rows.by_lean, covariance + np.diag(by_match), points)

@@ -83,7 +83,7 @@ class RowModel(NamedTuple):
         return cls(by[:, :3], by[:, 3:5], by[:, 5])
 
     def covariance(
-        self, pose_covariance: FloatArray, own: FloatArray, shared: FloatArray
+        self, pose_covariance: FloatArray, points: FloatArray, shared: FloatArray
     ) -> FloatArray:
         """
         Covariance (n, n) of the rows by errors of pose, camera height and points.
@@ -92,20 +92,19 @@ class RowModel(NamedTuple):
         ----------
         pose_covariance : ndarray, shape (3, 3)
             Of the base.
-        own : ndarray, shape (n, 3, 3)
-            Covariance of what each point is off by itself.
+        points : ndarray, shape (n, 3, 3)
+            Covariance of each point.
         shared : ndarray, shape (n, 3, F)
-            Loadings of what they have in common.
+            Loadings of the part that they have in common.
 
         """
         by_point = np.column_stack([-self.by_pose[:, :2], self.by_height])[:, None]
+        by_shared = (by_point @ shared)[:, 0]
+        own = (by_point @ points @ by_point.swapaxes(1, 2))[:, 0, 0] - np.sum(by_shared**2, axis=1)
         # Unlike a tilt, a height shifts what is near more than what is far.
-        common = np.column_stack(
-            [(by_point @ shared)[:, 0], CAMERA_HEIGHT_SIGMA_M * self.by_height]
-        )
+        common = np.column_stack([by_shared, CAMERA_HEIGHT_SIGMA_M * self.by_height])
         by_pose = self.by_pose @ pose_covariance @ self.by_pose.T
-        by_own = (by_point @ own @ by_point.swapaxes(1, 2))[:, 0, 0]
-        return np.asarray(by_pose + common @ common.T + np.diag(by_own))
+        return np.asarray(by_pose + common @ common.T + np.diag(own))
 
 
 class Heights(NamedTuple):

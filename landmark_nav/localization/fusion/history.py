@@ -29,7 +29,7 @@ from landmark_nav.localization.odometry.noise import (
 from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
 from landmark_nav.types import OdometrySample, Refusal
 
-__all__ = ['History', 'Step']
+__all__ = ['Ahead', 'History', 'Step']
 
 Step = Callable[[Mixture], tuple[Mixture, FusionUpdate | None]]
 
@@ -44,6 +44,11 @@ _STRIDE_NS = 100_000_000
 _REACH_NS = 10 * 10**9
 # The robot may have moved while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Ahead(Refusal):
+    """Why a sample is held back, which may be wrong or the first after a pause."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +80,7 @@ class History:
         self._states: list[Mixture] = []  # after each event
         self._trusted: Mixture | None = None
         self._late_ns = self._late_in_a_row = 0
+        self._ahead: OdometrySample | None = None
 
     @property
     def started(self) -> bool:
@@ -95,6 +101,12 @@ class History:
     def begin_ns(self) -> int:
         """Time before which nothing can be inserted any more."""
         return self._events[0].stamp_ns
+
+    @property
+    def newest_ns(self) -> int:
+        """Time of the newest event or odometry."""
+        known = self._track.stamps_ns
+        return max(self._events[-1].stamp_ns, known[1] if known is not None else 0)
 
     @property
     def odometry_ns(self) -> tuple[int, int] | None:
@@ -135,6 +147,17 @@ class History:
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what is wrong with the sample, if anything (`Distrusted` if it is used)."""
         known = self._track.stamps_ns
+        if known is None and len(self._events) == 1:
+            start = self._states[0]
+            if abs(sample.stamp_ns - start.stamp_ns) > _REACH_NS:
+                # Before any odometry came nobody knew by which clock a start was told.
+                self.restart(start.each(lambda one: replace(one, stamp_ns=sample.stamp_ns)))
+        if known is not None and sample.stamp_ns - known[1] > _CLOCK_STEP_NS:
+            pause = self._after_pause(sample, known[1])
+            if pause is not None:
+                return pause
+        else:
+            self._ahead = None
         newest_ns = self._events[-1].stamp_ns if self._events else known[1] if known else 0
         if known is not None and sample.stamp_ns <= known[1]:
             self._late_in_a_row += 1 if sample.stamp_ns > self._late_ns else -self._late_in_a_row
@@ -161,6 +184,18 @@ class History:
                 self._repeat(first)
         self._forget()
         return refusal
+
+    def _after_pause(self, sample: OdometrySample, last_ns: int) -> Ahead | None:
+        """Hold back a sample far ahead; the next one tells whether there was a pause."""
+        ahead, self._ahead = self._ahead, sample
+        paused = ahead is not None and 0 < sample.stamp_ns - ahead.stamp_ns <= (
+            ahead.stamp_ns - last_ns
+        )
+        if paused:
+            self._ahead = None
+            return None
+        seconds = 1e-9 * (sample.stamp_ns - last_ns)
+        return Ahead('odometry is ahead', f'{seconds:.1f} s: the next sample tells')
 
     def change(self, stamp_ns: int, change: Callable[[FilterState], FilterState]) -> None:
         """Change all states of a time, and repeat what follows."""
@@ -207,8 +242,7 @@ class History:
         grows. Before the history begins its first state is given.
         """
         if stamp_ns is None:
-            known = self._track.stamps_ns
-            stamp_ns = max(self._events[-1].stamp_ns, known[1] if known is not None else 0)
+            stamp_ns = self.newest_ns
         state = self._states[max(self._place(stamp_ns) - 1, 0)]
         return self._moved(state, max(stamp_ns, state.stamp_ns)).merged()
 

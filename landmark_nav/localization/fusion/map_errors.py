@@ -100,10 +100,19 @@ class MapErrors:
     def of(landmark_map: LandmarkMap) -> MapErrors:
         """Return those of a map of which nothing was seen yet."""
         loadings = landmark_map.shared_loadings[:, :2]
-        own = landmark_map.own_covariances[:, :2, :2]
+        own = landmark_map.covariances[:, :2, :2] - loadings @ loadings.swapaxes(1, 2)
         count, _, factors = loadings.shape
         nothing = np.zeros(factors + 3 * count)
         return MapErrors(landmark_map.positions[:, :2], loadings, own, nothing)
+
+    def are_of(self, landmark_map: LandmarkMap) -> bool:
+        """Whether they are those of a map, whatever was seen of them."""
+        other = MapErrors.of(landmark_map)
+        return (
+            np.array_equal(self.landmarks, other.landmarks)
+            and np.array_equal(self.loadings, other.loadings)
+            and np.array_equal(self.own, other.own)
+        )
 
     def places(self, columns: IndexArray) -> FloatArray:
         """Where landmarks `columns` (m,) are in map as far as is known, (m, 2), metres."""

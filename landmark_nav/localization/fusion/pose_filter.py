@@ -19,7 +19,7 @@ from landmark_nav.localization.fusion.doubt import doubted_estimate, doubted_sta
 from landmark_nav.localization.fusion.fix import update_pose
 from landmark_nav.localization.fusion.fix_sources import FixSources, Seen
 from landmark_nav.localization.fusion.health import Health, HealthConfig, Status
-from landmark_nav.localization.fusion.history import History, Step
+from landmark_nav.localization.fusion.history import Ahead, History, Step
 from landmark_nav.localization.fusion.late_joints import found_in_swing, REACH_S
 from landmark_nav.localization.fusion.mixture import Mixture
 from landmark_nav.localization.fusion.recovery import Recovery
@@ -123,11 +123,12 @@ class PoseFilter:
         return self.status_at(None)
 
     def status_at(self, stamp_ns: int | None) -> tuple[Status, str]:
-        """`status` as it will be at a time if nothing comes until then."""
+        """`status`, or as it will be at a later time if nothing comes until then."""
         known = self._history.odometry_ns
-        status, reason = self._health.status(
-            self.estimate(stamp_ns), None if known is None else known[1]
-        )
+        if stamp_ns is not None and self._history.started:
+            stamp_ns = max(stamp_ns, self._history.newest_ns)
+        odometry_ns = None if known is None else known[1]
+        status, reason = self._health.status(self.estimate(stamp_ns), odometry_ns)
         if status == 'tracking' and not self._witnesses.vouched:
             return 'coasting', 'the place is not sure: only one wall of the map speaks for it'
         return status, reason
@@ -207,7 +208,7 @@ class PoseFilter:
         refusal = self._history.add_odometry(sample)
         if refusal is not None and refusal.reason == 'clock was set back':
             self._health.restart(sample.stamp_ns)
-        if refusal is not None:
+        if refusal is not None and not isinstance(refusal, Ahead):
             self._health.note_trouble(sample.stamp_ns, refusal)
         return refusal
 

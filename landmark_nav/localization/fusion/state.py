@@ -199,7 +199,9 @@ def with_late_joints(state: FilterState, sigma_s: float, delay_s: float = 0.0) -
 
 
 def with_map(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
-    """Return the state with the landmarks of a map, uncorrelated with them."""
+    """Return the state with the landmarks of a map, uncorrelated with them if they are others."""
+    if state.map_errors.are_of(landmark_map):
+        return state
     errors = MapErrors.of(landmark_map)
     return replace(state, cross=np.zeros((STATES, len(errors.estimate))), map_errors=errors)
 

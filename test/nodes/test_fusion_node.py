@@ -1,0 +1,111 @@
+"""What the fusion node makes of messages that come late, not at all, or of a time gone by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from landmark_nav.messages import decode, encode
+from landmark_nav.messages.found_place import FoundPlace
+from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+
+from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
+from landmark_nav.ros.factory import ros_factory
+
+PERIOD_NS, SPEED_M_S = 50_000_000, 0.4
+SURE = np.diag([0.02, 0.02, 0.01]) ** 2
+
+
+class Fusion:
+    """A node without neighbours, its callbacks and what it publishes, on a clock of its own."""
+
+    def __init__(self, context: Context, robot: str) -> None:
+        self.node: Any = OdometryFusionNode(
+            context=context, parameter_overrides=[Parameter('robot_file', value=robot)]
+        )
+        self.published: list[Any] = []
+        self.now_ns = 0
+        self.node._fused = SimpleNamespace(publish=self.published.append)
+        self.node.get_clock = lambda: SimpleNamespace(
+            now=lambda: SimpleNamespace(nanoseconds=self.now_ns)
+        )
+        self._odom = self.node.guarded('odom', self.node._on_odometry)
+        self._place = self.node.guarded('found_place', self.node._on_found_place)
+        self.node._filter.change_map(LandmarkMap(()))
+
+    def odometry(self, k: int, way_m: float | None = None) -> None:
+        way = SPEED_M_S * 1e-9 * PERIOD_NS * k if way_m is None else way_m
+        sample = OdometrySample(k * PERIOD_NS, np.array([way, 0.0, 0.0]), SPEED_M_S)
+        self._odom(encode.odometry(ros_factory, sample))
+
+    def start(self, stamp_ns: int, x: float) -> None:
+        pose = PoseEstimate(stamp_ns, np.array([x, 0.0, 0.0]), SURE)
+        self.node._on_initial_pose(encode.pose(ros_factory, pose))
+
+    def found(self, stamp_ns: int, x: float) -> None:
+        place = FoundPlace(stamp_ns, np.array([x, 0.0, 0.0]), SURE, np.arange(3))
+        self._place(encode.found_place(ros_factory, place))
+
+    def reason(self) -> str:
+        return str(self.node._checked_health().reason)
+
+
+@pytest.fixture
+def fusion(domain_id: int, tmp_path: Any) -> Iterator[Fusion]:
+    robot = tmp_path / 'robot.yaml'
+    robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.1]\n')
+    context = Context()
+    context.init(domain_id=domain_id)
+    made = Fusion(context, str(robot))
+    yield made
+    made.node.destroy_node()
+    context.try_shutdown()
+
+
+def test_a_late_sample_does_not_set_back_what_is_told(fusion: Fusion) -> None:
+    fusion.start(0, 0.0)
+    for k in (0, 1, 2, 4, 5, 3, 6):
+        fusion.odometry(k)
+        fusion.node._corrected(k * PERIOD_NS)
+    stamps = [decode.stamp_ns(one.header) for one in fusion.published]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] == 6 * PERIOD_NS
+
+
+def test_a_robot_whose_odometry_hangs_with_nothing_in_view_is_lost_in_time(
+    fusion: Fusion,
+) -> None:
+    fusion.start(0, 0.0)
+    said = []
+    for k in range(200):
+        fusion.now_ns = k * PERIOD_NS
+        fusion.odometry(k, way_m=None if k < 20 else 0.38)
+        said.append(fusion.reason())
+    assert 'odom dropped: odometry has frozen' in said[30]
+    assert 'no odometry for' in said[50]
+    assert 'sigma is' in said[-1]
+
+
+def test_a_place_of_before_a_start_that_was_told_is_not_taken(fusion: Fusion) -> None:
+    for k in range(20):
+        fusion.now_ns = k * PERIOD_NS
+        fusion.odometry(k)
+    fusion.start(fusion.now_ns, 1.0)
+    fusion.found(fusion.now_ns - 3 * PERIOD_NS, 4.0)
+    assert 'before the start pose that was told' in fusion.reason()
+    for k in range(20, 30):
+        fusion.now_ns = k * PERIOD_NS
+        fusion.odometry(k)
+    assert decode.odometry(fusion.published[-1]).pose_odom_base[0] == pytest.approx(1.2, abs=0.01)
+    fusion.found(25 * PERIOD_NS, 4.0)
+    fusion.odometry(30)
+    assert decode.odometry(fusion.published[-1]).pose_odom_base[0] == pytest.approx(4.1, abs=0.01)
