@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 from triplet_room import CAMERA, CONFIG, MOUNT, PRIOR, random_map
 
-from landmark_nav.localization.triplet import Gaze, TripletConfig
+from landmark_nav.localization.triplet import Gaze, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.active_camera import ActiveCamera, FoundRecord
 from landmark_nav.types import Detections, Refusal, Triplet
 
@@ -73,6 +75,18 @@ class TestSeveralViews:
                 assert isinstance(ranking.chosen, Triplet)
                 assert set(ranking.chosen.ids) == set(chosen.ids)
                 pan = ranking.chosen.pan_rad
+
+    def test_standings_are_those_of_the_whole_map_while_views_are_left(self) -> None:
+        landmarks, config = random_map(40), TripletConfig(views='several')
+        gaze = Gaze(0.0, limits_rad=(-2.5, 2.5))
+        camera = ActiveCamera(landmarks, MOUNT, config)
+        first = camera.choose(PRIOR, CAMERA, gaze)
+        turned = replace(PRIOR, pose=PRIOR.pose - [0.0, 0.0, 0.2])
+        later = camera.choose(turned, CAMERA, gaze)
+        assert [set(ids) for ids in later.ids] == [set(first.ids[0])]
+        whole = rank_triplets(turned, landmarks, CAMERA, MOUNT, config, gaze).standing
+        assert np.any(whole != first.standing)
+        np.testing.assert_array_equal(later.landmark_table(landmarks.ids)['reason'], whole)
 
     def test_without_a_triplet_there_is_nothing_to_go_on_to(self) -> None:
         camera = ActiveCamera(random_map(2), MOUNT, TripletConfig(views='several'))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.arrays import BoolArray
+from landmark_nav.arrays import BoolArray, IntArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.localization.triplet.selection import Gaze, rank_triplets, TripletConfig
@@ -90,10 +90,10 @@ class ActiveCamera:
 
         """
         if self._config.views == 'several' and self._pending and self._chosen is not None:
-            ranking = self._rank(self._only(self._chosen), prior, camera, gaze)
+            ranking = self._rank(prior, camera, gaze, among=self._chosen.ids)
             if isinstance(ranking.chosen, Triplet):
                 return self._towards_pending(ranking, gaze)
-        ranking = self._rank(self._map, prior, camera, gaze)
+        ranking = self._rank(prior, camera, gaze)
         self._chosen, self._pending = None, {}
         if isinstance(ranking.chosen, Triplet):
             self._chosen = ranking.chosen
@@ -101,16 +101,18 @@ class ActiveCamera:
         return self._towards_pending(ranking, gaze)
 
     def _rank(
-        self, landmarks: LandmarkMap, prior: PoseEstimate, camera: CameraModel, gaze: Gaze
+        self,
+        prior: PoseEstimate,
+        camera: CameraModel,
+        gaze: Gaze,
+        among: IntArray | None = None,
     ) -> Ranking:
         # A tour that is done has no claim to be made again; a view is rather kept.
         kept = self._chosen if self._config.views == 'one' else None
-        rate = self.record.rate[self._map.indices(landmarks.ids)]
-        return rank_triplets(prior, landmarks, camera, self._mount, self._config, gaze, kept, rate)
-
-    def _only(self, triplet: Triplet) -> LandmarkMap:
-        places = self._map.indices(triplet.ids)
-        return replace(self._map, landmarks=tuple(self._map.landmarks[k] for k in places))
+        rate, config = self.record.rate, self._config
+        return rank_triplets(
+            prior, self._map, camera, self._mount, config, gaze, kept, rate, among
+        )
 
     def _towards_pending(self, ranking: Ranking, gaze: Gaze) -> Ranking:
         chosen = ranking.chosen

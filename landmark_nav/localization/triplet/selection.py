@@ -47,6 +47,7 @@ def rank_triplets(
     gaze: Gaze | None = None,
     previous: Triplet | None = None,
     found_rate: npt.ArrayLike | None = None,
+    among: npt.ArrayLike | None = None,
 ) -> Ranking:
     """
     Compare all triplets that can be seen and choose one.
@@ -65,6 +66,8 @@ def rank_triplets(
         What is being looked at; kept unless another is better by `config.hysteresis`.
     found_rate : array_like, shape (n,), optional
         How often each landmark of the map was found when looked for, (0, 1].
+    among : array_like, optional
+        Ids of the landmarks that triplets are made of; by default those of the map.
 
     Returns
     -------
@@ -75,7 +78,10 @@ def rank_triplets(
     """
     outlook = Outlook(prior, landmark_map, camera, mount, config, gaze or Gaze())
     standing = outlook.standing()
-    index = np.flatnonzero(standing == Standing.USABLE)
+    usable = standing == Standing.USABLE
+    if among is not None:
+        usable &= np.isin(landmark_map.ids, among)
+    index = np.flatnonzero(usable)
     if len(index) < 3:
         detail = f'{len(index)} of {len(standing)}'
         return Ranking.none(Refusal('fewer than three landmarks are visible', detail), standing)
