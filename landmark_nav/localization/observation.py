@@ -67,12 +67,6 @@ class ObservationConfig(LookingConfig):
         minimum=0.0,
         maximum=1.0,
     )
-    gather_s: float = parameter(
-        5.0,
-        'How long a sighting counts towards a fix where triplet.views is several, s.',
-        minimum=0.0,
-        maximum=60.0,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +99,8 @@ class Observer:
     Finds landmarks in one picture after the other, and triangulates.
 
     With triplets in one view each picture gives a fix of its own. With several views sightings
-    are gathered, and give a fix when the chosen triplet is complete.
+    are gathered, and give a fix when the chosen triplet is complete, or has been waited for too
+    long.
     """
 
     def __init__(
@@ -120,13 +115,14 @@ class Observer:
             landmark_map, mount, config.detection, config.turned_sigma_rad
         )
         _warn_without_views(landmark_map, config.detection)
-        window_s = config.gather_s if config.triplet.views == 'several' else 0.0
+        window_s = config.triplet.gather_s if config.triplet.views == 'several' else 0.0
         self._vain = 0
         self._found_most = False
         self._novelty = np.ones(len(landmark_map.landmarks))
         self._company = Company(landmark_map)
         self._frozen = FrozenPicture()
         self._window_ns = int(1e9 * window_s)
+        self._waits_since_ns = np.inf
         self._gatherer = SightingGatherer(
             landmark_map,
             mount,
@@ -177,7 +173,7 @@ class Observer:
             Expected pose of the base at its stamp.
         triplet : Triplet, optional
             Landmarks that the camera was turned to. They are looked for first, and with several
-            views a fix waits for all three.
+            views a fix waits for all three, for up to `gather_s` after the one before.
         late : JointDelay, optional
             Delay of the stamps of the joints.
 
@@ -302,11 +298,16 @@ class Observer:
     ) -> PoseEstimate | Refusal:
         self._gatherer.add(found)
         if self._window_ns and isinstance(triplet, Triplet):
+            # From the first choice after a fix on: later ones would begin the wait anew.
+            self._waits_since_ns = min(self._waits_since_ns, triplet.stamp_ns)
             missing = self._gatherer.missing(triplet)
-            if missing and found.stamp_ns - triplet.stamp_ns <= self._window_ns:
+            if missing and found.stamp_ns - self._waits_since_ns <= self._window_ns:
                 names = ', '.join(map(str, missing))
                 return Refusal('the triplet is not complete', f'{names} still to be found')
-        return self._gatherer.fix(prior)
+        fix = self._gatherer.fix(prior)
+        if isinstance(fix, PoseEstimate):
+            self._waits_since_ns = np.inf
+        return fix
 
 
 def _nothing(stamp_ns: int) -> Detections:

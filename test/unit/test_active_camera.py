@@ -104,3 +104,15 @@ class TestSeveralViews:
         later = camera.choose(PRIOR, CAMERA, Gaze(0.0)).chosen
         assert isinstance(later, Triplet)
         assert set(later.ids) != set(chosen.ids)
+
+    def test_gives_up_what_it_is_not_turned_to_in_time(self) -> None:
+        config = TripletConfig(views='several', gather_s=3.0)
+        camera = ActiveCamera(random_map(40), MOUNT, config)
+        tours: list[set[int]] = []
+        for second in range(12):
+            prior = replace(PRIOR, stamp_ns=1_000_000_000 * second)
+            chosen = camera.choose(prior, CAMERA, Gaze(0.0)).chosen
+            assert isinstance(chosen, Triplet)
+            tours.append(set(chosen.ids.tolist()))
+        assert tours == [tour for tour in tours[::4] for _ in range(4)]
+        assert tours[0] != tours[4] != tours[8]

@@ -36,6 +36,8 @@ from landmark_nav.types import (
     Triplet,
 )
 
+GATHER_S = 3.0
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -47,10 +49,12 @@ class Run:
     fixes: list[tuple[PoseEstimate, FloatArray]]
 
 
-def localize(mode: str, seed: int = 1, seconds: float = 9.0, views: str = 'one') -> Run:
-    """Drive with the camera turned to the triplet that the last picture asked for."""
+def localize(
+    mode: str, seed: int = 1, seconds: float = 9.0, views: str = 'one', turns: bool = True
+) -> Run:
+    """Drive with the camera turned, if it turns, to what the last picture asked for."""
     rng = np.random.default_rng(seed)
-    observation = ObservationConfig(triplet=TripletConfig(views=views))
+    observation = ObservationConfig(triplet=TripletConfig(views=views, gather_s=GATHER_S))
     config = LocalizationConfig(observation, FusionConfig(mode=mode))
     localizer = Localizer(MAP, MOUNT, config)
     localizer.initialize(start_of(rng))
@@ -68,7 +72,7 @@ def localize(mode: str, seed: int = 1, seconds: float = 9.0, views: str = 'one')
         nees.append(error @ np.linalg.solve(update.fused.covariance, error))
         if isinstance(update.observation.fix, PoseEstimate):
             fixes.append((update.observation.fix, step.pose))
-        if isinstance(update.triplet, Triplet):
+        if turns and isinstance(update.triplet, Triplet):
             pan = update.triplet.pan_rad
     return Run(updates, np.array(errors), np.array(nees), fixes)
 
@@ -121,6 +125,19 @@ def test_fixes_of_several_views_come_from_what_was_gathered_on_the_way() -> None
     fixes = [update.observation.fix for update in run.updates]
     reasons = {fix.reason for fix in fixes if isinstance(fix, Refusal)}
     assert 'the triplet is not complete' in reasons
+
+
+def test_a_fix_waits_no_longer_for_views_that_the_camera_does_not_turn_to() -> None:
+    run = localize('poses', views='several', turns=False)
+    fixed = [isinstance(update.observation.fix, PoseEstimate) for update in run.updates]
+    stamps = 1e-9 * np.array([update.stamp_ns for update in run.updates])
+    waits = np.diff([0.0, *stamps[fixed], stamps[-1]])
+    # A wait begins with the picture after a fix, and is over with one.
+    assert np.all(waits <= GATHER_S + 2e-9 * FRAME_NS)
+    assert max(waits) > GATHER_S
+    for fix, pose in run.fixes:
+        error = error_of(fix, pose)
+        assert error @ np.linalg.solve(fix.covariance, error) < 16.3  # 99.9 %
 
 
 def test_poses_may_correct_the_odometry_instead_of_bearings() -> None:

@@ -48,7 +48,7 @@ class ActiveCamera:
     Chooses triplets, one after the other, and the pan for each moment.
 
     With several views a triplet is kept until all its landmarks were found, or looked for in
-    vain; the camera goes on to the nearest that is left.
+    vain, or `gather_s` are over; the camera goes on to the nearest that is left.
     """
 
     def __init__(
@@ -89,10 +89,16 @@ class ActiveCamera:
             The chosen triplet's `pan_rad` is that of the next view.
 
         """
-        if self._config.views == 'several' and self._pending and self._chosen is not None:
-            ranking = self._rank(prior, camera, gaze, among=self._chosen.ids)
-            if isinstance(ranking.chosen, Triplet):
-                return self._towards_pending(ranking, gaze)
+        several, tour = self._config.views == 'several', self._chosen
+        if several and self._pending and tour is not None:
+            if 0 <= prior.stamp_ns - tour.stamp_ns <= 1e9 * self._config.gather_s:
+                ranking = self._rank(prior, camera, gaze, among=tour.ids)
+                if isinstance(ranking.chosen, Triplet):
+                    return self._towards_pending(ranking, gaze)
+            else:
+                # Something holds the camera; without a mark the same would be chosen again.
+                missed = np.isin(self._map.ids, list(self._aimed & set(self._pending)))
+                self.record.note(missed, np.zeros_like(missed))
         ranking = self._rank(prior, camera, gaze)
         self._chosen, self._pending = None, {}
         if isinstance(ranking.chosen, Triplet):

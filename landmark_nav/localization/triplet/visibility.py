@@ -59,6 +59,13 @@ class TripletConfig(Config):
         'triplet_selector and triangulation_localizer.',
         choices=('one', 'several'),
     )
+    gather_s: float = parameter(
+        5.0,
+        'How long several views may take, and a sighting counts towards a fix; also the same in '
+        'both, s.',
+        minimum=0.1,
+        maximum=60.0,
+    )
     look_s: float = parameter(
         1.0, 'Time of a look, beside which that of turning counts, s.', minimum=0.01
     )
