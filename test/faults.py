@@ -16,7 +16,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.bags.topics import relative_name
 
-__all__ = ['FOR_GOOD_S', 'Fault', 'faults', 'spoilt']
+__all__ = ['FOR_GOOD_S', 'Fault', 'faults', 'knocked_drive', 'late_drive', 'spoilt']
 
 CAMERA, INFO = 'camera/image_raw/compressed', 'camera/camera_info'
 JOINTS, ODOMETRY = 'joint_states', 'odom'
@@ -238,8 +238,16 @@ def spoilt(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[str
 
 def knocked_drive(bag: Bag, path: Path, turn_deg: tuple[float, float, float]) -> Path:
     """Write a drive whose camera was knocked before its first picture."""
-    knock = Fault(bumped(bag, turn_deg), (CAMERA,), FOR_GOOD_S)
+    return _written(path, bag, Fault(bumped(bag, turn_deg), (CAMERA,), FOR_GOOD_S), 0.0)
+
+
+def late_drive(bag: Bag, path: Path, late_s: float, since_s: float = 0.0) -> Path:
+    """Write a drive whose joint states are stamped late from a time on."""
+    return _written(path, bag, Fault(later(late_s), (JOINTS,), FOR_GOOD_S), since_s)
+
+
+def _written(path: Path, bag: Bag, fault: Fault, at_s: float) -> Path:
     with BagWriter(path) as written:
-        for topic, message, stamp_ns in spoilt(bag, 'knocked', knock, 0.0):
+        for topic, message, stamp_ns in spoilt(bag, 'written', fault, at_s):
             written.write(topic, message, stamp_ns)
     return path

@@ -128,16 +128,25 @@ def run(args: argparse.Namespace) -> int:
     done = localized(0.0, config.fusion)
     learned = replace(config, odometry=done.odometry_noise)
     offsets = camera_offsets(done, landmarks, mount, learned)
-    delay_s = offsets.delay_s if offsets.delay_matters else 0.0
-    if delay_s:
-        bag.warn(
-            f'{bag.path}: joint_states are stamped {1e3 * delay_s:.1f} ms late (sigma '
-            f'{1e3 * offsets.delay_sigma_s:.1f} ms): taken into account; on the robot set '
-            f'joint_delay_s of triangulation_localizer to {delay_s:.4f}'
-        )
+    delay_s = 0.0
+    if offsets.delay_matters:
         # What was measured is not known exactly.
         sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
-        done = localized(delay_s, replace(config.fusion, delay_sigma_s=sigma_s))
+        fusion = replace(config.fusion, delay_sigma_s=sigma_s)
+        corrected = localized(offsets.delay_s, fusion)
+        late = (
+            f'{bag.path}: joint_states are stamped {1e3 * offsets.delay_s:.1f} ms late (sigma '
+            f'{1e3 * offsets.delay_sigma_s:.1f} ms)'
+        )
+        if corrected.tracking.sum() >= done.tracking.sum():
+            done, delay_s = corrected, offsets.delay_s
+            bag.warn(
+                f'{late}: taken into account; on the robot set joint_delay_s of '
+                f'triangulation_localizer to {delay_s:.4f}'
+            )
+        else:
+            # Put right all the time, fewer poses are sure.
+            bag.warn(f'{late} in the end, and not all the time: look at their clock')
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     check_truth_frame(bag, landmarks.frame_id)

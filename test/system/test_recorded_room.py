@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import json
 from pathlib import Path
+from typing import Any
 
-from faults import knocked_drive
+from faults import knocked_drive, late_drive
 import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
-from landmark_nav.messages.factory import default_typestore
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast
-from landmark_nav.storage.bags import Bag, BagWriter
+from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
 
@@ -79,28 +80,31 @@ def test_the_planner_would_have_foretold_it(figures: tuple[dict[str, float], Pat
     assert np.all(papers[:, 2] > measured[:, 2] / 1.6)
 
 
+@pytest.fixture
+def evaluated_late(
+    figures: tuple[dict[str, float], Path], tmp_path: Path
+) -> Callable[[float, float], dict[str, Any]]:
+    """What `evaluate` measures where joint states are stamped late from a time on."""
+    start = json.loads((BAGS / 'start.json').read_text())['pose']
+
+    def run(late_s: float, since_s: float) -> dict[str, Any]:
+        drive = late_drive(Bag(BAGS / 'drive'), tmp_path / 'late', late_s, since_s)
+        evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map'), '--robot']
+        evaluate += [str(BAGS / 'robot.yaml'), '--start', *map(str, start)]
+        assert main([*evaluate, '--json', str(tmp_path / 'late.json')]) == 0
+        measured: dict[str, Any] = json.loads((tmp_path / 'late.json').read_text())
+        return measured
+
+    return run
+
+
 def test_joint_states_that_are_stamped_late_are_told_and_put_right(
     figures: tuple[dict[str, float], Path],
-    tmp_path: Path,
+    evaluated_late: Callable[[float, float], dict[str, Any]],
     capsys: pytest.CaptureFixture[str],
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    late_ns, store = 40_000_000, default_typestore()
-    with BagWriter(tmp_path / 'late') as late:
-        for entry in Bag(BAGS / 'drive').messages():
-            data, stamp_ns = entry.data, entry.stamp_ns
-            if entry.topic == '/joint_states':
-                message = store.deserialize_cdr(data, entry.type_name)
-                nanoseconds = message.header.stamp.nanosec + late_ns
-                message.header.stamp.sec += nanoseconds // 10**9
-                message.header.stamp.nanosec = nanoseconds % 10**9
-                data = store.serialize_cdr(message, entry.type_name)
-            late.write_serialized(entry.topic, entry.type_name, data, stamp_ns)
-    start = json.loads((BAGS / 'start.json').read_text())['pose']
-    arguments = ['evaluate', str(tmp_path / 'late'), '--map', str(figures[1] / 'map'), '--robot']
-    arguments += [str(BAGS / 'robot.yaml'), '--start', *map(str, start)]
-    assert main([*arguments, '--json', str(tmp_path / 'late.json')]) == 0
-    run = json.loads((tmp_path / 'late.json').read_text())
+    run = evaluated_late(0.04, 0.0)
     camera = run['camera']
     assert camera['joint_delay_s'] == pytest.approx(0.04, abs=0.002)
     assert camera['joint_delay_applied_s'] == camera['joint_delay_s']
@@ -109,6 +113,18 @@ def test_joint_states_that_are_stamped_late_are_told_and_put_right(
     advice = f'set joint_delay_s of triangulation_localizer to {camera["joint_delay_s"]:.4f}'
     assert advice in caplog.text
     assert 'camera: joint_states' in capsys.readouterr().out
+
+
+def test_joint_states_that_become_late_are_not_put_right_from_the_start(
+    evaluated_late: Callable[[float, float], dict[str, Any]], caplog: pytest.LogCaptureFixture
+) -> None:
+    """What is measured in the end is wrong before."""
+    run = evaluated_late(0.2, 6.0)
+    assert run['camera']['joint_delay_s'] == pytest.approx(0.2, abs=0.005)
+    assert run['camera']['joint_delay_applied_s'] == 0.0
+    assert run['silently_wrong'] == 0
+    assert run['nees']['mean'] < run['nees']['interval_95'][1]
+    assert 'and not all the time' in caplog.text
 
 
 def test_pictures_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
