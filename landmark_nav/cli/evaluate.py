@@ -19,7 +19,7 @@ from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.evaluation.run_report import run_errors, run_report
-from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report
+from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report, strays
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.geometry.walls import Room
@@ -157,6 +157,11 @@ def run(args: argparse.Namespace) -> int:
     smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)
+        if apart := strays(done, smoothed):
+            bag.warn(
+                f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
+                'doubt odometry, joint_states and camera where they seem to be wrong'
+            )
     with tempfile.TemporaryDirectory() as drawn:
         paths = {caption: Path(drawn) / name for caption, name in _FIGURES.items()}
         draw_trajectory(done, landmarks, paths['Trajectory'], smoothed)

@@ -13,7 +13,7 @@ from landmark_nav.localization.fusion import PoseFilter
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.pipeline import LocalizationConfig
-from landmark_nav.types import LandmarkMap, OdometrySample
+from landmark_nav.types import LandmarkMap
 
 __all__ = ['CameraOffsets', 'camera_offsets']
 
@@ -68,11 +68,10 @@ def camera_offsets(
     )
     fused = PoseFilter(landmark_map, mount, fusion, config.odometry, config.health)
     fused.initialize(run.start)
-    track, moved = run.odometry, 0
+    moved = 0
     for update in run.updates:
-        while moved < len(track) and track.stamps_ns[moved] <= update.stamp_ns:
-            sample = OdometrySample(int(track.stamps_ns[moved]), track.poses[moved])
-            fused.add_odometry(sample)
+        while moved < len(run.samples) and run.samples[moved].stamp_ns <= update.stamp_ns:
+            fused.add_odometry(run.samples[moved])
             moved += 1
         fused.add_detections(update.observation.detections)
     state = fused.state

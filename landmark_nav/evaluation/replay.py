@@ -59,6 +59,8 @@ class Replay:
         Factor on the claimed sigmas of sightings, as learned by the end.
     late : JointDelay
         Delay of the stamps of the joints, as estimated by the end.
+    samples : tuple of OdometrySample
+        The odometry as it came, by time.
 
     """
 
@@ -72,6 +74,7 @@ class Replay:
     odometry_noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     sighting_sigma: float = 1.0
     late: JointDelay = field(default_factory=JointDelay)
+    samples: tuple[OdometrySample, ...] = ()
 
     @property
     def begin_ns(self) -> int:
@@ -158,7 +161,7 @@ def replay(
     refusal = Refusal('nothing seen')
     updates: list[LocalizationUpdate] = []
     took: list[float] = []
-    odometry: list[tuple[int, FloatArray]] = []
+    samples: list[OdometrySample] = []
     truth: list[tuple[int, FloatArray]] = []
     # Place of the last truth before each.
     looked_after: list[int] = []
@@ -173,7 +176,7 @@ def replay(
             if start is not None:
                 localizer.initialize(start)
         if isinstance(event, OdometrySample):
-            odometry.append((event.stamp_ns, event.pose_odom_base))
+            samples.append(event)
             moved_after.append(len(truth) - 1)
             localizer.add_odometry(event)
         elif isinstance(event, CameraFrame | Detections):
@@ -192,7 +195,7 @@ def replay(
                 start = update
             else:
                 refusal = update
-    if not odometry or not (updates or searched):
+    if not samples or not (updates or searched):
         raise LandmarkNavError('the drive holds no picture or no odometry: nothing to evaluate')
     if start is None:
         raise LandmarkNavError(
@@ -212,17 +215,25 @@ def replay(
     if searched:
         start = replace(start, stamp_ns=searched[-1])
     updates = [_later(u, shift) for u, shift in zip(updates, shifts[len(searched) :], strict=True)]
+    stamps_ns = [sample.stamp_ns for sample in samples]
+    moved = shifts_by_truth(stamps_ns, moved_after, truth_ns).tolist()
+    samples = sorted(
+        (replace(s, stamp_ns=s.stamp_ns + later) for s, later in zip(samples, moved, strict=True)),
+        key=lambda sample: sample.stamp_ns,
+    )
+    track = PoseTrack.of((sample.stamp_ns, sample.pose_odom_base) for sample in samples)
     return Replay(
         start,
         tuple(searched),
         tuple(updates),
         np.array(took),
-        _dead_reckoning(track_by_truth(odometry, moved_after, truth_ns), start),
+        _dead_reckoning(track, start),
         track_by_truth(truth, range(len(truth)), truth_ns),
         time.perf_counter() - begin,
         localizer.odometry_noise,
         localizer.sighting_sigma,
         localizer.late,
+        tuple(samples),
     )
 
 

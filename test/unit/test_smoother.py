@@ -112,8 +112,19 @@ class Drive:
             MOUNT,
             given['fusion'],
             NOISE,
+            given.get('unknown_motion'),
             tolerance=1e-7,
         )
+
+    def carry_off(self, place: int, moved: FloatArray) -> None:
+        """Let the wheels know nothing of a motion before a sighting."""
+        first = 10 * (place + 1)
+        here = self.odometry[first - 1].pose_odom_base
+        away = se2.compose(se2.compose(here, se2.inverse(moved)), se2.inverse(here))
+        self.odometry[first:] = [
+            replace(k, pose_odom_base=se2.compose(away, k.pose_odom_base))
+            for k in self.odometry[first:]
+        ]
 
 
 def test_without_noise_the_truth_comes_back() -> None:
@@ -122,6 +133,16 @@ def test_without_noise_the_truth_comes_back() -> None:
     assert np.abs(pose_errors(found.poses, drive.truth)).max() < 1e-5
     np.testing.assert_allclose(found.landmarks, PLACES, atol=1e-5)
     np.testing.assert_array_equal(found.stamps_ns, [seen.stamp_ns for seen in drive.sightings])
+
+
+def test_a_robot_that_was_carried_off_is_found_where_its_motion_is_not_known() -> None:
+    drive, place = Drive(0, noise=0.0), 17
+    drive.carry_off(place, np.array([0.1, -0.05, 0.25]))
+    unknown = np.arange(len(drive.truth)) == place
+    found = drive.smoothed(unknown_motion=unknown)
+    assert np.abs(pose_errors(found.poses, drive.truth)).max() < 1e-3
+    trusting = drive.smoothed()
+    assert np.abs(pose_errors(trusting.poses, drive.truth)).max() > 0.01
 
 
 def test_errors_are_as_large_as_claimed() -> None:

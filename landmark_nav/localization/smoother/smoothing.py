@@ -38,6 +38,8 @@ __all__ = ['Smoothed', 'smooth']
 _COLUMNS = 256
 
 
+# Sigmas of a motion of which nothing is known, metres and radians.
+_ANYWHERE = np.array([3.0, 3.0, 2.0])
 # Residual, in sigmas, at which a bearing has half its weight.
 _ROBUST_SIGMAS = 3.0
 _MAX_ITERATIONS = 100
@@ -87,6 +89,7 @@ def smooth(
     mount: PanTiltMount,
     fusion: FusionConfig | None = None,
     noise: OdometryNoiseConfig | None = None,
+    unknown_motion: npt.NDArray[np.bool_] | None = None,
     tolerance: float = _TOLERANCE,
 ) -> Smoothed:
     """
@@ -106,6 +109,8 @@ def smooth(
         Landmarks and their joint covariance.
     mount : PanTiltMount
         Where the pan axis is.
+    unknown_motion : ndarray of bool, shape (n,), optional
+        Before which sightings nothing is known of how the robot moved.
     tolerance : float
         Largest step, metres and radians, that ends it.
 
@@ -120,9 +125,12 @@ def smooth(
         raise LandmarkNavError('smoother: needs sightings in the order of time after the start')
     fusion, noise = fusion or FusionConfig(), noise or OdometryNoiseConfig()
     wheels = *noise.bias_sigmas, noise.turn_loss_sigma_m_per_rad
+    motions = motions_between(stamps, odometry, noise)
+    if unknown_motion is not None:
+        motions.covariance[unknown_motion] += np.diag(np.square(_ANYWHERE))
     problem = Problem(
         start,
-        motions_between(stamps, odometry, noise),
+        motions,
         Bearings.of(sightings, landmark_map),
         landmark_map,
         np.asarray(mount.axis_xyz[:2], dtype=np.float64),
