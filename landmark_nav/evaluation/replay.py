@@ -8,7 +8,6 @@ import time
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.clock import shifts_by_truth, track_by_truth
@@ -30,6 +29,9 @@ from landmark_nav.types import (
 )
 
 __all__ = ['Replay', 'replay']
+
+# Variances of a map below this share of the largest one are none.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +100,16 @@ class Replay:
         return np.array([update.fused.covariance for update in self.updates]).reshape(-1, 3, 3)
 
     def by_map(self, landmark_map: LandmarkMap) -> FloatArray | None:
-        """Derivatives (n, 3, 2 l) of the fused poses by factors of unit variance of the map."""
+        """Derivatives (n, 3, m) of the fused poses by factors of unit variance of the map."""
         parts = [update.with_landmarks for update in self.updates]
         known = [part for part in parts if part is not None]
         if not known or len(known) < len(parts):
             return None
-        root = np.linalg.cholesky(landmark_map.joint_covariance_xy)
-        return np.asarray(solve_triangular(root, np.vstack(known).T, lower=True).T).reshape(
-            len(known), 3, -1
-        )
+        variance, factor = np.linalg.eigh(landmark_map.joint_covariance_xy)
+        # Landmarks may be exact, or err together.
+        varies = variance > _ROUNDING * variance[-1]
+        by_factors = np.vstack(known) @ (factor[:, varies] / np.sqrt(variance[varies]))
+        return np.asarray(by_factors.reshape(len(known), 3, -1))
 
     @property
     def fixes(self) -> FloatArray:

@@ -21,6 +21,8 @@ from landmark_nav.types import FloatArray, ImageArray, Landmark
 
 __all__ = ['described', 'landmark_of', 'listed', 'patch_name', 'view_name']
 
+# Numbers written by hand may miss what they stand for by this share of the largest one.
+_ROUNDING = 1e-6
 # Of a landmark of size 0 x 0: a point that has a bearing but no texture.
 _NO_PATCH: ImageArray = np.zeros((0, 0), dtype=np.uint8)
 
@@ -69,11 +71,19 @@ def landmark_of(entry: Any, folder: Path, where: str) -> Landmark:
     normal = array_field(entry, 'normal', (3,), where)
     if abs(np.linalg.norm(normal) - 1.0) > 1e-3 or abs(normal[2]) > 1e-3:
         raise LandmarkNavError(f'{where}: normal is not horizontal and of length 1')
+    covariance = covariance_field(entry, 'covariance', 3, where)
+    loading = array_field(entry, 'shared_loading', (3, None), where)
+    own = np.linalg.eigvalsh(covariance - loading @ loading.T)
+    if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
+        raise LandmarkNavError(
+            f'{where}: covariance is less than what shared_loading makes of it: learn the map '
+            'again, or set both to zero for an exact place'
+        )
     return Landmark(
         id=identity,
         position=array_field(entry, 'position', (3,), where),
-        covariance=covariance_field(entry, 'covariance', 3, where),
-        shared_loading=array_field(entry, 'shared_loading', (3, None), where),
+        covariance=covariance,
+        shared_loading=loading,
         normal=normal,
         width_m=float(width),
         height_m=float(height),

@@ -68,9 +68,6 @@ def _problems_of_landmark(k: Landmark) -> Iterator[str]:
         yield f'standard deviation of {np.sqrt(eigenvalues[-1]):.2f} m: of no use'
     if eigenvalues[0] <= 0.0 and k.wall_id:
         yield 'its covariance is singular: no estimate is free of errors'
-    own = np.linalg.eigvalsh(k.covariance - k.shared_loading @ k.shared_loading.T)
-    if own[0] < -1e-6 * max(float(eigenvalues[-1]), 1e-12):
-        yield 'shares more error with the others than it has'
     if not k.patch.size:
         return
     if not 0.0 < k.threshold < 1.0:

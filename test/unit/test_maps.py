@@ -29,12 +29,13 @@ def make_map(seed=0, count=3, factors=4):
             rng.integers(0, 256, rng.integers(5, 40, 2)).astype(np.uint8)
             for _ in range(1 + (2 - k) % 3)
         )
+        loading = rng.normal(size=(3, factors)) * 1e-3
         landmarks.append(
             Landmark(
                 id=7 * k,
                 position=rng.normal(size=3) * 10.0 ** rng.uniform(-5, 5),
-                covariance=covariance(3),
-                shared_loading=rng.normal(size=(3, factors)) * 1e-3,
+                covariance=covariance(3) + loading @ loading.T,
+                shared_loading=loading,
                 normal=np.array([np.cos(angle), np.sin(angle), 0.0]),
                 width_m=float(rng.uniform(0.05, 1.0)),
                 height_m=float(rng.uniform(0.05, 1.0)),
@@ -163,7 +164,9 @@ def first(key, value):
         (first('position', 'here'), 'position is .*not 3 numbers'),
         (first('covariance', [[1.0, 2, 0], [2, 1, 0], [0, 0, 1]]), 'no covariance'),
         (first('covariance', [[1.0, 2], [2, 1, 0]]), 'not 3 x 3 numbers'),
-        (first('shared_loading', [[1.0], [2.0], [3.0]]), 'as many columns'),
+        (first('shared_loading', [[1e-9], [0.0], [0.0]]), 'as many columns'),
+        (first('shared_loading', [[9.0] * 4] * 3), r'\(id 0\): covariance is less than what sha'),
+        (first('covariance', [[0.0] * 3] * 3), r'\(id 0\): covariance is less .*exact place'),
         (first('normal', [0.0, 0.0, 1.0]), 'normal is not horizontal'),
         (first('views', [[1.0, 2.0]]), 'views is .*not n x 3 numbers'),
         (first('views', [[1.0, 2.0, 1.1]] * 3), '000_3.png is not there'),
@@ -179,6 +182,20 @@ def test_a_map_that_cannot_be_is_refused_in_one_line(tmp_path, edit, match):
         load_map(edited(tmp_path, edit))
     assert 'map.yaml' in str(error.value)
     assert '\n' not in str(error.value)
+
+
+@pytest.mark.parametrize('loading', [0.0, 0.123456789])
+def test_landmarks_may_be_exact_or_err_all_alike_as_far_as_digits_go(tmp_path, loading):
+    def all_alike(document):
+        for entry in document['landmarks']:
+            shared = loading * np.arange(1.0, 13.0).reshape(3, 4)
+            entry['shared_loading'] = shared.tolist()
+            alike = [[float(f'{value:.8g}') for value in row] for row in shared @ shared.T]
+            entry['covariance'] = alike
+
+    known = load_map(edited(tmp_path, all_alike))
+    shared = known.shared_loadings @ known.shared_loadings.swapaxes(1, 2)
+    np.testing.assert_allclose(known.covariances, shared, rtol=1e-6)
 
 
 def test_maps_of_before_have_no_other_views(tmp_path):

@@ -85,6 +85,31 @@ def test_without_a_landmark_in_view_odometry_is_all_there_is():
     assert done.fused_covariances.shape == (16, 3, 3)
 
 
+@pytest.mark.parametrize('exact', [0, 2, 4])
+@pytest.mark.parametrize('own_m', [1e-3, 0.0])
+def test_what_poses_owe_to_a_map_is_told_where_it_is_exact_too(exact, own_m):
+    """Poses that follow known shares of the landmarks' errors owe them that much variance."""
+    loading = np.array([[1e-4], [2e-4], [0.0]])
+    learned = a_map()
+    landmarks = tuple(
+        replace(k, shared_loading=certain * loading,
+                covariance=certain * (own_m**2 * np.eye(3) + loading @ loading.T))
+        for k in learned.landmarks for certain in [float(k.id >= exact)]
+    )  # fmt: skip
+    known = replace(learned, landmarks=landmarks)
+    done = run(drive())
+    joint = known.joint_covariance_xy
+    shares = np.random.default_rng(1).normal(size=(len(done.updates), 3, len(joint)))
+    updates = tuple(
+        replace(update, with_landmarks=by_landmarks @ joint)
+        for update, by_landmarks in zip(done.updates, shares, strict=True)
+    )
+    by_map = replace(done, updates=updates).by_map(known).reshape(3 * len(updates), -1)
+    shares = shares.reshape(len(by_map), -1)
+    owed = shares @ joint @ shares.T
+    np.testing.assert_allclose(by_map @ by_map.T, owed, rtol=1e-6, atol=1e-9 * owed.max())
+
+
 def test_the_odometry_alone_starts_where_the_run_starts():
     done = run(drive(), pose=(2.0, 2.0, -3.0))
     np.testing.assert_allclose(done.odometry.poses[0], [2.0, 2.0, -3.0])

@@ -161,7 +161,6 @@ def test_maps_that_do_not_belong_together_are_not_merged(newer, match):
         ({'width_m': 0.8}, 'do not fit a patch of 32 x 32 texels'),
         ({'covariance': np.eye(3)}, 'of no use'),
         ({'covariance': np.zeros((3, 3))}, 'singular'),
-        ({'shared_loading': np.ones((3, 2))}, 'shares more error'),
         ({'viewpoint': np.array([3.0, -2.0, 1.2])}, 'from behind its wall'),
     ],
 )
