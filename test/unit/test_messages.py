@@ -159,6 +159,18 @@ def test_detections_of_older_recordings_know_of_no_delay():
     assert (again.joint_delay_s, again.pan_delay_s) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize('delay', DETECTION_DELAYS)
+@pytest.mark.parametrize('value', [np.nan, -np.inf])
+@pytest.mark.parametrize('seen', [0, 3])
+def test_detections_with_a_delay_that_is_no_number_are_refused(delay, value, seen):
+    points = np.zeros(4, dtype=DETECTION)
+    points[delay] = value
+    points['bearing'][seen:] = points['bearing_variance'][seen:] = np.nan
+    msg = pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'base_link'), points)
+    with pytest.raises(LandmarkNavError, match=r'detections delay at .* not a number'):
+        decode.detections(msg)
+
+
 @both
 def test_joint_delay_comes_back(deliver):
     msg = deliver(encode.joint_delay(FACTORY, STAMP, 0.2, 0.001))

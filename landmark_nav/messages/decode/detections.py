@@ -22,14 +22,15 @@ def detections(msg: Any) -> Detections:
     Raises
     ------
     LandmarkNavError
-        Fields are missing, or bearings are not numbers.
+        Fields are missing, or bearings or delays are not numbers.
 
     """
     required = [name for name in DETECTION.names or () if name not in DETECTION_DELAYS]
     points = unpack_cloud(msg, required)
     stamp = stamp_ns(msg.header)
     known = len(points) and set(DETECTION_DELAYS) <= set(points.dtype.names or ())
-    told, measured = points[0][list(DETECTION_DELAYS)] if known else (0.0, 0.0)
+    delays = points[0][list(DETECTION_DELAYS)].tolist() if known else (0.0, 0.0)
+    told, measured = finite(delays, 'detections delay', stamp).tolist()
     missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
     ids_missed = points['id'][missed].astype(np.int64)
     points = points[~missed]
@@ -41,8 +42,8 @@ def detections(msg: Any) -> Detections:
         points['score'].astype(np.float64),
         np.stack([points['u'], points['v']], -1).astype(np.float64),
         ids_missed,
-        joint_delay_s=float(told),
-        pan_delay_s=float(measured),
+        joint_delay_s=told,
+        pan_delay_s=measured,
     )
 
 
