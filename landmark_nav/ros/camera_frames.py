@@ -117,7 +117,9 @@ class CameraFrames:
         if sample is None:
             return
         if self._joints and sample.stamp_ns < self._joints[-1].stamp_ns - _CLOCK_STEP_NS:
-            self._joints.clear()
+            # Never empty once it was not: the thread of the pictures reads it meanwhile.
+            self._joints = deque([sample])
+            return
         if len(self._joints) > 1 and 0 <= sample.stamp_ns - self._joints[-2].stamp_ns < _STEP_NS:
             # The newest one is always kept: it tells how far they reach.
             self._joints[-1] = max(sample, self._joints[-1], key=lambda known: known.stamp_ns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,15 +21,21 @@ MOUNT = PanTiltMount()
 RATE_RAD_S = 0.5
 
 
-@pytest.mark.parametrize('step_ns', [1_000_000, 20_000_000])
-def test_they_reach_back_however_fast_they_come(step_ns: int) -> None:
+def listening() -> tuple[CameraFrames, Callable[[JointSample], None]]:
     callbacks: dict[str, Any] = {}
     node: Any = SimpleNamespace(listen=lambda topic, call, **_: callbacks.setdefault(topic, call))
     frames = CameraFrames(node, MOUNT)
+    return frames, lambda sample: callbacks['joint_states'](
+        encode.joint_state(ros_factory, sample, MOUNT)
+    )
+
+
+@pytest.mark.parametrize('step_ns', [1_000_000, 20_000_000])
+def test_they_reach_back_however_fast_they_come(step_ns: int) -> None:
+    frames, hear = listening()
     last_ns = 6 * 10**9
     for stamp_ns in range(0, last_ns + 1, step_ns):
-        sample = JointSample(stamp_ns, 1e-9 * stamp_ns * RATE_RAD_S)
-        callbacks['joint_states'](encode.joint_state(ros_factory, sample, MOUNT))
+        hear(JointSample(stamp_ns, 1e-9 * stamp_ns * RATE_RAD_S))
         assert frames.reaches(stamp_ns)
     for before_ns in (0, 10**9, 2 * 10**9):
         joints = frames.joints_at(last_ns - before_ns)
@@ -36,3 +43,14 @@ def test_they_reach_back_however_fast_they_come(step_ns: int) -> None:
         assert joints.pan_rad == pytest.approx(1e-9 * (last_ns - before_ns) * RATE_RAD_S)
         assert joints.pan_rate_rad_s == pytest.approx(RATE_RAD_S)
     assert frames.swing_rad == pytest.approx(3.0 * RATE_RAD_S, abs=0.02)
+
+
+def test_a_clock_step_takes_nothing_from_a_thread_that_reads_meanwhile() -> None:
+    frames, hear = listening()
+    hear(JointSample(5 * 10**9, 0.1))
+    before = frames._joints
+    hear(JointSample(3 * 10**9, 0.2))
+    assert [sample.pan_rad for sample in before] == [0.1]
+    assert (frames.pan_rad, frames.swing_rad) == (0.2, 0.0)
+    assert frames.reaches(3 * 10**9)
+    assert not frames.reaches(4 * 10**9)

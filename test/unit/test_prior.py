@@ -57,7 +57,9 @@ def test_a_clock_set_back_begins_anew(track: PriorTrack) -> None:
 
     fused(900_000_000, 7.0)
     assert isinstance(track.at(0), PoseEstimate), 'a little late'
+    before = track._known
     fused(200_000_000, 8.0)
+    assert before, 'another thread may be reading them'
     found = track.at(600_000_000)
     assert isinstance(found, PoseEstimate)
     assert found.pose[0] == 8.0

@@ -35,10 +35,13 @@ class PriorTrack:
 
     def add(self, pose: PoseEstimate, speeds: OdometrySample) -> None:
         """Take a fused pose and the speeds of the same time."""
+        known = (pose, speeds.linear_m_s, speeds.angular_rad_s)
         if self._known and self._known[-1][0].stamp_ns - pose.stamp_ns > self._max_age_ns:
-            # The clock was set back: poses of before would be taken for the future.
-            self._known.clear()
-        self._known.append((pose, speeds.linear_m_s, speeds.angular_rad_s))
+            # The clock was set back: poses of before would be taken for the future. Never empty
+            # once it was not: the thread of the pictures reads it meanwhile.
+            self._known = deque([known], maxlen=_HISTORY)
+        else:
+            self._known.append(known)
 
     def recent(self, stamp_ns: int, max_age_s: float | None = None) -> PoseEstimate | None:
         """The last one; None where that is farther from a time than `max_age_s`, or none came."""
