@@ -26,7 +26,7 @@ from landmark_nav.localization.triplet.geometry import pair_tables
 from landmark_nav.localization.triplet.ranking import Ranking, Standing, Verdict
 from landmark_nav.localization.triplet.search import best_triplets, mean_variance
 from landmark_nav.localization.triplet.views import travel_s
-from landmark_nav.types import LandmarkMap, PoseEstimate
+from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 
 UP = np.array([0.0, 0.0, 0.3])
 
@@ -151,6 +151,15 @@ class TestRanking:
             PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0, limits_rad=(-0.5, 0.5))
         )
         assert limited.excluded()[Standing.BEYOND_LIMITS.words] > 10
+
+    def test_none_is_called_chosen_where_none_is_accurate_enough(self) -> None:
+        strict = TripletConfig(max_sigma_m=1e-4)
+        ranking = rank_triplets(PRIOR, random_map(40), CAMERA, MOUNT, strict)
+        assert isinstance(ranking.chosen, Refusal)
+        assert ranking.sigma_m[0] > strict.max_sigma_m
+        assert ranking.verdicts()[0] is Verdict.LESS_ACCURATE
+        accepted = rank_triplets(PRIOR, random_map(40), CAMERA, MOUNT, CONFIG)
+        assert ranking.verdicts()[1:] == accepted.verdicts()[1:]
 
     def test_a_rival_lost_by_what_it_is_worst_in(self) -> None:
         count = 6

@@ -159,7 +159,10 @@ class Ranking:
 
     def verdicts(self) -> list[Verdict]:
         """Why each of the m triplets is where it is."""
-        return [self._verdict(k) if k else Verdict.CHOSEN for k in range(len(self.score))]
+        # Where none is chosen the first is less accurate than it has to be.
+        refused = isinstance(self.chosen, Refusal)
+        first = Verdict.LESS_ACCURATE if refused else Verdict.CHOSEN
+        return [self._verdict(k) if k else first for k in range(len(self.score))]
 
     def _verdict(self, place: int) -> Verdict:
         if self.score[place] < self.score[0]:
