@@ -46,6 +46,33 @@ def test_wrong_usage_is_status_2(
     assert 'usage: landmark-nav' in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('value', ['nan', 'inf', '1e200', '-30000000', 'here'])
+def test_a_start_that_cannot_be_is_wrong_usage(
+    value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = ['evaluate', 'bag', '--map', 'map', '--robot', 'robot.yaml', '--start']
+    for place in range(3):
+        start = ['1.0', '1.0', '0.0']
+        start[place] = value
+        assert main([*files, *start]) == 2
+        line = capsys.readouterr().err.splitlines()[-1]
+        assert line.startswith('landmark-nav evaluate: error: argument --start: ')
+
+
+@pytest.mark.parametrize('value', ['nan', 'inf', '1e200', '1e-200', '0', '-0.1'])
+def test_sigmas_of_a_start_that_cannot_be_are_wrong_usage(
+    value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = ['evaluate', 'bag', '--map', 'map', '--robot', 'robot.yaml', '--start', '1', '1', '0']
+    for sigmas in ([value, '0.1'], ['0.1', value]):
+        assert main([*files, '--start-sigma', *sigmas]) == 2
+        line = capsys.readouterr().err.splitlines()[-1]
+        assert line == (
+            f'landmark-nav evaluate: error: argument --start-sigma: {value} is not from '
+            '1e-09 to 2e+07'
+        )
+
+
 def test_a_command_gets_its_arguments_and_gives_its_status(command: types.ModuleType) -> None:
     seen = []
     command.run = lambda args: seen.append(args.bag) or 1  # type: ignore[attr-defined]
