@@ -13,7 +13,7 @@ from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFil
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.late_joints import REACH_S
 from landmark_nav.localization.fusion.spread import SpreadCorrection
-from landmark_nav.localization.fusion.start import Found
+from landmark_nav.localization.fusion.start import Found, with_sigmas
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
 from landmark_nav.localization.joint_delay import Swing
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -169,9 +169,7 @@ class OdometryFusionNode(LandmarkNode):
     def _on_initial_pose(self, message: Any) -> None:
         decode.check_frame(message.header, self._config.map_frame, 'give it there')
         start = decode.pose_estimate(message)
-        if not start.covariance.any():
-            sigma = (self._config.start_sigma_m,) * 2 + (self._config.start_sigma_rad,)
-            start = replace(start, covariance=np.diag(np.square(sigma)))
+        start = with_sigmas(start, self._config.start_sigma_m, self._config.start_sigma_rad)
         self._start(start, 'start')
         self._told_ns = None if self._last is None else self._now_ns()
         self._waiting = deque(one for one in self._waiting if isinstance(one, Detections))

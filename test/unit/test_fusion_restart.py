@@ -11,7 +11,7 @@ import pytest
 from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.fusion.start import Found
+from landmark_nav.localization.fusion.start import Found, with_sigmas
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
     DELAY,
@@ -72,6 +72,25 @@ def test_a_place_of_seconds_ago_moves_on_with_the_odometry_since_then(begun: boo
     expected = then_known.estimate()
     assert expected is not None
     np.testing.assert_allclose(estimate.covariance, expected.covariance, rtol=0.05, atol=1e-7)
+
+
+@pytest.mark.parametrize('told', [(0, 0, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1)])
+def test_a_start_without_a_variance_is_not_exact(told: tuple[int, int, int]) -> None:
+    first, *moments = drive(60)
+    covariance = np.outer(told, told) * (np.diag([0.02, 0.03, 0.03]) ** 2 + 1e-5)
+    off = first.pose + np.array([0.05, -0.05, 0.08])
+    start = with_sigmas(PoseEstimate(0, off, covariance), 0.3, 0.2)
+    assert np.linalg.eigvalsh(start.covariance)[0] > 0.0
+    known = np.ix_(np.flatnonzero(told), np.flatnonzero(told))
+    np.testing.assert_array_equal(start.covariance[known], covariance[known])
+    fused = PoseFilter(MAP, MOUNT)
+    fused.initialize(start)
+    for k, moment in enumerate([first, *moments]):
+        fused.add_odometry(moment.odometry)
+        if k % 4 == 0:
+            see(fused, moment, k)
+    assert fused.status == ('tracking', '')
+    assert np.hypot(*error_of(fused.estimate(), moment.pose)[:2]) < 0.02
 
 
 def test_a_person_who_tells_a_place_of_seconds_ago_is_at_another_clock() -> None:

@@ -15,7 +15,7 @@ from landmark_nav.localization.fusion.state import FilterState, HEADING
 from landmark_nav.localization.joint_delay import DOUBT_S, JointDelay, Lag
 from landmark_nav.types import PoseEstimate
 
-__all__ = ['Found', 'checked_start', 'is_finite', 'is_headed', 'joints_in_doubt']
+__all__ = ['Found', 'checked_start', 'is_finite', 'is_headed', 'joints_in_doubt', 'with_sigmas']
 
 # Sigmas of x, y, heading of a pose that is not known. Those who tell that by larger numbers leave
 # no digits for what is found.
@@ -36,6 +36,13 @@ def is_finite(estimate: PoseEstimate) -> bool:
 def is_headed(found: FilterState) -> bool:
     """Whether the heading is known as well as pictures tell it while the pan stands still."""
     return bool(found.covariance[HEADING, HEADING] <= _HEADED_RAD**2)
+
+
+def with_sigmas(start: PoseEstimate, sigma_m: float, sigma_rad: float) -> PoseEstimate:
+    """Return a start with these sigmas of position and heading where its variances are zero."""
+    variance = np.square([sigma_m, sigma_m, sigma_rad])
+    missing = np.where(start.covariance.diagonal() == 0.0, variance, 0.0)
+    return replace(start, covariance=start.covariance + np.diag(missing))
 
 
 def checked_start(
