@@ -60,10 +60,10 @@ class Parameters(Config):
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
     map_frame: str = parameter('map', 'frame of odometry/fused')
     start_sigma_m: float = parameter(
-        0.3, 'position sigma of an initialpose that comes without covariance, m', minimum=1e-4
+        0.3, 'position sigma of an initialpose that comes without one, m', minimum=1e-4
     )
     start_sigma_rad: float = parameter(
-        0.2, 'heading sigma of an initialpose that comes without covariance, rad', minimum=1e-4
+        0.2, 'heading sigma of an initialpose that comes without one, rad', minimum=1e-4
     )
     correction_time_s: float = parameter(
         0.0,

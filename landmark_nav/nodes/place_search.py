@@ -114,7 +114,9 @@ class PlaceSearch:
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether odometry of that time or later is known."""
-        return bool(self._odometry) and self._odometry[-1].stamp_ns >= stamp_ns
+        # Another thread begins anew meanwhile.
+        known = self._odometry
+        return bool(known) and known[-1].stamp_ns >= stamp_ns
 
     def consider(self, stamp_ns: int) -> None:
         """
@@ -131,7 +133,7 @@ class PlaceSearch:
         if fused is not None and is_known(fused) and not self._unseen.lasts:
             self._relocalizer = None
         elif self._relocalizer is None:
-            self._odometry.clear()
+            self._odometry = deque(maxlen=_BACKLOG)
             self._relocalizer = self._new_relocalizer()
 
     def add_odometry(self, sample: OdometrySample) -> None:
@@ -165,11 +167,13 @@ class PlaceSearch:
         relocalizer, self._lean_rad = self._relocalizer, (0.0, 0.0)
         if relocalizer is None:
             return self._outcome
-        while self._odometry and self._odometry[0].stamp_ns <= frame.stamp_ns:
-            relocalizer.add_odometry(self._odometry.popleft())
+        known = self._odometry
+        while known and known[0].stamp_ns <= frame.stamp_ns:
+            relocalizer.add_odometry(known.popleft())
         outcome = self._outcome = relocalizer.add_frame(frame, lean)
         # That took a while, in which somebody may have told the place.
-        self.consider(self._odometry[-1].stamp_ns if self._odometry else frame.stamp_ns)
+        known = self._odometry
+        self.consider(known[-1].stamp_ns if known else frame.stamp_ns)
         if isinstance(outcome, PoseEstimate) and self._relocalizer is relocalizer:
             self._relocalizer, self._asked = None, False
             self._told_ns = frame.stamp_ns
@@ -195,7 +199,7 @@ class PlaceSearch:
         if not self.landmarks.landmarks:
             raise LandmarkNavError('there are no landmarks: call learn_landmarks or load_map')
         self._found.clear()
-        self._odometry.clear()
+        self._odometry = deque(maxlen=_BACKLOG)
         self._outcome = Refusal('no picture came')
         self._relocalizer, self._asked = self._new_relocalizer(), True
         until = time.monotonic() + self._config.search_s
