@@ -205,7 +205,9 @@ class Observer:
         turned = np.diag([0.0, 0.0, pan_sigma**2])
         looked = replace(looked_from, covariance=looked_from.covariance + turned)
         result = self._detected(frame, looked, visible, wanted, not wide)
-        missed = np.array(sorted(result.refused), dtype=np.int64)
+        # What a picture cuts off, or shows too small, is no evidence.
+        looked_for = (k for k, why in result.refused.items() if why.reason not in NOT_LOOKED_FOR)
+        missed = np.array(sorted(looked_for), dtype=np.int64)
         found, refused = result.detections, dict(result.refused)
         if not known and len(found) < _AGREE:
             # So few matches may all be mistaken.
@@ -213,7 +215,7 @@ class Observer:
             refused.update(dict.fromkeys(found.ids.tolist(), alone))
             found = found.chosen(np.zeros(len(found), dtype=np.bool_))
         if len(found):
-            found = self._doubted(found, refused, looked)
+            found = self._doubted(found, missed, looked)
         swing = Swing.of(frame, self._mount)
         found = replace(
             found,
@@ -260,12 +262,11 @@ class Observer:
         return result
 
     def _doubted(
-        self, found: Detections, refused: Mapping[int, Refusal], prior: PoseEstimate
+        self, found: Detections, missed: npt.NDArray[np.int64], prior: PoseEstimate
     ) -> Detections:
         """Bearings, less certain where what hangs around a landmark was looked for in vain."""
         columns = self._map.indices(found.ids)
-        missed = [k for k, why in refused.items() if why.reason not in NOT_LOOKED_FOR]
-        self._company.note(columns, self._map.indices(np.array(missed, dtype=np.int64)))
+        self._company.note(columns, self._map.indices(missed))
         away = self._map.positions[columns, :2] - axis_from_base(prior, self._mount).pose[:2]
         across = self._company.variance_m2(columns) / np.sum(away**2, axis=1)
         return replace(found, variance_rad2=found.variance_rad2 + across)

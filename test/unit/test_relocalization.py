@@ -117,6 +117,17 @@ def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
     assert '(1.90, 1.50)' in found.detail
     assert '(3.10, 2.50)' in found.detail
 
+    # Nor is it where the map has more landmarks of one end than of the other.
+    known = learned(symmetric)
+    south_east = [k for k in known.landmarks if k.normal[1] > 0.9 or k.normal[0] < -0.9]
+    few = {k.id for k in south_east[::2]}
+    sparse = replace(
+        known, landmarks=tuple(k for k in known.landmarks if k not in south_east or k.id in few)
+    )
+    found = standing(sweep(symmetric, (1.9, 1.5, 0.7)), sparse)
+    assert isinstance(found, Refusal)
+    assert found.reason == 'not unique'
+
     # A wall that is different decides.
     north = SCENE.boards[2]
     decided = Scene((south, east, north, twins[1]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from picture_drives import LENS, MAP, MOUNT, picture, ROOM, START
 import pytest
@@ -108,6 +109,18 @@ def test_another_room_or_a_dark_picture_shows_nothing() -> None:
         assert isinstance(place, Refusal)
         assert place.reason == 'nothing recognised'
         assert not len(look(wide, frame).detections)
+
+
+def test_what_a_camera_of_few_pixels_cannot_show_is_no_evidence() -> None:
+    image = cv2.resize(FRAME.image, (LENS.width // 4, LENS.height // 4))
+    sides = {name: getattr(LENS, name) / 4.0 for name in ('fx', 'fy', 'cx', 'cy')}
+    small = replace(LENS, width=LENS.width // 4, height=LENS.height // 4, **sides)
+    seen = look(told(np.zeros(3), SURE), replace(FRAME, image=image, camera=small))
+    tiny = [k for k, why in seen.refused.items() if why.reason == 'too small or cut off']
+    assert len(tiny) >= 3
+    assert not set(tiny) & set(seen.detections.missed)
+    dark = replace(FRAME, image=np.full_like(FRAME.image, 90))
+    assert len(look(told(np.zeros(3), SURE), dark).detections.missed) >= 4
 
 
 def test_two_matches_are_no_evidence_where_the_pose_is_hardly_known() -> None:

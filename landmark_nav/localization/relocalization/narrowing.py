@@ -17,7 +17,11 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import squared_distance
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization.hypotheses import propose
-from landmark_nav.localization.relocalization.search import best_place, verified_places
+from landmark_nav.localization.relocalization.search import (
+    best_place,
+    CANDIDATES,
+    verified_places,
+)
 from landmark_nav.localization.relocalization.sightings import find_sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames, Verification
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
@@ -58,9 +62,10 @@ def narrowed(
     rough = np.diag(np.square(_PROPOSED_SIGMA))
     likely = poses[[_allows(prior, pose, rough) for pose in poses]]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
+    some = likely[:CANDIDATES]
     places = [
         place
-        for place in verified_places(likely, still, landmark_map, mount, looking, lean_sigma_rad)
+        for place in verified_places(some, still, landmark_map, mount, looking, lean_sigma_rad)
         if _allows(prior, place.estimate.pose, place.estimate.covariance)
     ]
     return best_place(places, len(likely))

@@ -27,6 +27,7 @@ from landmark_nav.localization.relocalization.verification import (
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 __all__ = [
+    'CANDIDATES',
     'UNRECOGNISED',
     'UnsurePlace',
     'best_place',
@@ -38,10 +39,11 @@ __all__ = [
 UNRECOGNISED = 'nothing recognised'
 # Least share of the landmarks expected at a place that must be found there.
 _MIN_FOUND_SHARE = 0.4
-# Most landmarks that the second-best place may have, as a share of those of the best.
-_MAX_RIVAL_SHARE = 0.5
-# So many proposed places are verified.
-_CANDIDATES = 4
+# Most landmarks that another place may have, as a share of those of the best. What the map lacks
+# there is no evidence: nor may as many be found of those that are expected, up to this share.
+_MAX_RIVAL_SHARE, _ALIKE = 0.5, 0.75
+# So many proposed places are verified, and so many before one is believed.
+CANDIDATES, _ALL_CANDIDATES = 4, 16
 # So many landmarks at a place are not found by chance.
 _TELLING = 4
 # Any one of them may be mistaken: without it sigma may be this factor over its limit.
@@ -97,8 +99,15 @@ def locate(
     proposed = propose(Sightings.joined(moved), landmark_map)
     if not len(proposed.poses):
         return Refusal(UNRECOGNISED, 'no two sightings agree on a place')
-    places = verified_places(proposed.poses, carried, landmark_map, mount, looking, lean_sigma_rad)
-    return _judged(best_place(places, len(proposed.poses)), config)
+    poses, count, places = proposed.poses, len(proposed.poses), list[Verification]()
+    for some in poses[:CANDIDATES], poses[CANDIDATES:_ALL_CANDIDATES]:
+        places = verified_places(
+            some, carried, landmark_map, mount, looking, lean_sigma_rad, places
+        )
+        judged = _judged(best_place(places, count), config)
+        if isinstance(judged, Refusal):
+            break
+    return judged
 
 
 def verified_places(
@@ -108,10 +117,11 @@ def verified_places(
     mount: PanTiltMount,
     looking: LookingConfig,
     lean_sigma_rad: float = 0.0,
+    known: Sequence[Verification] = (),
 ) -> list[Verification]:
-    """Verify the first of the poses (n, 3); return different places, most landmarks first."""
-    places: list[Verification] = []
-    for pose in poses[:_CANDIDATES]:
+    """Verify poses (n, 3); return them with those `known`, if different, most landmarks first."""
+    places = list(known)
+    for pose in poses:
         outcome = verify(pose, carried, landmark_map, mount, looking, lean_sigma_rad)
         if isinstance(outcome, Verification) and not _known(outcome, places):
             places.append(outcome)
@@ -143,13 +153,15 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
         return Refusal(UNRECOGNISED, f'none of {proposed} places shows what is to be seen there')
     best, *others = places
     found = len(best.ids)
-    rival = max((len(other.ids) for other in others), default=0)
-    if rival > _MAX_RIVAL_SHARE * found:
-        return Refusal(
-            'not unique',
-            f'{found} landmarks speak for {_where(best)}, {rival} for {_where(others[0])}',
-        )
-    if found < _MIN_FOUND_SHARE * best.expected:
+    for other in others:
+        many = len(other.ids) > _MAX_RIVAL_SHARE * found
+        if many or (len(other.ids) >= _TELLING and other.share > _ALIKE * best.share):
+            return Refusal(
+                'not unique',
+                f'{found} of {best.expected} landmarks are found at {_where(best)}, '
+                f'{len(other.ids)} of {other.expected} at {_where(other)}',
+            )
+    if best.share < _MIN_FOUND_SHARE:
         return Refusal(
             UNRECOGNISED,
             f'at {_where(best)} only {found} of {best.expected} landmarks are found',

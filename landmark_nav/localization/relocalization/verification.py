@@ -77,6 +77,11 @@ class Verification:
     sigma_without_m: FloatArray
     expected: int
 
+    @property
+    def share(self) -> float:
+        """How many of the expected landmarks were found."""
+        return len(self.ids) / self.expected
+
 
 @dataclass(frozen=True, eq=False)
 class _Bearings:
