@@ -71,6 +71,32 @@ def test_what_interpolation_leaves_open_is_claimed(period_ms: int) -> None:
     assert np.mean(np.abs(normalized) > 3.0) < 0.01
 
 
+@pytest.mark.parametrize(('period_ms', 'shift_ms'), [(100, 0), (100, 30), (200, 0), (200, 70)])
+def test_what_few_joint_states_do_not_show_is_claimed(period_ms: int, shift_ms: int) -> None:
+    """A unit that is sent on ten times a second turns unevenly; it starts, stops and swings."""
+    rng, step_ms, goal, rate = np.random.default_rng(2), 5, 0.0, 0.0
+    unit, smooth = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0, pan_limit_rad=6.3)), []
+    for k in range(24_000):
+        if k % 300 == 0:
+            rate = float(rng.choice([0.0, 0.2, 0.4])) * (-1.0 if goal > 0.0 else 1.0)
+        goal += 1e-3 * step_ms * rate
+        unit.command(goal)
+        unit.step(1e-3 * step_ms)
+        smooth.append(unit.angles_rad[0])
+    # Ten times a second faster and slower by a quarter.
+    phase = 2.0 * np.pi * 10.0 * 1e-3 * step_ms * np.arange(len(smooth))
+    true = smooth + 0.25 * np.gradient(smooth) / np.diff(phase)[0] * np.sin(phase)
+    every, first = period_ms // step_ms, shift_ms // step_ms
+    known = [JointSample(k * step_ms * MS, true[k]) for k in range(first, len(true), every)]
+    history, normalized = JointHistory(known), []
+    for k in range(first + every, len(true) - 3 * every):
+        found = history.at(k * step_ms * MS)
+        assert isinstance(found, JointSample)
+        normalized.append((found.pan_rad - true[k]) / np.hypot(found.pan_sigma_rad, 2e-4))
+    assert np.sqrt(np.mean(np.square(normalized))) < 1.0
+    assert np.mean(np.abs(normalized) > 5.0) < 0.002
+
+
 def test_a_joint_state_of_the_same_moment_needs_no_other() -> None:
     for known in (turning(100), turning(100, 1300), turning(100, 100)):
         found = known.at(101 * MS)

@@ -22,6 +22,9 @@ __all__ = ['CameraInfos', 'JointHistory', 'JointLog']
 _MAX_JOINT_GAP_NS = 500_000_000
 # So far beyond them the last rate tells it: a joint may start or stop at any moment.
 _SAME_TIME_NS = 2_000_000
+# A joint that is sent on step by step turns by so much faster and slower, ten times a second.
+# Joint states do not show it if they are as far apart, and in part if over half of that.
+_UNEVEN, _UNEVEN_NS = 0.2, 100_000_000
 # Joint states may be late by so much: as far the pan is told before and after a picture.
 _TRACK_NS = 400_000_000
 # Joint states older by this are not late: the clock was set back.
@@ -95,11 +98,16 @@ class JointHistory:
         """
         By how much the pan may turn faster or slower in a part of an interval of that rate.
 
-        The rates before and after it tell, on average; alone, it may have stood for a part.
+        The rates before and after it tell: a joint that starts, stops or swings differs from one
+        of them alone. Without any, it may have stood for a part.
         """
         beside = (self._rate(later - 1), self._rate(later + 1))
         changes = [abs(other - rate) for other in beside if other is not None]
-        return sum(changes) / len(changes) if changes else abs(rate)
+        if not changes:
+            return abs(rate)
+        gap_ns = self._stamps[later] - self._stamps[later - 1]
+        hidden = min(max(2.0 * gap_ns / _UNEVEN_NS - 1.0, 0.0), 1.0)
+        return max(*changes, hidden * _UNEVEN * abs(rate))
 
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:
