@@ -7,7 +7,10 @@ from collections.abc import Callable
 import time
 from typing import Any
 
+import numpy as np
+
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import unwrap_joint
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.ros.node import LandmarkNode
@@ -65,8 +68,9 @@ class CameraFrames:
     @property
     def swing_rad(self) -> float:
         """How far the pan turned in the joint states that are kept."""
-        pans = [sample.pan_rad for sample in self._joints]
-        return max(pans) - min(pans) if pans else 0.0
+        kept = tuple(self._joints)
+        pans_rad = unwrap_joint([s.stamp_ns for s in kept], [s.pan_rad for s in kept])
+        return float(np.ptp(pans_rad)) if kept else 0.0
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether joint states are known that are stamped then or later."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import PanTiltMount
@@ -54,3 +55,10 @@ def test_a_clock_step_takes_nothing_from_a_thread_that_reads_meanwhile() -> None
     assert (frames.pan_rad, frames.swing_rad) == (0.2, 0.0)
     assert frames.reaches(3 * 10**9)
     assert not frames.reaches(4 * 10**9)
+
+
+def test_a_pan_that_is_reported_within_half_a_turn_has_not_swung_by_a_turn() -> None:
+    frames, hear = listening()
+    for k, pan_rad in enumerate([3.13, 3.14, -3.133, -3.123]):
+        hear(JointSample(k * 20_000_000, pan_rad))
+    assert frames.swing_rad == pytest.approx(2.0 * np.pi - 3.123 - 3.13)

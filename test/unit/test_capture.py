@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from turning_robot import check_sweep, Picture, Robot, SHORT, STEP_NS
+from turning_robot import check_sweep, Picture, Robot, SHORT, STEP_NS, TURN
 
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.capture import Shot
 from landmark_nav.types import JointSample
 
@@ -77,6 +78,24 @@ def test_whatever_comes_every_kept_frame_is_right(seed):
     robot = Hostile(config)
     check_sweep(robot.run(20_000), 0.3 + 0.1 * np.arange(9))
     assert robot.sweep.refused
+
+
+@pytest.mark.parametrize('beyond_rad', [-5e-4, 0.0])
+def test_a_driver_that_reports_the_pan_within_half_a_turn(beyond_rad):
+    class Wrapped(Robot):
+        """Half a turn is reported as either, as it happens."""
+
+        def measured(self):
+            noise = 2e-4 * (-1.0) ** self.k
+            return float(wrap_rad(self.pan + beyond_rad + noise))
+
+    sweep = Wrapped(replace(TURN, step_timeout_s=5.0)).run()
+    assert sweep.done
+    off = wrap_rad([kept.frame.pan - kept.joints.pan_rad for kept in sweep.kept])
+    np.testing.assert_allclose(off, -beyond_rad, atol=2e-3)
+    taken = np.sort([kept.frame.pan for kept in sweep.kept])
+    wanted = TURN.start_rad + TURN.step_rad * np.arange(24)
+    np.testing.assert_allclose(taken, wanted, atol=2e-3)
 
 
 def test_a_slow_joint_gets_its_time():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.storage.bags.timelines import JointHistory
 from landmark_nav.types import JointSample, Refusal
@@ -95,6 +96,23 @@ def test_what_few_joint_states_do_not_show_is_claimed(period_ms: int, shift_ms: 
         normalized.append((found.pan_rad - true[k]) / np.hypot(found.pan_sigma_rad, 2e-4))
     assert np.sqrt(np.mean(np.square(normalized))) < 1.0
     assert np.mean(np.abs(normalized) > 5.0) < 0.002
+
+
+@pytest.mark.parametrize('period_ms', [20, 200])
+def test_a_driver_that_reports_the_pan_within_half_a_turn(period_ms: int) -> None:
+    stamps_ms = range(0, 20_000, period_ms)
+    true = [1e-3 * RATE * t for t in stamps_ms]
+    known = zip(stamps_ms, wrap_rad(true).tolist(), strict=True)
+    history = JointHistory(JointSample(t * MS, pan) for t, pan in known)
+    for t in range(1000, 19_000, 7):
+        found = history.at(t * MS)
+        assert isinstance(found, JointSample)
+        assert wrap_rad(found.pan_rad - 1e-3 * RATE * t) == pytest.approx(0.0, abs=1e-9)
+        assert abs(found.pan_rad) < np.pi + 1e-3 * RATE * period_ms
+        assert found.pan_rate_rad_s == pytest.approx(RATE)
+        assert found.pan_track is not None
+        turned = found.pan_track.at([-0.3, 0.0, 0.3]) - found.pan_rad
+        np.testing.assert_allclose(turned, [-0.3 * RATE, 0.0, 0.3 * RATE], atol=1e-9)
 
 
 def test_a_joint_state_of_the_same_moment_needs_no_other() -> None:

@@ -84,6 +84,10 @@ class Robot:
         """The frame that the camera delivers now, with its stamp; None for none."""
         return Picture(self.pan, self.k), self.now - 7_000_000
 
+    def measured(self):
+        """The pan that the driver reports."""
+        return self.pan
+
     def tick(self):
         self.k += 1
         command = self.sweep.command(self.now)
@@ -97,7 +101,7 @@ class Robot:
             self.rates[stamp] = self.rate
             self.sweep.add_frame(Shot(picture, stamp, picture.digest), self.now)
         if not self.mute:
-            self.sweep.add_joints(JointSample(self.now, self.pan), self.now)
+            self.sweep.add_joints(JointSample(self.now, self.measured()), self.now)
         self.sweep.check(self.now)
 
     def run(self, ticks=6000):

@@ -7,6 +7,7 @@ from collections import deque
 
 import numpy as np
 
+from landmark_nav.geometry.angles import unwrap_joint, wrap_one_rad, wrap_rad
 from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.types import FloatArray, JointSample
 
@@ -51,14 +52,15 @@ class JointTrack:
         if len(recent) < _LEAST_SAMPLES:
             return False
         stamps = np.array([sample.stamp_ns for sample in recent], dtype=np.int64)
-        angles = np.array([(sample.pan_rad, sample.tilt_rad) for sample in recent])
+        pans_rad = unwrap_joint(stamps, [sample.pan_rad for sample in recent])
+        angles = np.column_stack((pans_rad, [sample.tilt_rad for sample in recent]))
         moved = np.maximum.accumulate(angles) - np.minimum.accumulate(angles)
         span_s = (stamps[0] - stamps) * 1e-9
         still = moved.max(axis=1) <= self._config.settled_velocity_rad_s * span_s
         still &= (span_s >= self._config.settled_s) & (stamps <= since_ns)
         still[: _LEAST_SAMPLES - 1] = False
         if target_rad is not None:
-            off = np.maximum.accumulate(np.abs(angles[:, 0] - target_rad))
+            off = np.maximum.accumulate(np.abs(wrap_rad(pans_rad - target_rad)))
             still &= off <= self._config.arrival_tolerance_rad
         return bool(still.any())
 
@@ -70,8 +72,9 @@ class JointTrack:
             return self._samples[after].pan_rad, self._samples[after].pan_rad
         if after in (0, len(stamps)):
             return None
-        near = [sample.pan_rad for sample in list(self._samples)[after - 1 : after + 1]]
-        return min(near), max(near)
+        near = [self._samples[after - 1].pan_rad, self._samples[after].pan_rad]
+        pans_rad = unwrap_joint(stamps[after - 1 : after + 1], near)
+        return float(pans_rad.min()), float(pans_rad.max())
 
     def at(self, stamp_ns: int) -> JointSample | None:
         """Angles at a stamp, interpolated; None if the samples around it are too far apart."""
@@ -85,9 +88,10 @@ class JointTrack:
         if gap_ns > self._config.stamp_gap_s * 1e9:
             return None
         share = (stamp_ns - first.stamp_ns) / gap_ns if gap_ns else 0.0
+        pans_rad = unwrap_joint((first.stamp_ns, last.stamp_ns), (first.pan_rad, last.pan_rad))
         return JointSample(
             stamp_ns,
-            first.pan_rad + share * (last.pan_rad - first.pan_rad),
+            first.pan_rad + share * float(pans_rad[1] - pans_rad[0]),
             first.tilt_rad + share * (last.tilt_rad - first.tilt_rad),
         )
 
@@ -124,8 +128,9 @@ class PanReach:
         tolerance = self._config.arrival_tolerance_rad
         if self._first_rad is None:
             self._first_rad = pan_rad
-        self._has_moved |= abs(pan_rad - self._first_rad) > tolerance
-        if self._doubt_rad is not None and abs(pan_rad - self._doubt_rad) > tolerance:
+        self._has_moved |= abs(wrap_one_rad(pan_rad - self._first_rad)) > tolerance
+        doubt_rad = self._doubt_rad
+        if doubt_rad is not None and abs(wrap_one_rad(pan_rad - doubt_rad)) > tolerance:
             self._doubt_rad = None
 
     def stop(self, pan_rad: float, target_rad: float) -> bool:

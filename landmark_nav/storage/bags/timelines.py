@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import unwrap_joint
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.messages import decode
@@ -47,6 +48,8 @@ class JointHistory:
         by_stamp = {sample.stamp_ns: sample for sample in samples}
         self._stamps = sorted(by_stamp)
         self._samples = [by_stamp[stamp] for stamp in self._stamps]
+        pans_rad = [sample.pan_rad for sample in self._samples]
+        self._pans_rad: list[float] = unwrap_joint(self._stamps, pans_rad).tolist()
 
     def at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at `stamp_ns`, or why they are not known."""
@@ -61,11 +64,11 @@ class JointHistory:
             share = (stamp_ns - first.stamp_ns) / gap_ns
             return JointSample(
                 stamp_ns,
-                first.pan_rad + share * (second.pan_rad - first.pan_rad),
+                first.pan_rad + share * (self._pans_rad[later] - self._pans_rad[later - 1]),
                 first.tilt_rad + share * (second.tilt_rad - first.tilt_rad),
                 rate,
                 abs(share * (1.0 - share)) * gap_ns * 1e-9 * self._rate_change(later, rate),
-                self._track(stamp_ns),
+                self._track(stamp_ns, first.pan_rad - self._pans_rad[later - 1]),
             )
         nearest = min(first, second, key=lambda sample: abs(sample.stamp_ns - stamp_ns))
         if abs(nearest.stamp_ns - stamp_ns) <= _SAME_TIME_NS:
@@ -76,23 +79,23 @@ class JointHistory:
             return Refusal(f'joint_states begin {beyond_ns * 1e-6:.0f} ms later')
         return Refusal(f'no joint_states for {gap_ns * 1e-9:.1f} s')
 
-    def _track(self, stamp_ns: int) -> PanTrack:
-        """Pan about a time that is within the history."""
+    def _track(self, stamp_ns: int, turns_rad: float) -> PanTrack:
+        """Pan about a time that is within the history, that many turns on."""
         first = max(bisect_right(self._stamps, stamp_ns - _TRACK_NS) - 1, 0)
         near = slice(first, bisect_left(self._stamps, stamp_ns + _TRACK_NS) + 1)
         return PanTrack(
             1e-9 * (np.array(self._stamps[near]) - stamp_ns),
-            np.array([sample.pan_rad for sample in self._samples[near]]),
+            np.array(self._pans_rad[near]) + turns_rad,
         )
 
     def _rate(self, later: int) -> float | None:
         """Rate of the pan, rad/s, from one sample to a later one; None if they do not tell."""
         if not 0 < later < len(self._samples):
             return None
-        first, second = self._samples[later - 1], self._samples[later]
-        gap_ns = second.stamp_ns - first.stamp_ns
+        gap_ns = self._stamps[later] - self._stamps[later - 1]
         known = 0 < gap_ns <= _MAX_JOINT_GAP_NS
-        return 1e9 * (second.pan_rad - first.pan_rad) / gap_ns if known else None
+        turned_rad = self._pans_rad[later] - self._pans_rad[later - 1]
+        return 1e9 * turned_rad / gap_ns if known else None
 
     def _rate_change(self, later: int, rate: float) -> float:
         """
