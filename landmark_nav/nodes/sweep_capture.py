@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Lock
 import time
 from typing import Any
@@ -54,6 +54,8 @@ class SweepCaptureNode(LandmarkNode):
         self._called = Lock()
         self._result = 'ready'
         self._camera_info: Any = None
+        # Of a tilt joint that has a driver of its own.
+        self._tilt_rad: float | None = None
         self.listen('joint_states', self._on_joints)
         self.listen('camera/camera_info', self._on_camera_info)
         self.listen('odom', lambda message: self._runner.add_odometry(decode.odometry(message)))
@@ -104,9 +106,14 @@ class SweepCaptureNode(LandmarkNode):
         self._runner.add_image(message, self._camera_info)
 
     def _on_joints(self, message: Any) -> None:
+        if (tilt := decode.lone_tilt(message, self._mount)) is not None:
+            _, self._tilt_rad = tilt
         sample = decode.joint_sample(message, self._mount)
-        if sample is not None:
-            self._runner.add_joints(sample)
+        if sample is None:
+            return
+        if self._tilt_rad is not None:
+            sample = replace(sample, tilt_rad=self._tilt_rad)
+        self._runner.add_joints(sample)
 
 
 def main() -> int:

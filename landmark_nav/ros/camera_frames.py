@@ -23,6 +23,8 @@ __all__ = ['CameraFrames']
 _HISTORY_NS, _STEP_NS = 3 * 10**9, 5_000_000
 # Joint states older by this are not late: the clock was set back.
 _CLOCK_STEP_NS = 500_000_000
+# Tilts that come by themselves are waited for, if they are no further behind the pan.
+_TILT_BEHIND_NS = 150_000_000
 _POLL_S = 0.005
 
 
@@ -46,6 +48,8 @@ class CameraFrames:
     ) -> None:
         self._mount, self._delay_ns = mount, round(1e9 * joint_delay_s)
         self._joints: deque[JointSample] = deque()
+        # Stamps and tilts of a tilt joint that has a driver of its own.
+        self._tilts: deque[tuple[int, float]] = deque()
         self._camera: CameraModel | None = None
         node.listen('joint_states', self._on_joints, depth=50)
         node.listen('camera/camera_info', self._on_camera_info)
@@ -63,6 +67,8 @@ class CameraFrames:
     @property
     def tilt_rad(self) -> float:
         """The last measured tilt, level before any came."""
+        if self._tilts:
+            return self._tilts[-1][1]
         return self._joints[-1].tilt_rad if self._joints else 0.0
 
     @property
@@ -74,11 +80,15 @@ class CameraFrames:
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether joint states are known that are stamped then or later."""
-        return bool(self._joints) and self._joints[-1].stamp_ns >= stamp_ns
+        if not self._joints or self._joints[-1].stamp_ns < stamp_ns:
+            return False
+        tilt_ns = self._tilts[-1][0] if self._tilts else stamp_ns
+        return tilt_ns >= stamp_ns or tilt_ns < self._joints[-1].stamp_ns - _TILT_BEHIND_NS
 
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at a time of the pictures, interpolated; or why they are not known."""
-        return JointHistory(tuple(self._joints)).at(stamp_ns + self._delay_ns)
+        history = JointHistory(tuple(self._joints), tuple(self._tilts))
+        return history.at(stamp_ns + self._delay_ns)
 
     def complete(
         self, message: Any, seconds: float, also: Callable[[int], bool], late_s: float
@@ -119,6 +129,9 @@ class CameraFrames:
     def _on_joints(self, message: Any) -> None:
         sample = decode.joint_sample(message, self._mount)
         if sample is None:
+            tilt = decode.lone_tilt(message, self._mount)
+            if tilt is not None:
+                self._add_tilt(tilt)
             return
         if self._joints and sample.stamp_ns < self._joints[-1].stamp_ns - _CLOCK_STEP_NS:
             # Never empty once it was not: the thread of the pictures reads it meanwhile.
@@ -131,6 +144,14 @@ class CameraFrames:
         self._joints.append(sample)
         while self._joints[0].stamp_ns < sample.stamp_ns - _HISTORY_NS:
             self._joints.popleft()
+
+    def _add_tilt(self, tilt: tuple[int, float]) -> None:
+        if self._tilts and tilt[0] < self._tilts[-1][0] - _CLOCK_STEP_NS:
+            self._tilts = deque([tilt])
+            return
+        self._tilts.append(tilt)
+        while self._tilts[0][0] < tilt[0] - _HISTORY_NS:
+            self._tilts.popleft()
 
     def _on_camera_info(self, message: Any) -> None:
         self._camera = decode.camera_model(message)

@@ -22,13 +22,23 @@ MOUNT = PanTiltMount()
 RATE_RAD_S = 0.5
 
 
-def listening() -> tuple[CameraFrames, Callable[[JointSample], None]]:
+def listening(*joints: str) -> tuple[CameraFrames, Callable[[JointSample], None]]:
+    """Frames of a node, and what makes it hear of `joints`, of both unless they are named."""
     callbacks: dict[str, Any] = {}
     node: Any = SimpleNamespace(listen=lambda topic, call, **_: callbacks.setdefault(topic, call))
     frames = CameraFrames(node, MOUNT)
-    return frames, lambda sample: callbacks['joint_states'](
-        encode.joint_state(ros_factory, sample, MOUNT)
-    )
+
+    def hear(sample: JointSample) -> None:
+        both = encode.joint_state(ros_factory, sample, MOUNT)
+        for joint in joints:
+            alone = encode.joint_state(ros_factory, sample, MOUNT)
+            at = list(both.name).index(joint)
+            alone.name, alone.position = [joint], [both.position[at]]
+            callbacks['joint_states'](alone)
+        if not joints:
+            callbacks['joint_states'](both)
+
+    return frames, hear
 
 
 @pytest.mark.parametrize('step_ns', [1_000_000, 20_000_000])
@@ -62,3 +72,32 @@ def test_a_pan_that_is_reported_within_half_a_turn_has_not_swung_by_a_turn() -> 
     for k, pan_rad in enumerate([3.13, 3.14, -3.133, -3.123]):
         hear(JointSample(k * 20_000_000, pan_rad))
     assert frames.swing_rad == pytest.approx(2.0 * np.pi - 3.123 - 3.13)
+
+
+def test_a_tilt_that_is_told_by_itself_is_waited_for_and_kept() -> None:
+    frames, hear = listening(MOUNT.tilt_joint, MOUNT.pan_joint)
+    for k in range(400):
+        hear(JointSample(k * 20_000_000, 0.0, 0.001 * k))
+    last_ns = 399 * 20_000_000
+    joints = frames.joints_at(last_ns - 110_000_000)
+    assert isinstance(joints, JointSample)
+    assert joints.tilt_rad == pytest.approx(0.399 - 0.0055, abs=1e-6)
+    assert frames.tilt_rad == pytest.approx(0.399)
+    assert len(frames._tilts) < 200
+
+    def hear_pan(stamp_ns: int) -> None:
+        message = encode.joint_state(ros_factory, JointSample(stamp_ns, 0.0), MOUNT)
+        message.name, message.position = [MOUNT.pan_joint], [0.0]
+        frames._on_joints(message)
+
+    # A tilt is awaited, but not for long: it may be told now and then only.
+    hear_pan(last_ns + 20_000_000)
+    assert frames.reaches(last_ns)
+    assert not frames.reaches(last_ns + 10_000_000)
+    hear_pan(last_ns + 160_000_000)
+    assert frames.reaches(last_ns + 10_000_000)
+    joints = frames.joints_at(last_ns + 100_000_000)
+    assert isinstance(joints, JointSample)
+    assert joints.tilt_rad == pytest.approx(0.399)
+    hear(JointSample(0, 0.0, 0.2))
+    assert [tilt for _, tilt in frames._tilts] == [0.2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+import copy
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -40,13 +41,15 @@ class SmallRobot(LandmarkNode):
     """
     Joint states at 50 Hz, every third with a picture; keeps what a sweep publishes.
 
-    `stuck`, `limit_rad`, `frozen` and `x_m` (of its odometry) may be changed while it runs.
+    `stuck`, `limit_rad`, `frozen`, `x_m` (of its odometry) and `lone_tilt_rad`, which is told in
+    messages of its own now and then, may be changed while it runs.
     """
 
     def __init__(self, transport: str, command: str, **options: Any) -> None:
         super().__init__('small_robot', 'robot', **options)
         self._pan, self._target, self._count = 0.0, 0.0, 0
         self.stuck, self.frozen, self.limit_rad, self.x_m = False, False, 3.0, 0.0
+        self.lone_tilt_rad: float | None = None
         self._joints = self.advertise('joint_states')
         self._info = self.advertise('camera/camera_info')
         self._odometry = self.advertise('odom')
@@ -73,7 +76,16 @@ class SmallRobot(LandmarkNode):
             self._pan += float(np.clip(self._target - self._pan, -0.1, 0.1))
         self._count += 1
         stamp = self.get_clock().now().nanoseconds
-        self._joints.publish(encode.joint_state(ros_factory, JointSample(stamp, self._pan), MOUNT))
+        both = encode.joint_state(
+            ros_factory, JointSample(stamp, self._pan, self.lone_tilt_rad or 0.0), MOUNT
+        )
+        if self.lone_tilt_rad is not None:
+            if self._count % 5 == 0:
+                tilt = copy.deepcopy(both)
+                tilt.name, tilt.position = both.name[1:], both.position[1:]
+                self._joints.publish(tilt)
+            both.name, both.position = both.name[:1], both.position[:1]
+        self._joints.publish(both)
         place = OdometrySample(stamp, np.array([self.x_m, 0.0, 0.0]))
         self._odometry.publish(encode.odometry(ros_factory, place))
         if self._count % 3 == 0:
@@ -157,9 +169,11 @@ def test_refusals_say_why_and_leave_the_node_running(
     client.wait(lambda: client.said('sweep_capture').reason == 'ready', 20.0, 'joint states')
     with pytest.raises(LandmarkNavError, match=r'frame 1 of 8, -57.3 deg.*the pan is 0.00 deg'):
         client.call('capture_sweep', 30.0)
-    small.stuck = False
+    small.stuck, small.lone_tilt_rad = False, 0.1
     assert client.call('capture_sweep', 60.0).startswith(f'{FRAMES} frames')
     check_frames(small, client)
+    samples = decode.sweep_trajectory(small.trajectories[0], MOUNT)
+    np.testing.assert_allclose([sample.tilt_rad for sample in samples], 0.1)
 
 
 def measured(small: SmallRobot) -> list[float]:

@@ -53,11 +53,13 @@ def write_drive(
     bad=lambda topic, k: False,
     late_joints=False,
     set_back=lambda k: 0,
+    lone_tilt=None,
 ):
     """
     Pan turns at 0.3 rad/s; joint states at 20 Hz, pictures at 5 Hz between two of them.
 
-    `bad` tells which messages hold no number, `set_back` by how much the clock is behind.
+    `bad` tells which messages hold no number, `set_back` by how much the clock is behind,
+    `lone_tilt` the tilt, where it has messages of its own, 10 ms before those of the pan.
     """
     with BagWriter(path) as bag:
         for k in range(frames * 4):
@@ -68,7 +70,15 @@ def write_drive(
             joints_stamp = stamp + (9 * SECOND if late_joints else 0)
             pan = np.nan if bad('joint_states', k) else 0.3 * k * 0.05
             sample = JointSample(joints_stamp, pan)
-            bag.write('joint_states', encode.joint_state(FACTORY, sample, MOUNT), log)
+            joints = encode.joint_state(FACTORY, sample, MOUNT)
+            if lone_tilt is not None:
+                before = stamp - 10_000_000
+                tilted = JointSample(before, 0.0, lone_tilt(k - 0.2))
+                alone = encode.joint_state(FACTORY, tilted, MOUNT)
+                alone.name, alone.position = alone.name[1:], alone.position[1:]
+                bag.write('joint_states', alone, log - 10_000_000)
+                joints.name, joints.position = joints.name[:1], joints.position[:1]
+            bag.write('joint_states', joints, log)
             bag.write('ground_truth/odom', odometry(stamp, [1.0, 2.0, 0.0], frame_id='map'), log)
             if k % 4 == 0:
                 shot, log = stamp + 20_000_000, log + 20_000_000

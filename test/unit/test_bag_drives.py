@@ -115,6 +115,23 @@ def test_a_clock_that_is_set_back_leaves_pictures_the_pan_of_their_time(tmp_path
     np.testing.assert_allclose([f.pan_rad for f in frames], known)
 
 
+@pytest.mark.parametrize('step_back_ns', [0, SECOND])
+def test_a_tilt_that_is_told_by_itself_is_that_of_the_picture(tmp_path, step_back_ns):
+    drive = write_drive(
+        tmp_path / 'drive',
+        set_back=lambda k: step_back_ns if k >= 21 else 0,
+        lone_tilt=lambda k: 0.01 * k,
+    )
+    frames = [e for e in sensor_events(Bag(drive), MOUNT) if isinstance(e, CameraFrame)]
+    known = 0.2 * np.arange(10) + 0.02
+    tilts = 0.01 / 0.05 * known
+    if step_back_ns:
+        # At the moment itself no joint state comes after the picture.
+        known, tilts = np.delete(known, 5), np.delete(tilts, 5)
+    np.testing.assert_allclose([f.pan_rad for f in frames], 0.3 * known)
+    np.testing.assert_allclose([f.tilt_rad for f in frames], tilts, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ('drive', 'match'),
     [

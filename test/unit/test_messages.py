@@ -40,6 +40,20 @@ def test_joints_come_back_and_foreign_joints_are_none(deliver):
 
 
 @both
+def test_a_tilt_comes_alone_where_its_joint_has_a_driver_of_its_own(deliver):
+    msg = encode.joint_state(FACTORY, JointSample(STAMP, 1.25, -0.5), MOUNT)
+    assert decode.lone_tilt(deliver(msg), MOUNT) is None
+    msg.name = ['wheel_left', MOUNT.tilt_joint]
+    assert decode.lone_tilt(deliver(msg), MOUNT) == (STAMP, -0.5)
+    msg.position = np.array([0.0, np.nan])
+    with pytest.raises(LandmarkNavError, match='joint_states position'):
+        decode.lone_tilt(deliver(msg), MOUNT)
+    msg.position = msg.position[:1]
+    with pytest.raises(LandmarkNavError, match='1 values for 2 joints'):
+        decode.lone_tilt(deliver(msg), MOUNT)
+
+
+@both
 def test_trajectory_comes_back(deliver):
     samples = tuple(JointSample(STAMP + k * 700_000_000, 0.1 * k, 0.01) for k in range(5))
     msg = deliver(encode.sweep_trajectory(FACTORY, samples, MOUNT))

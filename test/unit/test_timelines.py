@@ -115,6 +115,15 @@ def test_a_driver_that_reports_the_pan_within_half_a_turn(period_ms: int) -> Non
         np.testing.assert_allclose(turned, [-0.3 * RATE, 0.0, 0.3 * RATE], atol=1e-9)
 
 
+def test_a_tilt_that_is_told_by_itself_is_interpolated_and_stays() -> None:
+    samples = [JointSample(t * MS, 0.1) for t in range(0, 500, 20)]
+    history = JointHistory(samples, [(250 * MS, 0.5), (150 * MS, 0.3)])
+    for at_ms, tilt in ((100, 0.3), (150, 0.3), (175, 0.35), (230, 0.46), (400, 0.5)):
+        found = history.at(at_ms * MS)
+        assert isinstance(found, JointSample)
+        assert found.tilt_rad == pytest.approx(tilt, abs=1e-6)
+
+
 def test_a_joint_state_of_the_same_moment_needs_no_other() -> None:
     for known in (turning(100), turning(100, 1300), turning(100, 100)):
         found = known.at(101 * MS)

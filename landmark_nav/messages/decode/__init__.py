@@ -9,7 +9,12 @@ from landmark_nav.messages.decode.cameras import camera_model
 from landmark_nav.messages.decode.detections import detections, triplet
 from landmark_nav.messages.decode.headers import check_frame, stamp_ns
 from landmark_nav.messages.decode.images import image
-from landmark_nav.messages.decode.joints import joint_delay, joint_sample, sweep_trajectory
+from landmark_nav.messages.decode.joints import (
+    joint_delay,
+    joint_sample,
+    lone_tilt,
+    sweep_trajectory,
+)
 from landmark_nav.messages.decode.landmarks import landmark_map
 from landmark_nav.messages.decode.panoramas import panorama
 from landmark_nav.messages.decode.poses import found_place, odometry, pose_estimate
@@ -23,6 +28,7 @@ __all__ = [
     'joint_delay',
     'joint_sample',
     'landmark_map',
+    'lone_tilt',
     'odometry',
     'panorama',
     'pose_estimate',

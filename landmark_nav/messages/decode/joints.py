@@ -11,7 +11,7 @@ from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
 from landmark_nav.messages.layouts import JOINT_DELAY
 from landmark_nav.types import JointSample
 
-__all__ = ['joint_delay', 'joint_sample', 'sweep_trajectory']
+__all__ = ['joint_delay', 'joint_sample', 'lone_tilt', 'sweep_trajectory']
 
 
 def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
@@ -28,6 +28,27 @@ def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
     if mount.pan_joint not in names:
         return None
     return _sample(names, msg.position, stamp_ns(msg.header), mount, 'joint_states position')
+
+
+def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
+    """
+    Stamp, ns, and tilt, rad, in a sensor_msgs/JointState of a tilt joint with its own driver.
+
+    None if it tells of the pan, too, or of other joints.
+
+    Raises
+    ------
+    LandmarkNavError
+        Names without positions, or positions that are not numbers.
+
+    """
+    names, stamp = list(msg.name), stamp_ns(msg.header)
+    if mount.pan_joint in names or mount.tilt_joint not in names:
+        return None
+    what = 'joint_states position'
+    _check(names, msg.position, stamp, what)
+    (tilt,) = finite([msg.position[names.index(mount.tilt_joint)]], what, stamp)
+    return stamp, float(tilt)
 
 
 def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
@@ -80,11 +101,15 @@ def joint_delay(msg: Any) -> tuple[float, float]:
 def _sample(
     names: list[str], positions: Any, stamp: int, mount: PanTiltMount, what: str
 ) -> JointSample:
-    if len(positions) < len(names):
-        raise LandmarkNavError(
-            f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints'
-        )
+    _check(names, positions, stamp, what)
     pan = positions[names.index(mount.pan_joint)]
     tilt = positions[names.index(mount.tilt_joint)] if mount.tilt_joint in names else 0.0
     pan, tilt = finite([pan, tilt], what, stamp)
     return JointSample(stamp, float(pan), float(tilt))
+
+
+def _check(names: list[str], positions: Any, stamp: int, what: str) -> None:
+    if len(positions) < len(names):
+        raise LandmarkNavError(
+            f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints'
+        )

@@ -40,11 +40,17 @@ class JointHistory:
     ----------
     samples : iterable of JointSample
         In any order; of several with one stamp the last counts.
+    tilts : iterable of (int, float)
+        Stamps and tilts, rad, of a tilt joint that has a driver of its own: what the samples tell
+        of the tilt does not count then. Before the first and after the last it stays.
 
     """
 
-    def __init__(self, samples: Iterable[JointSample]) -> None:
+    def __init__(
+        self, samples: Iterable[JointSample], tilts: Iterable[tuple[int, float]] = ()
+    ) -> None:
         """Sort by time."""
+        self._tilts = np.array(sorted(tilts)).T
         by_stamp = {sample.stamp_ns: sample for sample in samples}
         self._stamps = sorted(by_stamp)
         self._samples = [by_stamp[stamp] for stamp in self._stamps]
@@ -65,19 +71,26 @@ class JointHistory:
             return JointSample(
                 stamp_ns,
                 first.pan_rad + share * (self._pans_rad[later] - self._pans_rad[later - 1]),
-                first.tilt_rad + share * (second.tilt_rad - first.tilt_rad),
+                self._tilt_rad(
+                    stamp_ns, first.tilt_rad + share * (second.tilt_rad - first.tilt_rad)
+                ),
                 rate,
                 abs(share * (1.0 - share)) * gap_ns * 1e-9 * self._rate_change(later, rate),
                 self._track(stamp_ns, first.pan_rad - self._pans_rad[later - 1]),
             )
         nearest = min(first, second, key=lambda sample: abs(sample.stamp_ns - stamp_ns))
         if abs(nearest.stamp_ns - stamp_ns) <= _SAME_TIME_NS:
-            return JointSample(stamp_ns, nearest.pan_rad, nearest.tilt_rad)
+            tilt_rad = self._tilt_rad(stamp_ns, nearest.tilt_rad)
+            return JointSample(stamp_ns, nearest.pan_rad, tilt_rad)
         if stamp_ns > second.stamp_ns:
             return Refusal(f'joint_states are {beyond_ns * 1e-6:.0f} ms behind')
         if stamp_ns < first.stamp_ns:
             return Refusal(f'joint_states begin {beyond_ns * 1e-6:.0f} ms later')
         return Refusal(f'no joint_states for {gap_ns * 1e-9:.1f} s')
+
+    def _tilt_rad(self, stamp_ns: int, with_pan_rad: float) -> float:
+        """Tilt at a time: what was told with the pan, unless it is told by itself."""
+        return float(np.interp(stamp_ns, *self._tilts)) if len(self._tilts) else with_pan_rad
 
     def _track(self, stamp_ns: int, turns_rad: float) -> PanTrack:
         """Pan about a time that is within the history, that many turns on."""
@@ -115,7 +128,8 @@ class JointHistory:
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:
         """Read all angles of a bag of one clock; see `JointLog.read`."""
-        return cls(sample for _, sample in _logged_joints(bag, mount))
+        logged, tilts = _logged_joints(bag, mount)
+        return cls((sample for _, sample in logged), (told for _, told in tilts))
 
 
 class JointLog:
@@ -126,21 +140,31 @@ class JointLog:
     ----------
     logged : iterable of (int, JointSample)
         When each was recorded, in that order.
+    tilts : iterable of (int, (int, float))
+        The same of tilts that are told by themselves, see `JointHistory`.
 
     """
 
-    def __init__(self, logged: Iterable[tuple[int, JointSample]]) -> None:
+    def __init__(
+        self,
+        logged: Iterable[tuple[int, JointSample]],
+        tilts: Iterable[tuple[int, tuple[int, float]]] = (),
+    ) -> None:
         parts: list[list[tuple[int, JointSample]]] = []
         for log_ns, sample in logged:
             if not parts or sample.stamp_ns < parts[-1][-1][1].stamp_ns - _CLOCK_STEP_NS:
                 parts.append([])
             parts[-1].append((log_ns, sample))
+        set_back_ns = [part[0][0] for part in parts[1:]]
+        by_part: list[list[tuple[int, float]]] = [[] for _ in parts]
+        for log_ns, told in tilts:
+            by_part[bisect_right(set_back_ns, log_ns)].append(told)
         self._parts = [
             (
-                JointHistory(sample for _, sample in part),
+                JointHistory((sample for _, sample in part), own),
                 np.array(sorted((sample.stamp_ns, log_ns) for log_ns, sample in part)).T,
             )
-            for part in parts
+            for part, own in zip(parts, by_part, strict=True)
         ]
 
     def at(self, stamp_ns: int, log_ns: int) -> JointSample | Refusal:
@@ -157,27 +181,34 @@ class JointLog:
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointLog:
         """Read all angles of a bag; `LandmarkNavError` if it has none for `mount`."""
-        return cls(_logged_joints(bag, mount))
+        return cls(*_logged_joints(bag, mount))
 
 
-def _logged_joints(bag: Bag, mount: PanTiltMount) -> list[tuple[int, JointSample]]:
-    """Angles of a bag and when they were recorded."""
+def _logged_joints(
+    bag: Bag, mount: PanTiltMount
+) -> tuple[list[tuple[int, JointSample]], list[tuple[int, tuple[int, float]]]]:
+    """Angles of a bag, and tilts that are told by themselves; when they were recorded."""
     topic = bag.require('joint_states')
 
-    def angles(entry: BagMessage) -> JointSample | None:
-        return decode.joint_sample(entry.message, mount)
+    def angles(entry: BagMessage) -> JointSample | tuple[int, float] | None:
+        sample = decode.joint_sample(entry.message, mount)
+        return decode.lone_tilt(entry.message, mount) if sample is None else sample
 
-    sieve, logged = Sieve(bag, topic), []
+    sieve = Sieve(bag, topic)
+    logged: list[tuple[int, JointSample]] = []
+    tilts: list[tuple[int, tuple[int, float]]] = []
     for entry in bag.messages([topic]):
-        sample = sieve.take(angles, entry)
-        if sample is not None:
-            logged.append((entry.stamp_ns, sample))
+        told = sieve.take(angles, entry)
+        if isinstance(told, JointSample):
+            logged.append((entry.stamp_ns, told))
+        elif told is not None:
+            tilts.append((entry.stamp_ns, told))
     sieve.tell()
     if not logged:
         raise LandmarkNavError(
             f'{bag.path}: {topic} never tells of {mount.pan_joint}: set pan_joint in robot.yaml'
         )
-    return logged
+    return logged, tilts
 
 
 class CameraInfos:
