@@ -83,15 +83,17 @@ class BagPlayerNode(LandmarkNode):
 
     def _play(self) -> None:
         """Publish all, then end the node; runs in a thread of its own."""
+        failure: LandmarkNavError | None = None
         try:
             self._publish_all()
         except LandmarkNavError as error:
-            self.get_logger().error(f'playback ends early: {error}')
+            failure = LandmarkNavError(f'playback ends early: {error}')
         if not self._stop.is_set():
             for publisher in self._players.values():
                 publisher.wait_for_all_acked(Duration(seconds=_LAST_WORDS_S))
-            self.get_logger().info(f'{self._bag.path} is played')
-            self.end()
+            if failure is None:
+                self.get_logger().info(f'{self._bag.path} is played')
+            self.end(failure)
 
     def _publish_all(self) -> None:
         self.get_logger().info(f'playing {self._bag.path}, {self._bag.duration_s:.1f} s')

@@ -60,10 +60,14 @@ class LandmarkNode(Node):
         """How well the node does; overridden by each."""
         raise NotImplementedError
 
-    def end(self) -> None:
-        """Have `run_node` end the process; callbacks under way see it in `ended`."""
-        if not self.ended.done():
+    def end(self, failure: LandmarkNavError | None = None) -> None:
+        """Have `run_node` end the process, tell a failure; callbacks under way see `ended`."""
+        if self.ended.done():
+            return
+        if failure is None:
             self.ended.set_result(None)
+        else:
+            self.ended.set_exception(failure)
 
     def configure(self, config_class: type[T]) -> T:
         """Declare a dataclass as parameters and return it filled."""

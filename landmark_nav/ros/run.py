@@ -40,8 +40,8 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
     Returns
     -------
     int
-        Exit status: 0 after a signal or the node's own end, 1 if it could not be made, 2 for wrong
-        usage.
+        Exit status: 0 after a signal or the node's own end, 1 if it could not be made or ended
+        with a failure, 2 for wrong usage.
 
     """
     name = Path(sys.argv[0]).stem
@@ -100,7 +100,8 @@ def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:
         while not node.ended.done():
             with suppress(InvalidHandle):
                 executor.spin_once()
-        # Not where a callback failed: the status has to say so.
+        node.ended.result()
+        # Not where the node or a callback failed: the status has to say so.
         end_signals.expect_end()
     finally:
         node.end()

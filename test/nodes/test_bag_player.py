@@ -1,0 +1,64 @@
+"""`bag_player` says by its exit status whether it played all there is."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import subprocess
+
+from mcap.reader import make_reader
+import pytest
+
+from landmark_nav.demo.graph import node_command, node_environment
+from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.storage.bags import BagWriter
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """The MCAP file of a bag of 100 messages."""
+    text = rosbag_factory()('std_msgs/msg/String', data='tick')
+    with BagWriter(tmp_path / 'bag') as bag:
+        for k in range(100):
+            bag.write('/note', text, 10**9 + k * 10**7)
+    return tmp_path / 'bag' / 'bag.mcap'
+
+
+def played(path: Path, domain_id: int) -> tuple[int, str]:
+    """Exit status of playing a bag, and what was told."""
+    done = subprocess.run(
+        node_command('bag_player', bag=str(path), start_delay_s=0.0),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, **node_environment(domain_id)},
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_bag_damaged_inside_is_not_played(recording: Path, domain_id: int) -> None:
+    with recording.open('rb') as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[-1]
+    content = bytearray(recording.read_bytes())
+    inside = chunk.chunk_start_offset + chunk.chunk_length // 2
+    content[inside : chunk.chunk_start_offset + chunk.chunk_length] = b'\xff' * (
+        chunk.chunk_length - chunk.chunk_length // 2
+    )
+    recording.write_bytes(content)
+    status, told = played(recording, domain_id)
+    assert status == 1
+    assert 'playback ends early: ' in told
+    assert 'damaged inside' in told
+    assert 'is played' not in told
+    assert 'Traceback' not in told
+
+
+def test_a_bag_that_is_cut_off_is_played_up_to_the_break(recording: Path, domain_id: int) -> None:
+    content = recording.read_bytes()
+    recording.write_bytes(content[: len(content) * 9 // 10])
+    status, told = played(recording, domain_id)
+    assert status == 0
+    assert 'read up to the break' in told
+    assert 'is played' in told
