@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+
+from mcap.writer import Writer as RawWriter
 import numpy as np
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -92,3 +95,19 @@ def write_drive(
                         calibration.k[:] = np.nan
                     bag.write('camera/camera_info', calibration, log)
     return path
+
+
+@contextmanager
+def foreign_bag(path, **options):
+    """MCAP file of other hands; takes topic, schema, encoding and the bytes of messages."""
+    with path.open('wb') as stream:
+        writer = RawWriter(stream, **options)
+        writer.start()
+
+        def add(topic, schema, encoding, messages):
+            channel = writer.register_channel(topic, encoding, writer.register_schema(*schema))
+            for stamp, data in enumerate(messages, 1):
+                writer.add_message(channel, stamp, data, stamp)
+
+        yield add
+        writer.finish()

@@ -96,7 +96,7 @@ class McapFile:
             summary = _summary(stream)
         self._indexed = summary is not None
         self.complete = True
-        if summary is not None and summary.statistics is not None:
+        if summary is not None and _tells_all(summary):
             self._take_summary(summary)
         else:
             self._take_scan(on_warning)
@@ -197,6 +197,18 @@ def _summary(stream: BinaryIO) -> Summary | None:
         return make_reader(stream).get_summary()
     except _DAMAGE:
         return None
+
+
+def _tells_all(summary: Summary) -> bool:
+    """Whether channel and schema of every message are named; to repeat them there is optional."""
+    if summary.statistics is None:
+        return False
+    counts = summary.statistics.channel_message_counts
+    told = sum(counts.get(identity, 0) for identity in summary.channels)
+    schemas = {0, *summary.schemas}
+    return told == summary.statistics.message_count and all(
+        channel.schema_id in schemas for channel in summary.channels.values()
+    )
 
 
 def _info(channel: Channel, schema: Schema | None) -> ChannelInfo:
