@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.messages import decode
+from landmark_nav.messages import decode, encode
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.bags.topics import relative_name
 
@@ -202,9 +202,32 @@ def test_missing_ambiguous_and_wrong_topics_are_told(tmp_path):
         bag.write('joint_states', odometry(START, [0, 0, 0]), START)
     bag = Bag(tmp_path / 'bag')
     assert bag.find('ground_truth/odom') == '/ground_truth/odom'
-    with pytest.raises(LandmarkNavError, match=r'several topics could be odom \(/r1/odom, /r2'):
+    with pytest.raises(
+        LandmarkNavError, match=r'several topics could be odom \(/r1/odom, /r2'
+    ) as told:
         bag.find('odom')
+    assert 'keep one of them' in str(told.value)
     with pytest.raises(LandmarkNavError, match=r'camera_info is missing.*/r1/odom \(1\)'):
         bag.require('camera/camera_info')
     with pytest.raises(LandmarkNavError, match='nav_msgs/msg/Odometry, not sensor_msgs'):
         bag.find('joint_states')
+
+
+def test_what_could_be_the_missing_topic_is_told(tmp_path):
+    with BagWriter(tmp_path / 'bag') as bag:
+        for name in ('/wheels', '/visual/odometry', '/ground_truth/odom'):
+            bag.write(name, odometry(START, [0, 0, 0]), START)
+        picture = encode.compressed_image(FACTORY, np.zeros((4, 4), np.uint8), START, 'cam')
+        bag.write('/usb_cam/image_raw/compressed', picture, START)
+    bag = Bag(tmp_path / 'bag')
+    with pytest.raises(LandmarkNavError) as told:
+        bag.require('odom')
+    # Of the truth it is known that it is no odometry.
+    assert 'rename /visual/odometry to odom or /wheels to odom (remap' in str(told.value)
+    with pytest.raises(LandmarkNavError) as told:
+        bag.require('camera/image_raw', 'camera/image_raw/compressed')
+    assert 'rename /usb_cam/image_raw/compressed to camera/image_raw/compressed (remap' in str(
+        told.value
+    )
+    with pytest.raises(LandmarkNavError, match='joint_states is missing: record it; there are'):
+        bag.require('joint_states')

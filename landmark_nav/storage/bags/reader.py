@@ -17,7 +17,7 @@ from rosbags.typesys.store import Typestore
 from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.container import ChannelInfo, McapFile, RawMessage
-from landmark_nav.storage.bags.topics import find_topic
+from landmark_nav.storage.bags.topics import find_topic, remedy_of_missing
 from landmark_nav.storage.setup_files import read_yaml_mapping
 
 __all__ = ['Bag', 'BagMessage', 'once']
@@ -133,12 +133,11 @@ class Bag:
         Raises
         ------
         LandmarkNavError
-            Several robots have one, or it is of another type.
+            Several could be it, or it is of another type.
 
         """
-        held = {topic: kind for topic, kind in self.types.items() if self.counts[topic]}
         try:
-            return find_topic(name, held)
+            return find_topic(name, self._filled())
         except LandmarkNavError as error:
             raise LandmarkNavError(f'{self.path}: {error}') from error
 
@@ -149,7 +148,7 @@ class Bag:
         Raises
         ------
         LandmarkNavError
-            None of them is there; says which topics are.
+            None of them is there; says which topics are, and which could be it.
 
         """
         for name in alternatives:
@@ -157,9 +156,13 @@ class Bag:
                 return topic
         there = ', '.join(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
         raise LandmarkNavError(
-            f'{self.path}: topic {" or ".join(alternatives)} is missing: record it; '
-            f'there are {there}'
+            f'{self.path}: topic {" or ".join(alternatives)} is missing: '
+            f'{remedy_of_missing(alternatives, self._filled())}; there are {there}'
         )
+
+    def _filled(self) -> dict[str, str]:
+        """Types of the topics that have messages."""
+        return {topic: kind for topic, kind in self.types.items() if self.counts[topic]}
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['TOPIC_TYPES', 'find_topic', 'relative_name']
+__all__ = ['TOPIC_TYPES', 'find_topic', 'relative_name', 'remedy_of_missing']
 
 TOPIC_TYPES = {
     'camera/image_raw': 'sensor_msgs/msg/Image',
@@ -62,7 +62,7 @@ def find_topic(name: str, types: Mapping[str, str]) -> str | None:
     Raises
     ------
     LandmarkNavError
-        Several robots have one, or it is of another type.
+        Several could be it, or it is of another type.
 
     """
     found = [topic for topic in types if relative_name(topic) == name]
@@ -70,7 +70,8 @@ def find_topic(name: str, types: Mapping[str, str]) -> str | None:
         found = [f'/{name}']
     if len(found) > 1:
         raise LandmarkNavError(
-            f'several topics could be {name} ({_listed(found)}): filter the bag to one robot'
+            f'several topics could be {name} ({_listed(found)}): keep one of them, that of the '
+            f'robot and sensor that are meant, or rename it to /{name}'
         )
     if not found:
         return None
@@ -79,6 +80,23 @@ def find_topic(name: str, types: Mapping[str, str]) -> str | None:
             f'topic {found[0]} is of type {types[found[0]]}, not {TOPIC_TYPES[name]}'
         )
     return found[0]
+
+
+def remedy_of_missing(names: Iterable[str], types: Mapping[str, str]) -> str:
+    """What to do where none of `names` is among topics: what could be it is told."""
+    others = sorted(topic for topic in types if relative_name(topic) not in TOPIC_TYPES)
+    renames = [
+        f'{topic} to {name}'
+        for name in names
+        for topic in others
+        if types[topic] == TOPIC_TYPES[name]
+    ]
+    if not renames:
+        return 'record it'
+    return (
+        f'record it, or, if that is it, rename {" or ".join(renames)} '
+        '(remap it before it is recorded, or rewrite the bag)'
+    )
 
 
 def _listed(names: Iterable[str]) -> str:
