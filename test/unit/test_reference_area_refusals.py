@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
+import cv2
 import numpy as np
 from paper_sweeps import deviations, EAST, error_of, locate, MOUNT, scene_of, sweep_at
 import pytest
@@ -27,6 +28,21 @@ def test_a_missing_paper_is_named() -> None:
     with pytest.raises(LandmarkNavError, match='not found: blue of red, green, blue') as caught:
         locate(sweep, room)
     assert '\n' not in str(caught.value)
+
+
+def test_pictures_without_colour_are_told() -> None:
+    room = rectangle_room(papers=EAST)
+    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
+    locate(sweep, room)
+    frames = []
+    for frame in sweep.frames:
+        grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+        # As JPEG of three channels, the way colour cameras send it in the dark.
+        jpeg = cv2.imencode('.jpg', cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))[1]
+        image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), dtype=np.uint8)
+        frames.append(replace(frame, image=image))
+    with pytest.raises(LandmarkNavError, match='by their colour, and the pictures have none'):
+        locate(replace(sweep, frames=tuple(frames)), room)
 
 
 def test_a_hidden_paper_is_not_mistaken_for_something_of_its_colour() -> None:

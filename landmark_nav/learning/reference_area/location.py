@@ -26,10 +26,12 @@ from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
 from landmark_nav.learning.reference_area.refusals import (
     doubtful_size,
+    is_grey,
     LEAST_AGREED,
     measured_papers,
     place_text,
     why_not,
+    WITHOUT_COLOR,
     wrong_height,
     WRONG_PRIOR,
     wrong_prior,
@@ -195,6 +197,8 @@ class _PaperSearch:
 
     def _refusal(self, places: list[PaperPlace], fits: list[PaperFit]) -> LandmarkNavError:
         config, frames = self._config, self._sweep.frames
+        if all(is_grey(frame.image) for frame in frames):
+            return LandmarkNavError(WITHOUT_COLOR)
         if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b.misfit) for b in self._blobs):
             anywhere = replace(config, height_sigma_m=_ANY_HEIGHT_M)
             with suppress(LandmarkNavError):

@@ -14,11 +14,14 @@ from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
 from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
+from landmark_nav.types import ImageArray
 
 __all__ = [
     'LEAST_AGREED',
+    'WITHOUT_COLOR',
     'WRONG_PRIOR',
     'doubtful_size',
+    'is_grey',
     'measured_papers',
     'place_text',
     'why_not',
@@ -30,8 +33,21 @@ __all__ = [
 _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
 # In standard deviations: beyond that a prior is wrong, and sizes of papers are doubted.
 WRONG_PRIOR, _DOUBTFUL_SIZE = 4.0, 3.3
+# A grey picture comes back from JPEG or resampling with channels that differ by so much.
+_GREY_SPREAD = 2
 # More papers than that are not tried in other orders when nothing fits.
 _MOST_SWAPPED = 4
+
+
+WITHOUT_COLOR = (
+    'reference papers are told by their colour, and the pictures have none: publish colour '
+    'pictures, or give the pose of each sweep (sweep/pose)'
+)
+
+
+def is_grey(image: ImageArray) -> bool:
+    """Whether a picture, grey or BGR, shows no colour at all; noise of a colour camera does."""
+    return image.ndim == 2 or bool((np.ptp(image, axis=2) <= _GREY_SPREAD).all())
 
 
 def measured_papers(fit: PaperFit) -> npt.NDArray[np.bool_]:
