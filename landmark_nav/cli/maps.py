@@ -40,7 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check = action('check', _check, 'Check a map: exit status 1 and a line for each problem.')
     check.add_argument('map', metavar='MAP', help='map folder')
     diff = action(
-        'diff', _diff, 'Compare two maps of one room: what moved, changed, came and went.'
+        'diff',
+        _diff,
+        'Compare two maps of one room: what moved, what changed, what only one of them holds '
+        '(other sweeps choose other landmarks, though nothing went).',
     )
     diff.add_argument('a', metavar='A', help='map folder, the older one')
     diff.add_argument('b', metavar='B', help='map folder, the newer one')
@@ -129,8 +132,8 @@ def describe_comparison(comparison: Comparison) -> str:
                 f'down ({pair.sigmas:.1f} sigma)'
             )
     lines += [f'changed  {_name(p.a)} -> {p.b.id}: another texture' for p in changed]
-    lines += [f'gone     {_name(k)}' for k in comparison.only_a]
-    lines += [f'new      {_name(k)}' for k in comparison.only_b]
+    lines += [f'only A   {_name(k)}' for k in comparison.only_a]
+    lines += [f'only B   {_name(k)}' for k in comparison.only_b]
     if same:
         apart = np.array([np.hypot(*pair.disagreement_m) for pair in same])
         nees = float(np.mean([pair.sigmas**2 for pair in same]))
@@ -139,8 +142,8 @@ def describe_comparison(comparison: Comparison) -> str:
             f'{1e3 * apart.max():.1f} mm at most; NEES {nees:.2f} (2 is ideal)'
         )
     lines.append(
-        f'{len(changed)} changed, {len(comparison.only_a)} gone, {len(comparison.only_b)} new, '
-        f'{len(unknown)} unclear'
+        f'{len(changed)} changed, {len(comparison.only_a)} only in A, '
+        f'{len(comparison.only_b)} only in B, {len(unknown)} unclear'
     )
     return '\n'.join(lines)
 

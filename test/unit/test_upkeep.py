@@ -9,6 +9,7 @@ from patch_texels import patch_points
 import pytest
 
 from landmark_nav.cli.main import main
+from landmark_nav.cli.maps import describe_comparison
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import save_map
@@ -91,7 +92,7 @@ def test_a_comparison_finds_what_the_maps_disagree_on_whatever_was_cut_out(texel
     assert same[0].sigmas == pytest.approx(np.hypot(*errors[0]) / (np.sqrt(2) * SIGMA_M), rel=0.1)
 
 
-def test_changed_gone_and_new_landmarks_are_told_apart():
+def test_changed_landmarks_and_those_of_one_map_alone_are_told_apart():
     a = make_map(*(landmark(k, place) for k, place in enumerate(PLACES[:4])))
     b = make_map(landmark(0, PLACES[0]), landmark(1, PLACES[1], paper=9), landmark(2, PLACES[4]))
     comparison = compare_maps(a, b)
@@ -99,6 +100,11 @@ def test_changed_gone_and_new_landmarks_are_told_apart():
     assert [p.a.id for p in comparison.of(Texture.CHANGED)] == [1]
     assert [k.id for k in comparison.only_a] == [2, 3]
     assert [k.id for k in comparison.only_b] == [2]
+    # Another choice of landmarks is no change of the room.
+    *lines, last = describe_comparison(comparison).splitlines()
+    assert sum(line.startswith('only A   ') for line in lines) == 2
+    assert sum(line.startswith('only B   ') for line in lines) == 1
+    assert last == '1 changed, 2 only in A, 1 only in B, 0 unclear'
 
 
 def test_a_blank_overlap_tells_nothing():
