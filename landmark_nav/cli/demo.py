@@ -7,11 +7,11 @@ import json
 import os
 from pathlib import Path
 import shutil
-import signal
 
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.run_summary import error_table
 from landmark_nav.demo.graph import node_commands, node_environment
+from landmark_nav.demo.interruption import Interruption
 from landmark_nav.demo.narrator import Narrator
 from landmark_nav.demo.recorded_run import recorded_run
 from landmark_nav.demo.room import prepare_room
@@ -64,8 +64,6 @@ def run(args: argparse.Namespace) -> int:
     """Conduct the demo, then measure what it recorded."""
     require_ros('it')
     folder = _emptied(args.out)
-    # A supervisor that is told to end must end its nodes too.
-    signal.signal(signal.SIGTERM, _interrupt)
     narrator = Narrator()
     room = prepare_room(folder, args.seed, _TOUR_M)
     commands = node_commands(room, folder / 'map')
@@ -74,10 +72,15 @@ def run(args: argparse.Namespace) -> int:
     from landmark_nav.ros.robot_client import RobotClient
 
     narrator.say(f'to look at the topics meanwhile: export ROS_DOMAIN_ID={args.domain_id}')
-    with Supervisor(folder / 'logs', environment) as supervisor:
+    with Interruption() as interruption, Supervisor(folder / 'logs', environment) as supervisor:
+
+        def watch() -> None:
+            interruption.check()
+            supervisor.check()
+
         for name, command in commands.items():
             supervisor.start(name, command)
-        with RobotClient(args.domain_id, supervisor.check) as robot:
+        with RobotClient(args.domain_id, watch) as robot:
             tell(robot, room, commands, folder, narrator)
             panoramas = robot.panoramas
         unclean = [name for name, status in supervisor.stop().items() if status]
@@ -100,10 +103,6 @@ def _emptied(folder: Path) -> Path:
         else:
             path.unlink()
     return folder.resolve()
-
-
-def _interrupt(_number: int, _frame: object) -> None:
-    raise KeyboardInterrupt
 
 
 def _report(

@@ -9,7 +9,7 @@ import sys
 
 import rclpy
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
@@ -18,6 +18,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.end_signals import EndSignals
 from landmark_nav.ros.logs import forward_logs
 from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.thread_pool import ThreadPool
 
 __all__ = ['run_node']
 
@@ -87,7 +88,7 @@ def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:
     Where a callback closes a subscription as another thread is about to wait for its events,
     rclpy throws; the next wait goes without it.
     """
-    executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+    executor = ThreadPool(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)
 
     def wake(_: object) -> None:

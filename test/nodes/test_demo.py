@@ -76,7 +76,7 @@ def test_a_signal_ends_all(
     time.sleep(3.0)
     demo.send_signal(number)
     _, complaint = demo.communicate(timeout=30)
-    assert demo.returncode == 130
+    assert demo.returncode == 130, complaint
     assert 'Traceback' not in complaint
     assert processes(tmp_path) == {}
 

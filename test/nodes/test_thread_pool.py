@@ -1,0 +1,79 @@
+"""Callbacks in several threads."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+import time
+from typing import Any
+
+import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.run import run_node
+
+THREADS = 2
+
+
+class Busy(LandmarkNode):
+    """More callbacks than threads, each of which takes its time; ends after some of them."""
+
+    def __init__(self) -> None:
+        super().__init__('busy', 'test')
+        self.done = 0
+        for _ in range(THREADS + 1):
+            self.create_timer(0.02, self._work, ReentrantCallbackGroup())
+
+    def health(self) -> Health:
+        return Health(Level.OK, 'busy')
+
+    def _work(self) -> None:
+        time.sleep(0.05)
+        self.done += 1
+        if self.done > 20:
+            self.end()
+
+
+def test_what_waits_for_a_thread_is_handed_over_once(
+    monkeypatch: pytest.MonkeyPatch, domain_id: int
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setattr('sys.argv', ['busy'])
+    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+    handed_over = 0
+    submit = ThreadPoolExecutor.submit
+
+    def counted(self: ThreadPoolExecutor, *given: Any) -> Future[Any]:
+        nonlocal handed_over
+        handed_over += 1
+        return submit(self, *given)
+
+    monkeypatch.setattr(ThreadPoolExecutor, 'submit', counted)
+    made: list[Busy] = []
+
+    def make() -> Busy:
+        made.append(Busy())
+        return made[0]
+
+    assert run_node(make, THREADS) == 0
+    # rclpy's own hands each over four times here, and far more often where there is more to do.
+    assert made[0].done <= handed_over < 2 * made[0].done
+
+
+def test_what_a_callback_raises_ends_the_node(
+    monkeypatch: pytest.MonkeyPatch, domain_id: int
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setattr('sys.argv', ['faulty'])
+    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+
+    class Faulty(Busy):
+        def _work(self) -> None:
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run_node(Faulty, THREADS)
