@@ -53,3 +53,18 @@ def test_damaged_chunks_are_told(tmp_path, compression):
     with pytest.raises(LandmarkNavError, match=r'damaged inside \(') as error:
         list(Bag(path).messages())
     assert '\n' not in str(error.value)
+
+
+@pytest.mark.parametrize('indexed', [True, False])
+def test_a_byte_that_changed_is_told_by_the_checksum(tmp_path, indexed):
+    path = tmp_path / 'flipped.mcap'
+    with foreign_bag(path, compression=CompressionType.NONE, use_statistics=indexed) as add:
+        add('/text', TEXT, 'cdr', [HI] * 7)
+    path.write_bytes(path.read_bytes().replace(b'hi\0', b'ho\0', 1))
+    warnings = []
+    if indexed:
+        with pytest.raises(LandmarkNavError, match='damaged inside .*crc'):
+            list(Bag(path).messages())
+    else:
+        assert list(Bag(path, warnings.append).messages()) == []
+        assert 'cut off or damaged before its end' in warnings[0]

@@ -108,8 +108,9 @@ class McapFile:
             return
         infos: dict[int, ChannelInfo] = {}
         with self.path.open('rb') as stream:
+            reader = make_reader(stream, validate_crcs=True)
             try:
-                for schema, channel, message in make_reader(stream).iter_messages(topics):
+                for schema, channel, message in reader.iter_messages(topics):
                     if channel.id not in infos:
                         infos[channel.id] = _info(channel, schema)
                     yield RawMessage(infos[channel.id], message.log_time, message.data)
@@ -237,7 +238,8 @@ def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
 def _chunk_content(payload: bytes, whole: bool) -> bytes:
     """Records in a chunk; of one that was cut off what is left, if it was not compressed."""
     if whole:
-        stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(payload))))
+        chunk = Chunk.read(ReadDataStream(BytesIO(payload)))
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         return stream.read(length)
     # Start, end, size (8 bytes each), checksum (4), compression (length and text), length (8).
     (name_length,) = struct.unpack_from('<I', payload, 28)
