@@ -186,7 +186,8 @@ def test_a_response_curve_moves_edges_and_its_inverse_moves_them_back() -> None:
     coded = 255.0 * (soft / 255.0) ** (1.0 / 1.8)
     away = edges_of(coded, 200.3, 0.0, 0.0, 0)[0].mean(axis=1)
     back = edges_of(coded, 200.3, 0.0, 0.0, 0, gamma=1.8)[0].mean(axis=1)
-    assert (away < [-0.04, -0.12]).all()
+    # -0.040 and -0.155; OpenCV 4.6 draws it by 0.0004 less.
+    assert (away < [-0.03, -0.12]).all()
     assert abs(back[1]) < 0.03
 
 
