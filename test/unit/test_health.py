@@ -81,3 +81,25 @@ def test_what_is_too_little_to_be_used_is_no_contradiction(
         refusal = Refusal('bearings do not fit the expected pose')
         health.note_update(FusionUpdate(k * NS // 5, refusal=refusal, contradicts=contradicts))
     assert status(health, 1.2) == verdict
+
+
+@pytest.mark.parametrize(
+    ('contradict', 'verdict'),
+    [
+        ([7, 8], 'coasting'),  # Pictures that were exchanged, as often as they are looked at.
+        ([7, 3], 'lost'),  # One that agreed before.
+        ([7, 8, 9, 10, 11], 'lost'),  # So many are not all exchanged.
+    ],
+)
+def test_a_few_pictures_never_seen_before_do_not_call_the_pose_lost(
+    contradict: list[int], verdict: str
+) -> None:
+    health = Health(HealthConfig(coasting_after_s=1.0))
+    health.restart(0)
+    health.note_update(FusionUpdate(0, np.array([1, 2, 3]), degrees=3))
+    for k in range(10):
+        rejected = {contradict[k % len(contradict)]: Refusal('outside its gate')}
+        health.note_update(
+            FusionUpdate(k * NS // 5, rejected=rejected, refusal=Refusal('?'), contradicts=True)
+        )
+    assert status(health, 2.0) == verdict

@@ -114,18 +114,18 @@ def detect_landmarks(
             refused[landmark.id] = match
         else:
             found.append(match)
-    heights = _heights(found, landmark_map, view, config)
+    covariance = np.array([f.match.covariance for f in found]).reshape(-1, 2, 2)
+    covariance += np.diag(config.lens_sigma_px**2 + _BLURRED_IN**2 * np.maximum(blur_px2, 0.0))
+    heights = _heights(found, covariance[:, 1, 1], landmark_map, view)
     wrong = heights.wrong(config.vertical_sigma_px / view.camera.fy)
     if wrong.any():
         refused |= {
             f.landmark.id: Refusal('wrong height', f'{f.down_px:+.1f} px off')
             for f in compress(found, wrong)
         }
-        found = list(compress(found, ~wrong))
+        found, covariance = list(compress(found, ~wrong)), covariance[~wrong]
     uv = np.array([f.uv for f in found]).reshape(-1, 2)
-    covariance = np.array([f.match.covariance for f in found]).reshape(-1, 2, 2)
     rays = view.camera.unproject(uv[:, None] + _HALF_PIXEL)
-    covariance += np.diag(config.lens_sigma_px**2 + _BLURRED_IN**2 * np.maximum(blur_px2, 0.0))
     bearing, variance = _bearings([f.landmark for f in found], rays, covariance, view)
     return DetectionResult(
         Detections(
@@ -226,22 +226,21 @@ def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
 
 
 def _heights(
-    found: Sequence[_Found], landmark_map: LandmarkMap, view: View, config: DetectionConfig
+    found: Sequence[_Found], variance_px2: FloatArray, landmark_map: LandmarkMap, view: View
 ) -> Heights:
-    """Rows of matches beside those that were expected."""
+    """Rows of matches, measured with these variances (n,), beside those that were expected."""
     index = landmark_map.indices(np.array([f.landmark.id for f in found], dtype=np.int64))
     points = landmark_map.positions[index]
     rows = RowModel.of(
         points, view.prior.pose, view.rotation, view.center, view.camera, view.roll_rad
     )
     off_px = np.array([f.down_px for f in found])
-    by_match = [f.match.covariance[1, 1] + config.lens_sigma_px**2 for f in found]
     covariance = rows.covariance(
         view.prior.covariance,
         landmark_map.covariances[index],
         landmark_map.shared_loadings[index],
     )
-    return Heights(off_px, rows.by_lean, covariance + np.diag(by_match), points)
+    return Heights(off_px, rows.by_lean, covariance + np.diag(variance_px2), points)
 
 
 def _bearings(

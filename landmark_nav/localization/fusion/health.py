@@ -53,6 +53,9 @@ class Health:
         self._config = config
         self._accepted_ns: int | None = None
         self._rejections = 0
+        # Landmarks that agreed with the pose, and those that do not since the last that did.
+        self._agreed: set[int] = set()
+        self._against: set[int] = set()
         self._acceptances = 0
         self._astray: str = ''
         self._last_refusal: str = ''
@@ -76,6 +79,8 @@ class Health:
         """Forget what was seen of the landmarks; the present verdict stays."""
         self._window.clear()
         self._views.clear()
+        self._agreed.clear()
+        self._against.clear()
 
     @property
     def astray(self) -> bool:
@@ -195,6 +200,8 @@ class Health:
         """Take note of what became of a measurement."""
         if update.degrees:
             self._rejections = 0
+            self._agreed.update(update.accepted_ids.tolist())
+            self._against.clear()
             self._last_refusal = self._blind_why = ''
             self._acceptances += 1
             self._accepted_ns = max(self._accepted_ns or 0, update.stamp_ns)
@@ -211,15 +218,27 @@ class Health:
                 self._doubts = 0
         elif update.refusal is not None:
             self.note_refusal(update.refusal)
-            self._rejections += update.contradicts
             self._acceptances = 0
-            if update.contradicts and self._rejections >= self._config.lost_after_rejections:
+            if not update.contradicts:
+                return
+            self._rejections += 1
+            self._against.update(update.rejected)
+            if self._rejections >= self._config.lost_after_rejections and not self._exchanged():
                 self._contradict(
                     update.stamp_ns,
                     f'{self._rejections} measurements rejected and none used, last: '
                     f'{update.refusal}',
                 )
                 self._window.clear()
+
+    def _exchanged(self) -> bool:
+        """
+        Whether pictures may have been exchanged that were never seen at this pose.
+
+        They contradict it as often as the camera looks at them.
+        """
+        few = 0 < len(self._against) < self._config.lost_after_rejections
+        return few and bool(self._agreed) and self._agreed.isdisjoint(self._against)
 
     def doubt(self, stamp_ns: int, why: str) -> None:
         """Call the pose lost; each call widens it further."""
