@@ -108,13 +108,15 @@ def learning_run(
     sightings: float,
     count: int,
     config: FusionConfig | None = None,
+    turns: float | None = None,
 ) -> tuple[PoseFilter, float]:
     """Drive with wheels and sightings so many times as noisy as they claim; filter and NEES."""
+    noisy = NOISE.scaled(wheels, wheels if turns is None else turns, wheels)
     rng = np.random.default_rng([seed, key])
     true_map = landmark_map(14, seed=seed)
     fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, config, NOISE)
     fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
-    for k, moment in enumerate(drive(300, rng, NOISE.scaled(wheels, wheels))):
+    for k, moment in enumerate(drive(300, rng, noisy)):
         fused.add_odometry(moment.odometry)
         if k % 4 == 0:
             places = (int(rng.integers(14)) + np.arange(count)) % 14
@@ -142,6 +144,18 @@ def test_how_noisy_the_wheels_are_is_learned(factor: float) -> None:
     assert off[0] < 1.2
     assert off[1] < 1.8
     check_honest([nees for _, nees in runs])
+
+
+@pytest.mark.parametrize(('factor', 'at_least', 'at_most'), [(0.1, 0.0, 0.6), (3.0, 2.0, 4.0)])
+def test_turns_are_learned_apart_from_the_way(
+    factor: float, at_least: float, at_most: float
+) -> None:
+    runs = [learning_run(seed, 11, 1.0, 1e-4, 1.0, 6, turns=factor)[0] for seed in range(16)]
+    found = [fused.odometry_noise for fused in runs]
+    way = np.mean([np.log(noise.turn_rad_per_sqrt_m) for noise in found])
+    turns = np.mean([np.log(noise.turn_rad_per_sqrt_rad) for noise in found])
+    assert np.exp(way) == pytest.approx(NOISE.turn_rad_per_sqrt_m, rel=0.25)
+    assert at_least < np.exp(turns) / NOISE.turn_rad_per_sqrt_rad < at_most
 
 
 @pytest.mark.parametrize('factor', [0.5, 2.0])
@@ -174,7 +188,9 @@ def test_a_few_lucky_sightings_claim_little() -> None:
 def test_a_slip_of_the_wheels_is_not_taken_for_a_knock(sigmas: float, knocked: bool) -> None:
     """All bearings are off by one angle: a little more than wheels err, or far more."""
     exact = landmark_map(14, shared=1e-5, own=1e-4)
-    fused = PoseFilter(exact, replace(MOUNT, pan_sigma_rad=1e-5), odometry=NOISE.scaled(1.0, 1.0))
+    fused = PoseFilter(
+        exact, replace(MOUNT, pan_sigma_rad=1e-5), odometry=NOISE.scaled(1.0, 1.0, 1.0)
+    )
     fused.initialize(start_estimate())
     places = np.arange(8)
     *moments, last = drive(60)
@@ -228,7 +244,7 @@ def test_the_pose_never_claims_more_than_what_landmarks_share(wheels: float) -> 
     nees = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        true_map, noise = landmark_map(14, 0.03, 0.005, seed), NOISE.scaled(wheels, wheels)
+        true_map, noise = landmark_map(14, 0.03, 0.005, seed), NOISE.scaled(wheels, wheels, wheels)
         fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, odometry=noise)
         fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
         for k, moment in enumerate(drive(600, rng, noise)):

@@ -1,13 +1,13 @@
 """
 How noisy wheels and sightings are, learned while the robot drives.
 
-Wheels, floors and cameras differ by more than a parameter file can say. Factors on three variances
-are estimated from the innovations: on the odometry's white noise, on its side slip and on each
-sighting. It is maximum likelihood by Fisher scoring, one step a picture (the principle is that of
+Wheels, floors and cameras differ by more than a parameter file can say. Factors on four variances
+are estimated from the innovations: on the odometry's white noise, by the way and by turns, on its
+side slip and on each sighting. It is maximum likelihood by Fisher scoring, one step a picture (the principle is that of
 Mehra, On the Identification of Variances and Adaptive Kalman Filtering, 1970); the filter carries
 along which part of the state's covariance comes from each noise.
 
-A fourth factor, on all the rest, keeps a map that is better than it claims from being taken for
+A fifth factor, on all the rest, keeps a map that is better than it claims from being taken for
 quiet wheels or sharp sightings. It is not applied to anything: innovations do not show an error
 that landmarks share, and show that of a single landmark again and again. The error that all
 sightings of a picture share is not learned either, as it looks like a turn of the wheels.
@@ -22,11 +22,11 @@ import numpy as np
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray
 
-__all__ = ['LEARNED', 'SIGHTING', 'SLIP', 'WHEELS', 'NoiseScales', 'learned_scales']
+__all__ = ['LEARNED', 'SIGHTING', 'SLIP', 'TURNS', 'WAY', 'NoiseScales', 'learned_scales']
 
-# White noise of the odometry, its side slip, each sighting.
-LEARNED = 3
-WHEELS, SLIP, SIGHTING = range(LEARNED)
+# White noise of the odometry, as `sensed_variances` has it, its side slip, each sighting.
+LEARNED = 4
+WAY, TURNS, SLIP, SIGHTING = range(LEARNED)
 # All other uncertainty: that of the map and of the start.
 _REST = LEARNED
 _COMPONENTS = LEARNED + 1
@@ -59,8 +59,7 @@ class NoiseScales:
 
     def of(self, config: OdometryNoiseConfig) -> OdometryNoiseConfig:
         """Return odometry parameters scaled by the learned factors."""
-        noise, slip = np.sqrt(self.factors[[WHEELS, SLIP]]).tolist()
-        return config.scaled(noise, slip)
+        return config.scaled(*np.sqrt(self.factors[:SIGHTING]).tolist())
 
     @property
     def sighting_sigma(self) -> float:

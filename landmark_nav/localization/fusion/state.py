@@ -20,7 +20,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
 from landmark_nav.localization.fusion.map_errors import MapErrors
-from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales, SLIP, WHEELS
+from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales, SLIP
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
@@ -257,10 +257,11 @@ def propagate(
     mean[_SLIP] *= kept
     scales = state.scales.moved(way, config)
     factors = scales.factors
-    added = (by_motion * (factors[WHEELS] * sensed_variances(motion, config))) @ by_motion.T
+    sensed = factors[:SLIP, None] * sensed_variances(motion, config)
+    added = (by_motion * sensed[:, None]) @ by_motion.T
     slip_variance = factors[SLIP] * config.slip_sigma**2 * (1.0 - kept * kept)
     covariance = step @ state.covariance @ step.T
-    covariance[:3, :3] += added
+    covariance[:3, :3] += added.sum(axis=0)
     if state.hangs:
         motion = motion._replace(blind_seconds=motion.blind_seconds + motion.still_seconds)
     if not state.still_s + state.moved_s:
@@ -270,7 +271,7 @@ def propagate(
         covariance[:3, :3] += (by_motion * blind_variances(motion, config)) @ by_motion.T
     covariance[_SLIP, _SLIP] += slip_variance
     by_noise = step @ state.by_noise @ step.T
-    by_noise[WHEELS, :3, :3] += added
+    by_noise[:SLIP, :3, :3] += added
     by_noise[SLIP, _SLIP, _SLIP] += slip_variance
     wander = (config.bias_change_per_sqrt_m * config.bias_sigmas) ** 2 * way
     covariance[_BIASES, _BIASES] += np.diag(wander)

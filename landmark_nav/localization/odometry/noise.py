@@ -33,11 +33,10 @@ __all__ = [
 # Sigmas of the accelerations while a twist predicts beyond the last sample.
 _ACCELERATION_M_S2, _TURN_ACCELERATION_RAD_S2 = 0.5, 2.0
 
-_WHITE = (
+_OF_WAY = (
     'along_m_per_sqrt_m',
     'across_m_per_sqrt_m',
     'turn_rad_per_sqrt_m',
-    'turn_rad_per_sqrt_rad',
     'floor_m_per_sqrt_s',
     'floor_rad_per_sqrt_s',
 )
@@ -141,11 +140,12 @@ class OdometryNoiseConfig(Config):
         1.0, 'A longer pause between samples counts as blind, s.', minimum=0.0, maximum=60.0
     )
 
-    def scaled(self, noise: float, slip: float) -> OdometryNoiseConfig:
-        """Return a copy with scaled sigmas of white noise and side slip, not to be learned."""
-        sigmas = {name: min(1.0, noise * getattr(self, name)) for name in _WHITE}
-        slip_sigma = min(1.0, slip * self.slip_sigma)
-        return replace(self, **sigmas, slip_sigma=slip_sigma, learning_sigma=0.0)
+    def scaled(self, way: float, turns: float, slip: float) -> OdometryNoiseConfig:
+        """Return a copy with scaled sigmas, those of `sensed_variances` and of side slip, fixed."""
+        sigmas = {name: min(1.0, way * getattr(self, name)) for name in _OF_WAY}
+        sigmas['turn_rad_per_sqrt_rad'] = min(1.0, turns * self.turn_rad_per_sqrt_rad)
+        sigmas['slip_sigma'] = min(1.0, slip * self.slip_sigma)
+        return replace(self, **sigmas, learning_sigma=0.0)
 
     @cached_property
     def bias_sigmas(self) -> FloatArray:
@@ -156,22 +156,23 @@ class OdometryNoiseConfig(Config):
 
 def motion_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     """Variances (3,) of a motion's forward, left and turn; they add up over its parts."""
-    return sensed_variances(motion, config) + blind_variances(motion, config)
+    return sensed_variances(motion, config).sum(axis=0) + blind_variances(motion, config)
 
 
 def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (3,) of what the wheels told."""
+    """Variances (2, 3) of what the wheels told, by the way and the time, and by turns."""
     forward, left, turn = motion.increment
     way = float(np.hypot(forward, left))
     rest = config.floor_m_per_sqrt_s**2 * motion.seconds
     rest_turn = config.floor_rad_per_sqrt_s**2 * motion.seconds
     return np.array(
         [
-            config.along_m_per_sqrt_m**2 * way + rest,
-            config.across_m_per_sqrt_m**2 * way + rest,
-            config.turn_rad_per_sqrt_m**2 * way
-            + config.turn_rad_per_sqrt_rad**2 * abs(turn)
-            + rest_turn,
+            [
+                config.along_m_per_sqrt_m**2 * way + rest,
+                config.across_m_per_sqrt_m**2 * way + rest,
+                config.turn_rad_per_sqrt_m**2 * way + rest_turn,
+            ],
+            [0.0, 0.0, config.turn_rad_per_sqrt_rad**2 * abs(turn)],
         ]
     )
 
