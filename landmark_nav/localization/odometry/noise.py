@@ -141,7 +141,7 @@ class OdometryNoiseConfig(Config):
     )
 
     def scaled(self, way: float, turns: float, slip: float) -> OdometryNoiseConfig:
-        """Return a copy with scaled sigmas, those of `sensed_variances` and of side slip, fixed."""
+        """Return a copy with scaled sigmas of way, turns and side slip, not to be learned."""
         sigmas = {name: min(1.0, way * getattr(self, name)) for name in _OF_WAY}
         sigmas['turn_rad_per_sqrt_rad'] = min(1.0, turns * self.turn_rad_per_sqrt_rad)
         sigmas['slip_sigma'] = min(1.0, slip * self.slip_sigma)
@@ -156,7 +156,8 @@ class OdometryNoiseConfig(Config):
 
 def motion_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     """Variances (3,) of a motion's forward, left and turn; they add up over its parts."""
-    return sensed_variances(motion, config).sum(axis=0) + blind_variances(motion, config)
+    by_way, by_turns = sensed_variances(motion, config)
+    return by_way + by_turns + blind_variances(motion, config)
 
 
 def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
