@@ -4,7 +4,7 @@ How noisy wheels and sightings are, learned while the robot drives.
 Wheels, floors and cameras differ by more than a parameter file can say. Factors on four variances
 are estimated from the innovations: on the odometry's white noise, by the way and by turns, on its
 side slip and on each sighting. It is maximum likelihood by Fisher scoring, one step a picture (as
-Mehra, On the Identification of Variances and Adaptive Kalman Filtering, 1970, has it in principle);
+Mehra, On the Identification of Variances and Adaptive Kalman Filtering, 1970, has it);
 the filter carries along which part of the state's covariance comes from each noise.
 
 A fifth factor, on all the rest, keeps a map that is better than it claims from being taken for

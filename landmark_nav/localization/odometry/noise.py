@@ -156,8 +156,8 @@ class OdometryNoiseConfig(Config):
 
 def motion_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     """Variances (3,) of a motion's forward, left and turn; they add up over its parts."""
-    by_way, by_turns = sensed_variances(motion, config)
-    return by_way + by_turns + blind_variances(motion, config)
+    sensed = np.sum(sensed_variances(motion, config), axis=0)
+    return np.asarray(sensed + blind_variances(motion, config))
 
 
 def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
