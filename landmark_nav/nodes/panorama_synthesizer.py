@@ -20,7 +20,6 @@ from landmark_nav.parameters import parameter
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.image_source import ImageSource
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.storage.setup_files import load_robot, load_room
@@ -60,7 +59,9 @@ class PanoramaSynthesizerNode(LandmarkNode):
         self._cameras: dict[int, CameraModel] = {}
         self._pose: PoseEstimate | None = None
         self._health = Health(Level.OK, 'waiting for a sweep')
-        self._source = ImageSource(self, 'sweep/image', self._on_image)
+        # The next sweep may come in the other form.
+        self.listen('sweep/image', self._on_image)
+        self.listen('sweep/image/compressed', self._on_image)
         self.listen('sweep/camera_info', self._on_camera_info)
         self.listen('sweep/pose', self._on_pose)
         # A group of its own: frames go on arriving while it works.

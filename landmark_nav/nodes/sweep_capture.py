@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from threading import Lock
 import time
 from typing import Any
 
@@ -51,7 +50,6 @@ class SweepCaptureNode(LandmarkNode):
             SweepOutput(self, mount),
             mount.camera_roll_rad,
         )
-        self._called = Lock()
         self._result = 'ready'
         self._camera_info: Any = None
         # Of a tilt joint that has a driver of its own.
@@ -72,19 +70,20 @@ class SweepCaptureNode(LandmarkNode):
 
     def _capture(self) -> str:
         """Take one sweep; blocks its caller while the other callbacks drive it."""
-        if not self._called.acquire(blocking=False):
-            self._runner.stop('capture_sweep was called again')
+        if not self._runner.claim(otherwise='capture_sweep was called again'):
             raise LandmarkNavError('the sweep under way is interrupted: call again to go on')
         try:
             return self._take()
         finally:
-            self._called.release()
+            self._runner.release()
 
     def _take(self) -> str:
         start = time.monotonic()
         while self._runner.pan_rad is None or self._camera_info is None:
-            if time.monotonic() - start > self._config.capture.step_timeout_s:
-                raise LandmarkNavError(f'no sweep: {self.health().reason}; start the robot')
+            why = self._runner.stopped or ('the node ends' if self.ended.done() else '')
+            if why or time.monotonic() - start > self._config.capture.step_timeout_s:
+                why = why or f'{self.health().reason}; start the robot'
+                raise LandmarkNavError(f'no sweep: {why}')
             time.sleep(_POLL_S)
         camera = decode.camera_model(self._camera_info)
         images = ImageSource(

@@ -55,14 +55,30 @@ class SweepRunner:
         self._progress = Condition()
         self._sweep: SweepCapture[_Frame] | None = None
         self._running = False
+        self._claimed = False
+        self._stopped = ''
         self._held_up_ns = 0
         self.pan_rad: float | None = None
 
-    def stop(self, reason: str) -> None:
-        """Interrupt the sweep under way, if there is one."""
+    @property
+    def stopped(self) -> str:
+        """Why the call that is served has to end; nothing if it need not."""
+        return self._stopped
+
+    def claim(self, otherwise: str) -> bool:
+        """Whether a call may be served now; else the one that is served ends, for that reason."""
         with self._progress:
-            if self._running and self._sweep is not None:
-                self._sweep.stop(reason)
+            if self._claimed:
+                self._stopped = otherwise
+            else:
+                self._claimed, self._stopped = True, ''
+                return True
+        return False
+
+    def release(self) -> None:
+        """The call is served."""
+        with self._progress:
+            self._claimed = False
 
     def run(self, may_go_on: Callable[[], bool]) -> tuple[SweepCapture[_Frame], str]:
         """
@@ -80,6 +96,8 @@ class SweepRunner:
             _LOG.info('sweep %s', note or 'begun')
             try:
                 while not sweep.done and may_go_on():
+                    if self._stopped:
+                        sweep.stop(self._stopped)
                     sweep.check(self._now_ns())
                     self._command(sweep)
                     self._wait()

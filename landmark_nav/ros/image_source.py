@@ -18,8 +18,9 @@ class ImageSource:
     """
     Subscription to the pictures of `topic` or of ``topic/compressed``.
 
-    With the transport ``auto`` both are tried and the first that delivers stays, so that a
-    picture neither travels nor is handled twice. Nor is one that is published twice.
+    With the transport ``auto`` both are tried. Raw pictures do until compressed ones come, which
+    then stay alone: a picture neither travels nor is handled twice, and large messages get lost
+    on common middleware. A picture that is published twice is handled once.
     """
 
     def __init__(
@@ -33,6 +34,7 @@ class ImageSource:
     ) -> None:
         self._node = node
         self._last: Any = None
+        self._raw = topic
         self._subscriptions: dict[str, Subscription[Any]] = {}
         wanted = {'raw': [topic], 'compressed': [f'{topic}/compressed']}
         for name in wanted.get(transport, [*wanted['raw'], *wanted['compressed']]):
@@ -45,7 +47,8 @@ class ImageSource:
     def _only(self, name: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         def take(message: Any) -> None:
             if name in self._subscriptions and message != self._last:
-                self._keep(name)
+                if name != self._raw:
+                    self._keep(name)
                 self._last = message
                 callback(message)
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 import sys
 
 import rclpy
-from rclpy.exceptions import InvalidHandle
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.end_signals import EndSignals
+from landmark_nav.ros.executor import CallbackExecutor
 from landmark_nav.ros.logs import forward_logs
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.thread_pool import ThreadPool
 
 __all__ = ['run_node']
 
@@ -82,13 +79,8 @@ def _join_ros() -> None:
 
 
 def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:
-    """
-    Spin to the end of a node.
-
-    Where a callback closes a subscription as another thread is about to wait for its events,
-    rclpy throws; the next wait goes without it.
-    """
-    executor = ThreadPool(threads) if threads > 1 else SingleThreadedExecutor()
+    """Spin to the end of a node."""
+    executor = CallbackExecutor(threads)
     executor.add_node(node)
 
     def wake(_: object) -> None:
@@ -99,14 +91,15 @@ def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:
     node.ended.add_done_callback(wake)
     try:
         while not node.ended.done():
-            with suppress(InvalidHandle):
-                executor.spin_once()
+            executor.spin_once()
         node.ended.result()
         # Not where the node or a callback failed: the status has to say so.
         end_signals.expect_end()
     finally:
         node.end()
-        # Callbacks under way are waited for, and still have publishers and services.
-        executor.shutdown()
-        # Not every rclpy does that as it shuts down.
-        node.destroy_node()
+        try:
+            # Callbacks under way are waited for, and still have publishers and services.
+            executor.shutdown()
+        finally:
+            # Not every rclpy does that as it shuts down.
+            node.destroy_node()

@@ -187,6 +187,17 @@ def test_it_is_interrupted_goes_on_begins_anew_and_tells(
     setup_files: dict[str, str],
 ) -> None:
     start('sweep_capture', **sweep_parameters(setup_files), **{'capture.step_timeout_s': 3.0})
+    called = False
+
+    def call_again() -> None:
+        nonlocal called
+        if not called:
+            called = True
+            with pytest.raises(LandmarkNavError, match='under way is interrupted'):
+                client.call('capture_sweep', 20.0)
+
+    with pytest.raises(LandmarkNavError, match='no sweep: capture_sweep was called again'):
+        client.call('capture_sweep', 30.0, call_again)
     small = robot()
 
     def interrupt(action: Callable[[], None]) -> str:
@@ -203,10 +214,7 @@ def test_it_is_interrupted_goes_on_begins_anew_and_tells(
             client.call('capture_sweep', 60.0, meanwhile)
         return str(refusal.value)
 
-    def call_again() -> None:
-        with pytest.raises(LandmarkNavError, match='under way is interrupted'):
-            client.call('capture_sweep', 20.0)
-
+    called = False
     assert 'capture_sweep was called again' in interrupt(call_again)
     client.wait(lambda: 'interrupted' in client.said('sweep_capture').reason, 20.0, 'its word')
     frames = len(small.images)

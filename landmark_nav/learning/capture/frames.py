@@ -47,10 +47,13 @@ class FrameLog:
     def __init__(self, config: CaptureConfig) -> None:
         self._config = config
         self._last_ns = -1
+        # When the last one came, and how old it was.
+        self._came: tuple[int, float] | None = None
         self._first: dict[bytes, tuple[int, tuple[float, float] | None]] = {}
 
-    def untimely(self, stamp_ns: int, joints_ns: int) -> str:
+    def untimely(self, stamp_ns: int, joints_ns: int, now_ns: int) -> str:
         """Why a stamp cannot be right; nothing if it can. `joints_ns` is the newest joint's."""
+        self._came = now_ns, (joints_ns - stamp_ns) * 1e-9
         ahead_s, after_s = (stamp_ns - joints_ns) * 1e-9, (stamp_ns - self._last_ns) * 1e-9
         if ahead_s > self._config.stamp_gap_s:
             return f'badly timed: stamp {ahead_s:.3f} s ahead of joint_states'
@@ -58,6 +61,21 @@ class FrameLog:
         if after_s < 0.0:
             return f'badly timed: stamp {-after_s:.3f} s before the last one'
         return 'duplicated: the same stamp again' if after_s == 0.0 else ''
+
+    def why_none(self, now_ns: int) -> str:
+        """Why there is no image to be taken, most likely."""
+        if self._came is None:
+            return 'no image came: is the camera on?'
+        came_ns, age_s = self._came
+        since_s = (now_ns - came_ns) * 1e-9
+        if since_s > 0.5 * self._config.step_timeout_s:
+            return (
+                f'the last image came {since_s:.1f} s ago: is the camera on, or are large '
+                'pictures lost on their way (image_transport: compressed)?'
+            )
+        return (
+            f'the last image was {age_s:.2f} s old: are its stamps on the clock of joint_states?'
+        )
 
     def is_first(self, digest: bytes) -> bool:
         """Whether no other picture has come before this one."""

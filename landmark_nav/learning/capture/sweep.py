@@ -82,7 +82,6 @@ class SweepCapture(Generic[FrameT]):
         self._fault = ''
         self._heard_ns = self._run_start_ns = now_ns
         self._run_frames = 0
-        self._image_age_s: float | None = None
         self._begin_step(now_ns)
 
     @property
@@ -137,9 +136,8 @@ class SweepCapture(Generic[FrameT]):
         newest, step = self._track.last, self._step
         if self._fault or newest is None or step is None:
             return
-        untimely = self._log.untimely(shot.stamp_ns, newest.stamp_ns)
+        untimely = self._log.untimely(shot.stamp_ns, newest.stamp_ns, now_ns)
         frozen = not untimely and self._log.seen_elsewhere(shot.digest, shot.stamp_ns, self._track)
-        self._image_age_s = (newest.stamp_ns - shot.stamp_ns) * 1e-9
         if step.phase is not Phase.EXPOSING or now_ns < step.again_ns:
             return
         if untimely:
@@ -262,11 +260,7 @@ class SweepCapture(Generic[FrameT]):
     def _wait_no_longer(self, step: Step[FrameT], last: JointSample, now_ns: int) -> None:
         seen = f'{self._waited(step)}; the pan is {np.degrees(last.pan_rad):.2f} deg'
         if step.phase is not Phase.SETTLING:
-            age_s = self._image_age_s
-            age = 'no image came' if age_s is None else f'the last image was {age_s:.2f} s old'
-            self.stop(
-                f'{seen}, {age}: is the camera on, are its stamps on the clock of joint_states?'
-            )
+            self.stop(f'{seen}, {self._log.why_none(now_ns)}')
         elif step.settled_stamp_ns or not self._stands(step, last.stamp_ns):
             self.stop(f'{seen} and does not come to rest')
         elif not self.reach.stop(last.pan_rad, step.target_rad):

@@ -11,7 +11,9 @@ import pytest
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import InvalidHandle
 
+from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
@@ -77,3 +79,39 @@ def test_what_a_callback_raises_ends_the_node(
 
     with pytest.raises(ZeroDivisionError):
         run_node(Faulty, THREADS)
+
+
+@pytest.mark.parametrize('threads', [1, THREADS])
+def test_a_handle_that_a_callback_uses_too_late_ends_the_node(
+    threads: int, monkeypatch: pytest.MonkeyPatch, domain_id: int
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setattr('sys.argv', ['late'])
+    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+
+    class Late(Busy):
+        def _work(self) -> None:
+            publisher = self.advertise('odom')
+            self.destroy_publisher(publisher)
+            publisher.publish(ros_factory('nav_msgs/msg/Odometry'))
+
+    with pytest.raises(InvalidHandle):
+        run_node(Late, threads)
+
+
+@pytest.mark.parametrize('threads', [1, THREADS])
+def test_what_a_callback_raises_as_the_node_ends_is_told(
+    threads: int, monkeypatch: pytest.MonkeyPatch, domain_id: int
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setattr('sys.argv', ['full'])
+    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+
+    class Full(Busy):
+        def _work(self) -> None:
+            self.end()
+            time.sleep(0.1)
+            raise OSError('disk full')
+
+    with pytest.raises(OSError, match='disk full'):
+        run_node(Full, threads)
