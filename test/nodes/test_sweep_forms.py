@@ -36,11 +36,11 @@ def test_a_sweep_may_come_in_another_form_than_the_last(
     def told(times: int) -> Callable[[], bool]:
         return lambda: log.read_text().count('no panorama') == times
 
-    for number, (topic, encoded) in enumerate(forms.items(), start=1):
+    for number, topic in enumerate([*forms, 'sweep/image'], start=1):
         samples = [JointSample(1000 * number + k, 0.5 * k) for k in range(3)]
         for sample in samples:
             picture = np.full((48, 64), 100, np.uint8)
-            images[topic].publish(encoded(ros_factory, picture, sample.stamp_ns, 'camera'))
+            images[topic].publish(forms[topic](ros_factory, picture, sample.stamp_ns, 'camera'))
             info.publish(encode.camera_info(ros_factory, CAMERA, sample.stamp_ns, 'camera'))
         trajectory.publish(encode.sweep_trajectory(ros_factory, samples, PanTiltMount()))
         client.wait(told(number), 30.0, f'word of the sweep on {topic}')
