@@ -99,11 +99,13 @@ class Supervisor:
                     f'(all it said: {child.log})'
                 )
 
-    def stop(
-        self, signals: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM)
-    ) -> dict[str, int]:
-        """End all, gently at first and at last by force; returns exit statuses by name."""
-        for number in (*signals, signal.SIGKILL):
+    def stop(self, gently: signal.Signals = signal.SIGTERM) -> dict[str, int]:
+        """
+        End all, gently at first and at last by force; returns exit statuses by name.
+
+        Not by SIGINT: what is still importing may lose the KeyboardInterrupt.
+        """
+        for number in (gently, signal.SIGKILL):
             running = [child for child in self._children if child.process.poll() is None]
             for child in running:
                 # Its id is that of its group, which also ends what it may have started.

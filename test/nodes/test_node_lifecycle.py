@@ -41,7 +41,7 @@ def test_all_start_and_end_cleanly(
         start(name, **{key: setup_files[key] for key in needed})
     client.wait(lambda: set(NODES) <= client.status.keys(), 60.0, 'the diagnostics of all')
     supervisor.check()
-    assert supervisor.stop([number]) == dict.fromkeys(NODES, 0)
+    assert supervisor.stop(number) == dict.fromkeys(NODES, 0)
     logs = {name: (tmp_path / 'logs' / f'{name}.log').read_text() for name in NODES}
     assert [name for name, text in logs.items() if 'Traceback' in text] == []
 

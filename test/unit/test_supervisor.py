@@ -14,18 +14,10 @@ import pytest
 
 from landmark_nav.demo.supervisor import ProcessEndedError, Supervisor
 
-# Where the tests run in the background of a shell, children begin with SIGINT ignored.
-SLEEP = [
-    *(sys.executable, '-S', '-c'),
-    'import signal, time\n'
-    'signal.signal(signal.SIGINT, signal.SIG_DFL)\n'
-    'print("up", flush=True)\n'
-    'time.sleep(60)',
-]
+SLEEP = [*(sys.executable, '-S', '-c'), 'import time; print("up", flush=True); time.sleep(60)']
 STUBBORN = [
     *(sys.executable, '-S', '-c'),
     'import signal, time\n'
-    'signal.signal(signal.SIGINT, signal.SIG_IGN)\n'
     'signal.signal(signal.SIGTERM, signal.SIG_IGN)\n'
     'print("up", flush=True)\n'
     'time.sleep(60)',
@@ -64,7 +56,7 @@ def test_who_died_and_its_last_words(supervisor: Supervisor, tmp_path: Path) -> 
         ):
             check_until_something_happens(supervisor)
         wait_for(tmp_path / 'sleeper.log', 'up')
-        assert supervisor.stop()['sleeper'] == -signal.SIGINT
+        assert supervisor.stop()['sleeper'] == -signal.SIGTERM
 
 
 def test_a_killed_one_is_told_by_its_signal(supervisor: Supervisor) -> None:
@@ -82,7 +74,7 @@ def test_all_end_however_stubborn(supervisor: Supervisor, tmp_path: Path) -> Non
         for name in ('sleeper', 'stubborn'):
             wait_for(tmp_path / f'{name}.log', 'up')
         statuses = supervisor.stop()
-    assert statuses == {'sleeper': -signal.SIGINT, 'stubborn': -signal.SIGKILL}
+    assert statuses == {'sleeper': -signal.SIGTERM, 'stubborn': -signal.SIGKILL}
 
 
 def test_leaving_the_block_ends_them(tmp_path: Path) -> None:
