@@ -110,6 +110,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay, measure, draw; nothing is written unless all went well."""
+    if args.report and args.report.suffix.lower() not in ('.html', '.htm'):
+        raise LandmarkNavError(f'--report {args.report}: reports are written as .html')
     folder = args.out or (args.json or args.report or Path('x')).parent
     figures = [folder / name for name in _FIGURES.values()]
     check_writable(*figures, args.json, args.report, args.tum and args.tum / 'fused.tum')

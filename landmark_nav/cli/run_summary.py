@@ -21,7 +21,8 @@ _DELAY_TOLD_S = 0.02
 def run_summary(report: Mapping[str, Any]) -> str:
     """Tell how the run went, by the report of `run_report`."""
     known = report['fused']['position_rmse_m'] is not None
-    lines = error_table(report) if known else []
+    lines = [f'WARNING: {report["warning"]}'] if report['warning'] else []
+    lines += error_table(report) if known else []
     if report['found'] is not None:
         x, y, heading = report['found']['pose']
         lines.append(

@@ -80,6 +80,8 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         head_of_spells = '<th>not tracking</th><th>from [s]</th><th>to [s]</th>'
         head_of_spells += '<th class="left">reason</th>'
         others += f'</table><table><tr>{head_of_spells}</tr>{spells}'
+    said = report.get('warning')
+    warning = f'<p><strong>Warning: {escape(said)}</strong></p>' if said else ''
     pictures = ''.join(
         f'<h2>{escape(caption)}</h2><img alt="{escape(caption)}" title="click for full size" '
         'onclick="this.classList.toggle(\'whole\')" '
@@ -92,7 +94,7 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         f'<title>{escape(title)}</title>'
         f'<style>{_STYLE}</style><h1>{escape(title)}</h1>'
         '<p>Errors are absolute in map, never aligned, at the stamps of the pictures.</p>'
-        f'<table><tr>{head}</tr>{body}</table><table>{others}</table>{pictures}</html>\n'
+        f'{warning}<table><tr>{head}</tr>{body}</table><table>{others}</table>{pictures}</html>\n'
     )
 
 

@@ -25,6 +25,8 @@ from landmark_nav.types import Detections, FloatArray, LandmarkMap
 __all__ = ['RunErrors', 'pose_report', 'run_errors', 'run_report']
 
 SCHEMA = 1
+# A place that is known in fewer of the pictures is hardly known.
+_MOSTLY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,8 @@ def run_report(
     Figures of a run, by the keys of the contract.
 
     Those that need ground truth are None where the bag has none; ``found`` is None where the start
-    was given; ``spells`` are the stretches of pictures in which the state was coasting or lost.
+    was given; ``spells`` are the stretches of pictures in which the state was coasting or lost;
+    ``warning`` says where the figures mean little, and is None where they do.
     """
     bound = posterior_bound(
         run.truth,
@@ -70,8 +73,9 @@ def run_report(
     took_ms = 1e3 * run.update_seconds
     stamps = run.stamps_ns
     span_s = 1e-9 * float(max(stamps[-1], run.odometry.stamps_ns[-1]) - run.begin_ns)
+    of_poses = pose_report(run, errors, landmark_map)
     return {
-        **pose_report(run, errors, landmark_map),
+        **of_poses,
         'crlb_ratio': crlb_ratio(errors.fused, bound),
         'update_ms': {
             'median': float(np.median(took_ms)),
@@ -83,6 +87,7 @@ def run_report(
         'odometry_noise': {
             'along_m_per_sqrt_m': run.odometry_noise.along_m_per_sqrt_m,
             'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
+            'turn_rad_per_sqrt_rad': run.odometry_noise.turn_rad_per_sqrt_rad,
             'slip_sigma': run.odometry_noise.slip_sigma,
         },
         'sighting_sigma': run.sighting_sigma,
@@ -92,6 +97,7 @@ def run_report(
         }
         if run.searched
         else None,
+        'warning': _warning(of_poses['availability']),
     }
 
 
@@ -126,6 +132,15 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         if len(run.truth)
         else None,
     }
+
+
+def _warning(availability: float) -> str | None:
+    if availability >= _MOSTLY:
+        return None
+    return (
+        f'lost in {100.0 * (1.0 - availability):.0f} % of the pictures, where fused is but '
+        'odometry: is the map of this room, and robot.yaml of this robot?'
+    )
 
 
 def _spells(run: Replay) -> list[dict[str, Any]]:

@@ -7,7 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ['unwrap_joint', 'wrap_one_rad', 'wrap_rad']
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['check_one_turn', 'unwrap_joint', 'wrap_one_rad', 'wrap_rad']
 
 # No pan or tilt joint turns faster.
 _FASTEST_RAD_S = 10.0
@@ -34,6 +36,13 @@ def wrap_rad(angle_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
 def wrap_one_rad(angle_rad: float) -> float:
     """Wrap a single angle to (-pi, pi], in a small part of the time that an array takes."""
     return math.pi - (math.pi - angle_rad) % math.tau
+
+
+def check_one_turn(pans_rad: npt.ArrayLike, where: str) -> None:
+    """Refuse pan angles (n,) of one turn of the camera that must have been told in degrees."""
+    span = float(np.ptp(pans_rad))
+    if span > 4.0 * np.pi:
+        raise LandmarkNavError(f'{where}: the pan goes over {span:.0f} rad: are these degrees?')
 
 
 def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:

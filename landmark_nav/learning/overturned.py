@@ -6,6 +6,7 @@ from dataclasses import replace
 from math import pi
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
@@ -13,6 +14,9 @@ from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConf
 from landmark_nav.types import Sweep
 
 __all__ = ['why_overturned']
+
+# Nobody writes less.
+_HARDLY_RAD = 1e-3
 
 
 def why_overturned(
@@ -23,12 +27,12 @@ def why_overturned(
     for what, remedy, other in (
         (
             'camera',
-            f'camera_roll: {mount.camera_roll_rad + pi:.4f}',
+            f'camera_roll: {_turned(mount.camera_roll_rad)}',
             replace(mount, camera_roll_rad=mount.camera_roll_rad + pi),
         ),
         (
             'pan unit',
-            f'pan_axis rpy: [{roll + pi:.4f}, {pitch:.4f}, {yaw:.4f}]',
+            f'pan_axis rpy: [{_turned(roll)}, {pitch:.4f}, {yaw:.4f}]',
             replace(mount, axis_rpy=(roll + pi, pitch, yaw)),
         ),
     ):
@@ -37,5 +41,11 @@ def why_overturned(
             locate_sweep(sweep, view, room, other, config)
         except LandmarkNavError:
             continue
-        return f'the {what} is mounted upside down, as the papers show it: set {remedy}'
+        return f'the {what} is mounted the other way up, as the papers show it: set {remedy}'
     return None
+
+
+def _turned(angle_rad: float) -> str:
+    """Angle and half a turn, as one writes it."""
+    angle_rad = wrap_one_rad(angle_rad + pi)
+    return '0' if abs(angle_rad) < _HARDLY_RAD else f'{angle_rad:.4f}'

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 import logging
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, PoseEstimate, Sweep
@@ -59,6 +60,7 @@ def assemble_sweep(
             f'{which} lacks all of its {len(trajectory)} frames: is sweep/image connected, with '
             'sweep/camera_info?'
         )
+    check_one_turn([frame.pan_rad for frame in frames], which)
     missing = missing_frames(trajectory, pictures)
     lacks = describe_coverage(
         [frame.pan_rad for frame in frames],

@@ -80,8 +80,8 @@ class LandmarkNode(Node):
         """Value of a parameter that has no sensible default, such as the path of a file."""
         if not value:
             raise LandmarkNavError(
-                f'parameter {name} of {self.get_name()} is not set: give it in config/'
-                f'{self.get_name()}.yaml or as --ros-args -p {name}:=PATH'
+                f'parameter {name} of {self.get_name()} is not set: give it as --ros-args '
+                f'-p {name}:=PATH, or in a file with --params-file'
             )
         return value
 

@@ -31,8 +31,8 @@ _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 # farther off its wall was not measured but mistaken.
 _MAX_OFF_WALL_M = 0.1
 
-# What is longer is told in another unit.
-_MAX_WALL_M = 1000.0
+# What is longer or higher, or farther from the base, is told in another unit.
+_MAX_WALL_M, _MAX_HEIGHT_M, _MAX_MOUNT_M = 1000.0, 50.0, 10.0
 
 # Angles beyond a full turn were written in degrees.
 _FULL_TURN_RAD = 6.2832
@@ -91,6 +91,10 @@ def load_room(path: Path | str) -> Room:
             if wall.length > _MAX_WALL_M:
                 raise LandmarkNavError(
                     f'wall {wall.id} is {wall.length:g} m long: lengths are metres'
+                )
+            if wall.height > _MAX_HEIGHT_M:
+                raise LandmarkNavError(
+                    f'wall {wall.id} is {wall.height:g} m high: lengths are metres'
                 )
         room = Room(walls, papers, name_field(document, 'frame_id', 'room', 'map'))
         for i, paper in enumerate(papers):
@@ -163,8 +167,12 @@ def load_robot(path: Path | str) -> PanTiltMount:
             if 'optical_center_offset' in document
             else (0.0, 0.0, 0.0)
         )
+        place = _point(axis, 'xyz', 3, 'pan_axis')
+        for name, xyz in (('pan_axis: xyz', place), ('optical_center_offset', offset)):
+            if max(map(abs, xyz)) > _MAX_MOUNT_M:
+                raise LandmarkNavError(f'{name} is {list(xyz)}: lengths are metres')
         return PanTiltMount(
-            axis_xyz=_point(axis, 'xyz', 3, 'pan_axis'),
+            axis_xyz=place,
             axis_rpy=_angles(axis, 'rpy', (3,), 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
             optical_center_offset=offset,
             camera_roll_rad=_angles({'camera_roll': 0.0, **document}, 'camera_roll', (), 'robot'),

@@ -68,6 +68,18 @@ def test_of_one_moment_pictures_come_last(tmp_path):
     assert pictures == 10
 
 
+def test_joint_states_in_degrees_are_refused(tmp_path):
+    path = write_drive(tmp_path / 'drive')
+    with BagWriter(tmp_path / 'degrees') as degrees:
+        for entry in Bag(path).messages():
+            message = entry.message
+            if entry.topic == '/joint_states':
+                message.position = np.degrees(message.position)
+            degrees.write(entry.topic, message, entry.stamp_ns)
+    with pytest.raises(LandmarkNavError, match=r'joint_states: the pan turns by 17 rad/s: are th'):
+        list(sensor_events(Bag(tmp_path / 'degrees'), MOUNT))
+
+
 def test_what_was_recorded_twice_counts_once(tmp_path):
     drive = write_drive(tmp_path / 'drive')
     with BagWriter(tmp_path / 'twice') as twice:

@@ -132,6 +132,7 @@ def test_a_folder_of_pictures_is_a_sweep(tmp_path):
     refused('frames.csv,0.1,50,64,48', r'line 8: frames\.csv is no picture')
     refused('1.png,0.1,50,65,48', 'line 8: 1.png is 64 x 48, not 65 x 48')
     refused('1.png,0.1,-50,64,48', 'line 8: .*not a calibrated camera')
+    refused('1.png,90,50,64,48', r'frames.csv: pan_rad: the pan goes over 93 rad: are these deg')
     (tmp_path / 'frames.csv').write_text('file,pan\n1.png,0')
     with pytest.raises(LandmarkNavError, match='lacks pan_rad, focal_px, width, height'):
         read_sweep_folder(tmp_path)

@@ -140,6 +140,13 @@ def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m:
     assert sigma < 0.01
 
 
+def test_a_camera_that_is_told_to_hang_upside_down_and_does_not_is_told() -> None:
+    room, told = rectangle_room(papers=EAST), replace(MOUNT, camera_roll_rad=np.pi)
+    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
+    said = str(why_overturned(sweep, room, told, ReferenceAreaConfig()))
+    assert said.endswith('set camera_roll: 0')
+
+
 @pytest.mark.parametrize(
     ('mount', 'remedy'),
     [

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from landmark_nav.cli.run_summary import run_summary
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.clock import shifts_by_truth
 from landmark_nav.evaluation.html_report import html_report
@@ -28,6 +29,7 @@ START = 5000 * SECOND
 MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.0))
 CAMERA = CameraModel(160, 120, 150.0, 150.0, 79.5, 59.5)
 CONFIG = LocalizationConfig()
+OFFSETS = ('joint_delay_s', 'joint_delay_sigma_s', 'boresight_deg', 'boresight_sigma_deg')
 PRIOR = np.diag([0.05**2, 0.05**2, 0.03**2])
 
 
@@ -144,6 +146,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         'odometry_noise',
         'sighting_sigma',
         'found',
+        'warning',
     ]
     assert first['found'] is None
     assert (first['frames'], first['fixes'], first['landmarks']) == (16, 0, 4)
@@ -170,6 +173,14 @@ def test_stretches_without_tracking_are_told_with_the_first_reason():
     ends = [(s['from_s'], s['to_s']) for s in report['spells']]
     np.testing.assert_allclose(ends, [(at_s[3], at_s[8]), (at_s[9], at_s[-1])], atol=1e-6)
     assert '&lt;nothing&gt;3' in html_report('run', report, {})
+    assert report['warning'] is None
+    gone = tuple(replace(update, status='lost') for update in done.updates[3:])
+    done = replace(done, updates=(*done.updates[:3], *gone))
+    report = run_report(done, run_errors(done), a_map(), MOUNT, CONFIG)
+    told = 'lost in 81 % of the pictures'
+    report['camera'] = dict.fromkeys(OFFSETS, 0.0)
+    assert run_summary(report).startswith(f'WARNING: {told}')
+    assert f'Warning: {told}' in html_report('run', report, {})
 
 
 def test_a_place_that_nothing_speaks_for_is_not_found():

@@ -38,3 +38,9 @@ def test_not_one_picture() -> None:
 def test_no_angles() -> None:
     with pytest.raises(LandmarkNavError, match='no frames'):
         assemble_sweep([], PICTURES)
+
+
+def test_angles_in_degrees_are_told() -> None:
+    degrees = [JointSample(10**9 * k, 5.0 * k, 0.01) for k in range(1, 6)]
+    with pytest.raises(LandmarkNavError, match='the pan goes over 20 rad: are these degrees'):
+        assemble_sweep(degrees, PICTURES)

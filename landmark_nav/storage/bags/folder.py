@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import CameraFrame, Sweep
 
@@ -43,6 +44,7 @@ def read_sweep_folder(folder: Path | str) -> Sweep:
             f'it needs the columns {",".join(_COLUMNS)}'
         )
     frames = [_frame(folder, row, k) for k, row in enumerate(rows)]
+    check_one_turn([frame.pan_rad for frame in frames], f'{path}: pan_rad')
     return Sweep(frames[0].stamp_ns, tuple(frames))
 
 

@@ -30,6 +30,8 @@ _UNEVEN, _UNEVEN_NS = 0.2, 100_000_000
 _TRACK_NS = 400_000_000
 # Joint states older by this are not late: the clock was set back.
 _CLOCK_STEP_NS = 500_000_000
+# Of steps over the first, so many tell the rate of a joint, which is below the last.
+_MOVING_RAD, _ENOUGH_STEPS, _FASTEST_RAD_S = 1e-3, 20, 10.0
 
 
 class JointHistory:
@@ -208,7 +210,19 @@ def _logged_joints(
         raise LandmarkNavError(
             f'{bag.path}: {topic} never tells of {mount.pan_joint}: set pan_joint in robot.yaml'
         )
+    _check_radians([sample for _, sample in logged], f'{bag.path}: {topic}')
     return logged, tilts
+
+
+def _check_radians(samples: Sequence[JointSample], where: str) -> None:
+    """Refuse a pan that turns as no joint does; steps of half a turn may be wraps."""
+    steps = np.diff([(1e-9 * sample.stamp_ns, sample.pan_rad) for sample in samples], axis=0)
+    moving = steps[(steps[:, 0] > 0.0) & (np.abs(steps[:, 1]) > _MOVING_RAD)]
+    if len(moving) < _ENOUGH_STEPS:
+        return
+    rate = float(np.median(np.abs(moving[:, 1]) / moving[:, 0]))
+    if rate > _FASTEST_RAD_S:
+        raise LandmarkNavError(f'{where}: the pan turns by {rate:.0f} rad/s: are these degrees?')
 
 
 class CameraInfos:
