@@ -162,7 +162,7 @@ def _follow(
     finally:
         robot.drive(0.0, 0.0)
     x, y, _ = pose()
-    narrator.say(f'arrived after {way_m:.1f} m, at ({x:.2f}, {y:.2f}) m by its own account')
+    narrator.say(f'at the end of {way_m:.1f} m, by its own account at ({x:.2f}, {y:.2f}) m')
 
 
 def _odometry(robot: Robot) -> FloatArray:

@@ -106,6 +106,8 @@ def load_room(path: Path | str) -> Room:
 
 def wall_of(entry: Any, where: str) -> Wall:
     """Wall of an entry of a room or a map."""
+    if isinstance(entry, dict):
+        check_spelling(entry, ('id', 'start', 'end', 'height'), where)
     return Wall(
         name_field(entry, 'id', where),
         _point(entry, 'start', 2, where),

@@ -134,6 +134,7 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
         (ROOM.replace('height: 2.5', 'height: 250', 1), 'wall south is 250 m high: lengths are m'),
         (ROOM.replace('id: east', 'id: south'), 'two walls are called south'),
         (ROOM.replace('reference_area', 'reference_ara'), 'reference_ara is no field: write refe'),
+        (ROOM.replace('height: 2.5', 'hieght: 2.5', 1), 'hieght is no field: write height'),
         (ROOM.replace('frame_id', 'frameid'), 'frameid is no field: write frame_id'),
         (ROOM.replace('frame_id: hall', 'frame_id:'), 'frame_id is None, not a name'),
         (ROOM.replace('id: east', 'id: [east]'), r"walls\[1\]: id is \['east'\], not a name"),
