@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from math import isfinite
 import time
 from typing import Any
 
@@ -90,8 +91,11 @@ class RoomSimulatorNode(LandmarkNode):
         return time.monotonic() - self._began_s - self._steps * _STEP_S
 
     def _on_velocity(self, message: Any) -> None:
+        linear_m_s, angular_rad_s = float(message.linear.x), float(message.angular.z)
+        if not isfinite(linear_m_s) or not isfinite(angular_rad_s):
+            raise LandmarkNavError('a speed is not a finite number')
         self._last_command = time.monotonic()
-        self._world.command_velocity(float(message.linear.x), float(message.angular.z))
+        self._world.command_velocity(linear_m_s, angular_rad_s)
 
     def _tick(self) -> None:
         """Catch up with the wall's time, step by step, then take a picture if one is due."""
