@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from threading import Event
 import time
 
 import numpy as np
@@ -95,9 +94,9 @@ class PlaceSearch:
         self._relocalizer: Relocalizer | None = None
         self._unseen = Unseen(config.unseen_s)
         self._asked, self._told_ns = False, -_FUSED_NS
+        # Of the search under way: a place only once that is told.
         self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
         self._lean_rad = (0.0, 0.0)
-        self._found = Event()
         self._place = node.advertise('found_place')
         node.offer('relocalize', self._search, group=MutuallyExclusiveCallbackGroup())
 
@@ -170,11 +169,13 @@ class PlaceSearch:
         known = self._odometry
         while known and known[0].stamp_ns <= frame.stamp_ns:
             relocalizer.add_odometry(known.popleft())
-        outcome = self._outcome = relocalizer.add_frame(frame, lean)
+        outcome = relocalizer.add_frame(frame, lean)
         # That took a while, in which somebody may have told the place.
         known = self._odometry
         self.consider(known[-1].stamp_ns if known else frame.stamp_ns)
-        if isinstance(outcome, PoseEstimate) and self._relocalizer is relocalizer:
+        if self._relocalizer is not relocalizer:
+            return outcome
+        if isinstance(outcome, PoseEstimate):
             self._relocalizer, self._asked = None, False
             self._told_ns = frame.stamp_ns
             self._unseen.restart()
@@ -189,7 +190,7 @@ class PlaceSearch:
                 pan_delay_s,
             )
             self._place.publish(encode.found_place(ros_factory, place, self._map_frame))
-            self._found.set()
+        self._outcome = outcome
         return outcome
 
     def _new_relocalizer(self) -> Relocalizer:
@@ -198,12 +199,11 @@ class PlaceSearch:
     async def _search(self) -> str:
         if not self.landmarks.landmarks:
             raise LandmarkNavError('there are no landmarks: call learn_landmarks or load_map')
-        self._found.clear()
         self._odometry = deque(maxlen=_BACKLOG)
         self._outcome = Refusal('no picture came')
         self._relocalizer, self._asked = self._new_relocalizer(), True
         until = time.monotonic() + self._config.search_s
-        while not self._found.is_set() and time.monotonic() < until:
+        while isinstance(self._outcome, Refusal) and time.monotonic() < until:
             await _Nap()
         self._relocalizer, self._asked = None, False
         outcome = self._outcome

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.detection.height import Lean
 from landmark_nav.localization.detection.prior import PriorTrack
@@ -38,13 +39,22 @@ def told() -> list[Any]:
 
 
 @pytest.fixture
-def search(prior: PriorTrack, told: list[Any]) -> PlaceSearch:
+def services() -> dict[str, Any]:
+    return {}
+
+
+@pytest.fixture
+def search(prior: PriorTrack, told: list[Any], services: dict[str, Any]) -> PlaceSearch:
     publisher = SimpleNamespace(publish=told.append)
-    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=lambda *_, **__: None)
+
+    def offer(service: str, action: Any, **_: Any) -> None:
+        services[service] = action
+
+    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=offer)
     made = PlaceSearch(
         node,
         PanTiltMount(),
-        PlaceSearchConfig(),
+        PlaceSearchConfig(search_s=0.2),
         'map',
         prior.recent,
         OdometryNoiseConfig(),
@@ -130,3 +140,36 @@ def test_a_place_in_a_map_that_is_gone_is_not_told(search: PlaceSearch, told: li
     search.look(frame_at(SECOND), Lean())
     assert not told
     assert search.active
+
+
+def answer(call: Coroutine[None, None, str]) -> str:
+    """Go on with a call until it is answered."""
+    try:
+        while True:
+            call.send(None)
+    except StopIteration as end:
+        return str(end.value)
+
+
+def test_a_call_is_answered_with_the_place_it_told(
+    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+) -> None:
+    call = services['relocalize']()
+    call.send(None)
+    search._relocalizer = cast(Relocalizer, Finder())
+    search.look(frame_at(SECOND), Lean())
+    assert answer(call) == 'found at (1.00, 2.00) m, 28.6 deg'
+    assert len(told) == 1
+
+
+def test_a_call_is_not_answered_with_a_place_that_was_not_told(
+    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+) -> None:
+    """The search of a lost robot finds the place as the call begins another."""
+    call = services['relocalize']()
+    search.consider(SECOND)
+    search._relocalizer = cast(Relocalizer, Finder(lambda: call.send(None)))
+    search.look(frame_at(SECOND), Lean())
+    with pytest.raises(LandmarkNavError, match='no picture came'):
+        answer(call)
+    assert not told
