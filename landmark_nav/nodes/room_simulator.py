@@ -13,6 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.parameters import Config, parameter
+from landmark_nav.ros.clocks import steady_clock
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -75,7 +76,7 @@ class RoomSimulatorNode(LandmarkNode):
         self._info = self.advertise('camera/camera_info')
         self.listen('cmd_vel', self._on_velocity)
         listen_for_pan(self, self._mount, config.command_type, self._world.command_pan)
-        self.create_timer(_STEP_S, self._tick)
+        self.create_timer(_STEP_S, self._tick, clock=steady_clock())
 
     def health(self) -> Health:
         """Whether it keeps up with the wall's time."""
