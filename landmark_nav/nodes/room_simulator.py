@@ -31,6 +31,8 @@ _STEP_S = 1.0 / 60.0
 _STEPS_PER_ODOMETRY = 2
 # Behind by more than this, time that nobody could follow is left out.
 _MAX_LAG_S = 20.0
+# Farther from the system's time than two looks at clocks may be apart, stamps jump to it.
+_MAX_OFF_NS = 250_000_000
 _OPTICAL_FRAME = 'camera_optical_frame'
 
 
@@ -55,14 +57,14 @@ class Parameters(Config):
 
 
 class RoomSimulatorNode(LandmarkNode):
-    """`simulation.world.RobotWorld` on topics."""
+    """`simulation.world.RobotWorld` on topics, in the system's time also with `use_sim_time`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('room_simulator', 'robot', **options)
         self._config = config = self.configure(Parameters)
         self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
         self._began_s = time.monotonic()
-        self._world = _build(config, self._mount, self.get_clock().now().nanoseconds)
+        self._world = _build(config, self._mount, time.time_ns())
         self._steps = self._pictures = self._image_due_ns = 0
         self._last_command = 0.0
         self._joints = self.advertise('joint_states')
@@ -104,11 +106,21 @@ class RoomSimulatorNode(LandmarkNode):
             self._world.command_velocity(0.0, 0.0)
         if self._lag_s > _MAX_LAG_S:
             self._began_s += self._lag_s
+        self._follow_clock()
         for _ in range(int(self._lag_s / _STEP_S)):
             self._step()
         if self._world.stamp_ns >= self._image_due_ns:
             self._image_due_ns = self._world.stamp_ns + int(1e9 / self._config.image_rate_hz)
             self._take_picture()
+
+    def _follow_clock(self) -> None:
+        """Stamp by the system's time, also where that was set or some time is left out."""
+        stamp_ns = time.time_ns() - int(1e9 * self._lag_s)
+        off_ns = stamp_ns - self._world.stamp_ns
+        if abs(off_ns) > _MAX_OFF_NS:
+            self._world.set_clock(stamp_ns)
+            self._image_due_ns = stamp_ns
+            self.get_logger().warning(f'stamps jump by {1e-9 * off_ns:+.1f} s to the system time')
 
     def _step(self) -> None:
         world, mount = self._world, self._mount

@@ -55,3 +55,10 @@ def test_choices_keep_to_the_time_of_a_bag_and_diagnostics_do_not(
     selector = made(TripletSelectorNode, use_sim_time=True, period_s=0.25)
     assert periods(selector, ClockType.ROS_TIME) == pytest.approx([0.1, 0.25])
     assert periods(selector, ClockType.STEADY_TIME) == pytest.approx([1.0])
+
+
+def test_the_simulated_robot_needs_no_clock_of_a_bag(made: Callable[..., LandmarkNode]) -> None:
+    robot = made(RoomSimulatorNode, use_sim_time=True)
+    assert len(periods(robot, ClockType.STEADY_TIME)) == 2
+    assert isinstance(robot, RoomSimulatorNode)
+    assert robot._world.stamp_ns > 0

@@ -1,9 +1,10 @@
-"""The simulated robot goes on through commands that make no sense."""
+"""The simulated robot goes on through commands that make no sense, and times that are set."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from rclpy.context import Context
 
+from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
 from landmark_nav.ros.factory import ros_factory
 
@@ -61,3 +63,68 @@ def test_commands_that_are_not_finite_are_dropped_and_told(robot: RoomSimulatorN
     assert np.isfinite(world.odometry_sample().pose_odom_base).all()
     assert world.joint_sample().pan_rad == pytest.approx(0.4, abs=0.01)
     assert world.camera_frame().image.any()
+
+
+class Clocks:
+    """Of the system and of the wall, as somebody sets them."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.system_s, self.wall_s = 5000.0, 10.0
+        monkeypatch.setattr(time, 'time_ns', lambda: round(1e9 * self.system_s))
+        monkeypatch.setattr(time, 'monotonic', lambda: self.wall_s)
+
+    def pass_by(self, seconds: float) -> None:
+        self.system_s += seconds
+        self.wall_s += seconds
+
+
+@pytest.fixture
+def clocks(monkeypatch: pytest.MonkeyPatch) -> Clocks:
+    return Clocks(monkeypatch)
+
+
+@pytest.fixture
+def stamps(
+    clocks: Clocks, robot: RoomSimulatorNode, monkeypatch: pytest.MonkeyPatch
+) -> dict[str, list[float]]:
+    """Of joint states and pictures, s."""
+    told: dict[str, list[float]] = {'joints': [], 'pictures': []}
+
+    def keep(name: str) -> Any:
+        return lambda message: told[name].append(1e-9 * stamp_ns(message.header))
+
+    monkeypatch.setattr(robot._joints, 'publish', keep('joints'))
+    monkeypatch.setattr(robot._info, 'publish', keep('pictures'))
+    return told
+
+
+@pytest.mark.parametrize('set_by_s', [3600.0, 5.0, -5.0, -3600.0])
+def test_stamps_follow_a_system_time_that_is_set(
+    set_by_s: float, clocks: Clocks, robot: RoomSimulatorNode, stamps: dict[str, list[float]]
+) -> None:
+    for _ in range(2):
+        clocks.pass_by(1.0)
+        robot._tick()
+    assert stamps['joints'][-1] == pytest.approx(5002.0, abs=0.02)
+    clocks.system_s += set_by_s
+    for told in stamps.values():
+        told.clear()
+    clocks.pass_by(1.0)
+    robot._tick()
+    for told in stamps.values():
+        assert told[-1] == pytest.approx(5003.0 + set_by_s, abs=0.02)
+    assert len(stamps['joints']) == 60
+
+
+def test_a_slow_machine_is_late_until_it_catches_up_or_leaves_time_out(
+    clocks: Clocks, robot: RoomSimulatorNode, stamps: dict[str, list[float]]
+) -> None:
+    for seconds in (1.0, 5.0):
+        clocks.pass_by(seconds)
+        robot._tick()
+    np.testing.assert_allclose(np.diff(stamps['joints']), 1.0 / 60.0, rtol=1e-4)
+    clocks.pass_by(30.0)
+    robot._tick()
+    clocks.pass_by(0.1)
+    robot._tick()
+    assert stamps['joints'][-1] == pytest.approx(5036.1, abs=0.02)
