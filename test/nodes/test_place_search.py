@@ -22,6 +22,8 @@ from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEst
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
+from rclpy.task import Future
+
 from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
 
 SECOND = 10**9
@@ -44,13 +46,20 @@ def services() -> dict[str, Any]:
 
 
 @pytest.fixture
-def search(prior: PriorTrack, told: list[Any], services: dict[str, Any]) -> PlaceSearch:
+def ended() -> Future[None]:
+    return Future()
+
+
+@pytest.fixture
+def search(
+    prior: PriorTrack, told: list[Any], services: dict[str, Any], ended: Future[None]
+) -> PlaceSearch:
     publisher = SimpleNamespace(publish=told.append)
 
     def offer(service: str, action: Any, **_: Any) -> None:
         services[service] = action
 
-    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=offer)
+    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=offer, ended=ended)
     made = PlaceSearch(
         node,
         PanTiltMount(),
@@ -173,3 +182,41 @@ def test_a_call_is_not_answered_with_a_place_that_was_not_told(
     with pytest.raises(LandmarkNavError, match='no picture came'):
         answer(call)
     assert not told
+
+
+def test_who_calls_while_a_place_is_looked_for_gets_the_same_answer(
+    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+) -> None:
+    first, second = services['relocalize'](), services['relocalize']()
+    first.send(None)
+    search._relocalizer = cast(Relocalizer, Finder())
+    second.send(None)
+    search.look(frame_at(SECOND), Lean())
+    assert answer(first) == answer(second) == 'found at (1.00, 2.00) m, 28.6 deg'
+    assert len(told) == 1
+
+
+def test_who_calls_together_is_refused_together_and_may_call_again(
+    search: PlaceSearch, services: dict[str, Any]
+) -> None:
+    first, second, third = (services['relocalize']() for _ in range(3))
+    first.send(None)
+    second.send(None)
+    with pytest.raises(LandmarkNavError, match='no picture came'):
+        answer(first)
+    third.send(None)
+    with pytest.raises(LandmarkNavError, match='no picture came'):
+        second.send(None)
+    search._relocalizer = cast(Relocalizer, Finder())
+    search.look(frame_at(SECOND), Lean())
+    assert answer(third).startswith('found at')
+
+
+def test_the_search_ends_with_its_node(
+    search: PlaceSearch, services: dict[str, Any], ended: Future[None]
+) -> None:
+    call = services['relocalize']()
+    call.send(None)
+    ended.set_result(None)
+    with pytest.raises(LandmarkNavError, match='the search ends with this node'):
+        answer(call)
