@@ -134,9 +134,12 @@ class PlaceSearch:
         """
         wanted = self._config.when_lost and self._moves and self.landmarks.landmarks
         on_its_way = 0 <= stamp_ns - self._told_ns < _FUSED_NS
-        if self._call is not None or not wanted or on_its_way:
+        if not wanted or on_its_way:
             return
         fused = self._fused(stamp_ns, _LATE_S)
+        # Another thread may take a call meanwhile.
+        if self._call is not None:
+            return
         if fused is not None and is_known(fused) and not self._unseen.lasts:
             self._relocalizer = None
         elif self._relocalizer is None:

@@ -196,6 +196,25 @@ def test_who_calls_while_a_place_is_looked_for_gets_the_same_answer(
     assert len(told) == 1
 
 
+def test_a_call_is_not_ended_by_a_pose_that_was_asked_for_before(
+    search: PlaceSearch,
+    services: dict[str, Any],
+    prior: PriorTrack,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    call = services['relocalize']()
+
+    def fused(stamp_ns: int, within_s: float) -> PoseEstimate | None:
+        call.send(None)
+        return prior.recent(stamp_ns, within_s)
+
+    fuse(prior, 0, SURE)
+    monkeypatch.setattr(search, '_fused', fused)
+    search.consider(0)
+    assert search.active
+    call.close()
+
+
 def test_who_calls_together_is_refused_together_and_may_call_again(
     search: PlaceSearch, services: dict[str, Any]
 ) -> None:
