@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
-from threading import Event
+from dataclasses import dataclass, field
 import time
 
 import numpy as np
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import ReentrantCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -58,6 +57,14 @@ class PlaceSearchConfig(RelocalizationConfig):
     search_s: float = parameter(15.0, 'how long relocalize may look around, s', minimum=0.1)
 
 
+@dataclass
+class _Call:
+    """Of the service, which others may join; `outcome` is a place only once that is told."""
+
+    until_s: float
+    outcome: PoseEstimate | Refusal = field(default_factory=lambda: Refusal('no picture came'))
+
+
 class PlaceSearch:
     """
     Finds the robot's place when called or lost, and tells it on ``found_place``.
@@ -94,12 +101,12 @@ class PlaceSearch:
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._relocalizer: Relocalizer | None = None
         self._unseen = Unseen(config.unseen_s)
-        self._asked, self._told_ns = False, -_FUSED_NS
-        self._outcome: PoseEstimate | Refusal = Refusal('no picture came')
+        self._call: _Call | None = None
+        self._told_ns = -_FUSED_NS
         self._lean_rad = (0.0, 0.0)
-        self._found = Event()
         self._place = node.advertise('found_place')
-        node.offer('relocalize', self._search, group=MutuallyExclusiveCallbackGroup())
+        self._ended = node.ended
+        node.offer('relocalize', self._search, group=ReentrantCallbackGroup())
 
     def use(self, landmarks: LandmarkMap) -> None:
         """Look for these from now on."""
@@ -127,9 +134,12 @@ class PlaceSearch:
         """
         wanted = self._config.when_lost and self._moves and self.landmarks.landmarks
         on_its_way = 0 <= stamp_ns - self._told_ns < _FUSED_NS
-        if self._asked or not wanted or on_its_way:
+        if not wanted or on_its_way:
             return
         fused = self._fused(stamp_ns, _LATE_S)
+        # Another thread may take a call meanwhile.
+        if self._call is not None:
+            return
         if fused is not None and is_known(fused) and not self._unseen.lasts:
             self._relocalizer = None
         elif self._relocalizer is None:
@@ -166,16 +176,19 @@ class PlaceSearch:
         """
         relocalizer, self._lean_rad = self._relocalizer, (0.0, 0.0)
         if relocalizer is None:
-            return self._outcome
+            return Refusal('nobody looks for it any more')
         known = self._odometry
         while known and known[0].stamp_ns <= frame.stamp_ns:
             relocalizer.add_odometry(known.popleft())
-        outcome = self._outcome = relocalizer.add_frame(frame, lean)
+        outcome = relocalizer.add_frame(frame, lean)
         # That took a while, in which somebody may have told the place.
         known = self._odometry
         self.consider(known[-1].stamp_ns if known else frame.stamp_ns)
-        if isinstance(outcome, PoseEstimate) and self._relocalizer is relocalizer:
-            self._relocalizer, self._asked = None, False
+        if self._relocalizer is not relocalizer:
+            return outcome
+        call = self._call
+        if isinstance(outcome, PoseEstimate):
+            self._relocalizer = self._call = None
             self._told_ns = frame.stamp_ns
             self._unseen.restart()
             found, self._lean_rad = relocalizer.in_time, relocalizer.lean_rad
@@ -189,7 +202,8 @@ class PlaceSearch:
                 pan_delay_s,
             )
             self._place.publish(encode.found_place(ros_factory, place, self._map_frame))
-            self._found.set()
+        if call is not None:
+            call.outcome = outcome
         return outcome
 
     def _new_relocalizer(self) -> Relocalizer:
@@ -198,15 +212,18 @@ class PlaceSearch:
     async def _search(self) -> str:
         if not self.landmarks.landmarks:
             raise LandmarkNavError('there are no landmarks: call learn_landmarks or load_map')
-        self._found.clear()
-        self._odometry = deque(maxlen=_BACKLOG)
-        self._outcome = Refusal('no picture came')
-        self._relocalizer, self._asked = self._new_relocalizer(), True
-        until = time.monotonic() + self._config.search_s
-        while not self._found.is_set() and time.monotonic() < until:
+        call = self._call
+        if call is None:
+            call = self._call = _Call(time.monotonic() + self._config.search_s)
+            self._odometry = deque(maxlen=_BACKLOG)
+            self._relocalizer = self._new_relocalizer()
+        while isinstance(call.outcome, Refusal) and time.monotonic() < call.until_s:
+            if self._ended.done():
+                raise LandmarkNavError('the search ends with this node: call again once it runs')
             await _Nap()
-        self._relocalizer, self._asked = None, False
-        outcome = self._outcome
+        outcome = call.outcome
+        if self._call is call:
+            self._relocalizer = self._call = None
         if isinstance(outcome, Refusal):
             raise LandmarkNavError(
                 f'place not found within {self._config.search_s:g} s ({outcome}): call again and '

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from math import isfinite
 import time
 from typing import Any
 
@@ -12,6 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.parameters import Config, parameter
+from landmark_nav.ros.clocks import steady_clock
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -29,6 +31,8 @@ _STEP_S = 1.0 / 60.0
 _STEPS_PER_ODOMETRY = 2
 # Behind by more than this, time that nobody could follow is left out.
 _MAX_LAG_S = 20.0
+# Farther from the system's time than two looks at clocks may be apart, stamps jump to it.
+_MAX_OFF_NS = 250_000_000
 _OPTICAL_FRAME = 'camera_optical_frame'
 
 
@@ -53,14 +57,14 @@ class Parameters(Config):
 
 
 class RoomSimulatorNode(LandmarkNode):
-    """`simulation.world.RobotWorld` on topics."""
+    """`simulation.world.RobotWorld` on topics, in the system's time also with `use_sim_time`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('room_simulator', 'robot', **options)
         self._config = config = self.configure(Parameters)
         self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
         self._began_s = time.monotonic()
-        self._world = _build(config, self._mount, self.get_clock().now().nanoseconds)
+        self._world = _build(config, self._mount, time.time_ns())
         self._steps = self._pictures = self._image_due_ns = 0
         self._last_command = 0.0
         self._joints = self.advertise('joint_states')
@@ -74,7 +78,7 @@ class RoomSimulatorNode(LandmarkNode):
         self._info = self.advertise('camera/camera_info')
         self.listen('cmd_vel', self._on_velocity)
         listen_for_pan(self, self._mount, config.command_type, self._world.command_pan)
-        self.create_timer(_STEP_S, self._tick)
+        self.create_timer(_STEP_S, self._tick, clock=steady_clock())
 
     def health(self) -> Health:
         """Whether it keeps up with the wall's time."""
@@ -90,8 +94,11 @@ class RoomSimulatorNode(LandmarkNode):
         return time.monotonic() - self._began_s - self._steps * _STEP_S
 
     def _on_velocity(self, message: Any) -> None:
+        linear_m_s, angular_rad_s = float(message.linear.x), float(message.angular.z)
+        if not isfinite(linear_m_s) or not isfinite(angular_rad_s):
+            raise LandmarkNavError('a speed is not a finite number')
         self._last_command = time.monotonic()
-        self._world.command_velocity(float(message.linear.x), float(message.angular.z))
+        self._world.command_velocity(linear_m_s, angular_rad_s)
 
     def _tick(self) -> None:
         """Catch up with the wall's time, step by step, then take a picture if one is due."""
@@ -99,11 +106,21 @@ class RoomSimulatorNode(LandmarkNode):
             self._world.command_velocity(0.0, 0.0)
         if self._lag_s > _MAX_LAG_S:
             self._began_s += self._lag_s
+        self._follow_clock()
         for _ in range(int(self._lag_s / _STEP_S)):
             self._step()
         if self._world.stamp_ns >= self._image_due_ns:
             self._image_due_ns = self._world.stamp_ns + int(1e9 / self._config.image_rate_hz)
             self._take_picture()
+
+    def _follow_clock(self) -> None:
+        """Stamp by the system's time, also where that was set or some time is left out."""
+        stamp_ns = time.time_ns() - int(1e9 * self._lag_s)
+        off_ns = stamp_ns - self._world.stamp_ns
+        if abs(off_ns) > _MAX_OFF_NS:
+            self._world.set_clock(stamp_ns)
+            self._image_due_ns = stamp_ns
+            self.get_logger().warning(f'stamps jump by {1e-9 * off_ns:+.1f} s to the system time')
 
     def _step(self) -> None:
         world, mount = self._world, self._mount

@@ -17,6 +17,7 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.parameters import check_order, Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
+from landmark_nav.ros.clocks import own_clock
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -92,8 +93,8 @@ class TripletSelectorNode(LandmarkNode):
         self.listen('detections', self._on_detections)
         listen_for_pan(self, self._mount, self._config.command.type, self._on_command)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
-        self.create_timer(self._config.period_s, self._choose)
-        self.create_timer(_LOOK_S, self._look_around)
+        self.create_timer(self._config.period_s, self._choose, clock=own_clock(self))
+        self.create_timer(_LOOK_S, self._look_around, clock=own_clock(self))
 
     def health(self) -> Health:
         """What was chosen last, or what a choice waits for; also while the clock stands."""

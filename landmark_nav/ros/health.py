@@ -8,9 +8,9 @@ from enum import Enum
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock
 from rclpy.node import Node
 
+from landmark_nav.ros.clocks import steady_clock
 from landmark_nav.ros.topics import TOPICS
 
 __all__ = ['Health', 'Level', 'publish_health']
@@ -55,5 +55,5 @@ def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) 
         1.0,
         publish,
         callback_group=ReentrantCallbackGroup(),
-        clock=Clock(),
+        clock=steady_clock(),
     )

@@ -55,5 +55,7 @@ class ImageSource:
         return take
 
     def _keep(self, name: str | None) -> None:
-        for other in [other for other in self._subscriptions if other != name]:
-            self._node.destroy_subscription(self._subscriptions.pop(other))
+        for other in list(self._subscriptions):
+            # Another thread may close them meanwhile.
+            if other != name and (ended := self._subscriptions.pop(other, None)) is not None:
+                self._node.destroy_subscription(ended)

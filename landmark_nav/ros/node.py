@@ -52,6 +52,7 @@ class LandmarkNode(Node):
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.ended: Future[None] = Future()
+        self.calls_that_wait = 0
         self._warned: set[str] = set()
         self._last_problem = ''
         publish_health(self, subcomponent, self._checked_health)
@@ -118,13 +119,14 @@ class LandmarkNode(Node):
         """
         Offer a Trigger service: `action` returns what it did or raises why it could not.
 
-        One that waits for what other callbacks do is a coroutine in a group of its own.
+        One that waits for what other callbacks do is a coroutine in a group of its own, which
+        leaves soon once the node has `ended`.
         """
 
         async def answer(_request: Any, response: Any) -> Any:
             try:
                 done = action()
-                response.message = done if isinstance(done, str) else await done
+                response.message = done if isinstance(done, str) else await self._awaited(done)
                 response.success = True
             except LandmarkNavError as error:
                 response.message = str(error)
@@ -135,6 +137,13 @@ class LandmarkNode(Node):
             return response
 
         self.create_service(Trigger, service, answer, callback_group=group)
+
+    async def _awaited(self, action: Awaitable[str]) -> str:
+        self.calls_that_wait += 1
+        try:
+            return await action
+        finally:
+            self.calls_that_wait -= 1
 
     def drop(self, what: str, error: object) -> None:
         """Note that something was not used, and why."""

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from builtin_interfaces.msg import Duration
-from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.parameters import Config, parameter
+from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import RELIABLE
 
 __all__ = ['COMMAND_TYPES', 'PanCommandParameters', 'PanCommander', 'listen_for_pan']
@@ -47,7 +49,9 @@ class PanCommandParameters(Config):
 class PanCommander:
     """Publishes where the camera should look."""
 
-    def __init__(self, node: Node, mount: PanTiltMount, parameters: PanCommandParameters) -> None:
+    def __init__(
+        self, node: LandmarkNode, mount: PanTiltMount, parameters: PanCommandParameters
+    ) -> None:
         self._node = node
         self._joints = [mount.pan_joint, *([mount.tilt_joint] if parameters.with_tilt else [])]
         self._parameters = parameters
@@ -75,7 +79,7 @@ class PanCommander:
 
 
 def listen_for_pan(
-    node: Node, mount: PanTiltMount, kind: str, callback: Callable[[float], None]
+    node: LandmarkNode, mount: PanTiltMount, kind: str, callback: Callable[[float], None]
 ) -> Subscription[Any]:
     """Call back with the pan of every command that somebody gives."""
 
@@ -88,6 +92,9 @@ def listen_for_pan(
             names = list(message.joint_names)
             positions = message.points[-1].positions if message.points else []
         if mount.pan_joint in names and names.index(mount.pan_joint) < len(positions):
-            callback(float(positions[names.index(mount.pan_joint)]))
+            pan_rad = float(positions[names.index(mount.pan_joint)])
+            if not isfinite(pan_rad):
+                raise LandmarkNavError('the pan is not a finite number')
+            callback(pan_rad)
 
-    return node.create_subscription(_CLASSES[kind], _TOPIC, take, RELIABLE)
+    return node.create_subscription(_CLASSES[kind], _TOPIC, node.guarded(_TOPIC, take), RELIABLE)

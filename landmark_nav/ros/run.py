@@ -90,7 +90,8 @@ def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:
     # Not `spin_until_future_complete`: that of Jazzy adds another callback every turn.
     node.ended.add_done_callback(wake)
     try:
-        while not node.ended.done():
+        # Calls that wait see the end, and are answered.
+        while not node.ended.done() or node.calls_that_wait:
             executor.spin_once()
         node.ended.result()
         # Not where the node or a callback failed: the status has to say so.

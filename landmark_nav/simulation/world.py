@@ -118,6 +118,10 @@ class RobotWorld:
         """How far the camera turns to both sides."""
         return self._config.pan_tilt.pan_limit_rad
 
+    def set_clock(self, stamp_ns: int) -> None:
+        """Call the present moment so from now on."""
+        self._start_ns += stamp_ns - self.stamp_ns
+
     def advance(self, dt_s: float) -> None:
         """Let time pass, in whole steps of 1/60 s; what is left over counts the next time."""
         self._owed_s += dt_s

@@ -48,7 +48,7 @@ def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
     target = folder.resolve()
     growing = target.with_name(f'.{target.name}.part-{os.getpid()}')
     try:
-        _clear_dead(target)
+        _clear_dead(target, own)
         growing.mkdir(parents=True)
         yield growing
         _swap(growing, target, own)
@@ -111,16 +111,24 @@ def left_over(folder: Path) -> Path | None:
     return aside[-1] if aside else None
 
 
-def _clear_dead(target: Path) -> None:
-    """Remove what processes that are gone had begun to write."""
-    for begun in target.parent.glob(f'.{target.name}.part-*'):
-        number = begun.name.rpartition('-')[2]
+def _clear_dead(target: Path, own: Sequence[str]) -> None:
+    """Remove what processes that are gone had begun to write, and what they had replaced."""
+    for begun in _of_the_dead(target, 'part'):
+        shutil.rmtree(begun, ignore_errors=True)
+    for old in _of_the_dead(target, 'old') if target.exists() else ():
+        with suppress(OSError):
+            _succeed(old, target, own)
+
+
+def _of_the_dead(target: Path, kind: str) -> Iterator[Path]:
+    for path in target.parent.glob(f'.{target.name}.{kind}-*'):
+        number = path.name.rpartition('-')[2]
         if not number.isdecimal():
             continue
         try:
             os.kill(int(number), 0)
         except ProcessLookupError:
-            shutil.rmtree(begun, ignore_errors=True)
+            yield path
         except OSError:
             continue
 
@@ -137,7 +145,15 @@ def _swap(growing: Path, target: Path, own: Sequence[str]) -> None:
     except OSError:
         old.rename(target)
         raise
-    for kept in old.iterdir():
-        if not any(fnmatch.fnmatch(kept.name, pattern) for pattern in own):
-            kept.rename(target / kept.name)
+    _succeed(old, target, own)
+
+
+def _succeed(old: Path, target: Path, own: Sequence[str]) -> None:
+    """Take over what the user kept in `old`, and remove that; not where something is in both."""
+    for kept in list(old.iterdir()):
+        if any(fnmatch.fnmatch(kept.name, pattern) for pattern in own):
+            continue
+        if (target / kept.name).exists():
+            return
+        kept.rename(target / kept.name)
     shutil.rmtree(old)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.detection.height import Lean
 from landmark_nav.localization.detection.prior import PriorTrack
@@ -20,6 +21,8 @@ from landmark_nav.messages import decode
 from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+from rclpy.task import Future
 
 from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
 
@@ -38,13 +41,29 @@ def told() -> list[Any]:
 
 
 @pytest.fixture
-def search(prior: PriorTrack, told: list[Any]) -> PlaceSearch:
+def services() -> dict[str, Any]:
+    return {}
+
+
+@pytest.fixture
+def ended() -> Future[None]:
+    return Future()
+
+
+@pytest.fixture
+def search(
+    prior: PriorTrack, told: list[Any], services: dict[str, Any], ended: Future[None]
+) -> PlaceSearch:
     publisher = SimpleNamespace(publish=told.append)
-    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=lambda *_, **__: None)
+
+    def offer(service: str, action: Any, **_: Any) -> None:
+        services[service] = action
+
+    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=offer, ended=ended)
     made = PlaceSearch(
         node,
         PanTiltMount(),
-        PlaceSearchConfig(),
+        PlaceSearchConfig(search_s=0.2),
         'map',
         prior.recent,
         OdometryNoiseConfig(),
@@ -130,3 +149,93 @@ def test_a_place_in_a_map_that_is_gone_is_not_told(search: PlaceSearch, told: li
     search.look(frame_at(SECOND), Lean())
     assert not told
     assert search.active
+
+
+def answer(call: Coroutine[None, None, str]) -> str:
+    """Go on with a call until it is answered."""
+    try:
+        while True:
+            call.send(None)
+    except StopIteration as end:
+        return str(end.value)
+
+
+def test_a_call_is_answered_with_the_place_it_told(
+    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+) -> None:
+    call = services['relocalize']()
+    call.send(None)
+    search._relocalizer = cast(Relocalizer, Finder())
+    search.look(frame_at(SECOND), Lean())
+    assert answer(call) == 'found at (1.00, 2.00) m, 28.6 deg'
+    assert len(told) == 1
+
+
+def test_a_call_is_not_answered_with_a_place_that_was_not_told(
+    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+) -> None:
+    """The search of a lost robot finds the place as the call begins another."""
+    call = services['relocalize']()
+    search.consider(SECOND)
+    search._relocalizer = cast(Relocalizer, Finder(lambda: call.send(None)))
+    search.look(frame_at(SECOND), Lean())
+    with pytest.raises(LandmarkNavError, match='no picture came'):
+        answer(call)
+    assert not told
+
+
+def test_who_calls_while_a_place_is_looked_for_gets_the_same_answer(
+    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+) -> None:
+    first, second = services['relocalize'](), services['relocalize']()
+    first.send(None)
+    search._relocalizer = cast(Relocalizer, Finder())
+    second.send(None)
+    search.look(frame_at(SECOND), Lean())
+    assert answer(first) == answer(second) == 'found at (1.00, 2.00) m, 28.6 deg'
+    assert len(told) == 1
+
+
+def test_a_call_is_not_ended_by_a_pose_that_was_asked_for_before(
+    search: PlaceSearch,
+    services: dict[str, Any],
+    prior: PriorTrack,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    call = services['relocalize']()
+
+    def fused(stamp_ns: int, within_s: float) -> PoseEstimate | None:
+        call.send(None)
+        return prior.recent(stamp_ns, within_s)
+
+    fuse(prior, 0, SURE)
+    monkeypatch.setattr(search, '_fused', fused)
+    search.consider(0)
+    assert search.active
+    call.close()
+
+
+def test_who_calls_together_is_refused_together_and_may_call_again(
+    search: PlaceSearch, services: dict[str, Any]
+) -> None:
+    first, second, third = (services['relocalize']() for _ in range(3))
+    first.send(None)
+    second.send(None)
+    with pytest.raises(LandmarkNavError, match='no picture came'):
+        answer(first)
+    third.send(None)
+    with pytest.raises(LandmarkNavError, match='no picture came'):
+        second.send(None)
+    search._relocalizer = cast(Relocalizer, Finder())
+    search.look(frame_at(SECOND), Lean())
+    assert answer(third).startswith('found at')
+
+
+def test_the_search_ends_with_its_node(
+    search: PlaceSearch, services: dict[str, Any], ended: Future[None]
+) -> None:
+    call = services['relocalize']()
+    call.send(None)
+    ended.set_result(None)
+    with pytest.raises(LandmarkNavError, match='the search ends with this node'):
+        answer(call)
