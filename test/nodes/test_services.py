@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 import shutil
 import signal
+import subprocess
 import time
 from typing import Any
 
@@ -17,7 +18,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from std_srvs.srv import Trigger
 
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.graph import node_command, node_environment
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
@@ -130,33 +131,36 @@ def test_localizer_says_what_it_lacks(
 
 
 def test_who_waits_for_a_place_is_answered_as_the_node_ends(
-    start: Callable[..., None],
-    client: RobotClient,
-    supervisor: Supervisor,
-    setup_files: dict[str, str],
+    client: RobotClient, domain_id: int, setup_files: dict[str, str]
 ) -> None:
     word = 'triangulation_localizer'
-    start(word, robot_file=setup_files['robot_file'], **{'relocalization.search_s': 600.0})
-    publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
-    messages = encode.landmark_map(ros_factory, small_map(), 1)
-    for publisher, message in zip(publishers, messages, strict=False):
-        publisher.publish(message)
-    client.wait(lambda: 'no picture' in client.said(word).reason, 30.0, 'the map to arrive')
-    words: list[Any] = []
-    client.listen('/diagnostics', words.append)
-    clients = [client._node.create_client(Trigger, 'relocalize') for _ in range(2)]
-    answers: list[Any] = []
-    for caller in clients:
-        client.wait(caller.service_is_ready, 30.0, 'the service')
-        with Acquaintance(client._node, 'relocalize') as acquaintance:
-            client.wait(acquaintance.made, 30.0, 'the node to know its client')
-        answers.append(caller.call_async(Trigger.Request()))
-    client.wait(lambda: len(words) > 6, 30.0, 'the node to go on')
-    assert not any(answer.done() for answer in answers)
-    assert supervisor.stop([signal.SIGINT]) == {word: 0}
-    client.wait(lambda: all(answer.done() for answer in answers), 30.0, 'the answers')
-    for answer in answers:
-        assert answer.result().message.startswith('the search ends with this node')
+    parameters = {'robot_file': setup_files['robot_file'], 'relocalization.search_s': 600.0}
+    node = subprocess.Popen(node_command(word, **parameters), env=node_environment(domain_id))
+    try:
+        publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
+        messages = encode.landmark_map(ros_factory, small_map(), 1)
+        for publisher, message in zip(publishers, messages, strict=False):
+            publisher.publish(message)
+        client.wait(lambda: 'no picture' in client.said(word).reason, 30.0, 'the map to arrive')
+        words: list[Any] = []
+        client.listen('/diagnostics', words.append)
+        clients = [client._node.create_client(Trigger, 'relocalize') for _ in range(2)]
+        answers: list[Any] = []
+        for caller in clients:
+            client.wait(caller.service_is_ready, 30.0, 'the service')
+            with Acquaintance(client._node, 'relocalize') as acquaintance:
+                client.wait(acquaintance.made, 30.0, 'the node to know its client')
+            answers.append(caller.call_async(Trigger.Request()))
+        client.wait(lambda: len(words) > 6, 30.0, 'the node to go on')
+        assert not any(answer.done() for answer in answers)
+        node.send_signal(signal.SIGINT)
+        client.wait(lambda: all(answer.done() for answer in answers), 30.0, 'the answers')
+        assert node.wait(30.0) == 0
+        for answer in answers:
+            assert answer.result().message.startswith('the search ends with this node')
+    finally:
+        node.kill()
+        node.wait()
 
 
 def test_fusion_goes_on_through_bad_input(
