@@ -20,7 +20,7 @@ import pytest
 from landmark_nav.arrays import FloatArray
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.fusion.measurement import bearing_model
-from landmark_nav.localization.fusion.noise import NoiseScales
+from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
     initial_state,
@@ -154,7 +154,7 @@ class TestRecovery:
 
     def test_how_noisy_it_is_is_forgotten_on_the_way(self) -> None:
         config = OdometryNoiseConfig()
-        learned = NoiseScales(np.full(4, 0.8), np.zeros((4, 4)))
+        learned = NoiseScales(np.full(LEARNED + 1, 0.8), np.zeros((LEARNED + 1,) * 2))
         shares = [learned.moved(way_m, config).log_scale[0] / 0.8 for way_m in (0.0, 10.0, 1000.0)]
         assert shares[0] == 1.0
         assert 0.5 < shares[1] < 0.95
