@@ -44,6 +44,15 @@ class PoseTrack:
         """Return how many poses there are."""
         return len(self.stamps_ns)
 
+    def carry(self, known: PoseTrack) -> PoseTrack:
+        """Carry `known` poses on, each until the next one, as this track moves; NaN beyond it."""
+        inside = (self.stamps_ns > known.stamps_ns[0]) & (self.stamps_ns < known.stamps_ns[-1])
+        stamps = np.union1d(known.stamps_ns, self.stamps_ns[inside])
+        last = np.searchsorted(known.stamps_ns, stamps, 'right') - 1
+        moved = se2.relative(self.at(known.stamps_ns[last]), self.at(stamps))
+        moved[stamps == known.stamps_ns[last]] = 0.0
+        return PoseTrack(stamps, se2.compose(known.poses[last], moved))
+
     def at(self, stamps_ns: npt.ArrayLike) -> FloatArray:
         """
         Interpolate at constant twist in SE(2).

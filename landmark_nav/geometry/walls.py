@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -178,6 +179,12 @@ class Room:
             along_wall = (offset_x * y - offset_y * x) / denominator
         hit = (along_ray > 1e-9) & (along_wall >= -1e-9) & (along_wall <= 1.0 + 1e-9)
         return np.where(hit, along_ray, np.inf)
+
+    def shares_wall(self, walls: Sequence[Wall], within_m: float) -> bool:
+        """Whether one of `walls` starts and ends `within_m` of where one of the room does."""
+        ends = np.array([(*wall.start, *wall.end) for wall in walls]).reshape(-1, 1, 2, 2)
+        gaps = np.linalg.norm(ends - np.stack([self._starts, self._ends], 1), axis=-1)
+        return bool(np.any(gaps.max(-1) < within_m))
 
     def visible(self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether no wall stands between origins (..., 2) and points (..., 2)."""

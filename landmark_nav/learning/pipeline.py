@@ -130,10 +130,11 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        adjustment, free, residuals = _adjusted(found, panoramas, room, config)
-    doubt = doubtful_walls(
+        adjustment, free, residuals, hidden = _adjusted(found, panoramas, room, config)
+    uneven = doubtful_walls(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
     )
+    doubt = '; '.join(filter(None, [hidden, uneven]))
     if doubt:
         _LOG.warning('%s', doubt)
     adjusted = tuple(
@@ -183,10 +184,8 @@ def learn_from_panoramas(
 
 def _adjusted(
     found: Found, panoramas: Sequence[Panorama], room: Room, config: LearningConfig
-) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...]]:
-    """Adjust with the walls and without; how far before each wall things lie."""
-    walls = [patch.wall for patch in found.patches]
-    start = np.array([patch.position for patch in found.patches])
+) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...], str]:
+    """Adjust with the walls and without; how far before each wall things lie, and what is odd."""
     places = joint_covariance(panoramas, room, config.reference_area)
     without_walls = replace(
         config.adjustment,
@@ -195,9 +194,21 @@ def _adjusted(
         place_weight=_AS_EXPECTED,
         room_weight=_AS_EXPECTED,
     )
-    free = adjust(found.sightings, walls, start, panoramas, places, room, without_walls)
-    check_walls(free, walls, room, config.adjustment, config.wall_fit)
-    adjustment = adjust(found.sightings, walls, start, panoramas, places, room, config.adjustment)
+
+    def adjusted(found: Found, expected: AdjustmentConfig) -> Adjustment:
+        start = np.array([patch.position for patch in found.patches])
+        return adjust(found.sightings, found.walls, start, panoramas, places, room, expected)
+
+    hidden = check_walls(
+        adjusted(found.anywhere, without_walls),
+        found.anywhere.walls,
+        room,
+        config.adjustment,
+        config.wall_fit,
+    )
+    walls = found.walls
+    free = adjusted(found, without_walls)
+    adjustment = adjusted(found, config.adjustment)
     residuals = wall_residuals(adjustment, walls, room, config.adjustment)
     adjustment, free = told_by_sizes(
         adjustment,
@@ -207,7 +218,7 @@ def _adjusted(
         config.adjustment,
         config.election.max_depth_sigma_m,
     )
-    return adjustment, free, residuals
+    return adjustment, free, residuals, hidden
 
 
 def _check(panoramas: Sequence[Panorama]) -> None:

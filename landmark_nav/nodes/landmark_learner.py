@@ -24,6 +24,8 @@ from landmark_nav.types import LandmarkMap, Panorama
 __all__ = ['LandmarkLearnerNode', 'Parameters', 'main']
 
 _NOT_SAVED = 'not saved yet: call save_map'
+# Walls that were measured again are nearer to where they were.
+_SAME_WALL_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,12 @@ class LandmarkLearnerNode(LandmarkNode):
         if self._map is None:
             words = f'{self._why_none}: call learn_landmarks or load_map'
             return Health(Level.DEGRADED, words, values)
-        count = f'{len(self._map.landmarks)} landmarks'
-        return Health(Level.OK, count if self._on_disk else f'{count}, {_NOT_SAVED}', values)
+        words = f'{len(self._map.landmarks)} landmarks'
+        if not self._on_disk:
+            words += f', {_NOT_SAVED}'
+        if doubt := self._why_foreign(self._map):
+            return Health(Level.DEGRADED, f'{words}; {doubt}', values)
+        return Health(Level.OK, words, values)
 
     def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
         view = decode.panorama(image, info, pose)
@@ -96,7 +102,7 @@ class LandmarkLearnerNode(LandmarkNode):
             raise LandmarkNavError('there is no map to save: call learn_landmarks first')
         save_map(self._map, self._config.map_folder)
         self._on_disk = True
-        return f'{len(self._map.landmarks)} landmarks saved in {self._config.map_folder}'
+        return self._told(f'{len(self._map.landmarks)} landmarks saved in', self._map)
 
     def _load_at_start(self) -> None:
         """Without a map there is still one to be learned: a missing or broken one ends nothing."""
@@ -109,7 +115,25 @@ class LandmarkLearnerNode(LandmarkNode):
     def _load(self) -> str:
         loaded = load_map(self._config.map_folder)
         self._publish(loaded, on_disk=True)
-        return f'{len(loaded.landmarks)} landmarks loaded from {self._config.map_folder}'
+        return self._told(f'{len(loaded.landmarks)} landmarks loaded from', loaded)
+
+    def _told(self, done: str, landmarks: LandmarkMap) -> str:
+        """What was done with the map folder, and what is odd about its map."""
+        doubt = self._why_foreign(landmarks)
+        if doubt:
+            self.get_logger().warning(doubt)
+        return '; '.join(filter(None, [f'{done} {self._config.map_folder}', doubt]))
+
+    def _why_foreign(self, landmarks: LandmarkMap) -> str:
+        """Why a map seems to be of another room than the room file; nothing if it does not."""
+        room, files = self._room, f'{self._config.map_folder} and {self._config.room_file}'
+        if landmarks.frame_id != room.frame_id:
+            why = f'{landmarks.frame_id!r} and {room.frame_id!r} are their frames'
+        elif landmarks.walls and not room.shares_wall(landmarks.walls, _SAME_WALL_M):
+            why = f'no wall of the one is within {_SAME_WALL_M:g} m of one of the other'
+        else:
+            return ''
+        return f'{files} are of different rooms: {why}'
 
     def _publish(self, landmarks: LandmarkMap, on_disk: bool) -> None:
         self._map, self._on_disk = landmarks, on_disk

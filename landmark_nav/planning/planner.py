@@ -116,7 +116,7 @@ def plan_positions(
     config : PlanConfig
         Camera and expectations.
     rng : numpy.random.Generator
-        Draws the random sets; the proposal does not depend on it.
+        Draws the random sets; the proposal depends on it only if one of these is the best.
     show : callable
         Shows progress: passes items through, with what is done and how many there are.
 
@@ -147,26 +147,30 @@ def plan_positions(
     cost = Predictor(views, samples, cells, room, config).cost_m
     seeds = spread(_spread_out(views.pose_map_base) if len(turns) > 1 else xy, _MOST_SEEDS)
     chosen = views.pose_map_base[best_places(cost, xy, count, seeds, show)]
-    refined = _refined(chosen, floor, room, mount, config, show)
-
-    sets = [refined]
     left_right = _left_right(room, mount, count, config)
+    starts = [chosen]
+    if left_right is not None and len(left_right) == count:
+        starts.append(left_right)
+    sets = [_refined(start, floor, room, mount, config, show) for start in starts]
     if left_right is not None:
         sets.append(left_right)
     drawn = random_sets(xy, count, config.random_sets, rng)
     sets += [views.pose_map_base[k] for k in drawn]
     cells = free_floor(room, config.clearance_m, config.spacing_m, _REPORT_CELLS)
     forecasts = forecast(sets, cells, room, mount, config)
-    if not np.isfinite(forecasts[0].cost_m) or not forecasts[0].landmarks:
+    # What it is compared with may be better: it was found on coarser floor.
+    rivals = [f for f in forecasts if len(f.poses_map_base) == count]
+    best = min(rivals, key=lambda f: f.cost_m)
+    if not np.isfinite(best.cost_m) or not best.landmarks:
         raise LandmarkNavError(
             f'no {count} places see the same walls well enough to learn landmarks: '
             'check the walls in room.yaml'
         )
     cells = free_floor(room, config.clearance_m, _MAP_SPACING_M, _MAP_CELLS)
     return Plan(
-        forecasts[0],
-        forecast(sets[:1], cells, room, mount, config)[0],
-        None if left_right is None else forecasts[1],
+        best,
+        forecast([best.poses_map_base], cells, room, mount, config)[0],
+        None if left_right is None else forecasts[len(starts)],
         tuple(sorted(forecasts[-len(drawn) :], key=lambda f: f.cost_m)),
     )
 

@@ -26,6 +26,7 @@ from landmark_nav.ros.acquaintance import Acquaintance
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.robot_client import RobotClient
 from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import JointSample, Landmark, LandmarkMap, OdometrySample, PoseEstimate
 
 
@@ -86,6 +87,39 @@ def test_a_learner_that_is_to_load_a_map_that_is_not_there_can_still_learn_one(
     assert f'{folder}: no map there' in client.said(node).reason
     with pytest.raises(LandmarkNavError, match='two panoramas from different places'):
         client.call('learn_landmarks', 30.0)
+
+
+@pytest.mark.parametrize(
+    ('scale', 'frame', 'why'),
+    [(1.03, 'map', ''), (1.5, 'map', 'no wall of the one'), (1.0, 'hall', "'hall' and 'map'")],
+)
+def test_a_map_of_another_room_is_told(
+    start: Callable[..., None],
+    client: RobotClient,
+    setup_files: dict[str, str],
+    tmp_path: Path,
+    scale: float,
+    frame: str,
+    why: str,
+) -> None:
+    folder, node, room = tmp_path / 'map', 'landmark_learner', setup_files['room_file']
+    walls = tuple(
+        replace(
+            wall, **{at: tuple(scale * v for v in getattr(wall, at)) for at in ('start', 'end')}
+        )
+        for wall in load_room(room).walls
+    )
+    save_map(replace(small_map(), walls=walls, frame_id=frame), folder)
+    start(node, room_file=room, map_folder=str(folder), load_on_start=True)
+    client.wait(lambda: '4 landmarks' in client.said(node).reason, 30.0, 'the map')
+    files = f'{folder} and {room} are of different rooms: '
+    for said in (
+        client.said(node).reason,
+        client.call('load_map', 10.0),
+        client.call('save_map', 10.0),
+    ):
+        assert ('different rooms' in said) == bool(why)
+        assert not why or files + why in said
 
 
 def test_localizer_says_what_it_lacks(

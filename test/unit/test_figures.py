@@ -1,11 +1,19 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 from bare_landmarks import bare_landmark
 import cv2
 import numpy as np
 import pytest
 
-from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
+from landmark_nav.evaluation.figures import (
+    draw_errors,
+    draw_map,
+    draw_panorama,
+    draw_trajectory,
+    run_figures,
+)
 from landmark_nav.evaluation.figures.labels import places_of_numbers, rows_of_labels
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
@@ -135,6 +143,21 @@ def a_run(truth=True, fixed=True):
     odometry = PoseTrack(stamps, poses + 0.03)
     start = PoseEstimate(0, poses[0], np.eye(3))
     return Replay(start, (), tuple(updates), np.full(30, 0.01), odometry, known, 1.0)
+
+
+def test_lines_follow_odometry_where_pictures_are_far_apart(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(run_figures, 'save', lambda figure, _path: drawn.append(figure))
+    run = a_run()
+    # Half a circle out of sight.
+    stamps = np.arange(0, 29 * 10**8 + 1, 10**7)
+    angle = np.pi * stamps / stamps[-1]
+    arc = np.column_stack([1.0 - np.cos(angle), np.sin(angle), 0.5 * np.pi - angle])
+    run = replace(run, odometry=PoseTrack(stamps, arc), updates=run.updates[::29])
+    draw_trajectory(run, a_map(), tmp_path / 'trajectory.png')
+    (fused,) = (line for line in drawn[0].axes[0].lines if line.get_label() == 'fused')
+    way_m = np.hypot(*np.diff(fused.get_xydata(), axis=0).T)
+    assert np.sum(way_m[:-1]) == pytest.approx(np.pi, abs=0.02)
 
 
 @pytest.mark.parametrize(('truth', 'fixed'), [(True, True), (False, True), (True, False)])

@@ -9,6 +9,7 @@ from wall_views import candidate_at, greys_of
 
 from landmark_nav.geometry import se2
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.stereo.found_again import find_again
 from landmark_nav.learning.stereo.free_stereo import explain, match_freely
 from landmark_nav.learning.stereo.wall_patch import Sighting, WallPatch
 from landmark_nav.types import FloatArray, Panorama, Refusal
@@ -57,10 +58,37 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(
     assert found is not None
     distance = float(np.hypot(*(np.array(center) - CENTERS[0])[:2]))
     assert found.distance_m == pytest.approx(distance, abs=0.06)
-    refused = explain(patch, panoramas, greys, CONFIG)
-    assert refused is not None
-    assert refused.reason == 'not on a wall'
-    assert f'{found.distance_m:.2f} m away' in refused.detail
+    stands = explain(patch, panoramas, greys, CONFIG)
+    assert stands is not None
+    assert stands.patch.position == pytest.approx(np.array(center), abs=0.06)
+    assert stands.refusal.reason == 'not on a wall'
+    assert f'{found.distance_m:.2f} m away' in stands.refusal.detail
+    assert 'cm before it' in stands.refusal.detail
+
+
+@pytest.mark.parametrize('east_m', [5.3, 6.9])
+def test_a_wall_that_is_told_too_near_or_too_far_is_found_where_it_is(east_m: float) -> None:
+    told = rectangle_room(east_m, 5.0)
+    panoramas = views_of(SCENE, SCENE)
+    greys = greys_of(panoramas)
+    points = [np.array([6.0, y, z]) for y in (1.6, 2.2, 2.8) for z in (1.0, 1.3)]
+    candidates = [[candidate_at(panoramas[0], point, 30) for point in points], []]
+    found = find_again(panoramas, candidates, greys, told, CONFIG)
+    assert len(found.off_walls) >= 4
+    assert found.anywhere.walls[-len(found.off_walls) :] == [1] * len(found.off_walls)
+    for match, sightings in zip(found.off_walls, found.anywhere.sightings, strict=False):
+        assert match.patch.position[0] == pytest.approx(6.0, abs=0.08)
+        assert match.before_wall_m == pytest.approx(east_m - 6.0, abs=0.08)
+        assert [s.panorama for s in sightings] == [0, 1]
+
+
+def test_a_hall_is_searched_too() -> None:
+    hall = textured_room(rectangle_room(17.0, 12.0), seed=2, feature_m=0.3)
+    panoramas = views_of(hall, hall)
+    candidate = candidate_at(panoramas[0], np.array([17.0, 3.0, 1.2]), 30)
+    patch = hypothesize(candidate, 0, panoramas[0], rectangle_room(17.0, 12.0), CONFIG)
+    assert isinstance(patch, WallPatch)
+    assert explain(patch, panoramas, greys_of(panoramas), CONFIG) is None
 
 
 def test_what_hangs_on_a_wall_is_not_said_to_stand_before_it() -> None:

@@ -77,6 +77,15 @@ def test_nearest_wall_measures_to_the_segment_not_its_line() -> None:
     assert ROOM.nearest_wall([[5.0, 2.5], [0.2, 2.0], [3.0, 0.1]]).tolist() == [2, 5, 0]
 
 
+def test_a_room_shares_a_wall_with_itself_measured_again_and_none_with_another() -> None:
+    again = outline([(1.03 * x, 0.97 * y) for x, y in CORNERS])
+    assert ROOM.shares_wall(again, 0.3)
+    assert ROOM.shares_wall([again[4]], 0.3)
+    # Parallel walls from the same corner are not the same.
+    assert not ROOM.shares_wall(outline([(0.0, 0.0), (5.0, 0.0), (5.0, 3.2), (0.0, 3.2)]), 0.3)
+    assert not ROOM.shares_wall((), 0.3)
+
+
 def test_two_walls_are_no_room() -> None:
     with pytest.raises(LandmarkNavError, match='room has 2 walls: a closed outline needs 3'):
         Room(outline(CORNERS)[:2])

@@ -61,6 +61,17 @@ def test_interpolation_wraps_and_knows_its_ends():
     np.testing.assert_allclose(PoseTrack.of([(5, np.ones(3))]).at([5, 6])[0], 1.0)
 
 
+def test_poses_are_carried_on_as_odometry_moves():
+    odometry = PoseTrack(np.arange(2, 10), np.column_stack([np.arange(8.0), np.zeros((8, 2))]))
+    # Pictures come late, and one before there is odometry.
+    seen = [(6, [5.0, 1.0, np.pi / 2]), (4, [3.0, 0.0, 0.0]), (1, [0.0, 0.0, 0.0])]
+    line = odometry.carry(PoseTrack.of(seen))
+    assert line.stamps_ns.tolist() == [1, 2, 3, 4, 5, 6]
+    assert np.isnan(line.poses[1:3]).all()
+    expected = [[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [4.0, 0.0, 0.0], [5.0, 1.0, np.pi / 2]]
+    np.testing.assert_allclose(line.poses[[0, 3, 4, 5]], expected, atol=1e-12)
+
+
 # Figures of errors
 
 

@@ -232,6 +232,15 @@ class TestPlan:
         assert len(costs) == CONFIG.random_sets
         assert costs == sorted(costs)
 
+    def test_nothing_it_is_compared_with_is_better(self) -> None:
+        # Coarse search found 1.88 mm here, and left and right of the middle 1.87 mm.
+        papers = [Paper('red', (x, 0.02, 1.75), 0.21, 0.297) for x in (2.75, 4.05, 5.2)]
+        room = rectangle_room(6.6, 4.4, papers, height=2.6)
+        plan = plan_positions(room, MOUNT, 2, PlanConfig(), np.random.default_rng(0))
+        assert plan.left_right is not None
+        assert plan.best.cost_m <= min(plan.left_right.cost_m, plan.random[0].cost_m)
+        assert is_free(room, PlanConfig().clearance_m, plan.best.poses_map_base[:, :2]).all()
+
     def test_places_are_free_and_apart(self, plan: Plan) -> None:
         xy = plan.best.poses_map_base[:, :2]
         assert is_free(ROOM, CONFIG.clearance_m, xy).all()

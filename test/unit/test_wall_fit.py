@@ -43,10 +43,10 @@ def placed(south: np.ndarray, along: np.ndarray, shared_m: float = 0.001) -> Adj
     )
 
 
-def check(south: np.ndarray, along: np.ndarray, **options: float) -> None:
+def check(south: np.ndarray, along: np.ndarray, **options: float) -> str:
     free = placed(south, along, **options)
     walls = [0] * len(along) + [2] * 8
-    check_walls(free, walls, ROOM, AdjustmentConfig(), WallFitConfig())
+    return check_walls(free, walls, ROOM, AdjustmentConfig(), WallFitConfig())
 
 
 ALONG = np.linspace(0.5, 5.5, 12)
@@ -77,6 +77,50 @@ def test_furniture_before_a_wall_says_nothing_about_it() -> None:
     depths = np.array([0.0, 0.3, 0.12, 0.02, 0.4, 0.18, 0.06, 0.15, 0.01, 0.1, 0.25, 0.5])
     check(depths, ALONG)
     check(np.full(12, 0.07), np.linspace(2.0, 2.8, 12))
+
+
+@pytest.mark.parametrize(
+    ('off_m', 'words'),
+    [
+        (0.21, 'south has its 12 patches 21.0 cm before'),
+        (0.4, 'south has its 12 patches 40.0 cm before .* furniture hides it'),
+        (1.0, 'south has its 12 patches 100.0 cm before'),
+        (-0.3, 'south has its 12 patches 30.0 cm behind'),
+        (-1.0, 'south has its 12 patches 100.0 cm behind'),
+    ],
+)
+def test_a_wall_that_is_far_elsewhere_is_told_no_less(off_m: float, words: str) -> None:
+    with pytest.raises(LandmarkNavError, match=words):
+        check(off_m + NOISE * 0.1, ALONG)
+    # With boxes before it, too.
+    boxes = np.array([off_m + 0.3, off_m + 0.5])
+    with pytest.raises(LandmarkNavError, match=words):
+        check(np.append(off_m + NOISE * 0.1, boxes), np.append(ALONG, [2.5, 4.0]))
+
+
+def test_fronts_of_furniture_are_not_the_wall() -> None:
+    # Along less than half of a wall with nothing on it a shelf is likelier; it may be the wall.
+    told = check(np.full(24, 0.35), np.linspace(1.0, 3.9, 24))
+    assert 'may be wrong: south has its 24 patches 35.0 cm before it' in told
+    assert 'or furniture hides it' in told
+    # A long one under pictures, and boxes.
+    assert not check(np.append(np.full(24, 0.35), [0.02, 0.01, 0.02]), np.linspace(0.5, 5.5, 27))
+    assert not check(np.resize([0.3, 0.45, 0.38, 0.5, 0.22], 20), np.linspace(0.5, 5.5, 20))
+    # What lies farther off than a room is measured wrong is another room, or a mirror's.
+    assert not check(np.full(24, -2.0), np.linspace(0.5, 5.5, 24))
+
+
+def test_what_was_found_far_off_its_wall_is_known_less_well() -> None:
+    rough = np.random.default_rng(1).uniform(-0.05, 0.05, 12)
+    with pytest.raises(LandmarkNavError, match=r'has its 12 patches .* cm behind'):
+        check(-0.6 + rough, ALONG)
+    assert not check(0.0 + rough, ALONG)
+
+
+def test_a_box_before_the_wall_does_not_stand_for_it() -> None:
+    # Just where a wall is told that is too near: behind it nothing stands but the wall.
+    with pytest.raises(LandmarkNavError, match=r'12 patches 70\.0 cm behind'):
+        check(np.append(np.full(12, -0.7), np.full(6, 0.01)), np.append(ALONG, ALONG[:6]))
 
 
 def doubt(off_cm: list[float], shared_m: float = 0.002, hanging_m: float = 0.001) -> str:

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.evaluation.figures.labels import keep_in_view
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
 from landmark_nav.evaluation.figures.style import (
@@ -25,6 +26,7 @@ from landmark_nav.evaluation.figures.style import (
 )
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import RunErrors
+from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.localization.smoother import Smoothed
 from landmark_nav.types import FloatArray, LandmarkMap
 
@@ -44,11 +46,16 @@ def draw_trajectory(
     axes.plot(*run.odometry.poses[:, :2].T, color=ODOMETRY, label='odometry alone', zorder=4)
     if len(run.truth):
         axes.plot(*run.truth.poses[:, :2].T, color=TRUTH, linewidth=3.0, label='truth', zorder=4)
-    axes.plot(*run.fused[:, :2].T, color=FUSED, linewidth=1.4, label='fused', zorder=5)
+    axes.plot(
+        *_driven(run, run.stamps_ns, run.fused),
+        color=FUSED,
+        linewidth=1.4,
+        label='fused',
+        zorder=5,
+    )
     if smoothed is not None:
-        axes.plot(
-            *smoothed.poses[:, :2].T, color=SMOOTHED, linewidth=1.0, label='smoothed', zorder=5
-        )
+        line = _driven(run, smoothed.stamps_ns, smoothed.poses)
+        axes.plot(*line, color=SMOOTHED, linewidth=1.0, label='smoothed', zorder=5)
     axes.plot(*run.start.pose[:2], 'o', color=TRUTH, markersize=7, label='start', zorder=6)
     axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
     keep_in_view(axes, np.concatenate([run.odometry.poses[:, :2], run.fused[:, :2]]), 0.2)
@@ -58,6 +65,12 @@ def draw_trajectory(
     plain(axes)
     legend_beside(axes, 'below', 7)
     save(figure, path)
+
+
+def _driven(run: Replay, stamps_ns: IntArray, poses: FloatArray) -> FloatArray:
+    """Line (2, n) through poses; pictures may be far apart, and odometry leads on between them."""
+    known = PoseTrack.of(zip(stamps_ns.tolist(), poses, strict=True))
+    return np.asarray(run.odometry.carry(known).poses[:, :2].T)
 
 
 def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:

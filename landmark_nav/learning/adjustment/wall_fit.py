@@ -39,8 +39,17 @@ _MIN_EXTENT_M = 1.0
 # What stands farther before or behind a wall, or is less certain, says nothing about it.
 _MAX_DISTANCE_M = 0.2
 _MAX_SIGMA_M = 0.02
-# Distance from one plane that three quarters of the things on a wall keep.
+# Unless far more lies in one plane so far off the wall than near it: that is the wall. Before it,
+# furniture may do so, but hardly along so much of a wall of which nothing else is seen; behind it
+# nothing else can, and what is near the wall may be furniture.
+_ELSEWHERE_M = (0.15, 1.5)
+_NEAR_M = 0.1
+_SURE_SHARE = 0.5
+_MOST_NEAR_IF_BEFORE, _MOST_NEAR_IF_BEHIND = 0.1, 0.5
+# Distance from one plane that three quarters of the things on a wall keep; far off the wall it is
+# this share of how far, because what was looked for on the wall is known less well.
 _MAX_SPREAD_M = 0.025
+_MAX_SPREAD_SHARE = 0.1
 
 
 def check_walls(
@@ -49,7 +58,7 @@ def check_walls(
     room: Room,
     expected: AdjustmentConfig,
     config: WallFitConfig,
-) -> None:
+) -> str:
     """
     Compare patches, placed without the walls, with the walls.
 
@@ -64,24 +73,34 @@ def check_walls(
     expected : AdjustmentConfig
         How things hang on walls.
 
+    Returns
+    -------
+    str
+        Walls that may be hidden by furniture or be elsewhere; nothing where there is none.
+
     Raises
     ------
     LandmarkNavError
         Walls that don't fit, each with its residuals.
 
     """
-    complaints = []
-    for k, on in _judged(free, walls, room, _MIN_PATCHES):
+    complaints: list[str] = []
+    doubts: list[str] = []
+    for k, on in _judged(free, walls, room, _MIN_PATCHES, elsewhere=True):
         things = _things(free, room, k, on, expected.hanging_length_m)
         sigma = float(np.linalg.norm(_shared(free, room, k, on)))
         complaint = _complaint(things, sigma, expected.hanging_sigma_m, int(on.sum()), config)
         if complaint:
-            complaints.append(f'{room.walls[k].id} {complaint}')
+            wall, before = room.walls[k], np.median(free.off_wall_m[on]) > _ELSEWHERE_M[0]
+            seen = np.ptp(free.positions[on, :2] @ wall.along)
+            hidden = before and seen < _SURE_SHARE * wall.length
+            (doubts if hidden else complaints).append(f'{wall.id} {complaint}')
     if complaints:
         raise LandmarkNavError(
             f'the walls do not fit what the panoramas see: {"; ".join(complaints)}: '
             'measure walls and papers again and mend room.yaml'
         )
+    return f'room.yaml may be wrong: {"; ".join(doubts)}' if doubts else ''
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,19 +190,36 @@ def doubtful_walls(
 
 
 def _judged(
-    adjustment: Adjustment, walls: Sequence[int], room: Room, least: int
+    adjustment: Adjustment, walls: Sequence[int], room: Room, least: int, elsewhere: bool = False
 ) -> Iterator[tuple[int, BoolArray]]:
-    """Walls with `least` patches that are far enough apart, and which (n,) these are."""
+    """
+    Walls with `least` patches that are far enough apart, and which (n,) these are.
+
+    Those near the wall, or near the plane `elsewhere` that is likelier to be it.
+    """
     index = np.asarray(walls, dtype=np.intp)
     normal = room.normals[index]
     sigma = np.sqrt(np.einsum('ni,nij,nj->n', normal, adjustment.own_covariance, normal))
-    # What stands well before the wall is furniture and says nothing about it.
-    tells = (sigma < _MAX_SIGMA_M) & (np.abs(adjustment.off_wall_m) < _MAX_DISTANCE_M)
+    off = adjustment.off_wall_m
     for k, wall in enumerate(room.walls):
-        on = (index == k) & tells
+        sure = (index == k) & (sigma < _MAX_SIGMA_M)
+        plane = _likelier_plane(off[sure]) if elsewhere else 0.0
+        # What stands well before the wall is furniture and says nothing about it.
+        on = sure & (np.abs(off - plane) < _MAX_DISTANCE_M)
         along = adjustment.positions[on, :2] @ wall.along
         if on.sum() >= least and np.ptp(along) >= _MIN_EXTENT_M:
             yield k, on
+
+
+def _likelier_plane(off_m: FloatArray) -> float:
+    """How far before its wall most patches (n,) lie in one plane; 0 if some lie on the wall."""
+    if not len(off_m):
+        return 0.0
+    company = np.sum(np.abs(off_m[:, None] - off_m) < _MAX_SPREAD_M, 1)
+    plane = float(np.median(off_m[company == company.max()]))
+    most_near = _MOST_NEAR_IF_BEFORE if plane > 0.0 else _MOST_NEAR_IF_BEHIND
+    far_more = np.sum(np.abs(off_m) < _NEAR_M) <= most_near * company.max()
+    return plane if far_more and _ELSEWHERE_M[0] < abs(plane) < _ELSEWHERE_M[1] else 0.0
 
 
 def _things(
@@ -216,19 +252,21 @@ def _complaint(
     slope = _slope(along, off)
     straightened = off - slope * along
     spread = float(np.quantile(np.abs(straightened - np.median(straightened)), 0.75))
-    if spread > _MAX_SPREAD_M:
+    median = float(np.median(off))
+    if spread > max(_MAX_SPREAD_M, _MAX_SPREAD_SHARE * abs(median)):
         return ''
     apart = np.sqrt(np.sum((along - along.mean()) ** 2))
     turned = np.hypot(hanging_sigma_m / apart, sigma_m / np.ptp(along))
     if abs(slope) > config.max_turn_rad + _SURE * turned:
         return f'is turned by {np.degrees(np.arctan(abs(slope))):.1f} deg against its patches'
-    median, slack = float(np.median(off)), _SURE * sigma_m
+    slack = _SURE * sigma_m
     if -config.max_behind_m - slack <= median <= config.max_before_m + slack:
         return ''
     place = 'before' if median > 0 else 'behind'
+    furniture = ', or furniture hides it, whose front is then the wall'
     return (
         f'has its {patches} patches {abs(median) * 100:.1f} cm {place} it '
-        f'(+-{spread * 100:.1f} cm)'
+        f'(+-{spread * 100:.1f} cm){furniture if median > _MAX_DISTANCE_M else ""}'
     )
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
-from landmark_nav.learning.stereo.free_stereo import explain
+from landmark_nav.learning.stereo.free_stereo import explain, FreeMatch
 from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
@@ -22,13 +22,28 @@ class Found:
     Patches that were found again from another place, and where the panoramas show each.
 
     `origin` tells the panorama and the candidate of each; `outcomes` what became of every
-    candidate so far.
+    candidate so far; `off_walls` what was found where it was not looked for, off its wall.
     """
 
     patches: list[WallPatch]
     sightings: list[list[Sighting]]
     origin: list[tuple[int, int]]
     outcomes: list[list[Landmark | Refusal]]
+    off_walls: list[FreeMatch]
+
+    @property
+    def walls(self) -> list[int]:
+        """The wall that each patch was looked for on."""
+        return [patch.wall for patch in self.patches]
+
+    @property
+    def anywhere(self) -> Found:
+        """The same with what was found off its wall among the patches."""
+        return replace(
+            self,
+            patches=[*self.patches, *(match.patch for match in self.off_walls)],
+            sightings=[*self.sightings, *(match.sightings for match in self.off_walls)],
+        )
 
 
 def find_again(
@@ -39,7 +54,7 @@ def find_again(
     config: StereoConfig,
 ) -> Found:
     """Look for each candidate in the other panoramas."""
-    found = Found([], [], [], [[] for _ in panoramas])
+    found = Found([], [], [], [[] for _ in panoramas], [])
     for i, panorama in enumerate(panoramas):
         for n, candidate in enumerate(candidates[i]):
             patch = hypothesize(candidate, i, panorama, room, config)
@@ -51,8 +66,10 @@ def find_again(
             seen = [match for match in matches if isinstance(match, Sighting)]
             if not seen:
                 refused = next(match for match in matches if isinstance(match, Refusal))
-                before = explain(patch, panoramas, greys, config)
-                found.outcomes[i].append(before or refused)
+                stands = explain(patch, panoramas, greys, config)
+                if stands is not None:
+                    found.off_walls.append(stands)
+                found.outcomes[i].append(refused if stands is None else stands.refusal)
                 continue
             found.outcomes[i].append(Refusal('not elected'))
             found.patches.append(patch)

@@ -1,8 +1,9 @@
 """
-Stereo without walls: what stands before them is recognized by its own depth.
+Stereo without walls: what does not hang on them is recognized by its own depth.
 
-A patch that is not found on its wall is moved along its ray towards the camera, so that it looks
-the same, and searched from each depth to the next: together that is the whole epipolar curve.
+A patch that is not found on its wall is moved along its ray, from a little behind the wall towards
+the camera, so that it looks the same, and searched from each depth to the next: together that is
+the epipolar curve.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.config import StereoConfig
-from landmark_nav.learning.stereo.wall_patch import Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
@@ -23,8 +24,11 @@ __all__ = ['FreeMatch', 'explain', 'match_freely']
 # From each depth to the next; half of that way is searched before it, half behind.
 _STEP = 0.72
 _NEAREST_M = 0.5
-# What is no farther before its wall than this may as well hang on it.
-_BEFORE_M = 0.1
+# Nothing is to be expected behind a wall, but the wall itself if it is told too near.
+_FARTHEST = 1.0 / _STEP
+_WIDEST_M = 2.0
+# What is no farther off its wall than this may as well hang on it.
+_OFF_WALL_M = 0.1
 # So much is searched that chance finds something; it must be more alike than on the wall.
 _MIN_SCORE = 0.88
 _MARGIN = 0.03
@@ -32,11 +36,21 @@ _MARGIN = 0.03
 
 @dataclass(frozen=True)
 class FreeMatch:
-    """A patch `distance_m` away in plan, `before_wall_m` before its wall, with its correlation."""
+    """A patch where it stands, in plan and off its wall, and where two panoramas show it."""
 
+    patch: WallPatch
+    sightings: list[Sighting]
     distance_m: float
     before_wall_m: float
-    score: float
+
+    @property
+    def refusal(self) -> Refusal:
+        """Why it is no landmark."""
+        side = 'before' if self.before_wall_m > 0.0 else 'behind'
+        return Refusal(
+            'not on a wall',
+            f'{self.distance_m:.2f} m away, {abs(self.before_wall_m) * 100:.0f} cm {side} it',
+        )
 
 
 def match_freely(
@@ -47,7 +61,7 @@ def match_freely(
     config: StereoConfig,
 ) -> FreeMatch | None:
     """
-    Find a patch of one panorama in another, number `other`, at any depth before its wall.
+    Find a patch of one panorama in another, number `other`, at any depth.
 
     Returns
     -------
@@ -65,8 +79,8 @@ def match_freely(
         near = replace(
             config,
             min_score=max(config.min_score, _MIN_SCORE),
-            before_wall_m=step,
-            behind_wall_m=1.3 * step,
+            before_wall_m=min(step, _WIDEST_M),
+            behind_wall_m=min(1.3 * step, _WIDEST_M),
             # It is seldom parallel to what it is taken for.
             max_displaced_px=100.0,
         )
@@ -90,7 +104,10 @@ def match_freely(
         return None
     reach = float(np.hypot(*wall))
     before = (1.0 - distance / reach) * _normal_reach(patch, here)
-    return FreeMatch(distance, before, best.score)
+    stands = here.center_map + distance / reach * (patch.position - here.center_map)
+    return FreeMatch(
+        replace(patch, position=stands), [own_sighting(patch, here), best], distance, before
+    )
 
 
 def explain(
@@ -98,27 +115,26 @@ def explain(
     panoramas: Sequence[Panorama],
     greys: Sequence[Float32Array],
     config: StereoConfig,
-) -> Refusal | None:
-    """Say where before its wall a patch stands, if another panorama shows that."""
+) -> FreeMatch | None:
+    """Say where off its wall a patch stands, if another panorama shows that."""
     matches = [
         match_freely(patch, other, panoramas, greys, config)
         for other in range(len(panoramas))
         if other != patch.source
     ]
-    best = max((m for m in matches if m is not None), key=lambda m: m.score, default=None)
-    if best is None or best.before_wall_m < _BEFORE_M or best.distance_m < 0.0:
-        return None
-    return Refusal(
-        'not on a wall',
-        f'{best.distance_m:.2f} m away, {best.before_wall_m * 100:.0f} cm before it',
+    best = max(
+        (m for m in matches if m is not None), key=lambda m: m.sightings[-1].score, default=None
     )
+    if best is None or abs(best.before_wall_m) < _OFF_WALL_M or best.distance_m < 0.0:
+        return None
+    return best
 
 
 def _moved(patch: WallPatch, here: Panorama, there: Panorama) -> Iterator[WallPatch]:
     """The patch at all depths, parallel to its wall and facing both cameras."""
     ray = patch.position - here.center_map
     reach = float(np.hypot(ray[0], ray[1]))
-    share = _STEP
+    share = _FARTHEST
     while share * reach > _NEAREST_M:
         position = here.center_map + share * ray
         between = 0.5 * (here.center_map + there.center_map) - position
