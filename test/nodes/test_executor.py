@@ -21,6 +21,14 @@ from landmark_nav.ros.run import run_node
 THREADS = 2
 
 
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch, domain_id: int) -> None:
+    """Nodes run here, in a domain of their own; at their end they would end the tests."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setattr('sys.argv', ['node'])
+    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+
+
 class Busy(LandmarkNode):
     """More callbacks than threads, each of which takes its time; ends after some of them."""
 
@@ -40,12 +48,7 @@ class Busy(LandmarkNode):
             self.end()
 
 
-def test_what_waits_for_a_thread_is_handed_over_once(
-    monkeypatch: pytest.MonkeyPatch, domain_id: int
-) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    monkeypatch.setattr('sys.argv', ['busy'])
-    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+def test_what_waits_for_a_thread_is_handed_over_once(monkeypatch: pytest.MonkeyPatch) -> None:
     handed_over = 0
     submit = ThreadPoolExecutor.submit
 
@@ -66,13 +69,7 @@ def test_what_waits_for_a_thread_is_handed_over_once(
     assert made[0].done <= handed_over < 2 * made[0].done
 
 
-def test_what_a_callback_raises_ends_the_node(
-    monkeypatch: pytest.MonkeyPatch, domain_id: int
-) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    monkeypatch.setattr('sys.argv', ['faulty'])
-    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
-
+def test_what_a_callback_raises_ends_the_node() -> None:
     class Faulty(Busy):
         def _work(self) -> None:
             raise ZeroDivisionError
@@ -82,13 +79,7 @@ def test_what_a_callback_raises_ends_the_node(
 
 
 @pytest.mark.parametrize('threads', [1, THREADS])
-def test_a_handle_that_a_callback_uses_too_late_ends_the_node(
-    threads: int, monkeypatch: pytest.MonkeyPatch, domain_id: int
-) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    monkeypatch.setattr('sys.argv', ['late'])
-    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
-
+def test_a_handle_that_a_callback_uses_too_late_ends_the_node(threads: int) -> None:
     class Late(Busy):
         def _work(self) -> None:
             publisher = self.advertise('odom')
@@ -100,13 +91,7 @@ def test_a_handle_that_a_callback_uses_too_late_ends_the_node(
 
 
 @pytest.mark.parametrize('threads', [1, THREADS])
-def test_what_a_callback_raises_as_the_node_ends_is_told(
-    threads: int, monkeypatch: pytest.MonkeyPatch, domain_id: int
-) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    monkeypatch.setattr('sys.argv', ['full'])
-    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
-
+def test_what_a_callback_raises_as_the_node_ends_is_told(threads: int) -> None:
     class Full(Busy):
         def _work(self) -> None:
             self.end()

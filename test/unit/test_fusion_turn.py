@@ -106,7 +106,7 @@ def test_an_angle_is_told_after_a_second_without_pictures_as_well(
 )
 @pytest.mark.parametrize(
     ('knock_rad', 'blind', 'turn_noise', 'sigmas', 'told_s'),
-    [(0.022, 16, 0.08, 4.0, 0.0), (0.035, 240, 0.012, 2.0, 20.0)],
+    [(0.022, 16, 0.08, 4.0, 0.0), (0.035, 240, 0.015, 2.0, 20.0)],
 )
 def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(
     knock_rad: float,

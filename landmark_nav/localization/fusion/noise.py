@@ -32,6 +32,9 @@ _REST = LEARNED
 _COMPONENTS = LEARNED + 1
 # Way over which the noise may change, and the largest factor on a sigma that is learned.
 _LEARNING_WAY_M, _LEARNING_RANGE = 50.0, 5.0
+# The same wheels make the noise of the way and of turns: a wheel that slips more does so in both.
+_ALIKE = np.eye(_COMPONENTS)
+_ALIKE[WAY, TURNS] = _ALIKE[TURNS, WAY] = 0.5
 # One picture may not change a variance by more than this, as a logarithm.
 _MOST_AT_ONCE = 0.5
 
@@ -50,7 +53,7 @@ class NoiseScales:
     @classmethod
     def unknown(cls, config: OdometryNoiseConfig) -> NoiseScales:
         """Return factors of one, as uncertain as the configuration has it."""
-        return cls(np.zeros(_COMPONENTS), config.learning_sigma**2 * np.eye(_COMPONENTS))
+        return cls(np.zeros(_COMPONENTS), config.learning_sigma**2 * _ALIKE)
 
     @property
     def factors(self) -> FloatArray:
@@ -71,7 +74,7 @@ class NoiseScales:
         if config.learning_sigma == 0.0 or way_m == 0.0:
             return self
         kept = np.exp(-way_m / _LEARNING_WAY_M)
-        fresh = config.learning_sigma**2 * np.eye(_COMPONENTS)
+        fresh = config.learning_sigma**2 * _ALIKE
         return NoiseScales(kept * self.log_scale, fresh + kept**2 * (self.covariance - fresh))
 
 
