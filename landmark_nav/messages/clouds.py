@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,15 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.buffers import bytes_array
 from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.messages.layouts import Layout
 
 __all__ = ['pack_cloud', 'unpack_cloud']
 
 # sensor_msgs/PointField datatype codes.
 _CODES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
 _TYPES = {code: name for name, code in _CODES.items()}
+# Far more than a map holds. The covariance of so many landmarks takes 800 MB.
+_MOST_POINTS, _MOST_BYTES = 5000, 2**28
 
 
 def pack_cloud(
@@ -65,51 +68,85 @@ def pack_cloud(
     )
 
 
-def unpack_cloud(msg: Any, required: Iterable[str]) -> npt.NDArray[np.void]:
+def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
     """
-    Read the points of a PointCloud2 as a structured array, (n,).
+    Read the points of a PointCloud2 as a structured array, (n,), of float64 and int64.
+
+    It has all fields of the layout, whatever their order, width and byte order in the message, and
+    none beside.
 
     Raises
     ------
     LandmarkNavError
-        A field of `required` is not there, or the sizes contradict each other.
+        A field is missing, has another type or count, or lies outside its point; or the sizes
+        contradict each other or the bytes that are there.
 
     """
-    names = [f.name for f in msg.fields]
-    missing = [name for name in required if name not in names]
-    if missing:
+    where = f'point cloud of {layout.topic}'
+    height, width, step = int(msg.height), int(msg.width), int(msg.point_step)
+    row_step, data = int(msg.row_step), bytes_array(msg.data)
+    if row_step < width * step or len(data) < height * row_step:
         raise LandmarkNavError(
-            f'point cloud lacks the field {", ".join(missing)} (it has {", ".join(names)}): '
-            'publish it from landmark_nav'
+            f'{where}: {width} x {height} points of {step} bytes in rows of {row_step} are more '
+            f'than its {len(data)} bytes: its publisher is broken'
         )
-    order = '>' if msg.is_bigendian else '<'
-    formats: list[Any] = []
-    for f in msg.fields:
-        if f.datatype not in _TYPES:
-            raise LandmarkNavError(f'point cloud field {f.name} has the unknown type {f.datatype}')
-        scalar = order + _TYPES[f.datatype]
-        formats.append(scalar if f.count <= 1 else (scalar, (int(f.count),)))
-    data = bytes_array(msg.data)
-    count = int(msg.width) * int(msg.height)
-    row_bytes = int(msg.width) * int(msg.point_step)
-    if len(data) < int(msg.height) * int(msg.row_step) or msg.row_step < row_bytes:
+    sent = _types_sent(msg, layout, where)
+    # 64 bits hold every value that a field of a point cloud can have.
+    wide = [
+        (name, 'f8' if kind.base.kind == 'f' else 'i8', sent.get(name, (kind, 0))[0].shape)
+        for name, kind, _ in layout.columns()
+    ]
+    count, size = width * height, sum(8 * int(np.prod(shape)) for _, _, shape in wide)
+    if count > _MOST_POINTS or max(1, count) * max(step, size) > _MOST_BYTES:
         raise LandmarkNavError(
-            f'point cloud of {msg.width} x {msg.height} points of {msg.point_step} bytes holds '
-            f'{len(data)} bytes in rows of {msg.row_step}: its publisher is broken'
+            f'{where} has {count} points of {step} bytes, more than any map: mend its publisher'
         )
-    try:
-        dtype = np.dtype(
+    points = np.zeros(count, dtype=wide)
+    if count:
+        as_sent = np.dtype(
             {
-                'names': names,
-                'formats': formats,
-                'offsets': [int(f.offset) for f in msg.fields],
-                'itemsize': int(msg.point_step),
+                'names': list(sent),
+                'formats': [kind for kind, _ in sent.values()],
+                'offsets': [offset for _, offset in sent.values()],
+                'itemsize': step,
             }
         )
-    except ValueError as error:
-        raise LandmarkNavError(f'point cloud fields do not fit its points: {error}') from error
-    if count == 0:
-        return np.empty(0, dtype=dtype)
-    rows = data[: int(msg.height) * int(msg.row_step)].reshape(int(msg.height), -1)
-    packed = np.ascontiguousarray(rows[:, :row_bytes])
-    return packed.reshape(-1).view(dtype)
+        rows = data[: height * row_step].reshape(height, row_step)[:, : width * step]
+        raw = np.ascontiguousarray(rows).reshape(-1).view(as_sent)
+        for name in sent:
+            points[name] = raw[name]
+    return points
+
+
+def _types_sent(
+    msg: Any, layout: Layout, where: str
+) -> dict[str, tuple[np.dtype[np.generic], int]]:
+    """Type and offset, as sent, of each field of a layout that is there; all are checked."""
+    order = '>' if msg.is_bigendian else '<'
+    given = {str(f.name): f for f in msg.fields}
+    sent: dict[str, tuple[np.dtype[np.generic], int]] = {}
+    for name, kind, multiple in layout.columns():
+        if name not in given:
+            if not multiple and name not in layout.optional:
+                raise LandmarkNavError(
+                    f'{where} lacks the field {name} (it has {", ".join(given):.60}): '
+                    'publish it from landmark_nav'
+                )
+            continue
+        # Some leave the count of a scalar at 0.
+        count, offset = max(1, int(given[name].count)), int(given[name].offset)
+        scalar = np.dtype(order + _TYPES.get(int(given[name].datatype), 'V0'))
+        wanted = max(1, int(np.prod(kind.shape)))
+        if (
+            (scalar.kind == 'f') != (kind.base.kind == 'f')
+            or not scalar.itemsize
+            or (count % multiple if multiple else count != wanted)
+            or offset + count * scalar.itemsize > min(int(msg.point_step), _MOST_BYTES)
+        ):
+            raise LandmarkNavError(
+                f'{where}: field {name} is {count} of type {scalar.name} at byte {offset} of '
+                f'{msg.point_step}, not {multiple or wanted} of {kind.base.name}: '
+                'publish it from landmark_nav'
+            )
+        sent[name] = np.dtype((scalar, (count,) if kind.shape else ())), offset
+    return sent

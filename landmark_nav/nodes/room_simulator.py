@@ -9,6 +9,8 @@ from math import isfinite
 import time
 from typing import Any
 
+import numpy as np
+
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
@@ -34,6 +36,7 @@ _MAX_LAG_S = 20.0
 # Farther from the system's time than two looks at clocks may be apart, stamps jump to it.
 _MAX_OFF_NS = 250_000_000
 _OPTICAL_FRAME = 'camera_optical_frame'
+_EXACT = np.zeros((3, 3))
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,8 @@ class RoomSimulatorNode(LandmarkNode):
         if self._steps % _STEPS_PER_ODOMETRY == 0:
             odometry = partial(encode.odometry, ros_factory, child_frame_id=mount.base_frame)
             self._odometry.publish(odometry(world.odometry_sample()))
-            self._truth.publish(odometry(world.truth_sample(), frame_id='map'))
+            truth = odometry(world.truth_sample(), _EXACT, frame_id='map')
+            self._truth.publish(truth)
 
     def _take_picture(self) -> None:
         """Render only what somebody looks at."""

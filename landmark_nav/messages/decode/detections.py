@@ -8,8 +8,14 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.clouds import unpack_cloud
-from landmark_nav.messages.decode.headers import finite, stamp_ns
-from landmark_nav.messages.layouts import DETECTION, DETECTION_DELAYS, TRIPLET
+from landmark_nav.messages.decode.headers import (
+    covariances,
+    finite,
+    landmark_ids,
+    seconds,
+    stamp_ns,
+)
+from landmark_nav.messages.layouts import DETECTIONS, TRIPLET
 from landmark_nav.types import Detections, Triplet
 
 __all__ = ['detections', 'triplet']
@@ -17,32 +23,30 @@ __all__ = ['detections', 'triplet']
 
 def detections(msg: Any) -> Detections:
     """
-    Landmarks found in one picture, and those missed in it, out of ``detections``.
+    Landmarks found in one image, and those missed in it, out of ``detections``.
 
     Raises
     ------
     LandmarkNavError
-        Fields are missing, or bearings or delays are not numbers.
+        Fields are missing or of another kind, or values are not numbers within bounds.
 
     """
-    required = [name for name in DETECTION.names or () if name not in DETECTION_DELAYS]
-    points = unpack_cloud(msg, required)
-    stamp = stamp_ns(msg.header)
-    known = len(points) and set(DETECTION_DELAYS) <= set(points.dtype.names or ())
-    delays = points[0][list(DETECTION_DELAYS)].tolist() if known else (0.0, 0.0)
-    told, measured = finite(delays, 'detections delay', stamp).tolist()
+    points, stamp = unpack_cloud(msg, DETECTIONS), stamp_ns(msg.header)
+    delays = points[['joint_delay', 'pan_delay']][0].tolist() if len(points) else (0.0, 0.0)
+    configured, measured = seconds(delays, 'detections delay', stamp)
+    # Other sensors may see a landmark twice at a time.
+    landmark_ids(points['id'], 'detections', unique=False)
     missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
-    ids_missed = points['id'][missed].astype(np.int64)
-    points = points[~missed]
+    found = points[~missed]
     return Detections(
         stamp,
-        points['id'].astype(np.int64),
-        finite(points['bearing'], 'bearing', stamp),
-        finite(points['bearing_variance'], 'bearing variance', stamp),
-        points['score'].astype(np.float64),
-        np.stack([points['u'], points['v']], -1).astype(np.float64),
-        ids_missed,
-        joint_delay_s=told,
+        found['id'],
+        finite(found['bearing'], 'bearing', stamp),
+        finite(found['bearing_variance'], 'bearing variance', stamp, least=0.0),
+        finite(found['score'], 'detections score', stamp),
+        finite(np.stack([found['u'], found['v']], -1), 'detections pixel', stamp),
+        points['id'][missed],
+        joint_delay_s=configured,
         pan_delay_s=measured,
     )
 
@@ -54,18 +58,17 @@ def triplet(msg: Any) -> Triplet:
     Raises
     ------
     LandmarkNavError
-        Fields are missing, not three points, or values that are not numbers.
+        Fields are missing or of another kind, not three points, or values that are not numbers.
 
     """
-    points = unpack_cloud(msg, TRIPLET.names or ())
+    points, stamp = unpack_cloud(msg, TRIPLET), stamp_ns(msg.header)
     if len(points) != 3:
         raise LandmarkNavError(f'triplet has {len(points)} points, not 3')
-    stamp = stamp_ns(msg.header)
     return Triplet(
         stamp,
-        points['id'].astype(np.int64),
+        landmark_ids(points['id'], 'triplet'),
         finite(points['bearing'], 'triplet bearing', stamp),
-        finite(points['bearing_sigma'], 'triplet sigma', stamp),
-        finite(points['covariance'][0], 'triplet covariance', stamp).reshape(3, 3),
+        finite(points['bearing_sigma'], 'triplet sigma', stamp, least=0.0),
+        covariances(points['covariance'][0], 'triplet covariance', stamp, 3)[0],
         float(finite(points['pan'][0], 'triplet pan', stamp)),
     )

@@ -1,48 +1,155 @@
-"""Stamps, and numbers that must be numbers."""
+"""Stamps, and values that must be numbers within bounds."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-__all__ = ['check_frame', 'duration_ns', 'finite', 'stamp_ns', 'yaw_rad']
+__all__ = [
+    'check_frame',
+    'covariances',
+    'duration_ns',
+    'finite',
+    'landmark_ids',
+    'seconds',
+    'stamp_ns',
+    'yaw_rad',
+]
+
+_SECOND_NS = 1_000_000_000
+# Beyond any length, angle, rate or variance of a robot; "unknown" is told by less.
+_MOST = 1e12
+# No clock, joint or camera is late by more.
+_MOST_DELAY_S = 10.0
+# Rounding: of a correlation matrix, whose diagonal is 1.
+_ROUNDING = 1e-6
 
 
 def stamp_ns(header: Any) -> int:
-    """Stamp of a std_msgs/Header, integer nanoseconds."""
-    return duration_ns(header.stamp)
+    """
+    Stamp of a std_msgs/Header, integer nanoseconds.
+
+    Raises
+    ------
+    LandmarkNavError
+        It is no time: negative, or a second or more of nanoseconds.
+
+    """
+    sec, nanosec = _whole(header.stamp.sec), _whole(header.stamp.nanosec)
+    if sec < 0 or not 0 <= nanosec < _SECOND_NS:
+        raise LandmarkNavError(
+            f'the stamp is {sec} s and {nanosec} ns, which is no time: mend its publisher'
+        )
+    return sec * _SECOND_NS + nanosec
 
 
 def check_frame(header: Any, frame: str, remedy: str) -> None:
     """`LandmarkNavError` where a std_msgs/Header names another frame, with what to do then."""
     if header.frame_id != frame:
         raise LandmarkNavError(
-            f'it is in frame {header.frame_id!r}, not in frame {frame}: {remedy}'
+            f'it is in frame {header.frame_id!r:.60}, not in frame {frame}: {remedy}'
         )
 
 
 def duration_ns(value: Any) -> int:
-    """Convert a builtin_interfaces Time or Duration to integer nanoseconds."""
-    return int(value.sec) * 1_000_000_000 + int(value.nanosec)
+    """Convert a builtin_interfaces Duration, which may be negative, to integer nanoseconds."""
+    return _whole(value.sec) * _SECOND_NS + _whole(value.nanosec)
 
 
-def finite(values: Any, what: str, stamp: int) -> FloatArray:
+def finite(
+    values: Any,
+    what: str,
+    stamp: int,
+    within: float = _MOST,
+    *,
+    least: float | None = None,
+    count: int | None = None,
+) -> FloatArray:
     """
-    Values as an array; a `LandmarkNavError` that says which are none if one is NaN or infinite.
+    Return values as an array of float64.
 
-    `what` names them: 'odometry position'; `stamp` is when, nanoseconds.
+    Parameters
+    ----------
+    values : array-like
+        As they came: whoever defined the message may have taken any type.
+    what : str
+        Names them: 'odometry position'.
+    stamp : int
+        When, nanoseconds.
+    within : float
+        Largest magnitude.
+    least : float, optional
+        Least value, where that is not the negative of it.
+    count : int, optional
+        How many there must be.
+
+    Raises
+    ------
+    LandmarkNavError
+        One is NaN, infinite or out of bounds, is no number, or the count is another one.
+
     """
-    array = np.asarray(values, dtype=np.float64)
-    if not np.isfinite(array).all():
+    where = f'{what} at {stamp * 1e-9:.3f} s'
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
         raise LandmarkNavError(
-            f'{what} at {stamp * 1e-9:.3f} s is {np.array2string(array, separator=", ")}: '
-            'not a number, mend its publisher'
-        )
+            f'{where} is {values!r:.40}: not a number, mend its publisher'
+        ) from None
+    if count is not None and array.size != count:
+        raise LandmarkNavError(f'{where} has {array.size} values, not {count}')
+    least = -within if least is None else least
+    good = (array >= least) & (array <= within)
+    if not good.all():
+        worst = float(array[~good][0])
+        kind = f'not within {least:g} to {within:g}' if np.isfinite(worst) else 'not a number'
+        raise LandmarkNavError(f'{where} is {worst:g}: {kind}, mend its publisher')
     return array
+
+
+def seconds(values: Any, what: str, stamp: int) -> list[float]:
+    """Delays, s, of either sign; `LandmarkNavError` where nothing is as late."""
+    return [float(value) for value in finite(values, what, stamp, _MOST_DELAY_S)]
+
+
+def covariances(values: Any, what: str, stamp: int, size: int) -> FloatArray:
+    """
+    Return covariances (..., size, size), symmetric and positive semidefinite.
+
+    Zero stands for "unknown" in some messages and for "exact" in others, so it is valid.
+
+    Raises
+    ------
+    LandmarkNavError
+        It is no covariance: not symmetric, a negative variance, or a correlation beyond one.
+
+    """
+    matrices = finite(values, what, stamp).reshape(-1, size, size)
+    sigmas = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))
+    scale = np.maximum(sigmas[:, :, None] * sigmas[:, None, :], 1e-18)
+    if np.diagonal(matrices, axis1=1, axis2=2).min(initial=0.0) < 0.0:
+        why = 'has a negative variance'
+    elif (np.abs(matrices - matrices.transpose(0, 2, 1)) > _ROUNDING * scale).any():
+        why = 'is not symmetric'
+    elif np.linalg.eigvalsh(np.clip(matrices / scale, -_MOST, _MOST)).min(initial=0) < -_ROUNDING:
+        why = 'is not positive semidefinite'
+    else:
+        return matrices
+    raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s {why}: mend its publisher')
+
+
+def landmark_ids(
+    ids: npt.NDArray[np.int64], what: str, unique: bool = True
+) -> npt.NDArray[np.int64]:
+    """Return ids of landmarks (n,); `LandmarkNavError` where one is negative, or twice there."""
+    if ids.min(initial=0) < 0 or (unique and len(np.unique(ids)) < len(ids)):
+        raise LandmarkNavError(f'{what} names a landmark twice, or by a negative id')
+    return ids
 
 
 def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
@@ -52,12 +159,20 @@ def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
     A `LandmarkNavError` says so where there is none: zero, or over on its side or its head.
     """
     turn = [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
-    x, y, z, w = finite(turn, what, stamp).tolist()
+    x, y, z, w = finite(turn, what, stamp, count=4).tolist()
     if x * x + y * y + z * z + w * w < 1e-6:
         raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s is the zero quaternion')
     if x * x + y * y >= w * w + z * z:
         raise LandmarkNavError(
-            f'{what} at {stamp * 1e-9:.3f} s is ({x:.2f}, {y:.2f}, {z:.2f}, {w:.2f}): '
+            f'{what} at {stamp * 1e-9:.3f} s is ({x:.2g}, {y:.2g}, {z:.2g}, {w:.2g}): '
             'fallen over, its z must point up'
         )
     return float(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def _whole(value: Any) -> int:
+    """Part of a time as an integer; a stranger's definition may have taken another type."""
+    try:
+        return int(value)
+    except (TypeError, ValueError, OverflowError):
+        raise LandmarkNavError(f'a time holds {value!r:.40}: mend its publisher') from None

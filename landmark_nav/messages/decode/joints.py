@@ -7,11 +7,14 @@ from typing import Any
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.clouds import unpack_cloud
-from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
+from landmark_nav.messages.decode.headers import duration_ns, finite, seconds, stamp_ns
 from landmark_nav.messages.layouts import JOINT_DELAY
 from landmark_nav.types import JointSample
 
 __all__ = ['joint_delay', 'joint_sample', 'lone_tilt', 'sweep_trajectory']
+
+# A joint that turns on and on may count its turns, some 160,000 of them.
+_MOST_RAD = 1e6
 
 
 def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
@@ -47,7 +50,7 @@ def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
         return None
     what = 'joint_states position'
     _check(names, msg.position, stamp, what)
-    (tilt,) = finite([msg.position[names.index(mount.tilt_joint)]], what, stamp)
+    tilt = finite(msg.position[names.index(mount.tilt_joint)], what, stamp, _MOST_RAD)
     return stamp, float(tilt)
 
 
@@ -87,15 +90,15 @@ def joint_delay(msg: Any) -> tuple[float, float]:
     Raises
     ------
     LandmarkNavError
-        Fields are missing, not one point, or values that are not numbers.
+        Fields are missing or of another kind, not one point, or values that are not numbers.
 
     """
-    points = unpack_cloud(msg, JOINT_DELAY.names or ())
+    points, stamp = unpack_cloud(msg, JOINT_DELAY), stamp_ns(msg.header)
     if len(points) != 1:
         raise LandmarkNavError(f'joint_delay has {len(points)} points, not 1')
-    what, stamp = 'joint delay', stamp_ns(msg.header)
-    delay, sigma = finite([points['delay'][0], points['sigma'][0]], what, stamp)
-    return float(delay), float(sigma)
+    delay, sigma = seconds(points[0].tolist(), 'joint delay', stamp)
+    finite(sigma, 'sigma of the joint delay', stamp, least=0.0)
+    return delay, sigma
 
 
 def _sample(
@@ -104,8 +107,8 @@ def _sample(
     _check(names, positions, stamp, what)
     pan = positions[names.index(mount.pan_joint)]
     tilt = positions[names.index(mount.tilt_joint)] if mount.tilt_joint in names else 0.0
-    pan, tilt = finite([pan, tilt], what, stamp)
-    return JointSample(stamp, float(pan), float(tilt))
+    pan_rad, tilt_rad = finite([pan, tilt], what, stamp, _MOST_RAD).tolist()
+    return JointSample(stamp, pan_rad, tilt_rad)
 
 
 def _check(names: list[str], positions: Any, stamp: int, what: str) -> None:

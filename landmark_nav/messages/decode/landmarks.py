@@ -11,12 +11,23 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages.clouds import unpack_cloud
-from landmark_nav.messages.decode.headers import finite, stamp_ns
+from landmark_nav.messages.decode.headers import (
+    covariances,
+    finite,
+    landmark_ids,
+    stamp_ns,
+)
 from landmark_nav.messages.decode.images import image
-from landmark_nav.messages.layouts import LANDMARK_FIELDS
+from landmark_nav.messages.decode.poses import FARTHEST_M
+from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap
 
 __all__ = ['landmark_map']
+
+# Of a patch on a wall; of a threshold, a saliency or a loading.
+_LARGEST_M, _MOST = 100.0, 1e3
+# Less is no wall, m; normals travel as float32.
+_SHORTEST_M, _ROUNDING = 1e-3, 1e-3
 
 
 def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
@@ -29,44 +40,48 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
         Fields are missing, values are not numbers, or a patch lies outside the atlas.
 
     """
-    points = unpack_cloud(landmarks_msg, [field[0] for field in LANDMARK_FIELDS])
+    points = unpack_cloud(landmarks_msg, LANDMARKS)
     frame_id = str(landmarks_msg.header.frame_id)
     if not len(points):
         return LandmarkMap((), frame_id)
     stamp = stamp_ns(landmarks_msg.header)
     if stamp_ns(atlas_msg.header) != stamp:
         raise LandmarkNavError('landmarks and landmarks/atlas belong to different maps')
-    walls = _walls(points)
+    ids = landmark_ids(points['id'], 'landmarks')
+    walls = _walls(points, stamp)
     names = {index: wall.id for index, wall in enumerate(walls)}
     atlas = image(atlas_msg)
+    _check_area(points, atlas)
 
-    def values(*names: str) -> FloatArray:
-        return finite(np.stack([points[name] for name in names], -1), 'landmark', stamp)
+    def values(*names: str, within: float, least: float | None = None) -> FloatArray:
+        found = np.stack([points[name] for name in names], -1)
+        return finite(found, f'landmark {names[0]}', stamp, within, least=least)
 
-    positions = values('x', 'y', 'z')
-    normals = values('normal_x', 'normal_y', 'normal_z')
-    viewpoints = values('viewpoint_x', 'viewpoint_y', 'viewpoint_z')
-    scalars = values('width', 'height', 'threshold', 'saliency')
-    covariances = finite(points['covariance'], 'landmark covariance', stamp).reshape(-1, 3, 3)
-    loadings = np.zeros((len(points), 3, 0))
-    if 'shared_loading' in (points.dtype.names or ()):
-        shared = finite(points['shared_loading'], 'shared loading', stamp)
-        loadings = shared.reshape(len(points), 3, -1)
+    positions = values('x', 'y', 'z', within=FARTHEST_M)
+    normals = values('normal_x', 'normal_y', 'normal_z', within=1.0 + _ROUNDING)
+    viewpoints = values('viewpoint_x', 'viewpoint_y', 'viewpoint_z', within=FARTHEST_M)
+    sizes = values('width', 'height', within=_LARGEST_M, least=0.0)
+    if (np.hypot(*normals.T[:2])[sizes.any(-1)] < 1.0 - _ROUNDING).any():
+        raise LandmarkNavError('a normal of landmarks is not horizontal, or of length 1')
+    thresholds, saliencies = values('threshold', 'saliency', within=_MOST).T
+    covariance = covariances(points['covariance'], 'landmark covariance', stamp, 3)
+    shared = finite(points['shared_loading'], 'shared loading', stamp, _MOST)
+    loadings = shared.reshape(len(points), 3, -1)
     return LandmarkMap(
         tuple(
             Landmark(
-                id=int(points['id'][k]),
+                id=int(ids[k]),
                 position=positions[k],
-                covariance=covariances[k],
+                covariance=covariance[k],
                 shared_loading=loadings[k],
                 normal=normals[k],
-                width_m=float(scalars[k, 0]),
-                height_m=float(scalars[k, 1]),
+                width_m=float(sizes[k, 0]),
+                height_m=float(sizes[k, 1]),
                 patch=_patch(atlas, points[k]),
                 viewpoint=viewpoints[k],
-                threshold=float(scalars[k, 2]),
+                threshold=float(thresholds[k]),
                 wall_id=names.get(int(points['wall'][k]), ''),
-                saliency=float(scalars[k, 3]),
+                saliency=float(saliencies[k]),
                 views=_views(atlas, points[k], stamp),
             )
             for k in range(len(points))
@@ -74,6 +89,15 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
         frame_id,
         walls,
     )
+
+
+def _check_area(points: npt.NDArray[np.void], atlas: ImageArray) -> None:
+    """`LandmarkNavError` where patches overlap: each is copied, so they may fill the memory."""
+    views = points['views'].reshape(len(points), -1, 4)
+    sides = [(points['atlas_width'], points['atlas_height']), (views[..., 2], views[..., 3])]
+    area = sum(float((width.astype(float) * height).sum()) for width, height in sides)
+    if area > atlas.size:
+        raise LandmarkNavError(f'patches of {area:g} pixels do not fit an atlas of {atlas.size}')
 
 
 def _patch(atlas: ImageArray, point: np.void) -> ImageArray:
@@ -84,11 +108,13 @@ def _patch(atlas: ImageArray, point: np.void) -> ImageArray:
 
 
 def _views(atlas: ImageArray, point: np.void, stamp: int) -> tuple[PatchView, ...]:
-    """What other panoramas show of it; publishers of before do not say."""
-    if not {'viewpoints', 'views'} <= set(point.dtype.names or ()):
-        return ()
-    viewpoints = finite(point['viewpoints'], 'viewpoint', stamp).reshape(-1, 3)
+    """What other panoramas show of it."""
+    viewpoints = finite(point['viewpoints'], 'viewpoint', stamp, FARTHEST_M).reshape(-1, 3)
     places = point['views'].reshape(-1, 4).tolist()
+    if len(places) != len(viewpoints):
+        raise LandmarkNavError(
+            f'landmark {point["id"]} has {len(places)} views from {len(viewpoints)} places'
+        )
     return tuple(
         PatchView(viewpoint, _cut(atlas, point, *place))
         for viewpoint, place in zip(viewpoints, places, strict=True)
@@ -97,7 +123,7 @@ def _views(atlas: ImageArray, point: np.void, stamp: int) -> tuple[PatchView, ..
 
 
 def _cut(atlas: ImageArray, point: np.void, x: int, y: int, width: int, height: int) -> ImageArray:
-    if atlas.ndim != 2 or not width or not height:
+    if atlas.ndim != 2 or min(x, y, width - 1, height - 1) < 0:
         raise LandmarkNavError(f'landmark {point["id"]} has no patch in a grey atlas')
     if x + width > atlas.shape[1] or y + height > atlas.shape[0]:
         raise LandmarkNavError(
@@ -107,14 +133,18 @@ def _cut(atlas: ImageArray, point: np.void, x: int, y: int, width: int, height: 
     return np.array(atlas[y : y + height, x : x + width])
 
 
-def _walls(points: npt.NDArray[np.void]) -> tuple[Wall, ...]:
-    if not {'walls', 'wall_names'} <= set(points.dtype.names or ()):
+def _walls(points: npt.NDArray[np.void], stamp: int) -> tuple[Wall, ...]:
+    outlines = finite(points['walls'][0], 'wall', stamp, FARTHEST_M).reshape(-1, 5)
+    if not len(outlines):
         return ()
-    names = points['wall_names'][0].tobytes().decode('utf-8', 'replace').split('\n')
-    outlines = points['walls'][0].reshape(-1, 5).astype(np.float64)
+    letters = points['wall_names'][0].astype(np.uint8).tobytes()
+    names = letters.decode('utf-8', 'replace').split('\n')
     if len(names) != len(outlines):
         raise LandmarkNavError(f'landmarks name {len(names)} walls and draw {len(outlines)}')
-    return tuple(
-        Wall(name, (float(x0), float(y0)), (float(x1), float(y1)), float(height))
-        for name, (x0, y0, x1, y1, height) in zip(names, outlines, strict=True)
+    walls = tuple(
+        Wall(name, (x0, y0), (x1, y1), height)
+        for name, (x0, y0, x1, y1, height) in zip(names, outlines.tolist(), strict=True)
     )
+    if any(wall.length < _SHORTEST_M or wall.height < _SHORTEST_M for wall in walls):
+        raise LandmarkNavError('a wall of landmarks has no length or no height')
+    return walls

@@ -10,10 +10,14 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages.decode.headers import finite, stamp_ns, yaw_rad
 from landmark_nav.messages.decode.images import image_bgra
+from landmark_nav.messages.decode.poses import FARTHEST_M, pose_covariance
 from landmark_nav.messages.layouts import UPRIGHT
 from landmark_nav.types import Panorama
 
 __all__ = ['panorama']
+
+# Of a focal length or a principal point.
+_MOST_PX = 1e6
 
 
 def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
@@ -37,9 +41,9 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
         raise LandmarkNavError(
             f'panorama has the camera model {info_msg.distortion_model!r}, not cylindrical'
         )
-    k = finite(info_msg.k, 'panorama geometry', stamp)
+    k = finite(info_msg.k, 'panorama geometry', stamp, _MOST_PX, count=9)
     cylinder = Cylinder(int(info_msg.width), int(info_msg.height), k[4], k[2], k[5])
-    if abs(k[0] - cylinder.fx) > 1e-6 * cylinder.fx:
+    if cylinder.fy <= 0.0 or abs(k[0] - cylinder.fx) > 1e-6 * cylinder.fx:
         raise LandmarkNavError(
             f'panorama of {cylinder.width} columns has {k[0]:g} px/rad: it must span one turn '
             f'({cylinder.fx:g} px/rad)'
@@ -52,13 +56,12 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
         )
     pose = pose_msg.pose.pose
     position = (pose.position.x, pose.position.y, pose.position.z)
-    covariance = finite(pose_msg.pose.covariance, 'panorama covariance', stamp).reshape(6, 6)
     return Panorama(
         stamp,
         np.ascontiguousarray(pixels[..., :3]),
         pixels[..., 3] > 0,
         cylinder,
-        finite(position, 'panorama position', stamp),
+        finite(position, 'panorama position', stamp, FARTHEST_M),
         yaw_rad(pose.orientation, 'panorama orientation', stamp),
-        covariance[UPRIGHT],
+        pose_covariance(pose_msg, UPRIGHT, 'panorama', stamp),
     )

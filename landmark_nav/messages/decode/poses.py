@@ -8,15 +8,22 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.clouds import unpack_cloud
-from landmark_nav.messages.decode.headers import finite, stamp_ns, yaw_rad
+from landmark_nav.messages.decode.headers import (
+    covariances,
+    finite,
+    landmark_ids,
+    seconds,
+    stamp_ns,
+    yaw_rad,
+)
 from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
-__all__ = ['found_place', 'odometry', 'pose_estimate']
+__all__ = ['FARTHEST_M', 'found_place', 'odometry', 'pose_covariance', 'pose_estimate']
 
-# Half around the earth: in UTM coordinates, too, a robot is nearer to their origin.
-_FARTHEST_M = 2.0e7
+# Half around the earth, m: in UTM coordinates, too, a robot is nearer to their origin.
+FARTHEST_M = 2.0e7
 # Metres or radians per second.
 _FASTEST = 1.0e3
 
@@ -31,17 +38,10 @@ def odometry(msg: Any) -> OdometrySample:
         A value is not a number, or no place, heading or speed of a robot.
 
     """
-    stamp = stamp_ns(msg.header)
-    twist = msg.twist.twist
-    speeds = finite([twist.linear.x, twist.angular.z], 'odometry speed', stamp)
-    if np.abs(speeds).max() > _FASTEST:
-        raise LandmarkNavError(
-            f'odometry speed at {stamp * 1e-9:.3f} s is {np.array2string(speeds, precision=3)} '
-            'm/s, rad/s: no robot is as fast, mend its publisher'
-        )
-    return OdometrySample(
-        stamp, _planar(msg.pose.pose, 'odometry', stamp), float(speeds[0]), float(speeds[1])
-    )
+    stamp, twist = stamp_ns(msg.header), msg.twist.twist
+    speeds = [twist.linear.x, twist.angular.z]
+    forward, turn = finite(speeds, 'odometry speed', stamp, _FASTEST).tolist()
+    return OdometrySample(stamp, _planar(msg.pose.pose, 'odometry', stamp), forward, turn)
 
 
 def pose_estimate(msg: Any) -> PoseEstimate:
@@ -55,8 +55,20 @@ def pose_estimate(msg: Any) -> PoseEstimate:
 
     """
     stamp = stamp_ns(msg.header)
-    full = finite(msg.pose.covariance, 'pose covariance', stamp).reshape(6, 6)
-    return PoseEstimate(stamp, _planar(msg.pose.pose, 'pose', stamp), full[PLANAR])
+    pose = _planar(msg.pose.pose, 'pose', stamp)
+    return PoseEstimate(stamp, pose, pose_covariance(msg, PLANAR, 'pose', stamp))
+
+
+def pose_covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> FloatArray:
+    """
+    Covariance of some axes, a layout, out of a message with a geometry_msgs/PoseWithCovariance.
+
+    Of the others anything may be told: 0, 1e6 and the largest number all stand for "unknown".
+    """
+    what = f'{what} covariance'
+    full = finite(msg.pose.covariance, what, stamp, np.inf, count=36)
+    (covariance,) = covariances(full.reshape(6, 6)[axes], what, stamp, len(axes[0]))
+    return np.asarray(covariance)
 
 
 def found_place(msg: Any) -> FoundPlace:
@@ -66,34 +78,23 @@ def found_place(msg: Any) -> FoundPlace:
     Raises
     ------
     LandmarkNavError
-        Fields are missing or of another size, no point, or values that are not numbers.
+        Fields are missing or of another kind, no point, or values that are not numbers.
 
     """
-    points = unpack_cloud(msg, FOUND_PLACE.names or ())
-    stamp = stamp_ns(msg.header)
+    points, stamp = unpack_cloud(msg, FOUND_PLACE), stamp_ns(msg.header)
     if not len(points):
         raise LandmarkNavError(f'found_place at {stamp * 1e-9:.3f} s names no landmark')
     first = points[0]
-    if np.shape(first['pose']) != (3,) or np.shape(first['covariance']) != (9,):
-        raise LandmarkNavError(
-            f'found_place at {stamp * 1e-9:.3f} s has no pose of 3 and covariance of 9 numbers'
-        )
-    covariance = finite(first['covariance'], 'found_place covariance', stamp).reshape(3, 3)
-    pan = [first[name] for name in ('pan_rate', 'joint_delay', 'pan_delay')]
     return FoundPlace(
         stamp,
-        finite(first['pose'], 'found_place pose', stamp),
-        covariance,
-        points['id'].astype(np.int64),
-        *finite(pan, 'found_place pan', stamp).tolist(),
+        finite(first['pose'], 'found_place pose', stamp, FARTHEST_M),
+        covariances(first['covariance'], 'found_place covariance', stamp, 3)[0],
+        landmark_ids(points['id'], 'found_place'),
+        float(finite(first['pan_rate'], 'found_place pan rate', stamp, _FASTEST)),
+        *seconds([first['joint_delay'], first['pan_delay']], 'found_place delay', stamp),
     )
 
 
 def _planar(pose: Any, what: str, stamp: int) -> FloatArray:
-    position = finite([pose.position.x, pose.position.y], f'{what} position', stamp)
-    if np.abs(position).max() > _FARTHEST_M:
-        raise LandmarkNavError(
-            f'{what} position at {stamp * 1e-9:.3f} s is {np.array2string(position, precision=3)} '
-            'm: not on this planet, mend its publisher'
-        )
+    position = finite([pose.position.x, pose.position.y], f'{what} position', stamp, FARTHEST_M)
     return np.array([*position, yaw_rad(pose.orientation, f'{what} orientation', stamp)])

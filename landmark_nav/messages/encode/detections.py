@@ -9,7 +9,7 @@ import numpy as np
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.layouts import DETECTION, TRIPLET
+from landmark_nav.messages.layouts import DETECTIONS, TRIPLET
 from landmark_nav.types import Detections, Triplet
 
 __all__ = ['detections', 'triplet']
@@ -21,7 +21,7 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
 
     What was looked for and not found follows as invalid points: NaN, with a score of 0.
     """
-    points = np.zeros(len(found) + len(found.missed), dtype=DETECTION)
+    points = np.zeros(len(found) + len(found.missed), dtype=DETECTIONS.fields)
     points['id'] = np.concatenate([found.ids, found.missed])
     for name in ('bearing', 'bearing_variance', 'u', 'v'):
         points[name] = np.nan
@@ -37,7 +37,7 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
 
 def triplet(factory: MessageFactory, chosen: Triplet, frame_id: str = 'base_link') -> Any:
     """Build the PointCloud2 of ``triplet``."""
-    points = np.zeros(3, dtype=TRIPLET)
+    points = np.zeros(3, dtype=TRIPLET.fields)
     points['id'] = chosen.ids
     points['bearing'] = chosen.bearing_rad
     points['bearing_sigma'] = chosen.sigma_rad

@@ -9,9 +9,18 @@ import numpy as np
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.types import FloatArray
 
-__all__ = ['duration', 'header', 'pose_with_covariance', 'upright', 'vector']
+__all__ = [
+    'UNKNOWN_VARIANCE',
+    'duration',
+    'header',
+    'pose_with_covariance',
+    'upright',
+    'vector',
+]
 
 _SECOND_NS = 1_000_000_000
+# Of what is not estimated, as robot_localization and others expect it: 0 would mean exact.
+UNKNOWN_VARIANCE = 1e6
 
 
 def header(factory: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
@@ -47,8 +56,12 @@ def pose_with_covariance(
     covariance: FloatArray,
     axes: tuple[Any, ...],
 ) -> Any:
-    """Build a geometry_msgs/PoseWithCovariance; `axes` are those of `covariance`, as a layout."""
-    full = np.zeros((6, 6))
+    """
+    Build a geometry_msgs/PoseWithCovariance.
+
+    `axes` are those of `covariance`, as a layout; the others are unknown.
+    """
+    full = UNKNOWN_VARIANCE * np.eye(6)
     full[axes] = covariance
     return factory(
         'geometry_msgs/msg/PoseWithCovariance',

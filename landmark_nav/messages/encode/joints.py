@@ -49,5 +49,5 @@ def sweep_trajectory(
 
 def joint_delay(factory: MessageFactory, stamp_ns: int, delay_s: float, sigma_s: float) -> Any:
     """Build the PointCloud2 of ``joint_delay``, one point, out of what was known at a time."""
-    point = np.array([(delay_s, sigma_s)], dtype=JOINT_DELAY)
+    point = np.array([(delay_s, sigma_s)], dtype=JOINT_DELAY.fields)
     return pack_cloud(factory, header(factory, stamp_ns, ''), point)

@@ -12,7 +12,7 @@ from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.encode.images import image
 from landmark_nav.messages.encode.markers import landmark_markers
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.layouts import landmark_layout
+from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import ImageArray, LandmarkMap
 
 __all__ = ['landmark_map']
@@ -53,7 +53,14 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
     names = np.frombuffer('\n'.join(wall.id for wall in walls).encode(), dtype=np.uint8)
     factors = members[0].shared_loading.shape[1] if members else 0
     views = max((len(k.views) for k in members), default=0)
-    points = np.zeros(len(members), dtype=landmark_layout(factors, len(walls), len(names), views))
+    layout = LANDMARKS.sized(
+        shared_loading=3 * factors,
+        walls=5 * len(walls),
+        wall_names=len(names),
+        viewpoints=3 * views,
+        views=4 * views,
+    )
+    points = np.zeros(len(members), dtype=layout)
     points['id'] = landmarks.ids
     for triple, values in (
         (('x', 'y', 'z'), landmarks.positions),

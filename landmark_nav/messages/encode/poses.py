@@ -7,7 +7,12 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.messages.encode.headers import header, pose_with_covariance, vector
+from landmark_nav.messages.encode.headers import (
+    header,
+    pose_with_covariance,
+    UNKNOWN_VARIANCE,
+    vector,
+)
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
@@ -15,7 +20,7 @@ from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 __all__ = ['found_place', 'odometry', 'pose']
 
-_UNKNOWN: FloatArray = np.zeros((3, 3))
+_UNKNOWN: FloatArray = UNKNOWN_VARIANCE * np.eye(3)
 
 
 def odometry(
@@ -36,7 +41,7 @@ def odometry(
     sample : OdometrySample
         Pose of the base in `frame_id`, whichever that is, and speeds.
     covariance : ndarray, shape (3, 3), optional
-        Of x, y, heading; unknown (zero) by default.
+        Of x, y, heading; unknown by default.
     frame_id, child_frame_id : str
         Frames.
 
@@ -52,7 +57,11 @@ def odometry(
         header=header(factory, sample.stamp_ns, frame_id),
         child_frame_id=child_frame_id,
         pose=pose_with_covariance(factory, (x, y, 0.0, yaw), covariance, PLANAR),
-        twist=factory('geometry_msgs/msg/TwistWithCovariance', twist=twist),
+        twist=factory(
+            'geometry_msgs/msg/TwistWithCovariance',
+            twist=twist,
+            covariance=UNKNOWN_VARIANCE * np.eye(6).reshape(-1),
+        ),
     )
 
 
@@ -68,7 +77,7 @@ def pose(factory: MessageFactory, estimate: PoseEstimate, frame_id: str = 'map')
 
 def found_place(factory: MessageFactory, place: FoundPlace, frame_id: str = 'map') -> Any:
     """Build the PointCloud2 of ``found_place``, stamped with the picture."""
-    points = np.zeros(len(place.ids), dtype=FOUND_PLACE)
+    points = np.zeros(len(place.ids), dtype=FOUND_PLACE.fields)
     points['id'] = place.ids
     points['pose'] = place.pose
     points['covariance'] = place.covariance.reshape(-1)
