@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ['LandmarkNavError', 'why']
+__all__ = ['LandmarkNavError', 'one_line', 'why']
 
 
 class LandmarkNavError(Exception):
@@ -18,3 +18,9 @@ class LandmarkNavError(Exception):
 def why(error: Exception) -> str:
     """What is wrong with a file: the system's words, without number and temporary name."""
     return getattr(error, 'strerror', None) or str(error)
+
+
+def one_line(text: str) -> str:
+    """Text as one line for a user: nothing but printable characters, 200 of them at most."""
+    plain = ''.join(c if c.isprintable() else ' ' for c in text[:1000])
+    return plain if len(plain) <= 200 else f'{plain[:199]}…'

@@ -86,8 +86,9 @@ class BagPlayerNode(LandmarkNode):
         failure: LandmarkNavError | None = None
         try:
             self._publish_all()
-        except LandmarkNavError as error:
-            failure = LandmarkNavError(f'playback ends early: {error}')
+        except Exception as error:
+            why = error if isinstance(error, LandmarkNavError) else self.fault('playback', error)
+            failure = LandmarkNavError(f'playback ends early: {why}')
         if not self._stop.is_set():
             for publisher in self._players.values():
                 publisher.wait_for_all_acked(Duration(seconds=_LAST_WORDS_S))

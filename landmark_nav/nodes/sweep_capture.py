@@ -15,11 +15,13 @@ from landmark_nav.nodes.sweep_output import SweepOutput
 from landmark_nav.nodes.sweep_runner import SweepRunner
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.image_source import ImageSource, TRANSPORTS
+from landmark_nav.ros.image_source import image_topics, ImageSource, TRANSPORTS
+from landmark_nav.ros.joints import listen_for_joints
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import PanCommander, PanCommandParameters
 from landmark_nav.ros.run import run_node
 from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.types import JointSample
 
 __all__ = ['Parameters', 'SweepCaptureNode', 'main']
 
@@ -43,7 +45,6 @@ class SweepCaptureNode(LandmarkNode):
         super().__init__('sweep_capture', 'sweep', **options)
         self._config = self.configure(Parameters)
         mount = load_robot(self.required('robot_file', self._config.robot_file))
-        self._mount = mount
         self._runner = SweepRunner(
             self._config.capture,
             PanCommander(self, mount, self._config.command),
@@ -54,19 +55,22 @@ class SweepCaptureNode(LandmarkNode):
         self._camera_info: Any = None
         # Of a tilt joint that has a driver of its own.
         self._tilt_rad: float | None = None
-        self.listen('joint_states', self._on_joints)
+        listen_for_joints(self, mount, self._on_joints, self._on_tilt)
         self.listen('camera/camera_info', self._on_camera_info)
+        self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
         self.listen('odom', lambda message: self._runner.add_odometry(decode.odometry(message)))
         # Calls may come while one is served: they interrupt it.
         self.offer('capture_sweep', self._capture, group=ReentrantCallbackGroup())
 
     def health(self) -> Health:
         """Degraded without joint states or calibration, or with a sweep that was interrupted."""
-        inputs = {'joint_states': self._runner.pan_rad, 'camera/camera_info': self._camera_info}
-        missing = [name for name, value in inputs.items() if value is None]
-        if missing:
-            return Health(Level.DEGRADED, f'nothing yet on {", ".join(missing)}')
+        if self._lacks_input:
+            return Health(Level.DEGRADED, 'not ready for a sweep')
         return self._runner.health() or Health(Level.OK, self._result)
+
+    @property
+    def _lacks_input(self) -> bool:
+        return self._runner.pan_rad is None or self._camera_info is None
 
     def _capture(self) -> str:
         """Take one sweep; blocks its caller while the other callbacks drive it."""
@@ -79,10 +83,10 @@ class SweepCaptureNode(LandmarkNode):
 
     def _take(self) -> str:
         start = time.monotonic()
-        while self._runner.pan_rad is None or self._camera_info is None:
+        while self._lacks_input:
             why = self._runner.stopped or ('the node ends' if self.ended.done() else '')
             if why or time.monotonic() - start > self._config.capture.step_timeout_s:
-                why = why or f'{self.health().reason}; start the robot'
+                why = why or '; '.join([self.inputs.waits(), *self.inputs.problems()])
                 raise LandmarkNavError(f'no sweep: {why}')
             time.sleep(_POLL_S)
         camera = decode.camera_model(self._camera_info)
@@ -104,12 +108,10 @@ class SweepCaptureNode(LandmarkNode):
     def _on_image(self, message: Any) -> None:
         self._runner.add_image(message, self._camera_info)
 
-    def _on_joints(self, message: Any) -> None:
-        if (tilt := decode.lone_tilt(message, self._mount)) is not None:
-            _, self._tilt_rad = tilt
-        sample = decode.joint_sample(message, self._mount)
-        if sample is None:
-            return
+    def _on_tilt(self, _stamp_ns: int, tilt_rad: float) -> None:
+        self._tilt_rad = tilt_rad
+
+    def _on_joints(self, sample: JointSample) -> None:
         if self._tilt_rad is not None:
             sample = replace(sample, tilt_rad=self._tilt_rad)
         self._runner.add_joints(sample)

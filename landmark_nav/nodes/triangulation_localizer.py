@@ -23,7 +23,7 @@ from landmark_nav.parameters import parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.image_source import ImageSource, TRANSPORTS
+from landmark_nav.ros.image_source import image_topics, ImageSource, TRANSPORTS
 from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.newest_first import NewestFirst
 from landmark_nav.ros.node import LandmarkNode
@@ -91,6 +91,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._config.odometry,
             self._config,
         )
+        self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
         self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None

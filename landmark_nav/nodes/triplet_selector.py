@@ -135,7 +135,7 @@ class TripletSelectorNode(LandmarkNode):
             return 'no fused pose: it takes odom, and a start on initialpose or by relocalize'
         if silent_s > _SILENCE_S:
             return f'no fused pose for {silent_s:.1f} s'
-        return '' if self._frames.camera is not None else 'nothing on camera/camera_info'
+        return '' if self._frames.camera is not None else 'no camera_info'
 
     def _choose(self) -> None:
         active, fused, model, known = self._camera, self._fused, self._frames.camera, self._map

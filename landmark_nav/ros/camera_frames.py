@@ -13,6 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import unwrap_joint
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
+from landmark_nav.ros.joints import listen_for_joints
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import CameraFrame, JointSample, Refusal
@@ -46,12 +47,12 @@ class CameraFrames:
     def __init__(
         self, node: LandmarkNode, mount: PanTiltMount, joint_delay_s: float = 0.0
     ) -> None:
-        self._mount, self._delay_ns = mount, round(1e9 * joint_delay_s)
+        self._node, self._delay_ns = node, round(1e9 * joint_delay_s)
         self._joints: deque[JointSample] = deque()
         # Stamps and tilts of a tilt joint that has a driver of its own.
         self._tilts: deque[tuple[int, float]] = deque()
         self._camera: CameraModel | None = None
-        node.listen('joint_states', self._on_joints, depth=50)
+        listen_for_joints(node, mount, self._on_joints, self._on_tilt, depth=50)
         node.listen('camera/camera_info', self._on_camera_info)
 
     @property
@@ -111,9 +112,11 @@ class CameraFrames:
         self._wait(stamp, seconds, also, late_s)
         joints = self.joints_at(stamp)
         if isinstance(joints, Refusal):
-            raise LandmarkNavError(f'{joints} after a wait of {seconds:g} s')
+            why = self._node.inputs.why_none('joint_states')
+            raise LandmarkNavError(f'{joints} after a wait of {seconds:g} s{why}')
         if self._camera is None:
-            raise LandmarkNavError('nothing on camera/camera_info')
+            why = self._node.inputs.why_none('camera/camera_info')
+            raise LandmarkNavError(f'no camera_info{why}')
         camera = CameraInfos([(stamp, self._camera)]).for_picture(stamp, picture.shape)
         return CameraFrame(
             stamp,
@@ -126,13 +129,7 @@ class CameraFrames:
             pan_track=joints.pan_track,
         )
 
-    def _on_joints(self, message: Any) -> None:
-        sample = decode.joint_sample(message, self._mount)
-        if sample is None:
-            tilt = decode.lone_tilt(message, self._mount)
-            if tilt is not None:
-                self._add_tilt(tilt)
-            return
+    def _on_joints(self, sample: JointSample) -> None:
         if self._joints and sample.stamp_ns < self._joints[-1].stamp_ns - _CLOCK_STEP_NS:
             # Never empty once it was not: the thread of the pictures reads it meanwhile.
             self._joints = deque([sample])
@@ -145,12 +142,12 @@ class CameraFrames:
         while self._joints[0].stamp_ns < sample.stamp_ns - _HISTORY_NS:
             self._joints.popleft()
 
-    def _add_tilt(self, tilt: tuple[int, float]) -> None:
-        if self._tilts and tilt[0] < self._tilts[-1][0] - _CLOCK_STEP_NS:
-            self._tilts = deque([tilt])
+    def _on_tilt(self, stamp_ns: int, tilt_rad: float) -> None:
+        if self._tilts and stamp_ns < self._tilts[-1][0] - _CLOCK_STEP_NS:
+            self._tilts = deque([(stamp_ns, tilt_rad)])
             return
-        self._tilts.append(tilt)
-        while self._tilts[0][0] < tilt[0] - _HISTORY_NS:
+        self._tilts.append((stamp_ns, tilt_rad))
+        while self._tilts[0][0] < stamp_ns - _HISTORY_NS:
             self._tilts.popleft()
 
     def _on_camera_info(self, message: Any) -> None:

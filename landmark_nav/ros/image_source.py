@@ -9,9 +9,15 @@ from rclpy.subscription import Subscription
 
 from landmark_nav.ros.node import LandmarkNode
 
-__all__ = ['TRANSPORTS', 'ImageSource']
+__all__ = ['TRANSPORTS', 'ImageSource', 'image_topics']
 
 TRANSPORTS = ('auto', 'raw', 'compressed')
+
+
+def image_topics(topic: str, transport: str) -> list[str]:
+    """Topics that bring the images of `topic`; either does with the transport ``auto``."""
+    topics = {'raw': topic, 'compressed': f'{topic}/compressed'}
+    return [topics[transport]] if transport in topics else list(topics.values())
 
 
 class ImageSource:
@@ -36,8 +42,7 @@ class ImageSource:
         self._last: Any = None
         self._raw = topic
         self._subscriptions: dict[str, Subscription[Any]] = {}
-        wanted = {'raw': [topic], 'compressed': [f'{topic}/compressed']}
-        for name in wanted.get(transport, [*wanted['raw'], *wanted['compressed']]):
+        for name in image_topics(topic, transport):
             self._subscriptions[name] = node.listen(name, self._only(name, callback), depth=depth)
 
     def close(self) -> None:

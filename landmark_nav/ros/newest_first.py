@@ -18,8 +18,7 @@ class NewestFirst:
     Parameters
     ----------
     work : callable
-        Called with each message, in the thread. What it raises ends that, and is raised where the
-        next message is handed over.
+        Called with each message, in the thread; it raises nothing.
 
     """
 
@@ -28,7 +27,6 @@ class NewestFirst:
         self._waiting: Any = None
         self._changed = Condition()
         self._dropped = 0
-        self._error: Exception | None = None
         Thread(target=self._run, daemon=True).start()
 
     @property
@@ -38,8 +36,6 @@ class NewestFirst:
 
     def take(self, message: Any) -> None:
         """Hand over a message and return at once."""
-        if self._error is not None:
-            raise self._error
         with self._changed:
             self._dropped += self._waiting is not None
             self._waiting = message
@@ -50,8 +46,4 @@ class NewestFirst:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting is not None)
                 message, self._waiting = self._waiting, None
-            try:
-                self._work(message)
-            except Exception as error:
-                self._error = error
-                return
+            self._work(message)

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections import Counter
+from collections.abc import Awaitable, Callable, Mapping
 import logging
 import re
 import traceback
@@ -16,11 +17,13 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
+from landmark_nav.ros.inputs import Inputs, IrrelevantError
 from landmark_nav.ros.parameters import declare, misspelt
 from landmark_nav.ros.topics import TOPICS, with_depth
 
@@ -30,13 +33,17 @@ T = TypeVar('T')
 
 _LOG = logging.getLogger(__name__)
 
+# Different lines that a node logs of its input.
+_MOST_LOGGED = 200
+
 
 class LandmarkNode(Node):
     """
     Base of the package's nodes.
 
-    Bad input in a callback (`LandmarkNavError`) drops that message, is logged once and shows in
-    ``/diagnostics``; it never ends the node.
+    An error in a callback drops that message, is logged once and is counted in ``/diagnostics``;
+    it never ends the node. It is bad input (`LandmarkNavError`), or a fault of the program: then
+    its traceback is logged.
 
     Parameters
     ----------
@@ -50,11 +57,14 @@ class LandmarkNode(Node):
     """
 
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:
+        # rclpy subscribes to /clock as it begins.
+        self.inputs = Inputs(self)
+        self._logged: set[str] = set()
+        self._dropped: Counter[str] = Counter()
+        self._last_problem = '', ''
         super().__init__(name, **options)
         self.ended: Future[None] = Future()
         self.calls_that_wait = 0
-        self._warned: set[str] = set()
-        self._last_problem = ''
         publish_health(self, subcomponent, self._checked_health)
 
     def health(self) -> Health:
@@ -104,9 +114,36 @@ class LandmarkNode(Node):
         return self.create_subscription(
             message_class(spec.type_name),
             topic,
-            self.guarded(topic, callback),
+            callback,
             spec.qos if depth is None else with_depth(spec.qos, depth),
             callback_group=group,
+        )
+
+    def create_subscription(  # type: ignore[override]
+        self, msg_type: Any, topic: str, callback: Callable[[Any], None], *args: Any, **given: Any
+    ) -> Subscription[Any]:
+        """Subscribe as rclpy does, with a callback that is watched and guarded."""
+        source = self.inputs.expect(topic)
+
+        def take(message: Any, info: Mapping[str, Any]) -> None:
+            source.arrived(message, info)
+            try:
+                if self._attempt(topic, callback, message):
+                    source.used()
+            except IrrelevantError as why:
+                source.of_no_use(str(why))
+
+        return super().create_subscription(msg_type, topic, take, *args, **given)
+
+    def create_timer(  # type: ignore[override]
+        self, timer_period_sec: float, callback: Callable[[], None], *args: Any, **given: Any
+    ) -> Timer:
+        """Make a timer as rclpy does, with a callback that is guarded."""
+        return super().create_timer(
+            timer_period_sec,
+            self.guarded(getattr(callback, '__name__', 'timer'), callback),
+            *args,
+            **given,
         )
 
     def offer(
@@ -132,8 +169,7 @@ class LandmarkNode(Node):
                 response.message = str(error)
                 _LOG.warning('%s refused: %s', service, error)
             except Exception as error:
-                response.message = f'internal error, please report it: {error!r}'
-                _LOG.error('%s failed:\n%s', service, traceback.format_exc())
+                response.message = self.fault(service, error)
             return response
 
         self.create_service(Trigger, service, answer, callback_group=group)
@@ -146,32 +182,74 @@ class LandmarkNode(Node):
             self.calls_that_wait -= 1
 
     def drop(self, what: str, error: object) -> None:
-        """Note that something was not used, and why."""
-        self.note(f'{what} dropped: {error}')
+        """Note that something, such as a message of a topic, was not used, and why."""
+        self._dropped[what] += 1
+        origin = self.inputs.origin(what)
+        self.note(f'{what}{origin} dropped: {error}', f'{what} dropped: {error}')
 
-    def note(self, text: str) -> None:
-        """Tell a problem in ``/diagnostics``; the same words are logged once."""
-        self._last_problem = text
-        words = re.sub(r'[-+.\d]+', '#', text)
-        if words not in self._warned:
-            self._warned.add(words)
-            _LOG.warning('%s', text)
+    def note(self, text: str, essence: str = '') -> None:
+        """
+        Report a problem in the next ``/diagnostics``; the same words are logged once.
 
-    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Callback that drops bad input and notes why."""
+        Diagnostics leave it out where the node's own words hold the `essence`.
+        """
+        self._last_problem = one_line(text), essence or text
+        self._warn_once(self._last_problem[0])
 
-        def guarded(message: Any) -> None:
-            try:
-                callback(message)
-            except LandmarkNavError as error:
-                self.drop(topic, error)
+    def fault(self, what: str, error: Exception) -> str:
+        """Words for an error of the program itself, whose traceback is logged once."""
+        where = ''.join(traceback.format_tb(error.__traceback__)[-1:])
+        if self._is_new(where):
+            _LOG.error('%s failed:\n%s', what, ''.join(traceback.format_exception(error)))
+        return one_line(f'internal error, please report it: {error!r}')
+
+    def guarded(self, what: str, callback: Callable[..., None]) -> Callable[..., None]:
+        """Callback that drops bad input, survives any other error, and notes why."""
+
+        def guarded(*given: Any) -> None:
+            self._attempt(what, callback, *given)
 
         return guarded
 
+    def _attempt(self, what: str, action: Callable[..., None], *given: Any) -> bool:
+        """Call back; whether that went well."""
+        try:
+            action(*given)
+        except IrrelevantError:
+            raise
+        except LandmarkNavError as error:
+            self.drop(what, error)
+        except Exception as error:
+            self.drop(what, self.fault(what, error))
+        else:
+            return True
+        return False
+
+    def _warn_once(self, words: str) -> None:
+        if self._is_new(re.sub(r'[-+.\d]+', '#', words)):
+            _LOG.warning('%s', words)
+
+    def _is_new(self, words: str) -> bool:
+        """Whether something is to be logged; input that varies without end is not."""
+        if words in self._logged or len(self._logged) >= _MOST_LOGGED:
+            return False
+        self._logged.add(words)
+        return True
+
     def _checked_health(self) -> Health:
-        health = self.health()
-        problem, self._last_problem = self._last_problem, ''
-        if not problem or problem in health.reason:
-            return health
-        level = Level.DEGRADED if health.level is Level.OK else health.level
-        return Health(level, f'{health.reason}; {problem}', health.values)
+        try:
+            health = self.health()
+        except Exception as error:
+            health = Health(Level.DEGRADED, self.fault('health', error))
+        problems = self.inputs.problems()
+        for words in problems:
+            self._warn_once(words)
+        problem, essence = self._last_problem
+        if problem and essence not in health.reason:
+            problems.append(problem)
+        self._last_problem = '', ''
+        level = Level.DEGRADED if problems and health.level is Level.OK else health.level
+        waits = self.inputs.waits() if level is not Level.OK else ''
+        reason = '; '.join(filter(None, [health.reason, *problems, waits]))
+        dropped = {f'dropped: {what}': count for what, count in self._dropped.items()}
+        return Health(level, reason, {**health.values, **dropped, **self.inputs.values()})

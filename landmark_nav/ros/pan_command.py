@@ -97,4 +97,4 @@ def listen_for_pan(
                 raise LandmarkNavError('the pan is not a finite number')
             callback(pan_rad)
 
-    return node.create_subscription(_CLASSES[kind], _TOPIC, node.guarded(_TOPIC, take), RELIABLE)
+    return node.create_subscription(_CLASSES[kind], _TOPIC, take, RELIABLE)

@@ -86,6 +86,7 @@ _PROFILES = (
 TOPICS = {
     name: Topic(TOPIC_TYPES[name], profile) for profile, *names in _PROFILES for name in names
 }
+TOPICS['/clock'] = Topic('rosgraph_msgs/msg/Clock', SENSOR_DATA)
 TOPICS['/diagnostics'] = Topic('diagnostic_msgs/msg/DiagnosticArray', RELIABLE)
 
 

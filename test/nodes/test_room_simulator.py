@@ -33,7 +33,7 @@ def command(robot: RoomSimulatorNode, topic: str, message: Any) -> str:
     """Hand over a message; what the robot then says of itself."""
     for subscription in robot.subscriptions:
         if subscription.topic_name == f'/{topic}':
-            subscription.callback(message)
+            subscription.callback(message, {})
     return robot._checked_health().reason
 
 

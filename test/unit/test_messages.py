@@ -21,7 +21,6 @@ from landmark_nav.messages.layouts import (
     DETECTIONS,
     FOUND_PLACE,
     JOINT_DELAY,
-    LANDMARKS,
     Layout,
     TRIPLET,
 )

@@ -33,17 +33,6 @@ def test_what_waits_makes_way_for_what_is_newer() -> None:
     assert worker.dropped == 4
 
 
-def test_an_error_is_told_to_who_hands_over() -> None:
-    def work(number: int) -> None:
-        raise ValueError(number)
-
-    worker = NewestFirst(work)
-    worker.take(7)
-    time.sleep(0.1)
-    with pytest.raises(ValueError, match='7'):
-        worker.take(8)
-
-
 def test_ages_by_another_clock_are_none() -> None:
     latency = Latency()
     assert latency.values() == {}

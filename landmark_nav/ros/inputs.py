@@ -1,0 +1,285 @@
+"""What arrives on the topics that a node listens to, and what is wrong with it, for people."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from difflib import SequenceMatcher
+import time
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.ros.topics import SENSOR_DATA, Topic, TOPICS
+
+__all__ = ['Input', 'Inputs', 'IrrelevantError']
+
+# A stream from which nothing came for so long is silent.
+_SILENCE_S = 2.0
+# Two sources whose messages alternated within so long are both at work.
+_ALTERNATION_S = 5.0
+# Stamps of different streams differ by less, even if one lags behind on a slow machine; a bag may
+# be played at so many times its rate.
+_CLOCK_S, _FASTEST_PLAY = 5.0, 20.0
+# Names that one line lists.
+_LISTED = 3
+
+
+class IrrelevantError(LandmarkNavError):
+    """A message is in order, but not about what the node uses: it says what it is about."""
+
+
+class Input:
+    """
+    One input of a node: a topic, or several that bring the same in different forms.
+
+    Parameters
+    ----------
+    node : Node
+        Who listens.
+    topics : mapping of str to Topic or None
+        Names, relative or not, and what is known of them.
+
+    Attributes
+    ----------
+    name : str
+        Resolved name of the first topic.
+    is_stream : bool
+        Whether it comes all the time, from sensors.
+
+    """
+
+    def __init__(self, node: Node, topics: Mapping[str, Topic | None]) -> None:
+        self._node = node
+        self._topics = {node.resolve_topic_name(name): spec for name, spec in topics.items()}
+        self.name = next(iter(self._topics))
+        self.is_stream = any(spec and spec.qos is SENSOR_DATA for spec in self._topics.values())
+        self._count = self._reported = 0
+        self._reported_s = time.monotonic()
+        self._arrived_s: float | None = None
+        self._used_s: float | None = None
+        self._irrelevant = ''
+        self._stamp_ns = 0
+        self._last_source = b''
+        self._names: dict[bytes, str] = {}
+        self._changes: deque[tuple[float, bytes]] = deque(maxlen=3)
+
+    def arrived(self, message: Any, info: Mapping[str, Any]) -> None:
+        """Take note of a message before it is used."""
+        self._count += 1
+        self._arrived_s = time.monotonic()
+        source = bytes((info.get('publisher_gid') or {}).get('data', b''))
+        if source != self._last_source:
+            self._last_source = source
+            self._changes.append((self._arrived_s, source))
+        header = getattr(message, 'header', None)
+        if self.is_stream and header is not None:
+            self._stamp_ns = int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+    def used(self) -> None:
+        """Take note that the last message was of use."""
+        self._used_s = time.monotonic()
+
+    def of_no_use(self, why: str) -> None:
+        """Take note that the last message was about something else."""
+        self._irrelevant = why
+
+    @property
+    def publisher(self) -> str:
+        """Who sent the last message: the name of a node, or what is known instead."""
+        return self._name_of(self._last_source) if self._arrived_s is not None else ''
+
+    def moment(self) -> tuple[float, float] | None:
+        """Arrival and stamp of the newest message, s; None where they say nothing of now."""
+        at_work = self._arrived_s is not None and self._silent_s() < _SILENCE_S
+        return (
+            (self._arrived_s or 0.0, 1e-9 * self._stamp_ns) if at_work and self._stamp_ns else None
+        )
+
+    def waits(self) -> str:
+        """What the node waits for, and why in vain; nothing while messages come."""
+        if self._arrived_s is None:
+            why = self._why_none()
+        elif not self.is_stream or self._silent_s() < _SILENCE_S or not self._is_open():
+            return ''
+        else:
+            why = f'silent for {self._silent_s():.1f} s'
+        return f'{self.name} ({why})' if why else ''
+
+    def problems(self) -> Iterator[str]:
+        """What is wrong with the messages that come."""
+        now_s = time.monotonic()
+        unused_s = now_s - self._used_s if self._used_s is not None else _SILENCE_S
+        if self._irrelevant and unused_s >= _SILENCE_S and self._silent_s() < _SILENCE_S:
+            yield f'{self.name} {self._irrelevant}'
+        sources = {source for _, source in self._changes}
+        alternate = len(self._changes) == 3 and len(sources) < 3
+        if self.is_stream and alternate and now_s - self._changes[0][0] < _ALTERNATION_S:
+            names = ' and '.join(sorted(map(self._name_of, sources)))
+            yield f'{self.name} comes from two publishers, {names}: stop one of them'
+
+    def report(self) -> str:
+        """State in a few words, for the values of diagnostics."""
+        now_s = time.monotonic()
+        rate_hz = (self._count - self._reported) / max(now_s - self._reported_s, 1e-3)
+        self._reported, self._reported_s = self._count, now_s
+        if waits := self.waits():
+            return f'waits: {waits[len(self.name) + 2 : -1]}'
+        if self._arrived_s is None:
+            return 'not listened to now'
+        amount = f'{rate_hz:.1f} Hz' if self.is_stream else f'{self._count} messages'
+        return f'{amount} from {self.publisher}'
+
+    def _silent_s(self) -> float:
+        return float('inf') if self._arrived_s is None else time.monotonic() - self._arrived_s
+
+    def _is_open(self) -> bool:
+        """Whether the node has a subscription now."""
+        return any(sub.topic_name in self._topics for sub in self._node.subscriptions)
+
+    def _why_none(self) -> str:
+        """Why nothing came yet."""
+        publishers = {
+            topic: self._node.get_publishers_info_by_topic(topic) for topic in self._topics
+        }
+        if not any(publishers.values()):
+            alike = _listed(self._alike())
+            return 'nobody publishes it' + (f'; of its type there is {alike}' if alike else '')
+        for topic, found in publishers.items():
+            spec = self._topics[topic]
+            for one in found:
+                who = _full_name(one)
+                if spec is not None and one.topic_type != spec.type_name:
+                    return f'{who} publishes it as {one.topic_type}, not {spec.type_name}'
+                if spec is not None and not _fits(one.qos_profile, spec.qos):
+                    return f'the quality of service that {who} offers does not suffice'
+        who = _listed(_full_name(one) for found in publishers.values() for one in found)
+        return f'nothing came from {who} yet' if self._is_open() else ''
+
+    def _alike(self) -> list[str]:
+        """Other topics of its type that somebody publishes, the most alike first."""
+        types = {spec.type_name for spec in self._topics.values() if spec is not None}
+        public = {self._node.resolve_topic_name(name) for name in TOPICS}
+        there = [
+            topic
+            for topic, found in self._node.get_topic_names_and_types()
+            if types & set(found) and topic not in public
+        ]
+        there.sort(key=lambda topic: -SequenceMatcher(None, topic, self.name).ratio())
+        return [topic for topic in there if self._node.count_publishers(topic)]
+
+    def _name_of(self, source: bytes) -> str:
+        """Full name of the node behind a publisher."""
+        if source not in self._names:
+            found = [
+                one
+                for topic in self._topics
+                for one in self._node.get_publishers_info_by_topic(topic)
+            ]
+            names = {bytes(one.endpoint_gid): _full_name(one) for one in found}
+            # Not every middleware tells the source of a message.
+            unknown = (
+                _listed(names.values()) if not source else f'an unknown node ({source.hex()})'
+            )
+            if len(self._names) > 100:
+                self._names.clear()
+            self._names[source] = names.get(source, unknown)
+        return self._names[source]
+
+
+class Inputs:
+    """All inputs of a node, and what else concerns them: clocks, and a second node of its name."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._by_topic: dict[str, Input] = {}
+        self._twin_looks = 0
+
+    def expect(self, *names: str) -> Input:
+        """Input of these topics, which bring the same; known from now on, listened to or not."""
+        resolved = [self._node.resolve_topic_name(name) for name in names]
+        known = next((self._by_topic[k] for k in resolved if k in self._by_topic), None)
+        if known is None:
+            known = Input(self._node, {name: TOPICS.get(name) for name in names})
+            self._by_topic |= dict.fromkeys(resolved, known)
+        return known
+
+    def origin(self, topic: str) -> str:
+        """`` from NODE``, that of the last message of a topic; nothing where none is known."""
+        known = self._by_topic.get(self._node.resolve_topic_name(topic))
+        return f' from {known.publisher}' if known is not None and known.publisher else ''
+
+    def __iter__(self) -> Iterator[Input]:
+        """Each once."""
+        return iter(dict.fromkeys(self._by_topic.values()))
+
+    def why_none(self, topic: str) -> str:
+        """`: WHY`, that nothing of use comes on a topic; nothing where that is not known."""
+        known = self.expect(topic)
+        why = next(known.problems(), '') or known.waits()
+        return f': {why}' if why else ''
+
+    def waits(self) -> str:
+        """Streams that do not come, in one line; nothing where all do."""
+        waits = [words for one in self if one.is_stream and (words := one.waits())]
+        return f'waits for {", ".join(waits)}' if waits else ''
+
+    def values(self) -> dict[str, str]:
+        """State of each, by its resolved name."""
+        return {one.name: one.report() for one in self}
+
+    def problems(self) -> list[str]:
+        """What is wrong, in words that say what to do; called once a second."""
+        found = [words for one in self for words in one.problems()]
+        return [*found, *self._clocks(), *self._twins()]
+
+    def _clocks(self) -> Iterator[str]:
+        """Streams whose stamps are of another clock than those of most."""
+        moments = {one.name: moment for one in self if (moment := one.moment()) is not None}
+        # Of two streams the one counts that the node's own clock is near.
+        own = time.monotonic(), 1e-9 * self._node.get_clock().now().nanoseconds
+        voters = [*moments.values(), own]
+
+        def votes(name: str) -> int:
+            return sum(_same_clock(moments[name], voter) for voter in voters)
+
+        right = max(moments, key=votes, default='')
+        for name, (arrived_s, stamp_s) in moments.items():
+            if not _same_clock(moments[name], moments[right]):
+                off_s = stamp_s - moments[right][1] - (arrived_s - moments[right][0])
+                yield (
+                    f'{name} is stamped {off_s:+.1f} s off {right}: have their publishers take '
+                    'one clock (use_sim_time, chrony)'
+                )
+
+    def _twins(self) -> Iterator[str]:
+        """Another node of the same name; one look may be at one that is just leaving."""
+        own = self._node.get_name(), self._node.get_namespace()
+        several = self._node.get_node_names_and_namespaces().count(own) > 1
+        self._twin_looks = self._twin_looks + 1 if several else 0
+        if self._twin_looks > 1:
+            name = self._node.get_fully_qualified_name()
+            yield f'two nodes are named {name}: end one, or rename it (-r __node:=NAME)'
+
+
+def _same_clock(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two moments, arrival and stamp in s, are by one clock."""
+    apart_s = abs(one[0] - other[0])
+    return abs(one[1] - other[1]) < _CLOCK_S + _FASTEST_PLAY * apart_s
+
+
+def _fits(offered: QoSProfile, asked: QoSProfile) -> bool:
+    return bool(qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR)
+
+
+def _full_name(endpoint: Any) -> str:
+    return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
+
+
+def _listed(names: Any) -> str:
+    """The first names, each once."""
+    unique = list(dict.fromkeys(names))
+    more = f' and {len(unique) - _LISTED} more' if len(unique) > _LISTED else ''
+    return ', '.join(unique[:_LISTED]) + more

@@ -1,0 +1,49 @@
+"""``joint_states`` as a node hears them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages import decode
+from landmark_nav.ros.inputs import IrrelevantError
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.types import JointSample
+
+__all__ = ['listen_for_joints']
+
+# Names that one line lists.
+_LISTED = 8
+
+
+def listen_for_joints(
+    node: LandmarkNode,
+    mount: PanTiltMount,
+    on_sample: Callable[[JointSample], None],
+    on_tilt: Callable[[int, float], None],
+    *,
+    depth: int | None = None,
+) -> None:
+    """
+    Call back with pan and tilt; with stamp, ns, and tilt, rad, where the tilt comes by itself.
+
+    Diagnostics tell which joints are named as long as that of the pan is not among them.
+    """
+    heard: dict[str, None] = {}
+
+    def take(message: Any) -> None:
+        sample = decode.joint_sample(message, mount)
+        if sample is not None:
+            on_sample(sample)
+            return
+        if (tilt := decode.lone_tilt(message, mount)) is not None:
+            on_tilt(*tilt)
+        if len(heard) < _LISTED:
+            heard.update(dict.fromkeys(message.name[:_LISTED]))
+        names = ', '.join(heard) or 'no joint'
+        raise IrrelevantError(
+            f'names {names:.80}, not {mount.pan_joint}: set pan_joint in robot.yaml'
+        )
+
+    node.listen('joint_states', take, depth=depth)
