@@ -113,8 +113,10 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
         )
         rows = data[: height * row_step].reshape(height, row_step)[:, : width * step]
         raw = np.ascontiguousarray(rows).reshape(-1).view(as_sent)
-        for name in sent:
-            points[name] = raw[name]
+        # A NaN of some kinds is reported as it is widened.
+        with np.errstate(invalid='ignore'):
+            for name in sent:
+                points[name] = raw[name]
     return points
 
 

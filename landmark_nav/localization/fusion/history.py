@@ -273,15 +273,28 @@ class History:
         return state.each(lambda one: propagate(one, stamp_ns, motion, self._config))
 
     def _repeat(self, first: int) -> list[FusionUpdate | None]:
-        """Compute the states from event `first` on; return the updates of these events."""
+        """
+        Compute the states from event `first` on; return the updates of these events.
+
+        An event that fails is left out before its error is raised: what else is known stays.
+        """
+        events, self._events = self._events[first:], self._events[:first]
         del self._states[first:]
-        updates = []
-        for event in self._events[first:]:
-            state, update = self._moved(self._states[-1], event.stamp_ns), None
-            if event.step is not None:
-                state, update = event.step(state)
+        updates: list[FusionUpdate | None] = []
+        failure: Exception | None = None
+        for event in events:
+            try:
+                state, update = self._moved(self._states[-1], event.stamp_ns), None
+                if event.step is not None:
+                    state, update = event.step(state)
+            except Exception as error:
+                failure = error
+                continue
+            self._events.append(event)
             self._states.append(state)
             updates.append(update)
+        if failure is not None:
+            raise failure
         return updates
 
     def _forget(self) -> None:

@@ -23,6 +23,10 @@ __all__ = ['HORIZON_S', 'Distrusted', 'OdometryTrack']
 # How far the last twist predicts beyond the last sample, and the first one before the first.
 HORIZON_S = 0.25
 
+# After a longer gap, such as one of a clock that was set, no more is uncertain than after this one:
+# covariances that grow on and on lose the digits of what is known.
+_LONGEST_S = 3600.0
+
 # A pose has frozen if it stays exactly the same over so many samples, while the speeds in them add
 # up to so much motion (m or rad). Coarse encoders stay the same for less. Speeds below the last
 # value are noise.
@@ -101,7 +105,7 @@ class OdometryTrack:
         increment = relative(last.pose_odom_base, sample.pose_odom_base)
         way, turn = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
         jumped = (
-            way > self._config.max_speed_m_s * seconds
+            way > self._config.max_speed_m_s * min(seconds, _LONGEST_S)
             or turn > self._config.max_rate_rad_s * seconds
         )
         if jumped:
@@ -156,7 +160,7 @@ class OdometryTrack:
 
     def motion(self, from_ns: int, to_ns: int) -> Motion:
         """Motion between two times."""
-        seconds = (to_ns - from_ns) * 1e-9
+        seconds = min((to_ns - from_ns) * 1e-9, _LONGEST_S)
         if not self._stamps:
             return Motion(np.zeros(3), seconds, seconds)
         increment = relative(self._pose(from_ns), self._pose(to_ns))
@@ -166,6 +170,7 @@ class OdometryTrack:
         )
         blind = (self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
         still = (self._still_until_ns(to_ns) - self._still_until_ns(from_ns)) * 1e-9
+        blind, still = min(blind, _LONGEST_S), min(still, _LONGEST_S)
         jitter = (2.0 * variance for variance in self._jitter.variances)
         return Motion(increment, seconds, blind, float(ahead), still, *jitter)
 

@@ -20,6 +20,9 @@ from landmark_nav.types import Detections, Triplet
 
 __all__ = ['detections', 'triplet']
 
+# Bearings may be unwrapped. No sensor is as exact as the root of this, rad.
+_MOST_RAD, _LEAST_VARIANCE = 1e4, 1e-14
+
 
 def detections(msg: Any) -> Detections:
     """
@@ -41,8 +44,8 @@ def detections(msg: Any) -> Detections:
     return Detections(
         stamp,
         found['id'],
-        finite(found['bearing'], 'bearing', stamp),
-        finite(found['bearing_variance'], 'bearing variance', stamp, least=0.0),
+        finite(found['bearing'], 'bearing', stamp, _MOST_RAD),
+        finite(found['bearing_variance'], 'bearing variance', stamp, least=_LEAST_VARIANCE),
         finite(found['score'], 'detections score', stamp),
         finite(np.stack([found['u'], found['v']], -1), 'detections pixel', stamp),
         points['id'][missed],
@@ -67,8 +70,8 @@ def triplet(msg: Any) -> Triplet:
     return Triplet(
         stamp,
         landmark_ids(points['id'], 'triplet'),
-        finite(points['bearing'], 'triplet bearing', stamp),
+        finite(points['bearing'], 'triplet bearing', stamp, _MOST_RAD),
         finite(points['bearing_sigma'], 'triplet sigma', stamp, least=0.0),
         covariances(points['covariance'][0], 'triplet covariance', stamp, 3)[0],
-        float(finite(points['pan'][0], 'triplet pan', stamp)),
+        float(finite(points['pan'][0], 'triplet pan', stamp, _MOST_RAD)),
     )

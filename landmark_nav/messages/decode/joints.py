@@ -67,7 +67,7 @@ def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
     names = list(msg.joint_names)
     if mount.pan_joint not in names:
         raise LandmarkNavError(
-            f'sweep trajectory is about {", ".join(names) or "no joint"}, not about '
+            f'sweep trajectory is about {", ".join(names)!r:.60}, not about '
             f'{mount.pan_joint}: set pan_joint in robot.yaml'
         )
     start = stamp_ns(msg.header)

@@ -61,12 +61,18 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     normals = values('normal_x', 'normal_y', 'normal_z', within=1.0 + _ROUNDING)
     viewpoints = values('viewpoint_x', 'viewpoint_y', 'viewpoint_z', within=FARTHEST_M)
     sizes = values('width', 'height', within=_LARGEST_M, least=0.0)
-    if (np.hypot(*normals.T[:2])[sizes.any(-1)] < 1.0 - _ROUNDING).any():
-        raise LandmarkNavError('a normal of landmarks is not horizontal, or of length 1')
+    if (np.abs(np.hypot(*normals.T[:2]) - 1.0) > _ROUNDING).any():
+        raise LandmarkNavError('a normal of landmarks is not horizontal, or not of length 1')
+    if (sizes.any(-1) != sizes.all(-1)).any():
+        raise LandmarkNavError('a patch of landmarks has a width and no height, or the reverse')
     thresholds, saliencies = values('threshold', 'saliency', within=_MOST).T
     covariance = covariances(points['covariance'], 'landmark covariance', stamp, 3)
     shared = finite(points['shared_loading'], 'shared loading', stamp, _MOST)
     loadings = shared.reshape(len(points), 3, -1)
+    own = covariance - loadings @ loadings.transpose(0, 2, 1)
+    largest = np.linalg.norm(covariance, 2, axis=(1, 2))
+    if (np.linalg.eigvalsh(own)[:, 0] < -_ROUNDING * largest).any():
+        raise LandmarkNavError('a covariance of landmarks is less than what all of them share')
     return LandmarkMap(
         tuple(
             Landmark(
