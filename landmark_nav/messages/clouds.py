@@ -126,6 +126,8 @@ def _types_sent(
     """Type and offset, as sent, of each field of a layout that is there; all are checked."""
     order = '>' if msg.is_bigendian else '<'
     given = {str(f.name): f for f in msg.fields}
+    if len(given) < len(msg.fields):
+        raise LandmarkNavError(f'{where} has two fields of one name: its publisher is broken')
     sent: dict[str, tuple[np.dtype[np.generic], int]] = {}
     for name, kind, multiple in layout.columns():
         if name not in given:

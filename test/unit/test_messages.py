@@ -249,41 +249,34 @@ def test_triplet_comes_back(deliver):
         np.testing.assert_array_equal(getattr(again, name), getattr(chosen, name))
 
 
-@both
-def test_panorama_comes_back(deliver):
+def some_panorama():
     rng = np.random.default_rng(3)
-    cylinder = Cylinder(200, 40, 31.0, 99.5, 19.0)
-    covariance = np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5
-    view = Panorama(
+    return Panorama(
         STAMP,
         rng.integers(0, 256, (40, 200, 3)).astype(np.uint8),
         rng.random((40, 200)) > 0.3,
-        cylinder,
+        Cylinder(200, 40, 31.0, 99.5, 19.0),
         np.array([1.0, 2.0, 1.1]),
         -2.0,
-        covariance,
+        np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5,
     )
+
+
+@both
+def test_panorama_comes_back(deliver):
+    view = some_panorama()
     messages = [deliver(m) for m in encode.panorama(FACTORY, view)]
     again = decode.panorama(*messages)
     np.testing.assert_array_equal(again.image, view.image)
     np.testing.assert_array_equal(again.mask, view.mask)
-    assert again.cylinder == cylinder
+    assert again.cylinder == view.cylinder
     np.testing.assert_array_equal(again.center_map, view.center_map)
     np.testing.assert_allclose(again.heading_rad, view.heading_rad)
-    np.testing.assert_array_equal(again.covariance, covariance)
+    np.testing.assert_array_equal(again.covariance, view.covariance)
 
 
 def test_panorama_of_parts_that_do_not_belong_together_is_refused():
-    view = Panorama(
-        STAMP,
-        np.zeros((40, 200, 3), np.uint8),
-        np.ones((40, 200), np.bool_),
-        Cylinder(200, 40, 31.0, 99.5, 19.0),
-        np.zeros(3),
-        0.0,
-        np.eye(4),
-    )
-    picture, info, pose = encode.panorama(FACTORY, view)
+    picture, info, pose = encode.panorama(FACTORY, some_panorama())
     info.distortion_model = 'plumb_bob'
     with pytest.raises(LandmarkNavError, match='plumb_bob'):
         decode.panorama(picture, info, pose)
@@ -302,13 +295,14 @@ def some_map(count, factors):
     landmarks = []
     for k in range(count):
         root = rng.normal(size=(3, 3)) * 0.01
+        shared = rng.normal(size=(3, factors)) * 1e-3
         angle = rng.random() * 6
         landmarks.append(
             Landmark(
                 id=3 * k + 1,
                 position=rng.normal(size=3),
-                covariance=root @ root.T + 1e-6 * np.eye(3),
-                shared_loading=rng.normal(size=(3, factors)) * 1e-3,
+                covariance=root @ root.T + shared @ shared.T + 1e-6 * np.eye(3),
+                shared_loading=shared,
                 normal=np.array([np.cos(angle), np.sin(angle), 0.0]),
                 width_m=0.2,
                 height_m=0.3,

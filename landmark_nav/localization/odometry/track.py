@@ -23,7 +23,7 @@ __all__ = ['HORIZON_S', 'Distrusted', 'OdometryTrack']
 # How far the last twist predicts beyond the last sample, and the first one before the first.
 HORIZON_S = 0.25
 
-# After a longer gap, such as one of a clock that was set, no more is uncertain than after this one:
+# After a longer gap, such as one of a clock that was set, as much is uncertain as after this one:
 # covariances that grow on and on lose the digits of what is known.
 _LONGEST_S = 3600.0
 

@@ -1,0 +1,234 @@
+"""What a node says of its inputs: who sends what, what is missing, and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages import decode, encode
+from landmark_nav.types import JointSample, OdometrySample
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import Trigger
+
+from landmark_nav.ros.factory import message_class, ros_factory
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.joints import listen_for_joints
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.topics import TOPICS
+
+NS, NOW_NS = 10**9, 1_700_000_000 * 10**9
+MOUNT = PanTiltMount()
+
+
+class Listener(LandmarkNode):
+    """Decodes odometry and joint states, under a namespace, and keeps what came."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('listener', 'test', namespace='/robot', **options)
+        self.odometry: list[OdometrySample] = []
+        self.joints: list[JointSample] = []
+        self.fails = False
+        self.listen('odom', self._on_odometry)
+        listen_for_joints(self, MOUNT, self.joints.append, lambda stamp_ns, tilt_rad: None)
+
+    def health(self) -> Health:
+        return Health(Level.DEGRADED if self.fails else Level.OK, 'listening')
+
+    def _on_odometry(self, message: Any) -> None:
+        if self.fails:
+            raise ZeroDivisionError('a bug')
+        self.odometry.append(decode.odometry(message))
+
+
+class Graph:
+    """A listener and drivers, in one process."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.executor = SingleThreadedExecutor(context=context)
+        self.nodes: list[Any] = []
+        self.listener = Listener(context=context)
+        self.add(self.listener)
+
+    def add(self, node: Any) -> None:
+        self.nodes.append(node)
+        self.executor.add_node(node)
+
+    def publisher(self, node: str, topic: str, kind: str = '') -> Any:
+        self.add(rclpy.create_node(node, context=self.context))
+        spec = TOPICS.get(topic.removeprefix('/robot/'))
+        qos = spec.qos if spec is not None else 10
+        made: Any = message_class(kind or TOPICS[topic.removeprefix('/robot/')].type_name)
+        return self.nodes[-1].create_publisher(made, topic, qos)
+
+    def until(self, condition: Callable[[], bool], meanwhile: Callable[[], None]) -> None:
+        deadline = time.monotonic() + 20.0
+        while not condition():
+            assert time.monotonic() < deadline, self.said().reason
+            meanwhile()
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def said(self) -> Health:
+        return self.listener._checked_health()
+
+    def says(self, words: str) -> Callable[[], bool]:
+        return lambda: words in self.said().reason
+
+
+@pytest.fixture
+def graph(domain_id: int) -> Iterator[Graph]:
+    context = Context()
+    context.init(domain_id=domain_id)
+    made = Graph(context)
+    yield made
+    made.executor.shutdown()
+    for node in made.nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def odometry(stamp_ns: int, x: float = 0.0) -> Any:
+    return encode.odometry(ros_factory, OdometrySample(stamp_ns, np.array([x, 0.0, 0.0])))
+
+
+def joints(stamp_ns: int, *names: str) -> Any:
+    message = encode.joint_state(ros_factory, JointSample(stamp_ns, 0.1), MOUNT)
+    message.name = list(names) or message.name
+    return message
+
+
+def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
+    graph: Graph, domain_id: int
+) -> None:
+    graph.listener.fails = True
+    said = graph.said()
+    assert '/robot/odom (nobody publishes it' in said.reason
+    assert '/robot/joint_states (nobody publishes it' in said.reason
+    assert 'nobody publishes it' in said.values['/robot/odom']
+    graph.publisher('wheels', '/wheels/odometry', 'nav_msgs/msg/Odometry')
+    graph.until(graph.says('/robot/odom (nobody publishes it; of its type there is /wheels'), int)
+    # Two types of one topic are refused within a context.
+    context = Context()
+    context.init(domain_id=domain_id)
+    other = rclpy.create_node('other', context=context)
+    other.create_publisher(message_class('std_msgs/msg/String'), '/robot/joint_states', 10)
+    graph.until(graph.says('/other publishes it as std_msgs/msg/String'), int)
+    other.destroy_node()
+    context.try_shutdown()
+
+
+def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Graph) -> None:
+    wheels = graph.publisher('wheels', '/robot/odom')
+    send = lambda: wheels.publish(odometry(NOW_NS, np.nan))  # noqa: E731
+    graph.until(graph.says('odom from /wheels dropped: odometry position'), send)
+    graph.listener.fails = True
+    bug = 'odom from /wheels dropped: internal error, please report it: ZeroDivisionError'
+    graph.until(graph.says(bug), lambda: wheels.publish(odometry(NOW_NS)))
+    assert int(str(graph.said().values['dropped: odom'])) >= 2
+    graph.listener.fails = False
+    graph.until(
+        lambda: bool(graph.listener.odometry), lambda: wheels.publish(odometry(NOW_NS, 1.0))
+    )
+    assert graph.listener.odometry[0].pose_odom_base[0] == 1.0
+
+
+def test_bytes_that_are_no_message_end_nothing(graph: Graph) -> None:
+    wheels, rng = graph.publisher('wheels', '/robot/odom'), np.random.default_rng(1)
+    graph.until(
+        lambda: bool(graph.listener.odometry),
+        lambda: [
+            wheels.publish(b'\x00\x01\x00\x00' + rng.bytes(60)),
+            wheels.publish(odometry(NOW_NS)),
+        ],
+    )
+
+
+def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Graph) -> None:
+    unit = graph.publisher('unit', '/robot/joint_states')
+    wrong = 'names neck_pan, neck_tilt, not pan_joint: set pan_joint in robot.yaml'
+    graph.until(
+        graph.says(f'/robot/joint_states {wrong}'),
+        lambda: unit.publish(joints(NOW_NS, 'neck_pan', 'neck_tilt')),
+    )
+    graph.until(lambda: bool(graph.listener.joints), lambda: unit.publish(joints(NOW_NS)))
+    unit.publish(joints(NOW_NS, 'wheel_left', 'wheel_right'))
+    graph.executor.spin_once(timeout_sec=0.1)
+    assert 'names' not in graph.said().reason
+
+
+def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: Graph) -> None:
+    one = graph.publisher('one', '/robot/odom')
+    graph.until(lambda: bool(graph.listener.odometry), lambda: one.publish(odometry(NOW_NS, 1.0)))
+    other = graph.publisher('other', '/robot/odom')
+    graph.until(
+        lambda: graph.listener.odometry[-1].pose_odom_base[0] == 2.0,
+        lambda: other.publish(odometry(NOW_NS, 2.0)),
+    )
+    assert 'two publishers' not in graph.said().reason
+    graph.until(
+        graph.says('/robot/odom comes from two publishers, /one and /other: stop one'),
+        lambda: [publisher.publish(odometry(NOW_NS)) for publisher in (one, other)],
+    )
+
+
+@pytest.mark.parametrize('off_s', [-4990, 60, 1_700_000_000])
+def test_a_stream_of_another_clock_is_named_with_its_offset(graph: Graph, off_s: int) -> None:
+    wheels, unit = (
+        graph.publisher('wheels', '/robot/odom'),
+        graph.publisher('unit', '/robot/joint_states'),
+    )
+
+    def send(off_ns: int) -> None:
+        stamp_ns = time.time_ns()
+        wheels.publish(odometry(stamp_ns))
+        unit.publish(joints(stamp_ns - off_ns))
+
+    graph.until(lambda: bool(graph.listener.odometry and graph.listener.joints), lambda: send(0))
+    assert 'stamped' not in graph.said().reason
+    graph.until(graph.says('/robot/joint_states is stamped '), lambda: send(off_s * NS))
+    (words,) = [part for part in graph.said().reason.split('; ') if 'is stamped' in part]
+    assert float(words.split()[3]) == pytest.approx(-off_s, abs=1.0)
+    assert '/robot/odom' in words
+
+
+def test_two_nodes_of_one_name_are_told(graph: Graph) -> None:
+    assert 'two nodes' not in graph.said().reason
+    twin = Listener(context=graph.context)
+    graph.add(twin)
+    graph.until(graph.says('two nodes are named /robot/listener'), int)
+    twin._checked_health()
+    assert 'two nodes are named /robot/listener' in twin._checked_health().reason
+
+
+def test_a_service_that_fails_answers(graph: Graph) -> None:
+    def refuse() -> str:
+        raise LandmarkNavError('not now')
+
+    def fail() -> str:
+        raise KeyError('a bug')
+
+    graph.listener.offer('refuse', refuse)
+    graph.listener.offer('fail', fail)
+    client_node = rclpy.create_node('client', context=graph.context)
+    graph.add(client_node)
+    answers = {}
+    for name in ('refuse', 'fail'):
+        client: Any = client_node.create_client(Trigger, f'/robot/{name}')
+        graph.until(client.service_is_ready, int)
+        future = client.call_async(Trigger.Request())
+        graph.until(future.done, int)
+        answers[name] = future.result()
+    assert answers['refuse'].message == 'not now'
+    assert 'KeyError' in answers['fail'].message
+    assert not any(answer.success for answer in answers.values())
