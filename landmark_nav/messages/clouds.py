@@ -133,7 +133,7 @@ def _types_sent(
         if name not in given:
             if not multiple and name not in layout.optional:
                 raise LandmarkNavError(
-                    f'{where} lacks the field {name} (it has {", ".join(given):.60}): '
+                    f'{where} lacks the field {name} (it has {", ".join(given)!r:.60}): '
                     'publish it from landmark_nav'
                 )
             continue

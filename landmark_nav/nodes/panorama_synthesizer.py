@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
@@ -27,8 +27,8 @@ from landmark_nav.types import PoseEstimate, Sweep
 
 __all__ = ['PanoramaSynthesizerNode', 'Parameters', 'main']
 
-# Frames of the longest sweep; older ones belong to a sweep that was given up.
-_MAX_FRAMES = 1440
+# Frames of the longest sweep, and their bytes; older ones belong to a sweep that was given up.
+_MAX_FRAMES, _MAX_BYTES = 1440, 2**30
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,8 @@ class PanoramaSynthesizerNode(LandmarkNode):
     def _on_image(self, message: Any) -> None:
         with self._lock:
             _remember(self._images, decode.stamp_ns(message.header), message)
+            while sum(len(image.data) for image in self._images.values()) > _MAX_BYTES:
+                del self._images[min(self._images)]
 
     def _on_camera_info(self, message: Any) -> None:
         camera = decode.camera_model(message)
@@ -93,8 +95,11 @@ class PanoramaSynthesizerNode(LandmarkNode):
             view = panorama_from_sweep(sweep, self._room, self._mount, self._config)
         except LandmarkNavError as error:
             self._health = Health(Level.LOST, str(error))
-            self.get_logger().error(f'no panorama: {error}')
+            self.get_logger().error(one_line(f'no panorama: {error}'))
             return
+        except Exception:
+            self._health = Health(Level.LOST, 'no panorama of the last sweep')
+            raise
         parts = encode.panorama(ros_factory, view, self._room.frame_id)
         for output, part in zip(self._outputs, parts, strict=True):
             output.publish(part)

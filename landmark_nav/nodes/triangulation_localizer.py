@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.detection.aim import degrees_aside
 from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.joint_delay import in_time, JointDelay
@@ -162,8 +162,8 @@ class TriangulationLocalizerNode(LandmarkNode):
     def _on_image(self, message: Any) -> None:
         try:
             self._use(message)
-        except LandmarkNavError as error:
-            self._health = Health(Level.LOST, f'camera/image_raw dropped: {error}')
+        except Exception as error:
+            self._health = Health(Level.LOST, one_line(f'camera/image_raw dropped: {error}'))
             raise
         finally:
             self._looked_s = time.monotonic()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from landmark_nav.errors import one_line
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.ros.inputs import IrrelevantError
@@ -43,7 +44,7 @@ def listen_for_joints(
             heard.update(dict.fromkeys(message.name[:_LISTED]))
         names = ', '.join(heard) or 'no joint'
         raise IrrelevantError(
-            f'names {names:.80}, not {mount.pan_joint}: set pan_joint in robot.yaml'
+            f'names {one_line(names):.80}, not {mount.pan_joint}: set pan_joint in robot.yaml'
         )
 
     node.listen('joint_states', take, depth=depth)

@@ -62,6 +62,7 @@ class LandmarkNode(Node):
         self._logged: set[str] = set()
         self._dropped: Counter[str] = Counter()
         self._last_problem = '', ''
+        self.internal_errors = 0
         super().__init__(name, **options)
         self.ended: Future[None] = Future()
         self.calls_that_wait = 0
@@ -198,6 +199,7 @@ class LandmarkNode(Node):
 
     def fault(self, what: str, error: Exception) -> str:
         """Words for an error of the program itself, whose traceback is logged once."""
+        self.internal_errors += 1
         where = ''.join(traceback.format_tb(error.__traceback__)[-1:])
         if self._is_new(where):
             _LOG.error('%s failed:\n%s', what, ''.join(traceback.format_exception(error)))

@@ -19,6 +19,7 @@ from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import unpack_cloud
+from landmark_nav.messages.layouts import Layout
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.types import LandmarkMap, PoseEstimate
@@ -117,7 +118,8 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         watch.wait(20.0, 'the place, which nobody asked for')
         client.wait(lambda: any(cloud.width > 1 for cloud in ranked), 15.0, 'the ranking')
         client.wait(lambda: bool(standing), 15.0, 'the standing of the landmarks')
-        best, *others = unpack_cloud(max(ranked, key=lambda cloud: cloud.width), ['reason'])
+        reasons = Layout('ranking', np.dtype([('reason', 'u1')]))
+        best, *others = unpack_cloud(max(ranked, key=lambda cloud: cloud.width), reasons)
         assert best['reason'] == 0
         assert all(other['reason'] > 0 for other in others)
         assert standing[-1].width == len(whole.landmarks)

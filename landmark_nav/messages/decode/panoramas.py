@@ -39,7 +39,7 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
         )
     if info_msg.distortion_model != 'cylindrical':
         raise LandmarkNavError(
-            f'panorama has the camera model {info_msg.distortion_model!r}, not cylindrical'
+            f'panorama has the camera model {info_msg.distortion_model!r:.60}, not cylindrical'
         )
     k = finite(info_msg.k, 'panorama geometry', stamp, _MOST_PX, count=9)
     cylinder = Cylinder(int(info_msg.width), int(info_msg.height), k[4], k[2], k[5])
