@@ -25,6 +25,8 @@ _ALTERNATION_S = 5.0
 _CLOCK_S, _FASTEST_PLAY = 5.0, 20.0
 # Names that one line lists.
 _LISTED = 3
+# Where rclpy listens for the time with `use_sim_time`.
+_CLOCK = '/clock'
 
 
 class IrrelevantError(LandmarkNavError):
@@ -64,7 +66,7 @@ class Input:
         self._stamp_ns = 0
         self._last_source = b''
         self._names: dict[bytes, str] = {}
-        self._changes: deque[tuple[float, bytes]] = deque(maxlen=3)
+        self._changes: deque[tuple[float, bytes]] = deque(maxlen=8)
 
     def arrived(self, message: Any, info: Mapping[str, Any]) -> None:
         """Take note of a message before it is used."""
@@ -91,6 +93,11 @@ class Input:
         """Who sent the last message: the name of a node, or what is known instead."""
         return self._name_of(self._last_source) if self._arrived_s is not None else ''
 
+    @property
+    def never_came(self) -> bool:
+        """Whether no message arrived yet."""
+        return self._arrived_s is None
+
     def moment(self) -> tuple[float, float] | None:
         """Arrival and stamp of the newest message, s; None where they say nothing of now."""
         at_work = self._arrived_s is not None and self._silent_s() < _SILENCE_S
@@ -114,11 +121,18 @@ class Input:
         unused_s = now_s - self._used_s if self._used_s is not None else _SILENCE_S
         if self._irrelevant and unused_s >= _SILENCE_S and self._silent_s() < _SILENCE_S:
             yield f'{self.name} {self._irrelevant}'
-        sources = {source for _, source in self._changes}
-        alternate = len(self._changes) == 3 and len(sources) < 3
-        if self.is_stream and alternate and now_s - self._changes[0][0] < _ALTERNATION_S:
-            names = ' and '.join(sorted(map(self._name_of, sources)))
-            yield f'{self.name} comes from two publishers, {names}: stop one of them'
+        names = self._sources(now_s) if self.is_stream else []
+        if len(names) > 1:
+            yield f'{self.name} comes from two publishers, {" and ".join(names)}: stop one of them'
+
+    def _sources(self, now_s: float) -> list[str]:
+        """Who publishes now; several only if they alternate, not if one took over from another."""
+        if not self._last_source:
+            # Not every middleware tells the source of a message: all that are known count.
+            return sorted(map(_full_name, self._endpoints()))
+        recent = [source for at_s, source in self._changes if now_s - at_s < _ALTERNATION_S]
+        alternate = len(set(recent)) < len(recent)
+        return sorted(map(self._name_of, set(recent))) if alternate else []
 
     def report(self) -> str:
         """State in a few words, for the values of diagnostics."""
@@ -145,7 +159,7 @@ class Input:
             topic: self._node.get_publishers_info_by_topic(topic) for topic in self._topics
         }
         if not any(publishers.values()):
-            alike = _listed(self._alike())
+            alike = _listed(self._alike()) if self.is_stream else ''
             return 'nobody publishes it' + (f'; of its type there is {alike}' if alike else '')
         for topic, found in publishers.items():
             spec = self._topics[topic]
@@ -173,20 +187,15 @@ class Input:
     def _name_of(self, source: bytes) -> str:
         """Full name of the node behind a publisher."""
         if source not in self._names:
-            found = [
-                one
-                for topic in self._topics
-                for one in self._node.get_publishers_info_by_topic(topic)
-            ]
-            names = {bytes(one.endpoint_gid): _full_name(one) for one in found}
-            # Not every middleware tells the source of a message.
-            unknown = (
-                _listed(names.values()) if not source else f'an unknown node ({source.hex()})'
-            )
-            if len(self._names) > 100:
-                self._names.clear()
-            self._names[source] = names.get(source, unknown)
-        return self._names[source]
+            self._names |= {bytes(one.endpoint_gid): _full_name(one) for one in self._endpoints()}
+        unknown = 'an unknown node' if source else _listed(self._names.values())
+        return self._names.get(source, unknown)
+
+    def _endpoints(self) -> list[Any]:
+        """All publishers."""
+        return [
+            one for topic in self._topics for one in self._node.get_publishers_info_by_topic(topic)
+        ]
 
 
 class Inputs:
@@ -223,7 +232,8 @@ class Inputs:
 
     def waits(self) -> str:
         """Streams that do not come, in one line; nothing where all do."""
-        waits = [words for one in self if one.is_stream and (words := one.waits())]
+        streams = [one for one in self if one.is_stream and one.name != _CLOCK]
+        waits = [words for one in streams if (words := one.waits())]
         return f'waits for {", ".join(waits)}' if waits else ''
 
     def values(self) -> dict[str, str]:
@@ -236,7 +246,10 @@ class Inputs:
         return [*found, *self._clocks(), *self._twins()]
 
     def _clocks(self) -> Iterator[str]:
-        """Streams whose stamps are of another clock than those of most."""
+        """A clock that does not come, and streams stamped by another clock than most."""
+        clock = self._by_topic.get(_CLOCK)
+        if clock is not None and clock.never_came and (words := clock.waits()):
+            yield f'use_sim_time is set and no time comes on {words}'
         moments = {one.name: moment for one in self if (moment := one.moment()) is not None}
         # Of two streams the one counts that the node's own clock is near.
         own = time.monotonic(), 1e-9 * self._node.get_clock().now().nanoseconds

@@ -19,6 +19,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from landmark_nav.ros.factory import message_class, ros_factory
@@ -200,6 +201,25 @@ def test_a_stream_of_another_clock_is_named_with_its_offset(graph: Graph, off_s:
     (words,) = [part for part in graph.said().reason.split('; ') if 'is stamped' in part]
     assert float(words.split()[3]) == pytest.approx(-off_s, abs=1.0)
     assert '/robot/odom' in words
+
+
+def test_a_clock_that_does_not_come_is_told(graph: Graph) -> None:
+    assert 'use_sim_time' not in graph.said().reason
+    simulated = [Parameter('use_sim_time', value=True)]
+    graph.listener.set_parameters(simulated)
+    graph.until(graph.says('no time comes on /clock (nobody publishes it)'), int)
+    clock = graph.publisher('player', '/clock')
+    tick = ros_factory('rosgraph_msgs/msg/Clock')
+    # A time before 1970 is none, and ends nothing.
+    for sec in (-1, 5):
+        tick.clock.sec = sec
+        graph.until(
+            lambda: 'no time comes' not in graph.said().reason, lambda: clock.publish(tick)
+        )
+    graph.until(
+        lambda: graph.listener.get_clock().now().nanoseconds == 5 * NS,
+        lambda: clock.publish(tick),
+    )
 
 
 def test_two_nodes_of_one_name_are_told(graph: Graph) -> None:
