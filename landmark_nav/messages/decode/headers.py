@@ -9,7 +9,16 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-__all__ = ['check_frame', 'duration_ns', 'finite', 'stamp_ns', 'yaw_rad']
+__all__ = [
+    'check_frame',
+    'duration_ns',
+    'finite',
+    'is_unstamped',
+    'same_frame',
+    'set_stamp',
+    'stamp_ns',
+    'yaw_rad',
+]
 
 
 def stamp_ns(header: Any) -> int:
@@ -17,9 +26,26 @@ def stamp_ns(header: Any) -> int:
     return duration_ns(header.stamp)
 
 
+def is_unstamped(msg: Any) -> bool:
+    """Whether a message has a header whose stamp is zero: its publisher does not stamp."""
+    header = getattr(msg, 'header', None)
+    return header is not None and not (header.stamp.sec or header.stamp.nanosec)
+
+
+def set_stamp(msg: Any, stamp_ns: int) -> None:
+    """Stamp the header of a message."""
+    stamp = msg.header.stamp
+    stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+
+
+def same_frame(frame: str, other: str) -> bool:
+    """Whether two names are of one frame; those of ROS 1 may begin with a slash."""
+    return frame.lstrip('/') == other.lstrip('/')
+
+
 def check_frame(header: Any, frame: str, remedy: str) -> None:
     """`LandmarkNavError` where a std_msgs/Header names another frame, with what to do then."""
-    if header.frame_id != frame:
+    if not same_frame(header.frame_id, frame):
         raise LandmarkNavError(
             f'it is in frame {header.frame_id!r}, not in frame {frame}: {remedy}'
         )
