@@ -16,7 +16,13 @@ from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
 from landmark_nav.storage.bags.container import ChannelInfo, RawMessage
 from landmark_nav.storage.bags.definitions import MessageReader, STANDARD_NAMES
 from landmark_nav.storage.bags.files import BagFile, open_files
-from landmark_nav.storage.bags.topics import find_topic, listed, remedy_of_missing
+from landmark_nav.storage.bags.topics import (
+    find_topic,
+    listed,
+    relative_name,
+    remedy_of_missing,
+    TOPIC_TYPES,
+)
 from landmark_nav.storage.bags.unpack import unpack
 
 __all__ = ['Bag', 'BagMessage', 'once']
@@ -174,9 +180,24 @@ class Bag:
             topic = find_topic(name, self._filled(), self._given)
         except LandmarkNavError as error:
             raise LandmarkNavError(f'{self.path}: {error}') from error
-        if topic is not None and topic.lstrip('/') != name and name not in self._given:
+        given = {other.strip('/') for other in self._given.values()}
+        if topic is not None and topic.strip('/') not in {name, *given}:
             self.say(f'{topic} is taken for {name}')
         return topic
+
+    def given(self, name: str) -> str:
+        """Topic that the user gives for a name of the contract; empty where he gives none."""
+        return self._given.get(name, '')
+
+    def candidates(self, name: str) -> list[str]:
+        """Topics that could carry what the contract calls `name`; `find` takes the one."""
+        if name in self._given:
+            return list(filter(None, [self.find(name)]))
+        return [
+            topic
+            for topic, kind in sorted(self._filled().items())
+            if relative_name(topic) == name and kind == TOPIC_TYPES[name]
+        ]
 
     def require(self, *alternatives: str) -> str:
         """

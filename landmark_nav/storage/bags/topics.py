@@ -38,6 +38,8 @@ TOPIC_TYPES = {
     'found_place': 'sensor_msgs/msg/PointCloud2',
     'odometry/fused': 'nav_msgs/msg/Odometry',
     'joint_delay': 'sensor_msgs/msg/PointCloud2',
+    'tf': 'tf2_msgs/msg/TFMessage',
+    'tf_static': 'tf2_msgs/msg/TFMessage',
 }
 
 
