@@ -22,7 +22,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
 from landmark_nav.errors import LandmarkNavError, why
-from landmark_nav.storage.bags.unpack import CHUNK_BYTES, unpack
+from landmark_nav.storage.bags.unpack import CHUNK_BYTES, most_bytes, unpack
 
 __all__ = ['MAX_CHANNELS', 'ChannelInfo', 'McapFile', 'RawMessage']
 
@@ -32,6 +32,8 @@ _FOOTER_BYTES = 9 + 20 + len(_MAGIC)
 
 # A robot has some hundreds.
 MAX_CHANNELS = 65535
+# A recorder puts some thousands into a chunk.
+_MAX_RECORDS = 1_000_000
 
 # Chunks that overlap in time are held together up to this, beyond it messages go to the disk.
 _HELD_BYTES = CHUNK_BYTES
@@ -157,6 +159,7 @@ class McapFile:
         """
         records = _Records()
         size = self.path.stat().st_size - len(_MAGIC)
+        unpacked_bytes, most = 0, most_bytes(size)
         self._break = 'it ends too early'
         with self.path.open('rb') as stream:
             stream.seek(len(_MAGIC))
@@ -164,6 +167,9 @@ class McapFile:
                 for opcode, payload, whole in _records(stream, size):
                     if opcode == Opcode.CHUNK:
                         content = _chunk_content(payload, whole)
+                        unpacked_bytes += len(content)
+                        if unpacked_bytes > most:
+                            raise ValueError('it unpacks to more than a recording of its size')
                         yield from records.messages(content, topics)
                     elif opcode == Opcode.FOOTER and whole:
                         self.complete = True
@@ -241,11 +247,12 @@ class _Records:
 
     def messages(self, content: bytes, topics: Collection[str] | None) -> list[RawMessage]:
         """Messages of a chunk by log time."""
-        found = [
-            message
-            for opcode, payload, whole in _records(BytesIO(content), len(content))
-            if whole and (message := self.take(opcode, payload, topics))
-        ]
+        found = []
+        for count, (opcode, payload, whole) in enumerate(_records(BytesIO(content), len(content))):
+            if not opcode or count == _MAX_RECORDS:
+                raise ValueError('a chunk holds what is no message')
+            if whole and (message := self.take(opcode, payload, topics)):
+                found.append(message)
         found.sort(key=lambda raw: raw.stamp_ns)
         return found
 
@@ -297,6 +304,8 @@ class _Index:
                 records.take(opcode, payload, None)
         if statistics is None or len(chunks) != statistics.chunk_count:
             return None
+        if sum(chunk.uncompressed_size for chunk in chunks) > most_bytes(size):
+            return None
         counts = statistics.channel_message_counts
         named = sum(counts.get(identity, 0) for identity in records.channels)
         schemas = {0, *records.schemas}
@@ -304,6 +313,7 @@ class _Index:
         after = [*(offset for offset, _ in ends[1:]), begin]
         sound = all(o + n <= end for (o, n), end in zip(ends, after, strict=True))
         sound &= all(c.message_start_time <= c.message_end_time for c in chunks)
+        sound = sound and all(_begins_there(stream, chunk) for chunk in chunks)
         complete = named == statistics.message_count and schemas >= {*records.schema_of.values()}
         # Messages outside of chunks have no index.
         empty = not chunks and statistics.message_count
@@ -323,14 +333,18 @@ class _Index:
                 while held and held[0][0] < chunk.message_start_time:
                     yield heapq.heappop(held)[2]
                 stream.seek(chunk.chunk_start_offset)
-                ((opcode, payload, whole),) = _records(stream, chunk.chunk_length)
-                if opcode != Opcode.CHUNK:
-                    raise ValueError('the index points beside a chunk')
+                ((_, payload, whole),) = _records(stream, chunk.chunk_length)
                 for raw in self.records.messages(_chunk_content(payload, whole), topics):
                     heapq.heappush(held, (raw.stamp_ns, order, raw))
                     order += 1
         while held:
             yield heapq.heappop(held)[2]
+
+
+def _begins_there(stream: BinaryIO, chunk: ChunkIndex) -> bool:
+    stream.seek(chunk.chunk_start_offset)
+    opcode, length = struct.unpack('<BQ', stream.read(9))
+    return bool(opcode == Opcode.CHUNK and length + 9 == chunk.chunk_length)
 
 
 def _info(channel: Channel, schema: Schema | None) -> ChannelInfo:

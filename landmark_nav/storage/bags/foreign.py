@@ -16,7 +16,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.bags.container import ChannelInfo, MAX_CHANNELS, RawMessage
-from landmark_nav.storage.bags.unpack import unpack
+from landmark_nav.storage.bags.unpack import CHUNK_BYTES, unpack
 
 __all__ = ['RosbagsFile']
 
@@ -82,7 +82,10 @@ def _naming(path: Path) -> Iterator[None]:
 def _sqlite3(path: Path) -> Sqlite3Reader:
     with closing(sqlite3.connect(f'file:{quote(str(path))}?mode=ro&immutable=1', uri=True)) as base:
         (count,) = base.execute('SELECT count(*) FROM topics').fetchone()
+        (longest,) = base.execute('SELECT max(length(data)) FROM messages').fetchone()
     _check_channels(count)
+    if longest is not None and longest > CHUNK_BYTES:
+        raise ValueError(f'a message of {longest} bytes')
     reader = Sqlite3Reader(path)
     reader.open()
     return reader

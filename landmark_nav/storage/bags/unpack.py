@@ -12,15 +12,19 @@ import zstandard
 
 from landmark_nav.errors import LandmarkNavError, why
 
-__all__ = ['CHUNK_BYTES', 'unpack', 'unpack_file']
+__all__ = ['CHUNK_BYTES', 'most_bytes', 'unpack', 'unpack_file']
 
 # A recorder writes chunks of 1 to 10 MB.
 CHUNK_BYTES = 256 * 2**20
-# No sensor data is as redundant, beyond the first of so many bytes.
-_RATIO, _SMALL_BYTES = 1000, 64 * 2**20
-# The same of a file: it is unpacked to the disk.
-_FILE_RATIO, _SMALL_FILE_BYTES = 100, 2**30
+# No sensor data is as redundant, beyond the first bytes of a chunk and of a file.
+_RATIO, _SMALL_BYTES = 300, 64 * 2**20
+_SMALL_FILE_BYTES = 2**29
 _BLOCK_BYTES = 2**20
+
+
+def most_bytes(size: int) -> int:
+    """How many bytes a file of a size unpacks to, chunks and all, at most."""
+    return max(CHUNK_BYTES, _RATIO * size)
 
 
 def unpack(data: bytes, compression: str, size: int | None) -> bytes:
@@ -72,7 +76,7 @@ def unpack_file(path: Path, target: BinaryIO) -> None:
         It is damaged, unpacks to more than a recording does, or the disk is full.
 
     """
-    most = max(_SMALL_FILE_BYTES, _FILE_RATIO * path.stat().st_size)
+    most = max(_SMALL_FILE_BYTES, most_bytes(path.stat().st_size))
     written = 0
     try:
         with path.open('rb') as stream, _opened(stream) as content:
