@@ -13,7 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.container import ChannelInfo
 
-__all__ = ['STANDARD_NAMES', 'MessageReader']
+__all__ = ['STANDARD_NAMES', 'MessageReader', 'has_header']
 
 # Types that ROS 1 calls otherwise.
 STANDARD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
@@ -92,6 +92,12 @@ class MessageReader:
     def message(self, data: bytes | memoryview) -> Any:
         """A message, from its bytes as serialised by ROS 2."""
         return self._store.deserialize_cdr(data, self.type_name)
+
+
+def has_header(type_name: str) -> bool:
+    """Whether messages of a type begin with a header, as far as ROS 2 knows the type."""
+    _, fields = default_typestore().fielddefs.get(type_name, ([], []))
+    return bool(fields) and fields[0][1] == (Nodetype.NAME, 'std_msgs/msg/Header')
 
 
 def _parsed(info: ChannelInfo) -> dict[str, Any]:

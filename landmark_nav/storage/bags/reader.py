@@ -8,13 +8,17 @@ import heapq
 from itertools import islice
 import logging
 from pathlib import Path
+import struct
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
+from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
 from landmark_nav.storage.bags.container import ChannelInfo, RawMessage
-from landmark_nav.storage.bags.definitions import MessageReader, STANDARD_NAMES
+from landmark_nav.storage.bags.definitions import has_header, MessageReader, STANDARD_NAMES
 from landmark_nav.storage.bags.files import BagFile, open_files
 from landmark_nav.storage.bags.topics import (
     find_topic,
@@ -74,10 +78,14 @@ class BagMessage:
             set_stamp(message, self.stamp_ns)
         return message
 
-    @cached_property
-    def is_unstamped(self) -> bool:
-        """Whether it has a header whose stamp is zero."""
-        return is_unstamped(self._guarded(lambda: self._reader.message(self.data)))
+    @property
+    def header_ns(self) -> int:
+        """Stamp of its header as it lies in the bytes, not checked; 0 where there is none."""
+        try:
+            seconds, nanoseconds = struct.unpack_from('<iI' if self.data[1] else '>iI', self.data, 4)
+        except (LandmarkNavError, struct.error, IndexError):
+            return 0
+        return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
     def _guarded(self, read: Callable[[], Any]) -> Any:
         try:
@@ -248,10 +256,27 @@ class Bag:
         """Whether the headers of a topic are not stamped; said once."""
         if topic not in self._unstamped:
             first = islice(self.messages([topic]), _STAMPS)
-            self._unstamped[topic] = all(entry.is_unstamped for entry in first)
+            self._unstamped[topic] = not any(entry.header_ns for entry in first)
             if self._unstamped[topic]:
                 self.say(f'{topic} has stamps of 0: the time of recording is taken')
         return self._unstamped[topic]
+
+    @cached_property
+    def stamps_ns(self) -> dict[str, IntArray]:
+        """
+        When each message was recorded, and its header's stamp, (n, 2), of each topic with headers.
+
+        By log time. What is not stamped has the time of recording.
+        """
+        found: dict[str, list[tuple[int, int]]] = {}
+        topics = [topic for topic, kind in self._filled().items() if has_header(kind)]
+        for raw in _merged(self._files, topics) if topics else ():
+            entry = BagMessage(raw, self._reader(raw.channel), self)
+            found.setdefault(entry.topic, []).append((entry.stamp_ns, entry.header_ns))
+        return {
+            topic: np.array([(log, stamp or log) for log, stamp in pairs], dtype=np.int64)
+            for topic, pairs in found.items()
+        }
 
     def unpacked(self, data: bytes) -> bytes:
         """Content of a message's data."""
