@@ -159,6 +159,12 @@ def run(args: argparse.Namespace) -> int:
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     check_truth_frame(bag, landmarks.frame_id)
     errors = run_errors(done)
+    if len(done.truth) and np.isnan(errors.fused).all():
+        begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
+        bag.warn(
+            f'{bag.path}: ground_truth/odom is from {begin_s:.1f} to {end_s:.1f} s, the drive from '
+            f'{1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
+        )
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report(done, errors, landmarks, mount, learned)
     report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
