@@ -35,7 +35,7 @@ def _renamed(text: str) -> tuple[str, str]:
     name = name.strip('/')
     if not given or not topic or name not in TOPIC_TYPES:
         raise argparse.ArgumentTypeError(
-            f'{text!r} is not NAME=TOPIC with a NAME such as camera/image_raw, camera/camera_info, '
-            'joint_states, odom'
+            f'{text!r} is not NAME=TOPIC with a NAME such as camera/image_raw, '
+            'camera/camera_info, joint_states, odom'
         )
     return name, topic

@@ -162,8 +162,8 @@ def run(args: argparse.Namespace) -> int:
     if len(done.truth) and np.isnan(errors.fused).all():
         begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
         bag.warn(
-            f'{bag.path}: ground_truth/odom is from {begin_s:.1f} to {end_s:.1f} s, the drive from '
-            f'{1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
+            f'{bag.path}: ground_truth/odom is from {begin_s:.1f} to {end_s:.1f} s, the drive '
+            f'from {1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
         )
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report(done, errors, landmarks, mount, learned)

@@ -135,7 +135,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
     """Sweep of a bag, counted from 1; without a number, the only one."""
-    path, number = args.sweep, args.number
+    path: Path = args.sweep
+    number: int | None = args.number
     sweeps = list(read_sweeps(open_bag(path, args), mount))
     if number is None and len(sweeps) == 1:
         return sweeps[0]

@@ -47,8 +47,8 @@ def shifts_by_odometry(
     following = np.minimum(last + 1, len(clock) - 1)
     stepped = np.maximum.accumulate(np.where(back > 0, np.arange(len(clock)), 0))[last]
     ahead = stamps - clock[last]
-    # Messages of one moment come in any order: some by the new clock before the odometry is, some by
-    # the old one after it.
+    # Messages of one moment come in any order: some by the new clock before the odometry is, some
+    # by the old one after it.
     early = -2 * ahead > np.where(back[following] > 0, back[following], np.inf)
     late = 2 * ahead > np.where(stepped > 0, back[stepped], np.inf)
     return shift[np.where(early, following, np.where(late, stepped - 1, last))]

@@ -19,6 +19,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.messages import decode
 from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.parameters import declare, misspelt
@@ -100,6 +101,7 @@ class LandmarkNode(Node):
         group: CallbackGroup | None = None,
     ) -> Subscription[Any]:
         """Subscribe to a public topic; `depth` replaces the length of its queue."""
+        callback = self._stamped(topic, callback)
         spec = TOPICS[topic]
         return self.create_subscription(
             message_class(spec.type_name),
@@ -108,6 +110,17 @@ class LandmarkNode(Node):
             spec.qos if depth is None else with_depth(spec.qos, depth),
             callback_group=group,
         )
+
+    def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Callback whose messages have the time of arrival where they have no stamp."""
+
+        def stamped(message: Any) -> None:
+            if decode.is_unstamped(message):
+                decode.set_stamp(message, self.get_clock().now().nanoseconds)
+                self.note(f'{topic} has stamps of 0: the time of arrival is taken')
+            callback(message)
+
+        return stamped
 
     def offer(
         self,

@@ -63,7 +63,9 @@ FORMS = {
     'ros1': lambda s, p: ros1_bag(s, p, None),
     'ros1 bz2': lambda s, p: ros1_bag(s, p, Ros1Writer.CompressionFormat.BZ2),
     'ros1 lz4': lambda s, p: ros1_bag(s, p, Ros1Writer.CompressionFormat.LZ4),
-    **{f'chunks {c.name}': lambda s, p, c=c: mcap_file(s, p, compression=c) for c in CompressionType},
+    'chunks': lambda s, p: mcap_file(s, p, compression=CompressionType.NONE),
+    'chunks zstd': lambda s, p: mcap_file(s, p, compression=CompressionType.ZSTD),
+    'chunks lz4': lambda s, p: mcap_file(s, p, compression=CompressionType.LZ4),
     'index, by topic': lambda s, p: mcap_file(s, p, by_topic),
     'index, in blocks': lambda s, p: mcap_file(s, p, in_blocks),
     'by topic': lambda s, p: mcap_file(s, p, by_topic, indexed=False),
@@ -120,14 +122,16 @@ def test_a_folder_of_bags_says_which_are_inside(drive):
         Bag(drive.parent)
 
 
-@pytest.mark.parametrize('form', ['ros1', 'ros1 lz4', 'sqlite3', 'zstd', 'in blocks', 'index, by topic'])
+@pytest.mark.parametrize(
+    'form', ['ros1', 'ros1 lz4', 'sqlite3', 'zstd', 'in blocks', 'index, by topic']
+)
 def test_damage_in_any_form_is_one_line(drive, tmp_path, form):
     whole = FORMS[form](drive, tmp_path / 'whole')
     files = [whole] if whole.is_file() else [f for f in whole.iterdir() if f.suffix != '.yaml']
     content = files[0].read_bytes()
     rng = np.random.default_rng(0)
     path = tmp_path / 'damaged'
-    complaints = 0
+    complaints = []
     for k in range(30):
         damaged = np.frombuffer(content, np.uint8).copy()
         places = rng.integers(8, len(damaged), 20)
@@ -137,6 +141,6 @@ def test_damage_in_any_form_is_one_line(drive, tmp_path, form):
         try:
             list(sensor_events(Bag(path, lambda text: None), MOUNT))
         except LandmarkNavError as error:
-            complaints += 1
-            assert '\n' not in str(error)
+            complaints.append(str(error))
     assert complaints
+    assert not any('\n' in complaint for complaint in complaints)

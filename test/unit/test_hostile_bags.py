@@ -1,4 +1,4 @@
-"""Bags of strangers: whatever they declare, memory and time are bounded and one line says what is."""
+"""Bags of strangers: whatever they declare, memory and time are bounded, and one line says it."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def mcap(*records):
 
 ZEROS = bytes(2**28)
 ZSTD, LZ4 = zstandard.ZstdCompressor().compress(ZEROS), lz4.frame.compress(ZEROS)
-LARGE = mcap(chunk('', ZEROS[: 2**24], 2**24))
+SMALL = zstandard.ZstdCompressor().compress(ZEROS[: 2**24])
 BOMBS = {
     'zstd that says so': mcap(chunk('zstd', ZSTD, 2**28)),
     'zstd that lies': mcap(chunk('zstd', ZSTD, 1000)),
     'lz4 that says so': mcap(chunk('lz4', LZ4, 2**28)),
     'lz4 that lies': mcap(chunk('lz4', LZ4, 1000)),
-    'many': mcap(*([chunk('zstd', zstandard.ZstdCompressor().compress(ZEROS[: 2**24]), 2**24)] * 99)),
+    'many': mcap(*([chunk('zstd', SMALL, 2**24)] * 99)),
     'file of zstd': ZSTD * 32,
     'zstd of zstd': zstandard.ZstdCompressor().compress(ZSTD),
     'long record': mcap() + struct.pack('<BQ', 6, 2**60),
@@ -90,7 +90,9 @@ def test_what_unpacks_to_gigabytes_is_refused_within_one(tmp_path, bomb):
 
 
 HEADER = '=' * 80 + '\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n'
-JOINTS = 'std_msgs/Header header\nstring[] name\n{}\nfloat64[] velocity\nfloat64[] effort\n' + HEADER
+JOINTS = (
+    'std_msgs/Header header\nstring[] name\n{}\nfloat64[] velocity\nfloat64[] effort\n' + HEADER
+)
 DEFINITIONS = {
     'position is string': JOINTS.format('string[] position'),
     'position is float64,': JOINTS.format('float64 position'),
@@ -100,7 +102,8 @@ DEFINITIONS = {
         'effort\n', 'effort\nint8 more\n'
     ),
     'stamp of std_msgs/msg/Header is missing': JOINTS.format('float64[] position').replace(
-        'Header\nbuiltin_interfaces/Time stamp', 'Header\nuint32 seq\nbuiltin_interfaces/Time stamp'
+        'Header\nbuiltin_interfaces/Time stamp',
+        'Header\nuint32 seq\nbuiltin_interfaces/Time stamp',
     ),
     'contains itself': 'x/A a\n' + '=' * 80 + '\nMSG: x/A\nx/A[] a\n',
     'over 100000 elements': 'float64[200000000] position\n',
@@ -170,5 +173,5 @@ def test_a_database_with_odd_values_is_one_line(tmp_path):
 
 def test_a_bag_without_messages_says_what_is_missing(tmp_path):
     (tmp_path / 'none.mcap').write_bytes(mcap())
-    with pytest.raises(LandmarkNavError, match='camera/image_raw/compressed is missing.* are none'):
+    with pytest.raises(LandmarkNavError, match=r'camera/image_raw/compressed is missing'):
         list(sensor_events(Bag(tmp_path / 'none.mcap'), MOUNT))

@@ -168,7 +168,8 @@ class TestTrack:
         for k in range(80):
             since_s = period_s * (k - (40 if k >= 40 else 0))
             pose = twist_motion(SPEED, RATE, since_s)
-            refusals.append(track.add(sample(period_s * k, pose if k >= 40 else compose(begin, pose))))
+            pose = pose if k >= 40 else compose(begin, pose)
+            refusals.append(track.add(sample(period_s * k, pose)))
         assert [k for k, refusal in enumerate(refusals) if refusal is not None] == [40]
         assert isinstance(refusals[40], Distrusted)
         motion = track.motion(0, round(79e9 * period_s))

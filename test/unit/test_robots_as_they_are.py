@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bag_writers import CAMERA, FACTORY, MOUNT, odometry, picture, SECOND, START, write_drive
+from bag_writers import FACTORY, MOUNT, SECOND, START, write_drive
 import numpy as np
 import pytest
 
@@ -75,7 +75,7 @@ def test_the_joints_that_arrive_are_listed(tmp_path):
             message.name = ['shoulder', 'elbow']
         yield topic, message
 
-    with pytest.raises(LandmarkNavError, match=r'elbow, shoulder arrive, not pan_joint: set pan_j'):
+    with pytest.raises(LandmarkNavError, match=r'elbow, shoulder arrive, not pan_joint'):
         pans(rewritten(tmp_path, others))
 
 
@@ -201,9 +201,9 @@ def test_topics_of_other_names_are_given(tmp_path):
     found, warnings = pans(path, topics=topics)
     np.testing.assert_allclose(found, PANS)
     assert warnings == []
-    with pytest.raises(LandmarkNavError, match=r'--topic odom=/gone: not in the bag; there are /c'):
+    with pytest.raises(LandmarkNavError, match=r'--topic odom=/gone: not in the bag; '):
         pans(path, topics={**topics, 'odom': 'gone'})
-    with pytest.raises(LandmarkNavError, match='odom is missing.*give --topic odom=/wheels'):
+    with pytest.raises(LandmarkNavError, match=r'odom is missing.*give --topic odom=/wheels'):
         pans(path, topics={k: v for k, v in topics.items() if k != 'odom'})
 
 
@@ -216,5 +216,7 @@ def test_a_namespace_is_found_and_said_once(tmp_path):
 
 @pytest.mark.parametrize('value', ['odom', 'odom=', 'wheels=/odom', '=/odom'])
 def test_a_topic_that_is_no_name_of_ours_is_wrong_usage(capsys, value):
-    assert main(['learn', 'bag', '--topic', value, '--robot', 'x', '--room', 'y', '--out', 'z']) == 2
+    assert (
+        main(['learn', 'bag', '--topic', value, '--robot', 'x', '--room', 'y', '--out', 'z']) == 2
+    )
     assert 'is not NAME=TOPIC' in capsys.readouterr().err

@@ -30,8 +30,8 @@ _FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
 
 # A pose has jumped, too, if it moves otherwise than the speeds of the samples around it, by more
 # than these and as much again as they say, after so many that agreed: drivers set it to zero when
-# they restart. Sources whose speeds never agree, such as those that leave out the sideways one, are
-# not judged by them.
+# they restart. Sources whose speeds never agree, such as without the sideways one, are not judged
+# by them.
 _OFF_M, _OFF_RAD, _AGREED = 0.03, 0.05, 5
 
 
@@ -45,9 +45,10 @@ class OdometryTrack:
     Odometry without its jumps, which gives the motion between any two times.
 
     Where the source jumps, the motion goes on with the last twist and counts as blind, as nothing
-    is known of it; unless it is set to zero while its speeds go on. Samples whose pose has frozen are left out. After the last sample, and before the
-    first, the twist is extrapolated for a short while; beyond that no motion is assumed, and the
-    time counts as blind. A source that has told no speeds so far has those of its poses.
+    is known of it; unless it is set to zero while its speeds go on. Samples whose pose has frozen
+    are left out. After the last sample, and before the first, the twist is extrapolated for a
+    short while; beyond that no motion is assumed, and the time counts as blind. A source that gave
+    no speeds so far has those of its poses.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:

@@ -16,9 +16,9 @@ from landmark_nav.messages.decode.headers import (
 )
 from landmark_nav.messages.decode.images import image
 from landmark_nav.messages.decode.joints import (
-    JointNames,
     joint_delay,
     joint_sample,
+    JointNames,
     lone_tilt,
     matching_name,
     sweep_trajectory,

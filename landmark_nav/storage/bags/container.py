@@ -1,8 +1,8 @@
 """
 One MCAP file: its channels and its messages, also of a file that lost its end.
 
-Format: https://mcap.dev/spec. A file with a sound index is read through it; any other one record by
-record, up to the break. Either way messages come by log time and in bounded memory.
+Format: https://mcap.dev/spec. A file with a sound index is read through it; any other one
+record by record, up to the break. Either way messages come by log time and in bounded memory.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class McapFile:
         try:
             with path.open('rb') as stream:
                 self._index = _Index.read(stream)
-        except _TooManyChannels as error:
+        except _TooManyChannelsError as error:
             raise LandmarkNavError(f'{self.name}: {error}') from error
         except _DAMAGE:
             pass
@@ -176,13 +176,13 @@ class McapFile:
                         return
                     elif whole and (one := records.take(opcode, payload, topics)):
                         yield one
-            except _TooManyChannels as error:
+            except _TooManyChannelsError as error:
                 raise LandmarkNavError(f'{self.name}: {error}') from error
             except _DAMAGE as error:
                 self._break = str(error)
 
     def _by_time(self, messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
-        """Messages by log time; meanwhile their data lie on the disk, as images fill the memory."""
+        """Messages by log time; their data lie on the disk meanwhile, as they fill the memory."""
         places: list[tuple[int, int, int, ChannelInfo]] = []
         try:
             with TemporaryFile() as data:
@@ -199,7 +199,7 @@ class McapFile:
             ) from error
 
 
-class _TooManyChannels(ValueError):
+class _TooManyChannelsError(ValueError):
     """A file that defines more channels than any recording."""
 
     def __init__(self) -> None:
@@ -236,7 +236,7 @@ class _Records:
     def _define(self, opcode: int, record: ReadDataStream) -> None:
         self._defined += 1
         if self._defined > 2 * MAX_CHANNELS:
-            raise _TooManyChannels
+            raise _TooManyChannelsError
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(record)
             self.schemas[schema.id] = schema
@@ -260,7 +260,9 @@ class _Records:
 class _Index:
     """The summary of a whole file."""
 
-    def __init__(self, records: _Records, statistics: Statistics, chunks: list[ChunkIndex]) -> None:
+    def __init__(
+        self, records: _Records, statistics: Statistics, chunks: list[ChunkIndex]
+    ) -> None:
         self.records = records
         self.counts = statistics.channel_message_counts
         self.span_ns = (

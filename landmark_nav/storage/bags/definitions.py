@@ -150,9 +150,9 @@ def _difference(
         if _words(found[k][1]) != _words(kind):
             return f'{field} is {_words(found[k][1])}, not {_words(kind)}'
         element = kind[1][0] if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else kind
-        if element[0] == Nodetype.NAME:
-            if inner := _difference(theirs, ours, element[1], element[1]):
-                return inner
+        inner = element[1] if element[0] == Nodetype.NAME else None
+        if inner and (difference := _difference(theirs, ours, inner, inner)):
+            return difference
     if len(found) > len(expected):
         return f'{found[len(expected)][0]} is not a field of {our_type}'
     return ''

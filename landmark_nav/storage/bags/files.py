@@ -84,7 +84,9 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
         raise LandmarkNavError(f'{metadata}: not the description of a rosbag2 bag')
     names = list(_names(information.get('relative_file_paths')))
     # A file may have been compressed after its name was written down.
-    found = {name: _first(path / f'{name}{end}' for end in ('', *_PACKED_SUFFIXES)) for name in names}
+    found = {
+        name: _first(path / f'{name}{end}' for end in ('', *_PACKED_SUFFIXES)) for name in names
+    }
     missing = [name for name, file in found.items() if file is None]
     if missing or not names:
         raise LandmarkNavError(

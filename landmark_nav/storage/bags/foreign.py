@@ -80,7 +80,9 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _sqlite3(path: Path) -> Sqlite3Reader:
-    with closing(sqlite3.connect(f'file:{quote(str(path))}?mode=ro&immutable=1', uri=True)) as base:
+    with closing(
+        sqlite3.connect(f'file:{quote(str(path))}?mode=ro&immutable=1', uri=True)
+    ) as base:
         (count,) = base.execute('SELECT count(*) FROM topics').fetchone()
         (longest,) = base.execute('SELECT max(length(data)) FROM messages').fetchone()
     _check_channels(count)

@@ -60,7 +60,10 @@ class BagMessage:
     @cached_property
     def data(self) -> bytes | memoryview:
         """As ROS 2 serialises it (CDR); `LandmarkNavError` if it is damaged."""
-        return self._guarded(lambda: self._reader.serialized(self._bag.unpacked(self._raw.data)))
+        data: bytes | memoryview = self._guarded(
+            lambda: self._reader.serialized(self._bag.unpacked(self._raw.data))
+        )
+        return data
 
     @cached_property
     def message(self) -> Any:
@@ -82,7 +85,9 @@ class BagMessage:
     def header_ns(self) -> int:
         """Stamp of its header as it lies in the bytes, not checked; 0 where there is none."""
         try:
-            seconds, nanoseconds = struct.unpack_from('<iI' if self.data[1] else '>iI', self.data, 4)
+            seconds, nanoseconds = struct.unpack_from(
+                '<iI' if self.data[1] else '>iI', self.data, 4
+            )
         except (LandmarkNavError, struct.error, IndexError):
             return 0
         return int(seconds) * 1_000_000_000 + int(nanoseconds)

@@ -98,9 +98,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
         ]
         if plan.unusable:
             _check_unusable(bag, plan, numbers, frames)
-        if check_coverage(
-            bag, plan.start_ns, frames, missing, cut_off=last and not bag.complete
-        ):
+        if check_coverage(bag, plan.start_ns, frames, missing, cut_off=last and not bag.complete):
             yield Sweep(plan.start_ns, tuple(frames), pose)
         plan.frames.clear()
 
@@ -159,7 +157,8 @@ def _check_unusable(
     whole = [sample.pan_rad for sample, stamp in recorded if stamp is not None]
     half_fov = frames[0].camera.half_fov_rad
     unseen, unseen_anyway = (
-        sum(end - begin for begin, end in unseen_arcs(angles, half_fov)) for angles in (pans, whole)
+        sum(end - begin for begin, end in unseen_arcs(angles, half_fov))
+        for angles in (pans, whole)
     )
     if unseen > unseen_anyway + _SAME_ARC_RAD:
         gap = describe_coverage(pans, half_fov)

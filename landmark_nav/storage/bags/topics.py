@@ -77,8 +77,10 @@ def find_topic(
 
     """
     topics = {_normal(topic): topic for topic in types}
-    by_user = {_with_form(key, types.get(topics.get(_normal(topic), ''), '')): _normal(topic)
-               for key, topic in (given or {}).items()}
+    by_user = {
+        _with_form(key, types.get(topics.get(_normal(topic), ''), '')): _normal(topic)
+        for key, topic in (given or {}).items()
+    }
     if name in by_user:
         found = [topics[by_user[name]]] if by_user[name] in topics else []
         if not found:
@@ -86,7 +88,9 @@ def find_topic(
                 f'--topic {name}={by_user[name]}: not in the bag; there are {listed(topics)}'
             )
     else:
-        found = [topics[t] for t in topics if relative_name(t) == name and t not in by_user.values()]
+        found = [
+            topics[t] for t in topics if relative_name(t) == name and t not in by_user.values()
+        ]
     if len(found) > 1 and f'/{name}' in topics:
         found = [topics[f'/{name}']]
     if len(found) > 1:
@@ -132,5 +136,7 @@ def _normal(topic: str) -> str:
 def _with_form(name: str, type_name: str) -> str:
     """Name in the contract of what is of a type: images have one for each form."""
     base = name.removesuffix('/compressed')
-    forms = {TOPIC_TYPES[form]: form for form in (base, f'{base}/compressed') if form in TOPIC_TYPES}
+    forms = {
+        TOPIC_TYPES[form]: form for form in (base, f'{base}/compressed') if form in TOPIC_TYPES
+    }
     return forms.get(type_name, name)

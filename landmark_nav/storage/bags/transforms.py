@@ -68,7 +68,9 @@ def joints_of_transforms(
     static_topic = bag.find('tf_static')
     tree = {
         child: (parent, rotation)
-        for _, _, child, parent, rotation in (_transforms(bag, static_topic) if static_topic else ())
+        for _, _, child, parent, rotation in (
+            _transforms(bag, static_topic) if static_topic else ()
+        )
     }
     axis = rotation_rpy(mount.axis_rpy)
     tilt_rad = 0.0
@@ -81,8 +83,8 @@ def joints_of_transforms(
             turned = axis.T @ _to_base(parent, tree, mount.base_frame) @ rotation
             if turned[2, 2] < _UPRIGHT:
                 raise LandmarkNavError(
-                    f'{bag.path}: {topic}: {child} does not turn about the pan axis of robot.yaml: '
-                    'give the frame that does by --topic joint_states=/tf:FRAME'
+                    f'{bag.path}: {topic}: {child} does not turn about the pan axis of robot.yaml'
+                    ': give the frame that does by --topic joint_states=/tf:FRAME'
                 )
             pan_rad = math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
             found.append((log_ns, JointSample(stamp_ns, pan_rad, tilt_rad)))
@@ -129,12 +131,14 @@ def _rotation(quaternion: Any) -> FloatArray:
 def _frame_of(joint: str, frames: set[str]) -> str | None:
     """The frame that URDF files name after a joint, if there is one alone."""
     stem = joint.removesuffix('_joint')
-    names = (decode.matching_name(name, frames) for name in (f'{stem}_link', f'{stem}_frame', stem))
+    names = (
+        decode.matching_name(name, frames) for name in (f'{stem}_link', f'{stem}_frame', stem)
+    )
     return next(filter(None, names), None)
 
 
 def _to_base(frame: str, tree: _Tree, base_frame: str) -> FloatArray:
-    """Rotation from a frame to the base through fixed joints; none where they do not lead there."""
+    """Rotation from a frame to the base through fixed joints, as far as they lead there."""
     rotation = np.eye(3)
     passed = set()
     while frame in tree and frame not in passed and not decode.same_frame(frame, base_frame):
