@@ -43,7 +43,7 @@ class SweepCaptureNode(LandmarkNode):
         super().__init__('sweep_capture', 'sweep', **options)
         self._config = self.configure(Parameters)
         mount = load_robot(self.required('robot_file', self._config.robot_file))
-        self._mount = mount
+        self._names = decode.JointNames(mount)
         self._runner = SweepRunner(
             self._config.capture,
             PanCommander(self, mount, self._config.command),
@@ -65,7 +65,8 @@ class SweepCaptureNode(LandmarkNode):
         inputs = {'joint_states': self._runner.pan_rad, 'camera/camera_info': self._camera_info}
         missing = [name for name, value in inputs.items() if value is None]
         if missing:
-            return Health(Level.DEGRADED, f'nothing yet on {", ".join(missing)}')
+            why = f'; {self._names.missing}' if self._names.pan_is_missing else ''
+            return Health(Level.DEGRADED, f'nothing yet on {", ".join(missing)}{why}')
         return self._runner.health() or Health(Level.OK, self._result)
 
     def _capture(self) -> str:
@@ -105,9 +106,11 @@ class SweepCaptureNode(LandmarkNode):
         self._runner.add_image(message, self._camera_info)
 
     def _on_joints(self, message: Any) -> None:
-        if (tilt := decode.lone_tilt(message, self._mount)) is not None:
+        if taken := self._names.add(message.name):
+            self.get_logger().info(f'joint_states: {taken}')
+        if (tilt := decode.lone_tilt(message, self._names.mount)) is not None:
             _, self._tilt_rad = tilt
-        sample = decode.joint_sample(message, self._mount)
+        sample = decode.joint_sample(message, self._names.mount)
         if sample is None:
             return
         if self._tilt_rad is not None:

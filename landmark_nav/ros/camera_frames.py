@@ -46,7 +46,8 @@ class CameraFrames:
     def __init__(
         self, node: LandmarkNode, mount: PanTiltMount, joint_delay_s: float = 0.0
     ) -> None:
-        self._mount, self._delay_ns = mount, round(1e9 * joint_delay_s)
+        self._node, self._delay_ns = node, round(1e9 * joint_delay_s)
+        self._names = decode.JointNames(mount)
         self._joints: deque[JointSample] = deque()
         # Stamps and tilts of a tilt joint that has a driver of its own.
         self._tilts: deque[tuple[int, float]] = deque()
@@ -111,7 +112,8 @@ class CameraFrames:
         self._wait(stamp, seconds, also, late_s)
         joints = self.joints_at(stamp)
         if isinstance(joints, Refusal):
-            raise LandmarkNavError(f'{joints} after a wait of {seconds:g} s')
+            why = f': {self._names.missing}' if self._names.pan_is_missing else ''
+            raise LandmarkNavError(f'{joints} after a wait of {seconds:g} s{why}')
         if self._camera is None:
             raise LandmarkNavError('nothing on camera/camera_info')
         camera = CameraInfos([(stamp, self._camera)]).for_picture(stamp, picture.shape)
@@ -127,9 +129,11 @@ class CameraFrames:
         )
 
     def _on_joints(self, message: Any) -> None:
-        sample = decode.joint_sample(message, self._mount)
+        if taken := self._names.add(message.name):
+            self._node.get_logger().info(f'joint_states: {taken}')
+        sample = decode.joint_sample(message, self._names.mount)
         if sample is None:
-            tilt = decode.lone_tilt(message, self._mount)
+            tilt = decode.lone_tilt(message, self._names.mount)
             if tilt is not None:
                 self._add_tilt(tilt)
             return

@@ -18,8 +18,8 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
 
-# rosdep key -> what pip calls it. There is no key for mcap: rosdep users have it from pip, with its
-# own requirements.
+# rosdep key -> what pip calls it. There is no key for mcap: rosdep users have it from pip, with
+# its requirements.
 DISTRIBUTIONS = {
     'python3-matplotlib': 'matplotlib',
     'python3-numpy': 'numpy',
