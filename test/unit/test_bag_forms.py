@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from itertools import groupby
 import shutil
 
@@ -87,6 +88,21 @@ def test_a_recording_is_the_same_in_each_form(drive, tmp_path, form):
         # What a file is shows in its first bytes, not in its name.
         path.rename(tmp_path / 'folder' / f'{path.name}.mcap')
         assert 'metadata.yaml is missing' in warned(tmp_path / 'folder')
+
+
+def test_what_was_unpacked_is_removed_with_the_bag(drive, tmp_path, monkeypatch):
+    (tmp_path / 'temporary').mkdir()
+    monkeypatch.setattr('tempfile.tempdir', str(tmp_path / 'temporary'))
+    path = packed_file(drive / 'drive.mcap', tmp_path / 'packed.zstd')
+    messages = Bag(path).messages()
+    assert len(list((tmp_path / 'temporary').iterdir())) == 1
+    assert sum(entry.topic == '/odom' for entry in messages) == 40
+    del messages
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(LandmarkNavError, match=r'packed\.zstd'):
+        list(sensor_events(Bag(path), MOUNT))
+    gc.collect()
+    assert list((tmp_path / 'temporary').iterdir()) == []
 
 
 def warned(path):

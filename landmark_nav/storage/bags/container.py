@@ -170,7 +170,7 @@ class McapFile:
                         unpacked_bytes += len(content)
                         if unpacked_bytes > most:
                             raise ValueError('it unpacks to more than a recording of its size')
-                        yield from records.messages(content, topics)
+                        yield from records.messages(content, topics, whole)
                     elif opcode == Opcode.FOOTER and whole:
                         self.complete = True
                         return
@@ -245,13 +245,16 @@ class _Records:
             self.channels[channel.id] = _info(channel, self.schemas.get(channel.schema_id))
             self.schema_of[channel.id] = channel.schema_id
 
-    def messages(self, content: bytes, topics: Collection[str] | None) -> list[RawMessage]:
-        """Messages of a chunk by log time."""
+    def messages(
+        self, content: bytes, topics: Collection[str] | None, whole: bool
+    ) -> list[RawMessage]:
+        """Messages of a chunk, whole or cut off, by log time."""
         found = []
-        for count, (opcode, payload, whole) in enumerate(_records(BytesIO(content), len(content))):
-            if not opcode or count == _MAX_RECORDS:
+        inside = _records(BytesIO(content), len(content))
+        for count, (opcode, payload, entire) in enumerate(inside):
+            if not opcode or count == _MAX_RECORDS or (whole and not entire):
                 raise ValueError('a chunk holds what is no message')
-            if whole and (message := self.take(opcode, payload, topics)):
+            if entire and (message := self.take(opcode, payload, topics)):
                 found.append(message)
         found.sort(key=lambda raw: raw.stamp_ns)
         return found
@@ -336,7 +339,8 @@ class _Index:
                     yield heapq.heappop(held)[2]
                 stream.seek(chunk.chunk_start_offset)
                 ((_, payload, whole),) = _records(stream, chunk.chunk_length)
-                for raw in self.records.messages(_chunk_content(payload, whole), topics):
+                content = _chunk_content(payload, whole)
+                for raw in self.records.messages(content, topics, whole):
                     heapq.heappush(held, (raw.stamp_ns, order, raw))
                     order += 1
         while held:

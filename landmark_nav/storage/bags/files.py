@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import NamedTemporaryFile
 from typing import Any
+from weakref import finalize
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.bags.container import McapFile
@@ -24,9 +26,7 @@ _PACKED_SUFFIXES = ('.zstd', '.zst', '.lz4')
 _WHAT = 'give a rosbag2 folder or a file .mcap, .db3 or .bag'
 
 
-def open_files(
-    path: Path, on_warning: Callable[[str], None], folder: TemporaryDirectory[str]
-) -> tuple[list[BagFile], bool]:
+def open_files(path: Path, on_warning: Callable[[str], None]) -> tuple[list[BagFile], bool]:
     """
     Files of a bag, and whether each of their messages is compressed by itself.
 
@@ -36,8 +36,6 @@ def open_files(
         A rosbag2 folder, a folder of bag files, or such a file, itself perhaps compressed.
     on_warning : callable
         Gets what had to be passed over, in one line each.
-    folder : TemporaryDirectory
-        Where compressed files are unpacked; it must outlive the files.
 
     Raises
     ------
@@ -46,19 +44,30 @@ def open_files(
 
     """
     paths, by_message = _paths(path, on_warning)
-    return [_opened(file, on_warning, Path(folder.name)) for file in paths], by_message
+    return [_opened(file, on_warning) for file in paths], by_message
 
 
-def _opened(path: Path, on_warning: Callable[[str], None], folder: Path) -> BagFile:
+def _opened(path: Path, on_warning: Callable[[str], None]) -> BagFile:
+    """File of a bag, by its first bytes; a compressed one is unpacked while it is used."""
     with path.open('rb') as stream:
         head = stream.read(16)
-    name = path
-    if head.startswith(_PACKED):
-        path = folder / f'{len(list(folder.iterdir()))}'
-        with path.open('wb') as target:
-            unpack_file(name, target)
-        with path.open('rb') as stream:
-            head = stream.read(16)
+    if not head.startswith(_PACKED):
+        return _storage(path, path, head, on_warning)
+    with NamedTemporaryFile(prefix='landmark_nav_', delete=False) as unpacked:
+        content = Path(unpacked.name)
+        remove = partial(content.unlink, missing_ok=True)
+        try:
+            unpack_file(path, unpacked)
+            unpacked.seek(0)
+            file = _storage(content, path, unpacked.read(16), on_warning)
+        except BaseException:
+            remove()
+            raise
+    finalize(file, remove)
+    return file
+
+
+def _storage(path: Path, name: Path, head: bytes, on_warning: Callable[[str], None]) -> BagFile:
     if head.startswith(_MCAP):
         return McapFile(path, on_warning, name)
     if head.startswith(_OTHERS):

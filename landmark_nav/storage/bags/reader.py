@@ -9,7 +9,6 @@ from itertools import islice
 import logging
 from pathlib import Path
 import struct
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -155,9 +154,8 @@ class Bag:
         self.warn = on_warning
         self._given = dict(topics or {})
         self._said: set[str] = set()
-        self._folder = TemporaryDirectory(prefix='landmark_nav_')
         try:
-            self._files, self._by_message = open_files(self.path, on_warning, self._folder)
+            self._files, self._by_message = open_files(self.path, on_warning)
         except OSError as error:
             raise LandmarkNavError(f'{self.path}: cannot be read: {why(error)}') from error
         self._readers: dict[ChannelInfo, MessageReader] = {}

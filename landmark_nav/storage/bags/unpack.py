@@ -5,7 +5,7 @@ from __future__ import annotations
 import bz2
 from pathlib import Path
 from tempfile import gettempdir
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, IO
 
 import lz4.frame
 import zstandard
@@ -66,7 +66,7 @@ def unpack(data: bytes, compression: str, size: int | None) -> bytes:
     return content
 
 
-def unpack_file(path: Path, target: BinaryIO) -> None:
+def unpack_file(path: Path, target: IO[bytes]) -> None:
     """
     Write the content of a file compressed by zstd or lz4 to `target`.
 
