@@ -41,6 +41,8 @@ setup(
         'PyYAML>=6.0.1',
         'rosbags>=0.11.6',
         'mcap>=1.0.0',
+        'lz4>=4.0.2',
+        'zstandard>=0.22.0',
         'matplotlib>=3.6.0',
         'tqdm>=4.66.0',
     ],

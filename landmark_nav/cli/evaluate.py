@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.cli.run_summary import run_summary
@@ -26,7 +27,7 @@ from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.fusion import FusionConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
-from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
@@ -51,7 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'with ground_truth/odom at the stamps of the pictures, and draw trajectory.png and '
         'errors.png.'
     )
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file of a drive')
+    parser.add_argument('bag', metavar='BAG', help='bag of a drive')
+    add_topic_argument(parser)
     parser.add_argument('--map', required=True, metavar='MAP', help='map folder, of learn')
     parser.add_argument(
         '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
@@ -119,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
     start, covariance = _start(args, landmarks)
     if not landmarks.landmarks:
         raise LandmarkNavError(f'{args.map}: the map holds no landmark: learn it again')
-    bag = Bag(args.bag)
+    bag = open_bag(args.bag, args)
     topics = {bag.find(name) for name in _EVENTS} - {None}
     total = sum(bag.counts[topic] for topic in topics if topic)
     config = LocalizationConfig()
@@ -157,6 +159,12 @@ def run(args: argparse.Namespace) -> int:
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     check_truth_frame(bag, landmarks.frame_id)
     errors = run_errors(done)
+    if len(done.truth) and np.isnan(errors.fused).all():
+        begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
+        bag.warn(
+            f'{bag.path}: ground_truth/odom is from {begin_s:.1f} to {end_s:.1f} s, the drive '
+            f'from {1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
+        )
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report(done, errors, landmarks, mount, learned)
     report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}

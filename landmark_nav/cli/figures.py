@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.figures_world import FiguresWorld
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.numbers import within
@@ -67,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--bag', metavar='BAG', help='bag of sweeps of your own; needs --room and --robot'
     )
+    add_topic_argument(parser)
     parser.add_argument('--room', metavar='F', help='room.yaml: walls and papers')
     parser.add_argument('--robot', metavar='F', help='robot.yaml: how the camera is mounted')
     parser.add_argument(
@@ -140,7 +142,7 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
     room = load_room(args.room) if args.room else None
     if args.bag:
         assert room is not None, 'checked above'
-        return _recorded(Bag(args.bag), room, mount, wanted, attention, given)
+        return _recorded(open_bag(args.bag, args), room, mount, wanted, attention, given)
     return _simulated(FiguresWorld.furnish(args.seed, mount, room), wanted, attention)
 
 

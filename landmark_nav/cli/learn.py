@@ -12,6 +12,7 @@ from pathlib import Path
 import time
 from typing import Any
 
+from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
@@ -53,7 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'the landmarks that two of them or more agree on. The map folder also gets '
         'panorama_K.png with candidates and elected landmarks, and map.png.'
     )
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file with sweeps')
+    parser.add_argument('bag', metavar='BAG', help='bag with sweeps')
+    add_topic_argument(parser)
     parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')
     parser.add_argument(
         '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
@@ -78,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.json)
     room, mount = load_room(args.room), load_robot(args.robot)
     config = load_config(args.config, _Stages()) if args.config else _Stages()
-    bag = Bag(args.bag)
+    bag = open_bag(args.bag, args)
     log = StageLog()
     with whole_folder(args.out, MAP_FILES) as folder:
         panoramas, frames = _panoramas(bag, room, mount, config, log)

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -19,7 +20,7 @@ from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cy
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
-from landmark_nav.storage.bags import Bag, read_sweep_folder, read_sweeps
+from landmark_nav.storage.bags import read_sweep_folder, read_sweeps
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.storage.whole import check_writable, write_whole
 from landmark_nav.types import Sweep
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='bag of sweeps, or folder of pictures with frames.csv '
         '(file,pan_rad,focal_px,width,height)',
     )
+    add_topic_argument(parser)
     parser.add_argument(
         '--sweep', type=int, dest='number', metavar='K', help='which sweep of the bag, from 1 on'
     )
@@ -96,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if pictures and args.number is not None:
         raise LandmarkNavError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
-    sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args.sweep, args.number, mount)
+    sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args, mount)
     quality = PanoramaQuality(0.0)
     if args.align and pictures:
         aligned = align_sweep(sweep, mount)
@@ -131,9 +133,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _sweep(path: Path, number: int | None, mount: PanTiltMount) -> Sweep:
+def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
     """Sweep of a bag, counted from 1; without a number, the only one."""
-    sweeps = list(read_sweeps(Bag(path), mount))
+    path: Path = args.sweep
+    number: int | None = args.number
+    sweeps = list(read_sweeps(open_bag(path, args), mount))
     if number is None and len(sweeps) == 1:
         return sweeps[0]
     if number is None or not 1 <= number <= len(sweeps):

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 
+from landmark_nav.cli.bags import add_topic_argument
 from landmark_nav.cli.numbers import within
 from landmark_nav.ros import require_ros
 
@@ -19,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Publish the messages of a bag under the names they were recorded with, and '
         '/clock. Ends with the bag.'
     )
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
+    parser.add_argument('bag', metavar='BAG', help='bag to play')
+    add_topic_argument(parser)
     parser.add_argument(
         '--rate', type=within(float, 0.01, 100), default=1.0, metavar='R',
         help='speed relative to the recording, 0.01 to 100 (default 1)',
@@ -37,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
     require_ros('it')
     # Values are YAML to ROS: quoted, so that a folder called 12 stays a name.
     parameters = ['-p', f'bag:={json.dumps(args.bag)}', '-p', f'rate:={args.rate!r}']
+    for name, topic in args.topic:
+        parameters += ['-r', f'{topic}:=/{name}']
     command = ['-m', 'landmark_nav.nodes.bag_player', '--ros-args', *parameters, *args.ros_args]
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, *command])

@@ -22,7 +22,7 @@ def run_summary(report: Mapping[str, Any]) -> str:
     """Tell how the run went, by the report of `run_report`."""
     known = report['fused']['position_rmse_m'] is not None
     lines = [f'WARNING: {report["warning"]}'] if report['warning'] else []
-    lines += error_table(report) if known else []
+    lines += error_table(report) if known else ['no errors: no ground truth at the pictures']
     if report['found'] is not None:
         x, y, heading = report['found']['pose']
         lines.append(

@@ -59,9 +59,23 @@ def posterior_bound(
     Returns
     -------
     ndarray, shape (n, 3, 3)
-        NaN where the truth is not known.
+        NaN where the truth is not known, and everywhere where it moves as nothing does.
 
     """
+    try:
+        return _bound(truth, sightings, landmark_map, mount, config, start)
+    except np.linalg.LinAlgError:
+        return np.full((len(sightings), 3, 3), np.nan)
+
+
+def _bound(
+    truth: PoseTrack,
+    sightings: Sequence[Detections],
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: LocalizationConfig,
+    start: PoseEstimate,
+) -> FloatArray:
     told = replace(
         config.fusion,
         mode='bearings',

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.clock import shifts_by_truth, track_by_truth
+from landmark_nav.evaluation.clock import shifts_by_odometry
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
@@ -144,7 +144,8 @@ def replay(
     Parameters
     ----------
     events : iterable of SensorEvent
-        What was sensed, in the order of its arrival. Ground truth is kept aside.
+        What was sensed, in the order of its arrival. Ground truth is kept aside, for
+        figures alone.
     start_pose : ndarray, shape (3,), optional
         Pose of the base in map at the first picture or odometry; without it the robot finds its
         own place.
@@ -166,13 +167,14 @@ def replay(
     took: list[float] = []
     samples: list[OdometrySample] = []
     truth: list[tuple[int, FloatArray]] = []
-    # Place of the last truth before each.
+    # Place of the last odometry before each.
     looked_after: list[int] = []
-    moved_after: list[int] = []
+    truth_after: list[int] = []
     begin = time.perf_counter()
     for event in events:
         if isinstance(event, PoseEstimate):
             truth.append((event.stamp_ns, event.pose))
+            truth_after.append(len(samples) - 1)
             continue
         if start is None and isinstance(event, CameraFrame | Detections | OdometrySample):
             start = _given(event.stamp_ns, start_pose, start_covariance)
@@ -180,10 +182,9 @@ def replay(
                 localizer.initialize(start)
         if isinstance(event, OdometrySample):
             samples.append(event)
-            moved_after.append(len(truth) - 1)
             localizer.add_odometry(event)
         elif isinstance(event, CameraFrame | Detections):
-            looked_after.append(len(truth) - 1)
+            looked_after.append(len(samples) - 1)
             before = time.perf_counter()
             if isinstance(event, CameraFrame):
                 update = localizer.add_frame(event)
@@ -211,19 +212,19 @@ def replay(
             f'all {len(updates)} pictures are of one moment, {1e-9 * updates[0].stamp_ns:.3f} s: '
             'their publisher must stamp them (header.stamp)'
         )
-    truth_ns = [stamp for stamp, _ in truth]
+    stamps_ns = [sample.stamp_ns for sample in samples]
     looked_ns = [*searched, *(update.stamp_ns for update in updates)]
-    shifts = shifts_by_truth(looked_ns, looked_after, truth_ns).tolist()
+    shifts = shifts_by_odometry(looked_ns, looked_after, stamps_ns).tolist()
     searched = [stamp + shift for stamp, shift in zip(searched, shifts, strict=False)]
     if searched:
         start = replace(start, stamp_ns=searched[-1])
     updates = [_later(u, shift) for u, shift in zip(updates, shifts[len(searched) :], strict=True)]
-    stamps_ns = [sample.stamp_ns for sample in samples]
-    moved = shifts_by_truth(stamps_ns, moved_after, truth_ns).tolist()
+    moved = shifts_by_odometry(stamps_ns, range(len(samples)), stamps_ns).tolist()
     samples = sorted(
         (replace(s, stamp_ns=s.stamp_ns + later) for s, later in zip(samples, moved, strict=True)),
         key=lambda sample: sample.stamp_ns,
     )
+    known = shifts_by_odometry([s for s, _ in truth], truth_after, stamps_ns).tolist()
     track = PoseTrack.of((sample.stamp_ns, sample.pose_odom_base) for sample in samples)
     return Replay(
         start,
@@ -231,7 +232,7 @@ def replay(
         tuple(updates),
         np.array(took),
         _dead_reckoning(track, start),
-        track_by_truth(truth, range(len(truth)), truth_ns),
+        PoseTrack.of((s + later, pose) for (s, pose), later in zip(truth, known, strict=True)),
         time.perf_counter() - begin,
         localizer.odometry_noise,
         localizer.sighting_sigma,

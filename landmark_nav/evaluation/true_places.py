@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags.sieve import Sieve
+from landmark_nav.storage.bags.truth import truth_decoder
 from landmark_nav.types import FloatArray, Landmark
 
 __all__ = ['check_truth_frame', 'true_places', 'truth_of_bag']
@@ -17,19 +20,26 @@ __all__ = ['check_truth_frame', 'true_places', 'truth_of_bag']
 def truth_of_bag(bag: Bag) -> PoseTrack:
     """Ground truth of a bag; empty where it has none."""
     topic = bag.find('ground_truth/odom')
-    entries = bag.messages([topic]) if topic else iter(())
-    poses = (decode.pose_estimate(entry.message) for entry in entries)
-    return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses)
+    if topic is None:
+        return PoseTrack.of(())
+    sieve, decoder = Sieve(bag, topic, needed=False), truth_decoder(bag, topic)
+    poses = [sieve.take(decoder, entry) for entry in bag.messages([topic])]
+    sieve.tell()
+    return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses if pose is not None)
 
 
 def check_truth_frame(bag: Bag, frame: str) -> None:
-    """Warn where the ground truth of a bag is told in another frame than `frame`."""
+    """Warn where the ground truth of a bag is given in another frame than `frame`."""
     topic = bag.find('ground_truth/odom')
     first = next(bag.messages([topic]), None) if topic else None
-    if first is not None and first.message.header.frame_id not in ('', frame):
+    try:
+        found = '' if first is None else str(first.message.header.frame_id)
+    except LandmarkNavError:
+        return  # its errors are said where it is read
+    if found and not decode.same_frame(found, frame):
         bag.warn(
-            f'{bag.path}: {topic} is in frame {first.message.header.frame_id}, the map in '
-            f'{frame}: errors are right only where both are the same'
+            f'{bag.path}: {topic} is in frame {found}, the map in {frame}: errors are right only '
+            'where both are the same'
         )
 
 

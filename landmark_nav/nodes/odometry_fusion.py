@@ -206,7 +206,7 @@ class OdometryFusionNode(LandmarkNode):
             # The clock was set back: by this one nothing was told yet.
             self._told_ns = None
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
-        self._odom_frame = message.header.frame_id
+        self._odom_frame = message.header.frame_id.lstrip('/')
         self._use_waiting()
         estimate = self._filter.estimate(sample.stamp_ns)
         if estimate is not None:

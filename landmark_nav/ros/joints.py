@@ -14,9 +14,6 @@ from landmark_nav.types import JointSample
 
 __all__ = ['listen_for_joints']
 
-# Names that one line lists.
-_LISTED = 8
-
 
 def listen_for_joints(
     node: LandmarkNode,
@@ -31,20 +28,17 @@ def listen_for_joints(
 
     Diagnostics tell which joints are named as long as that of the pan is not among them.
     """
-    heard: dict[str, None] = {}
+    names = decode.JointNames(mount)
 
     def take(message: Any) -> None:
-        sample = decode.joint_sample(message, mount)
+        if taken := names.add(message.name):
+            node.get_logger().info(f'joint_states: {taken}')
+        sample = decode.joint_sample(message, names.mount)
         if sample is not None:
             on_sample(sample)
             return
-        if (tilt := decode.lone_tilt(message, mount)) is not None:
+        if (tilt := decode.lone_tilt(message, names.mount)) is not None:
             on_tilt(*tilt)
-        if len(heard) < _LISTED:
-            heard.update(dict.fromkeys(message.name[:_LISTED]))
-        names = ', '.join(heard) or 'no joint'
-        raise IrrelevantError(
-            f'names {one_line(names):.80}, not {mount.pan_joint}: set pan_joint in robot.yaml'
-        )
+        raise IrrelevantError(one_line(names.missing))
 
     node.listen('joint_states', take, depth=depth)

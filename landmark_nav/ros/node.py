@@ -21,6 +21,7 @@ from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError, one_line
+from landmark_nav.messages import decode
 from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
@@ -111,6 +112,7 @@ class LandmarkNode(Node):
         group: CallbackGroup | None = None,
     ) -> Subscription[Any]:
         """Subscribe to a public topic; `depth` replaces the length of its queue."""
+        callback = self._stamped(topic, callback)
         spec = TOPICS[topic]
         return self.create_subscription(
             message_class(spec.type_name),
@@ -146,6 +148,17 @@ class LandmarkNode(Node):
             *args,
             **given,
         )
+
+    def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Callback whose messages have the time of arrival where they have no stamp."""
+
+        def stamped(message: Any) -> None:
+            if decode.is_unstamped(message):
+                decode.set_stamp(message, self.get_clock().now().nanoseconds)
+                self.note(f'{topic} has stamps of 0: the time of arrival is taken')
+            callback(message)
+
+        return stamped
 
     def offer(
         self,

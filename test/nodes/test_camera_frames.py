@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages import encode
+from landmark_nav.messages import decode, encode
 from landmark_nav.types import JointSample
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
@@ -19,6 +19,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.inputs import IrrelevantError
+from landmark_nav.ros.node import LandmarkNode
 
 MOUNT = PanTiltMount()
 RATE_RAD_S = 0.5
@@ -102,3 +103,44 @@ def test_a_tilt_that_is_told_by_itself_is_waited_for_and_kept() -> None:
     assert joints.tilt_rad == pytest.approx(0.399)
     hear(JointSample(0, 0.0, 0.2))
     assert [tilt for _, tilt in frames._tilts] == [0.2]
+
+
+def test_a_prefixed_pan_joint_is_heard_and_others_are_named() -> None:
+    logged: list[str] = []
+    callbacks: dict[str, Any] = {}
+    node: Any = SimpleNamespace(
+        listen=lambda topic, call, **_: callbacks.setdefault(topic, call),
+        get_logger=lambda: SimpleNamespace(info=logged.append),
+    )
+    frames = CameraFrames(node, MOUNT)
+
+    def hear(name: str, angle: float) -> None:
+        message = encode.joint_state(ros_factory, JointSample(10**9, angle), MOUNT)
+        message.name, message.position = [name], [angle]
+        callbacks['joint_states'](message)
+
+    with pytest.raises(IrrelevantError, match='left_wheel arrive, not pan_joint'):
+        hear('left_wheel', 1.0)
+    assert frames.pan_rad is None
+    for _ in range(3):
+        hear('robot1/pan_joint', 0.2)
+        with pytest.raises(IrrelevantError):
+            hear('left_wheel', 2.0)
+    assert frames.pan_rad == 0.2
+    assert logged == ['joint_states: joint robot1/pan_joint for pan_joint is taken']
+
+
+def test_messages_without_stamps_have_the_time_of_arrival() -> None:
+    noted: list[str] = []
+    heard: list[int] = []
+    node: Any = SimpleNamespace(
+        get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=7_000_000_005)),
+        note=noted.append,
+    )
+    stamped = LandmarkNode._stamped(
+        node, 'joint_states', lambda message: heard.append(decode.stamp_ns(message.header))
+    )
+    for stamp_ns in (0, 4_000_000_000):
+        stamped(encode.joint_state(ros_factory, JointSample(stamp_ns, 0.0), MOUNT))
+    assert heard == [7_000_000_005, 4_000_000_000]
+    assert len(noted) == 1

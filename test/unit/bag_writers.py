@@ -28,12 +28,15 @@ def odometry(stamp, pose, **frames):
     return encode.odometry(FACTORY, OdometrySample(stamp, np.asarray(pose, float)), **frames)
 
 
-def write_sweep(bag, start, pans, *, keep=None, trajectory=True):
+def write_sweep(bag, start, pans, *, keep=None, trajectory=True, damaged=()):
     samples = [JointSample(start + k * SECOND, float(p)) for k, p in enumerate(pans)]
     for k, sample in enumerate(samples):
         stamp = sample.stamp_ns
         if keep is None or keep(k):
-            bag.write('sweep/image', encode.image(FACTORY, picture(k), stamp, 'cam'), stamp)
+            image = encode.image(FACTORY, picture(k), stamp, 'cam')
+            if k in damaged:
+                image.data = image.data[:100]
+            bag.write('sweep/image', image, stamp)
             info = encode.camera_info(FACTORY, CAMERA, stamp, 'cam')
             bag.write('sweep/camera_info', info, stamp)
         bag.write('joint_states', encode.joint_state(FACTORY, sample, MOUNT), stamp)

@@ -72,6 +72,37 @@ def test_a_joint_that_cannot_turn_fully_is_lived_with(tmp_path):
     assert 'nothing is seen from pan 148 to 212 deg' in warnings[0]
 
 
+@pytest.mark.parametrize('trajectory', [True, False])
+def test_an_image_that_does_not_decode_is_left_out_by_name(tmp_path, trajectory):
+    with BagWriter(tmp_path / 'learn') as bag:
+        write_sweep(bag, START, full_turn(), damaged={17}, trajectory=trajectory)
+        write_sweep(bag, START + 90 * SECOND, full_turn(), trajectory=trajectory)
+    warnings = []
+    first, second = read_sweeps(Bag(tmp_path / 'learn', warnings.append), MOUNT)
+    kept = np.delete(full_turn(), 17)
+    np.testing.assert_allclose([f.pan_rad for f in first.frames], kept)
+    assert [f.image[0, 0] for f in first.frames] == [k for k in range(24) if k != 17]
+    assert len(second.frames) == 24
+    assert (
+        '1 of 24 frames of the sweep of 1000.0 s left out: image 18, at 1017.000 s' in warnings[-1]
+    )
+
+
+@pytest.mark.parametrize(
+    ('damaged', 'which'),
+    [
+        ((5, 6, 7, 8), 'image 6, at 1005.000 s, and then nothing is seen from pan -92 to -73 deg'),
+        (range(24), 'image 1, at 1000.000 s'),
+    ],
+)
+def test_images_that_nothing_makes_up_for_are_refused_by_their_gap(tmp_path, damaged, which):
+    with BagWriter(tmp_path / 'learn') as bag:
+        write_sweep(bag, START, full_turn(), damaged=damaged)
+    with pytest.raises(LandmarkNavError) as error:
+        list(read_sweeps(Bag(tmp_path / 'learn'), MOUNT))
+    assert which in str(error.value)
+
+
 def test_without_trajectory_the_joint_states_tell(tmp_path):
     with BagWriter(tmp_path / 'learn') as bag:
         write_sweep(bag, START, full_turn(), trajectory=False)

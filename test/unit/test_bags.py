@@ -100,25 +100,21 @@ def test_what_is_no_bag_is_refused_with_what_it_is(tmp_path):
     refused(tmp_path, 'folder without metadata')
     text = tmp_path / 'notes.mcap'
     text.write_text('hello world')
-    refused(text, r'not an MCAP file \(it begins with')
+    refused(text, r'not a bag \(it begins with')
     (tmp_path / 'empty.mcap').write_bytes(b'')
     refused(tmp_path / 'empty.mcap', 'empty')
-    (tmp_path / 'old.bag').write_bytes(b'#ROSBAG V2.0\n')
-    refused(tmp_path / 'old.bag', 'ROS 1 bag: convert it with `rosbags-convert')
-    sqlite = tmp_path / 'sqlite'
-    sqlite.mkdir()
-    (sqlite / 'a.db3').write_bytes(b'SQLite format 3')
-    refused(sqlite, 'sqlite3 bag: convert it')
-    refused(sqlite / 'a.db3', 'sqlite3 bag: convert it')
-    information = {'storage_identifier': 'sqlite3', 'relative_file_paths': ['a.db3']}
-    metadata = sqlite / 'metadata.yaml'
-    metadata.write_text(yaml.safe_dump({'rosbag2_bagfile_information': information}))
-    refused(sqlite, 'sqlite3 bag: convert it')
-    information.update(storage_identifier='mcap', compression_mode='FILE')
-    metadata.write_text(yaml.safe_dump({'rosbag2_bagfile_information': information}))
-    refused(sqlite, 'compressed by file')
+    for name, head in (('old.bag', b'#ROSBAG V2.0\n'), ('a.db3', b'SQLite format 3\0')):
+        (tmp_path / name).write_bytes(head)
+        refused(tmp_path / name, f'{name}: cannot be read')
+    rosbag2 = tmp_path / 'rosbag2'
+    rosbag2.mkdir()
+    metadata = rosbag2 / 'metadata.yaml'
+    for named in (None, 'a.mcap', [], ['.'], ['..'], [7], ['gone.mcap']):
+        information = {'storage_identifier': 'mcap', 'relative_file_paths': named}
+        metadata.write_text(yaml.safe_dump({'rosbag2_bagfile_information': information}))
+        refused(rosbag2, 'which is not there')
     metadata.write_text('other: 1')
-    refused(sqlite, 'not the description')
+    refused(rosbag2, 'not the description')
     refused(metadata, 'give the folder')
 
 
@@ -206,7 +202,7 @@ def test_missing_ambiguous_and_wrong_topics_are_told(tmp_path):
         LandmarkNavError, match=r'several topics could be odom \(/r1/odom, /r2'
     ) as told:
         bag.find('odom')
-    assert 'keep one of them' in str(told.value)
+    assert '--topic odom=/r1/odom' in str(told.value)
     with pytest.raises(LandmarkNavError, match=r'camera_info is missing.*/r1/odom \(1\)'):
         bag.require('camera/camera_info')
     with pytest.raises(LandmarkNavError, match='nav_msgs/msg/Odometry, not sensor_msgs'):
@@ -223,11 +219,10 @@ def test_what_could_be_the_missing_topic_is_told(tmp_path):
     with pytest.raises(LandmarkNavError) as told:
         bag.require('odom')
     # Of the truth it is known that it is no odometry.
-    assert 'rename /visual/odometry to odom or /wheels to odom (remap' in str(told.value)
+    assert 'give --topic odom=/visual/odometry or --topic odom=/wheels;' in str(told.value)
     with pytest.raises(LandmarkNavError) as told:
         bag.require('camera/image_raw', 'camera/image_raw/compressed')
-    assert 'rename /usb_cam/image_raw/compressed to camera/image_raw/compressed (remap' in str(
-        told.value
-    )
+    name = 'camera/image_raw/compressed'
+    assert f'--topic {name}=/usb_cam/image_raw/compressed;' in str(told.value)
     with pytest.raises(LandmarkNavError, match='joint_states is missing: record it; there are'):
         bag.require('joint_states')

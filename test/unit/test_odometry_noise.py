@@ -17,7 +17,7 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
     twist_motion,
 )
-from landmark_nav.localization.odometry.track import HORIZON_S, OdometryTrack
+from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
 from landmark_nav.types import OdometrySample
 
 CONFIG = OdometryNoiseConfig()
@@ -157,6 +157,31 @@ class TestTrack:
         motion = track.motion(1_000_000_000, 1_100_000_000)
         np.testing.assert_allclose(motion.increment, twist_motion(SPEED, RATE, 0.1), atol=1e-9)
         assert motion.blind_seconds == pytest.approx(0.05)
+
+    @pytest.mark.parametrize('period_s', [0.005, 0.05, 0.2])
+    @pytest.mark.parametrize('begin', [np.array([5.0, -3.0, 1.0]), np.array([0.1, 0.0, 0.0])])
+    def test_odometry_that_is_set_to_zero_goes_on_by_its_speeds(
+        self, period_s: float, begin: npt.NDArray[np.float64]
+    ) -> None:
+        track = OdometryTrack(CONFIG)
+        refusals = []
+        for k in range(80):
+            since_s = period_s * (k - (40 if k >= 40 else 0))
+            pose = twist_motion(SPEED, RATE, since_s)
+            pose = pose if k >= 40 else compose(begin, pose)
+            refusals.append(track.add(sample(period_s * k, pose)))
+        assert [k for k, refusal in enumerate(refusals) if refusal is not None] == [40]
+        assert isinstance(refusals[40], Distrusted)
+        motion = track.motion(0, round(79e9 * period_s))
+        expected = twist_motion(SPEED, RATE, 79 * period_s)
+        np.testing.assert_allclose(relative(expected, motion.increment), 0.0, atol=1e-9)
+        assert motion.blind_seconds == 0.0
+
+    def test_poses_that_never_go_as_their_speeds_do_not_jump(self) -> None:
+        track = OdometryTrack(CONFIG)
+        for k in range(50):
+            # A base that drives sideways, which its forward speed leaves out.
+            assert track.add(sample(0.1 * k, np.array([0.0, 0.08 * k, 0.0]))) is None
 
     def test_a_turn_that_no_robot_makes_is_a_jump(self) -> None:
         track = circle_track()

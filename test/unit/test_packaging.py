@@ -18,7 +18,8 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
 
-# rosdep key -> what pip calls it. There is no key for mcap: rosdep users have it from pip.
+# rosdep key -> what pip calls it. There is no key for mcap: rosdep users have it from pip, with
+# its requirements.
 DISTRIBUTIONS = {
     'python3-matplotlib': 'matplotlib',
     'python3-numpy': 'numpy',
@@ -90,7 +91,7 @@ def test_name_version_and_licence_are_the_same_everywhere(setup_arguments: dict[
 
 def test_python_dependencies_agree(setup_arguments: dict[str, Any]) -> None:
     keys = {key for key in depends() if key.startswith('python3-')}
-    assert {DISTRIBUTIONS[key] for key in keys} | {'mcap'} == names(
+    assert {DISTRIBUTIONS[key] for key in keys} | {'mcap', 'lz4', 'zstandard'} == names(
         setup_arguments['install_requires']
     )
 

@@ -7,7 +7,7 @@ import pytest
 
 from landmark_nav.cli.run_summary import run_summary
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.clock import shifts_by_truth
+from landmark_nav.evaluation.clock import shifts_by_odometry
 from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.run_report import run_errors, run_report
@@ -234,8 +234,8 @@ def test_a_clock_that_was_set_back_is_no_error_of_the_pose(first):
 
 def test_stamps_that_go_back_alone_or_a_little_stay():
     truth = np.array([10, 20, 15, 30, 40]) * SECOND // 100
-    assert not shifts_by_truth([5, 900, 7], [-1, 2, 4], truth).any()
-    assert shifts_by_truth([5, 7], [-1, -1], []).tolist() == [0, 0]
+    assert not shifts_by_odometry([5, 900, 7], [-1, 2, 4], truth).any()
+    assert shifts_by_odometry([5, 7], [-1, -1], []).tolist() == [0, 0]
 
 
 def test_a_picture_that_came_late_is_smoothed_in_its_time():

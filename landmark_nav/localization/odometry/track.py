@@ -32,6 +32,12 @@ _LONGEST_S = 3600.0
 # value are noise.
 _FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
 
+# A pose has jumped, too, if it moves otherwise than the speeds of the samples around it, by more
+# than these and as much again as they say, after so many that agreed: drivers set it to zero when
+# they restart. Sources whose speeds never agree, such as without the sideways one, are not judged
+# by them.
+_OFF_M, _OFF_RAD, _AGREED = 0.03, 0.05, 5
+
 
 @dataclass(frozen=True)
 class Distrusted(Refusal):
@@ -42,10 +48,11 @@ class OdometryTrack:
     """
     Odometry without its jumps, which gives the motion between any two times.
 
-    Where the source jumps, the motion goes on with the last twist and counts as blind: nothing is
-    known of it. Samples whose pose has frozen are left out. After the last sample, and before the
-    first, the twist is extrapolated for a short while; beyond that no motion is assumed, and the
-    time counts as blind. A source that has told no speeds so far has those of its poses.
+    Where the source jumps, the motion goes on with the last twist and counts as blind, as nothing
+    is known of it; unless it is set to zero while its speeds go on. Samples whose pose has frozen
+    are left out. After the last sample, and before the first, the twist is extrapolated for a
+    short while; beyond that no motion is assumed, and the time counts as blind. A source that gave
+    no speeds so far has those of its poses.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:
@@ -62,6 +69,7 @@ class OdometryTrack:
         self._claimed, self._staying = 0.0, 0
         self._stands_since_ns: int | None = None
         self._tells_speeds = False
+        self._agreeing = 0
         self._jitter = Jitter()
 
     @property
@@ -104,9 +112,12 @@ class OdometryTrack:
             return Refusal('odometry went back in time', f'{-seconds:.3f} s')
         increment = relative(last.pose_odom_base, sample.pose_odom_base)
         way, turn = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
+        # A driver that restarts begins at zero; speeds that agreed until now know the way.
+        reset = self._agreeing >= _AGREED and _is_near_zero(sample, seconds)
         jumped = (
             way > self._config.max_speed_m_s * min(seconds, _LONGEST_S)
             or turn > self._config.max_rate_rad_s * seconds
+            or self._contradicts_speeds(increment, last, sample, seconds)
         )
         if jumped:
             known = min(seconds, HORIZON_S)
@@ -114,8 +125,8 @@ class OdometryTrack:
         if not self._tells_speeds:
             forward, _, turned = (increment / seconds).tolist()
             sample = replace(sample, linear_m_s=forward, angular_rad_s=turned)
-        blind = jumped or seconds > self._config.max_gap_s
-        if blind or same_pose:
+        blind = (jumped and not reset) or seconds > self._config.max_gap_s
+        if blind or jumped or same_pose:
             self._jitter.interrupt()
         else:
             self._jitter.add(increment, seconds)
@@ -132,6 +143,23 @@ class OdometryTrack:
             what = f'{way:.4g} m and {turn:.2f} rad in {seconds:.3f} s'
             return Distrusted('odometry jumped', what)
         return None
+
+    def _contradicts_speeds(
+        self, increment: FloatArray, last: OdometrySample, sample: OdometrySample, seconds: float
+    ) -> bool:
+        """Whether the pose moves otherwise than the speeds, which it never did before."""
+        if not self._tells_speeds or seconds > HORIZON_S:
+            return False
+        linear = 0.5 * (last.linear_m_s + sample.linear_m_s)
+        angular = 0.5 * (last.angular_rad_s + sample.angular_rad_s)
+        off = increment - twist_motion(linear, angular, seconds)
+        agreed, self._agreeing = self._agreeing, self._agreeing + 1
+        if (
+            math.hypot(off[0], off[1]) > _OFF_M + abs(linear) * seconds
+            or abs(off[2]) > _OFF_RAD + abs(angular) * seconds
+        ):
+            self._agreeing = 0
+        return agreed >= _AGREED and not self._agreeing
 
     @property
     def _frozen(self) -> bool:
@@ -239,3 +267,13 @@ class OdometryTrack:
             return totals[max(after - 1, 0)]
         since, total = totals[after - 1], totals[after]
         return since + (stamp_ns - self._stamps[after - 1] if total > since else 0)
+
+
+def _is_near_zero(sample: OdometrySample, seconds: float) -> bool:
+    """Whether a pose is zero, or what the speeds make of it within one interval."""
+    x, y, heading = sample.pose_odom_base
+    return (
+        seconds <= HORIZON_S
+        and math.hypot(x, y) < _OFF_M + abs(sample.linear_m_s) * seconds
+        and abs(heading) < _OFF_RAD + abs(sample.angular_rad_s) * seconds
+    )

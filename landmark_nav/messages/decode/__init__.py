@@ -7,12 +7,20 @@ rosbags and rclpy; numeric arrays may be NumPy arrays, array.array, bytes or lis
 
 from landmark_nav.messages.decode.cameras import camera_model
 from landmark_nav.messages.decode.detections import detections, triplet
-from landmark_nav.messages.decode.headers import check_frame, stamp_ns
+from landmark_nav.messages.decode.headers import (
+    check_frame,
+    is_unstamped,
+    same_frame,
+    set_stamp,
+    stamp_ns,
+)
 from landmark_nav.messages.decode.images import image
 from landmark_nav.messages.decode.joints import (
     joint_delay,
     joint_sample,
+    JointNames,
     lone_tilt,
+    matching_name,
     sweep_trajectory,
 )
 from landmark_nav.messages.decode.landmarks import landmark_map
@@ -20,18 +28,23 @@ from landmark_nav.messages.decode.panoramas import panorama
 from landmark_nav.messages.decode.poses import found_place, odometry, pose_estimate
 
 __all__ = [
+    'JointNames',
     'camera_model',
     'check_frame',
     'detections',
     'found_place',
     'image',
+    'is_unstamped',
     'joint_delay',
     'joint_sample',
     'landmark_map',
     'lone_tilt',
+    'matching_name',
     'odometry',
     'panorama',
     'pose_estimate',
+    'same_frame',
+    'set_stamp',
     'stamp_ns',
     'sweep_trajectory',
     'triplet',

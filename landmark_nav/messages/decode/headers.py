@@ -15,8 +15,11 @@ __all__ = [
     'covariances',
     'duration_ns',
     'finite',
+    'is_unstamped',
     'landmark_ids',
+    'same_frame',
     'seconds',
+    'set_stamp',
     'stamp_ns',
     'yaw_rad',
 ]
@@ -48,9 +51,26 @@ def stamp_ns(header: Any) -> int:
     return sec * _SECOND_NS + nanosec
 
 
+def is_unstamped(msg: Any) -> bool:
+    """Whether a message has a header whose stamp is zero: its publisher does not stamp."""
+    header = getattr(msg, 'header', None)
+    return header is not None and not (header.stamp.sec or header.stamp.nanosec)
+
+
+def set_stamp(msg: Any, stamp_ns: int) -> None:
+    """Stamp the header of a message."""
+    stamp = msg.header.stamp
+    stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+
+
+def same_frame(frame: str, other: str) -> bool:
+    """Whether two names are of one frame; those of ROS 1 may begin with a slash."""
+    return frame.lstrip('/') == other.lstrip('/')
+
+
 def check_frame(header: Any, frame: str, remedy: str) -> None:
     """`LandmarkNavError` where a std_msgs/Header names another frame, with what to do then."""
-    if header.frame_id != frame:
+    if not same_frame(header.frame_id, frame):
         raise LandmarkNavError(
             f'it is in frame {header.frame_id!r:.60}, not in frame {frame}: {remedy}'
         )

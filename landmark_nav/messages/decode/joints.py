@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
@@ -11,7 +13,92 @@ from landmark_nav.messages.decode.headers import duration_ns, finite, seconds, s
 from landmark_nav.messages.layouts import JOINT_DELAY
 from landmark_nav.types import JointSample
 
-__all__ = ['joint_delay', 'joint_sample', 'lone_tilt', 'sweep_trajectory']
+__all__ = [
+    'JointNames',
+    'joint_delay',
+    'joint_sample',
+    'lone_tilt',
+    'matching_name',
+    'sweep_trajectory',
+]
+
+# Names of joints are kept up to so many: a robot has some tens.
+_MOST_NAMES = 200
+
+
+class JointNames:
+    """
+    The pan and tilt joints among the names that arrive.
+
+    A joint that has the name of ``robot.yaml`` is the one. Otherwise it is the only one whose name
+    ends with it behind a prefix, such as ``robot1/pan_joint`` or ``robot1_pan_joint``.
+
+    Parameters
+    ----------
+    mount : PanTiltMount
+        Names as ``robot.yaml`` gives them.
+
+    Attributes
+    ----------
+    mount : PanTiltMount
+        The same with the names that arrive.
+
+    """
+
+    def __init__(self, mount: PanTiltMount) -> None:
+        self._given = self.mount = mount
+        self._seen: set[str] = set()
+
+    def add(self, names: Iterable[str]) -> str | None:
+        """Take the names of a message; a line for people where a prefixed joint is taken."""
+        new = set(names) - self._seen
+        if not new or len(self._seen) >= _MOST_NAMES:
+            return None
+        self._seen |= new
+        wanted = self._given.pan_joint, self._given.tilt_joint
+        pan, tilt = (matching_name(name, self._seen) or name for name in wanted)
+        before, self.mount = self.mount, replace(self.mount, pan_joint=pan, tilt_joint=tilt)
+        taken = [
+            f'{now} for {name}'
+            for now, was, name in zip(
+                (pan, tilt), (before.pan_joint, before.tilt_joint), wanted, strict=True
+            )
+            if now not in (was, name)
+        ]
+        return f'joint {" and ".join(taken)} is taken' if taken else None
+
+    @property
+    def missing(self) -> str:
+        """Why the pan is not known, for people, with the names that arrive."""
+        names = sorted(self._seen)
+        pan = self._given.pan_joint
+        more = f' and {len(names) - 5} more' if len(names) > 5 else ''
+        listed = ', '.join(names[:5]) + more
+        if could_be := [name for name in names if _is_prefixed(name, pan)]:
+            return f'{", ".join(could_be[:5])} could be {pan}: set pan_joint in robot.yaml'
+        return f'{listed or "no joint"} arrive, not {pan}: set pan_joint in robot.yaml'
+
+    @property
+    def pan_is_missing(self) -> bool:
+        """Whether joints arrive, but not that of the pan."""
+        return bool(self._seen) and not self.pan_arrives
+
+    @property
+    def pan_arrives(self) -> bool:
+        """Whether the pan joint is among the names that arrived."""
+        return self.mount.pan_joint in self._seen
+
+
+def matching_name(name: str, names: Iterable[str]) -> str | None:
+    """The one of `names` that is `name`, or else the only one that ends with it."""
+    known = set(names)
+    found = {name} & known or {other for other in known if _is_prefixed(other, name)}
+    return found.pop() if len(found) == 1 else None
+
+
+def _is_prefixed(name: str, joint: str) -> bool:
+    return name.endswith(tuple(f'{separator}{joint}' for separator in '/_.:-'))
+
 
 # A joint that turns on and on may count its turns, some 160,000 of them.
 _MOST_RAD = 1e6
@@ -65,11 +152,11 @@ def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
 
     """
     names = list(msg.joint_names)
-    if mount.pan_joint not in names:
-        raise LandmarkNavError(
-            f'sweep trajectory is about {", ".join(names)!r:.60}, not about '
-            f'{mount.pan_joint}: set pan_joint in robot.yaml'
-        )
+    joints = JointNames(mount)
+    joints.add(names)
+    if not joints.pan_arrives:
+        raise LandmarkNavError(f'in the sweep trajectory {joints.missing}')
+    mount = joints.mount
     start = stamp_ns(msg.header)
     return tuple(
         _sample(

@@ -1,40 +1,56 @@
 """
 One MCAP file: its channels and its messages, also of a file that lost its end.
 
-Format: https://mcap.dev/spec. A whole file is read through its index; one without index or footer
-record by record, up to the break.
+Format: https://mcap.dev/spec. A file with a sound index is read through it; any other one
+record by record, up to the break. Either way messages come by log time and in bounded memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
+import heapq
 from io import BytesIO
 from pathlib import Path
 import struct
+from tempfile import gettempdir, TemporaryFile
 from typing import BinaryIO
+import zlib
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Schema
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.summary import Summary
+from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.storage.bags.unpack import CHUNK_BYTES, most_bytes, unpack
 
-__all__ = ['ChannelInfo', 'McapFile', 'RawMessage']
+__all__ = ['MAX_CHANNELS', 'ChannelInfo', 'McapFile', 'RawMessage']
 
 _MAGIC = b'\x89MCAP0\r\n'
+# Opcode and length of a footer, its content, and the magic.
+_FOOTER_BYTES = 9 + 20 + len(_MAGIC)
+
+# A robot has some hundreds.
+MAX_CHANNELS = 65535
+# A recorder puts some thousands into a chunk.
+_MAX_RECORDS = 1_000_000
+
+# Chunks that overlap in time are held together up to this, beyond it messages go to the disk.
+_HELD_BYTES = CHUNK_BYTES
 
 # Whatever the container, its decompressors and text decoding raise on damaged bytes: no list of
 # it is complete, and the error of zstandard has no base but this.
 _DAMAGE = Exception
 
+_READ = {
+    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.CHUNK_INDEX,
+    Opcode.STATISTICS, Opcode.FOOTER,
+}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class ChannelInfo:
-    """A topic of the file: how its messages are written and, in a whole file, how many."""
+    """A topic of the file: how its messages are written."""
 
     topic: str
     type_name: str
@@ -61,7 +77,9 @@ class McapFile:
     path : Path
         The file.
     on_warning : callable
-        Told in one line if the file lost its end.
+        Gets one line if the file lost its end.
+    name : Path, optional
+        What messages call the file; `path` by default.
 
     Attributes
     ----------
@@ -72,75 +90,65 @@ class McapFile:
     complete : bool
         Whether the file has its end.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is not an MCAP file.
-
     """
 
-    def __init__(self, path: Path, on_warning: Callable[[str], None]) -> None:
+    def __init__(
+        self, path: Path, on_warning: Callable[[str], None], name: Path | None = None
+    ) -> None:
         """Read what the file holds."""
-        self.path = path
+        self.path, self.name = path, name or path
         self.counts: dict[ChannelInfo, int] = {}
         self.first_ns = self.last_ns = 0
-        with path.open('rb') as stream:
-            head = stream.read(len(_MAGIC))
-            if head != _MAGIC:
-                raise LandmarkNavError(
-                    f'{path}: not an MCAP file (it begins with {head!r}): give a rosbag2 folder '
-                    'or an .mcap file'
-                    if head
-                    else f'{path}: empty, nothing was recorded'
-                )
-            summary = _summary(stream)
-        self._indexed = summary is not None
         self.complete = True
-        if summary is not None and _tells_all(summary):
-            self._take_summary(summary)
+        self._ordered = True
+        self._index: _Index | None = None
+        try:
+            with path.open('rb') as stream:
+                self._index = _Index.read(stream)
+        except _TooManyChannelsError as error:
+            raise LandmarkNavError(f'{self.name}: {error}') from error
+        except _DAMAGE:
+            pass
+        if self._index is not None:
+            self._take_index(self._index)
         else:
             self._take_scan(on_warning)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Messages of `topics` (all by default) by log time."""
-        if not self._indexed:
-            yield from self._scan(topics)
+        if self._index is None:
+            scanned = self._scan(topics)
+            yield from scanned if self._ordered else self._by_time(scanned)
             return
-        infos: dict[int, ChannelInfo] = {}
-        with self.path.open('rb') as stream:
-            reader = make_reader(stream, validate_crcs=True)
-            try:
-                for schema, channel, message in reader.iter_messages(topics):
-                    if channel.id not in infos:
-                        infos[channel.id] = _info(channel, schema)
-                    yield RawMessage(infos[channel.id], message.log_time, message.data)
-            except _DAMAGE as error:
-                raise LandmarkNavError(
-                    f'{self.path}: damaged inside ({error}): repair it with `mcap recover`'
-                ) from error
+        try:
+            if self._index.overlap_bytes <= _HELD_BYTES:
+                yield from self._index.messages(self.path, topics)
+            else:
+                yield from self._by_time(self._scan(topics))
+        except LandmarkNavError:
+            raise
+        except _DAMAGE as error:
+            raise LandmarkNavError(
+                f'{self.name}: damaged inside ({error}): repair it with `mcap recover`'
+            ) from error
 
-    def _take_summary(self, summary: Summary) -> None:
-        statistics = summary.statistics
-        assert statistics is not None, 'the caller checks'
-        self.first_ns = statistics.message_start_time if statistics.message_count else 0
-        self.last_ns = statistics.message_end_time if statistics.message_count else 0
-        for identity, channel in summary.channels.items():
-            info = _info(channel, summary.schemas.get(channel.schema_id))
-            count = statistics.channel_message_counts.get(identity, 0)
-            self.counts[info] = self.counts.get(info, 0) + count
+    def _take_index(self, index: _Index) -> None:
+        self.first_ns, self.last_ns = index.span_ns
+        for identity, info in index.records.channels.items():
+            self.counts[info] = self.counts.get(info, 0) + index.counts.get(identity, 0)
 
     def _take_scan(self, on_warning: Callable[[str], None]) -> None:
-        self._indexed = False
         self.complete = False
         for message in self._scan(None):
             self.counts[message.channel] = self.counts.get(message.channel, 0) + 1
             self.first_ns = min(self.first_ns or message.stamp_ns, message.stamp_ns)
+            self._ordered &= message.stamp_ns >= self.last_ns
             self.last_ns = max(self.last_ns, message.stamp_ns)
         if not self.complete:
             total = sum(self.counts.values())
             on_warning(
-                f'{self.path}: cut off or damaged before its end: read up to the break, '
-                f'{total} messages, {(self.last_ns - self.first_ns) * 1e-9:.1f} s'
+                f'{self.name}: cut off or damaged before its end ({self._break}): read up to the '
+                f'break, {total} messages, {(self.last_ns - self.first_ns) * 1e-9:.1f} s'
             )
 
     def _scan(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
@@ -149,67 +157,200 @@ class McapFile:
 
         Sets `complete` if the footer is reached.
         """
-        size = self.path.stat().st_size
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, ChannelInfo] = {}
-
-        def message(payload: bytes) -> RawMessage | None:
-            channel, _, log_time, _ = struct.unpack_from('<HIQQ', payload)
-            info = channels[channel]
-            if topics is not None and info.topic not in topics:
-                return None
-            return RawMessage(info, log_time, payload[22:])
-
-        def define(opcode: int, payload: bytes) -> None:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(ReadDataStream(BytesIO(payload)))
-                schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(ReadDataStream(BytesIO(payload)))
-                channels[channel.id] = _info(channel, schemas.get(channel.schema_id))
-
+        records = _Records()
+        size = self.path.stat().st_size - len(_MAGIC)
+        unpacked_bytes, most = 0, most_bytes(size)
+        self._break = 'it ends too early'
         with self.path.open('rb') as stream:
             stream.seek(len(_MAGIC))
             try:
-                for opcode, payload, whole in _records(stream, size - len(_MAGIC)):
-                    found: list[RawMessage] = []
+                for opcode, payload, whole in _records(stream, size):
                     if opcode == Opcode.CHUNK:
-                        inside = _chunk_content(payload, whole)
-                        for kind, content, entire in _records(BytesIO(inside), len(inside)):
-                            define(kind, content)
-                            if kind == Opcode.MESSAGE and entire and (one := message(content)):
-                                found.append(one)
-                    elif opcode == Opcode.MESSAGE and whole and (one := message(payload)):
-                        found.append(one)
+                        content = _chunk_content(payload, whole)
+                        unpacked_bytes += len(content)
+                        if unpacked_bytes > most:
+                            raise ValueError('it unpacks to more than a recording of its size')
+                        yield from records.messages(content, topics, whole)
                     elif opcode == Opcode.FOOTER and whole:
                         self.complete = True
                         return
-                    elif whole:
-                        define(opcode, payload)
-                    yield from sorted(found, key=lambda raw: raw.stamp_ns)
-            except _DAMAGE:
-                return
+                    elif whole and (one := records.take(opcode, payload, topics)):
+                        yield one
+            except _TooManyChannelsError as error:
+                raise LandmarkNavError(f'{self.name}: {error}') from error
+            except _DAMAGE as error:
+                self._break = str(error)
+
+    def _by_time(self, messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
+        """Messages by log time; their data lie on the disk meanwhile, as they fill the memory."""
+        places: list[tuple[int, int, int, ChannelInfo]] = []
+        try:
+            with TemporaryFile() as data:
+                for raw in messages:
+                    places.append((raw.stamp_ns, data.tell(), len(raw.data), raw.channel))
+                    data.write(raw.data)
+                places.sort(key=lambda place: place[:2])
+                for stamp_ns, offset, size, channel in places:
+                    data.seek(offset)
+                    yield RawMessage(channel, stamp_ns, data.read(size))
+        except OSError as error:
+            raise LandmarkNavError(
+                f'{gettempdir()}: messages of {self.name} are put in order there: {why(error)}'
+            ) from error
 
 
-def _summary(stream: BinaryIO) -> Summary | None:
-    """Index of the file; None where it lost its end."""
-    try:
-        stream.seek(0)
-        return make_reader(stream).get_summary()
-    except _DAMAGE:
+class _TooManyChannelsError(ValueError):
+    """A file that defines more channels than any recording."""
+
+    def __init__(self) -> None:
+        super().__init__(f'over {MAX_CHANNELS} channels: not a recording of a robot')
+
+
+class _Records:
+    """Channels that records define, and the messages among them."""
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, ChannelInfo] = {}
+        self.schema_of: dict[int, int] = {}
+        # Each chunk may define them again.
+        self._seen: dict[tuple[int, bytes], bytes] = {}
+        self._defined = 0
+
+    def take(
+        self, opcode: int, payload: bytes, topics: Collection[str] | None
+    ) -> RawMessage | None:
+        """Keep what a record defines; the message that it holds, if it is on one of `topics`."""
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_time_ns, _ = struct.unpack_from('<HIQQ', payload)
+            info = self.channels[channel]
+            if topics is None or info.topic in topics:
+                return RawMessage(info, log_time_ns, payload[22:])
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            key = opcode, payload[:2]
+            if self._seen.get(key) != payload:
+                self._seen[key] = payload
+                self._define(opcode, ReadDataStream(BytesIO(payload)))
         return None
 
+    def _define(self, opcode: int, record: ReadDataStream) -> None:
+        self._defined += 1
+        if self._defined > 2 * MAX_CHANNELS:
+            raise _TooManyChannelsError
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(record)
+            self.schemas[schema.id] = schema
+        else:
+            channel = Channel.read(record)
+            self.channels[channel.id] = _info(channel, self.schemas.get(channel.schema_id))
+            self.schema_of[channel.id] = channel.schema_id
 
-def _tells_all(summary: Summary) -> bool:
-    """Whether channel and schema of every message are named; to repeat them there is optional."""
-    if summary.statistics is None:
-        return False
-    counts = summary.statistics.channel_message_counts
-    told = sum(counts.get(identity, 0) for identity in summary.channels)
-    schemas = {0, *summary.schemas}
-    return told == summary.statistics.message_count and all(
-        channel.schema_id in schemas for channel in summary.channels.values()
-    )
+    def messages(
+        self, content: bytes, topics: Collection[str] | None, whole: bool
+    ) -> list[RawMessage]:
+        """Messages of a chunk, whole or cut off, by log time."""
+        found = []
+        inside = _records(BytesIO(content), len(content))
+        for count, (opcode, payload, entire) in enumerate(inside):
+            if not opcode or count == _MAX_RECORDS or (whole and not entire):
+                raise ValueError('a chunk holds what is no message')
+            if entire and (message := self.take(opcode, payload, topics)):
+                found.append(message)
+        found.sort(key=lambda raw: raw.stamp_ns)
+        return found
+
+
+class _Index:
+    """The summary of a whole file."""
+
+    def __init__(
+        self, records: _Records, statistics: Statistics, chunks: list[ChunkIndex]
+    ) -> None:
+        self.records = records
+        self.counts = statistics.channel_message_counts
+        self.span_ns = (
+            (statistics.message_start_time, statistics.message_end_time)
+            if statistics.message_count
+            else (0, 0)
+        )
+        self.chunks = sorted(chunks, key=lambda c: (c.message_start_time, c.chunk_start_offset))
+        ends: list[tuple[int, int]] = []
+        self.overlap_bytes = held = 0
+        for chunk in self.chunks:
+            while ends and ends[0][0] < chunk.message_start_time:
+                held -= heapq.heappop(ends)[1]
+            held += chunk.uncompressed_size
+            heapq.heappush(ends, (chunk.message_end_time, chunk.uncompressed_size))
+            self.overlap_bytes = max(self.overlap_bytes, held)
+
+    @classmethod
+    def read(cls, stream: BinaryIO) -> _Index | None:
+        """Summary of a file; None where it does not name all chunks, channels and schemas."""
+        size = stream.seek(0, 2)
+        stream.seek(size - _FOOTER_BYTES)
+        ((opcode, footer, _),) = _records(stream, _FOOTER_BYTES - len(_MAGIC))
+        if opcode != Opcode.FOOTER or stream.read() != _MAGIC:
+            return None
+        begin = Footer.read(ReadDataStream(BytesIO(footer))).summary_start
+        if not len(_MAGIC) < begin <= size - _FOOTER_BYTES:
+            return None
+        records, chunks, statistics = _Records(), [], None
+        stream.seek(begin)
+        for opcode, payload, whole in _records(stream, size - begin):
+            if opcode == Opcode.CHUNK_INDEX:
+                chunks.append(ChunkIndex.read(ReadDataStream(BytesIO(payload))))
+            elif opcode == Opcode.STATISTICS:
+                statistics = Statistics.read(ReadDataStream(BytesIO(payload)))
+            elif opcode in (Opcode.CHUNK, Opcode.MESSAGE) or not whole:
+                return None
+            elif opcode == Opcode.FOOTER:
+                break
+            else:
+                records.take(opcode, payload, None)
+        if statistics is None or len(chunks) != statistics.chunk_count:
+            return None
+        if sum(chunk.uncompressed_size for chunk in chunks) > most_bytes(size):
+            return None
+        counts = statistics.channel_message_counts
+        named = sum(counts.get(identity, 0) for identity in records.channels)
+        schemas = {0, *records.schemas}
+        ends = sorted((c.chunk_start_offset, c.chunk_length) for c in chunks)
+        after = [*(offset for offset, _ in ends[1:]), begin]
+        sound = all(o + n <= end for (o, n), end in zip(ends, after, strict=True))
+        sound &= all(c.message_start_time <= c.message_end_time for c in chunks)
+        sound = sound and all(_begins_there(stream, chunk) for chunk in chunks)
+        complete = named == statistics.message_count and schemas >= {*records.schema_of.values()}
+        # Messages outside of chunks have no index.
+        empty = not chunks and statistics.message_count
+        return cls(records, statistics, chunks) if sound and complete and not empty else None
+
+    def messages(self, path: Path, topics: Collection[str] | None) -> Iterator[RawMessage]:
+        """Messages by log time; a chunk is read when its first message is due."""
+        channels = self.records.channels
+        wanted = {k for k, info in channels.items() if topics is None or info.topic in topics}
+        held: list[tuple[int, int, RawMessage]] = []
+        order = 0
+        with path.open('rb') as stream:
+            for chunk in self.chunks:
+                held_channels = chunk.message_index_offsets.keys()
+                if held_channels and not wanted & held_channels:
+                    continue
+                while held and held[0][0] < chunk.message_start_time:
+                    yield heapq.heappop(held)[2]
+                stream.seek(chunk.chunk_start_offset)
+                ((_, payload, whole),) = _records(stream, chunk.chunk_length)
+                content = _chunk_content(payload, whole)
+                for raw in self.records.messages(content, topics, whole):
+                    heapq.heappush(held, (raw.stamp_ns, order, raw))
+                    order += 1
+        while held:
+            yield heapq.heappop(held)[2]
+
+
+def _begins_there(stream: BinaryIO, chunk: ChunkIndex) -> bool:
+    stream.seek(chunk.chunk_start_offset)
+    opcode, length = struct.unpack('<BQ', stream.read(9))
+    return bool(opcode == Opcode.CHUNK and length + 9 == chunk.chunk_length)
 
 
 def _info(channel: Channel, schema: Schema | None) -> ChannelInfo:
@@ -223,11 +364,18 @@ def _info(channel: Channel, schema: Schema | None) -> ChannelInfo:
 
 
 def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
-    """Opcode, content and whether it is whole of each record in `size` bytes."""
+    """Opcode, content and whether it is whole of each record in `size` bytes; others are empty."""
     left = size
-    while left > 9:
+    while left >= 9:
         opcode, length = struct.unpack('<BQ', stream.read(9))
         left -= 9
+        if opcode not in _READ:
+            stream.seek(min(length, left), 1)
+            left -= length
+            yield opcode, b'', left >= 0
+            continue
+        if min(length, left) > CHUNK_BYTES + 2**16:
+            raise ValueError(f'a record of {length} bytes')
         payload = stream.read(min(length, left))
         left -= len(payload)
         yield opcode, payload, len(payload) == length
@@ -237,10 +385,13 @@ def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
 
 def _chunk_content(payload: bytes, whole: bool) -> bytes:
     """Records in a chunk; of one that was cut off what is left, if it was not compressed."""
-    if whole:
-        chunk = Chunk.read(ReadDataStream(BytesIO(payload)))
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        return stream.read(length)
     # Start, end, size (8 bytes each), checksum (4), compression (length and text), length (8).
-    (name_length,) = struct.unpack_from('<I', payload, 28)
-    return payload[40:] if name_length == 0 else b''
+    _, _, size, checksum, name_length = struct.unpack_from('<QQQII', payload)
+    compression = payload[32 : 32 + name_length].decode()
+    data = payload[40 + name_length :]
+    if not whole:
+        return data if not compression else b''
+    content = unpack(data, compression, size)
+    if checksum and zlib.crc32(content) != checksum:
+        raise ValueError('the checksum (crc) of a chunk differs')
+    return content

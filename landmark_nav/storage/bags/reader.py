@@ -1,30 +1,39 @@
-"""Bags: a rosbag2 folder of MCAP files, or a lone MCAP file."""
+"""Bags of ROS 2 and ROS 1, in whichever files they were recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cached_property
 import heapq
+from itertools import islice
 import logging
 from pathlib import Path
+import struct
 from typing import Any
 
-from rosbags.serde import SerdeError
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-from rosbags.typesys.base import TypesysError
-from rosbags.typesys.store import Typestore
+import numpy as np
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError, why
-from landmark_nav.messages.factory import default_typestore
-from landmark_nav.storage.bags.container import ChannelInfo, McapFile, RawMessage
-from landmark_nav.storage.bags.topics import find_topic, remedy_of_missing
-from landmark_nav.storage.setup_files import read_yaml_mapping
+from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
+from landmark_nav.storage.bags.container import ChannelInfo, RawMessage
+from landmark_nav.storage.bags.definitions import has_header, MessageReader, STANDARD_NAMES
+from landmark_nav.storage.bags.files import BagFile, open_files
+from landmark_nav.storage.bags.topics import (
+    find_topic,
+    listed,
+    relative_name,
+    remedy_of_missing,
+    TOPIC_TYPES,
+)
+from landmark_nav.storage.bags.unpack import unpack
 
 __all__ = ['Bag', 'BagMessage', 'once']
 
 _LOG = logging.getLogger(__name__)
 
-_CONVERT = 'convert it with `rosbags-convert --src {path} --dst NEW --dst-storage mcap`'
+# So many messages show whether a topic is stamped.
+_STAMPS = 20
 
 
 class BagMessage:
@@ -37,35 +46,66 @@ class BagMessage:
         Absolute topic and type, ``sensor_msgs/msg/Image``.
     stamp_ns : int
         When it was recorded.
-    data : bytes
-        As serialised (CDR).
 
     """
 
-    def __init__(self, raw: RawMessage, typestore: Typestore, path: Path) -> None:
+    def __init__(self, raw: RawMessage, reader: MessageReader, bag: Bag) -> None:
         """Keep the bytes."""
         self.topic = raw.channel.topic
-        self.type_name = raw.channel.type_name
+        self.type_name = reader.type_name
         self.stamp_ns = raw.stamp_ns
-        self.data = raw.data
-        self._typestore = typestore
-        self._path = path
+        self._raw, self._reader, self._bag = raw, reader, bag
+
+    @cached_property
+    def data(self) -> bytes | memoryview:
+        """As ROS 2 serialises it (CDR); `LandmarkNavError` if it is damaged."""
+        data: bytes | memoryview = self._guarded(
+            lambda: self._reader.serialized(self._bag.unpacked(self._raw.data))
+        )
+        return data
 
     @cached_property
     def message(self) -> Any:
-        """The message; `LandmarkNavError` if its bytes are not one."""
+        """
+        The message; `LandmarkNavError` if its bytes are not one.
+
+        Where its topic is not stamped, its stamp is when it was recorded.
+        """
+        message = self._guarded(lambda: self._reader.message(self.data))
+        if is_unstamped(message) and self.stamp_ns:
+            if not self._bag.is_unstamped(self.topic):
+                raise LandmarkNavError(
+                    f'{self._bag.path}: a message on {self.topic} has no stamp, others do'
+                )
+            set_stamp(message, self.stamp_ns)
+        return message
+
+    @property
+    def header_ns(self) -> int:
+        """Stamp of its header as it lies in the bytes, not checked; 0 where there is none."""
         try:
-            return self._typestore.deserialize_cdr(self.data, self.type_name)
-        except (SerdeError, KeyError, AssertionError, IndexError, ValueError) as error:
+            seconds, nanoseconds = struct.unpack_from(
+                '<iI' if self.data[1] else '>iI', self.data, 4
+            )
+        except (LandmarkNavError, struct.error, IndexError):
+            return 0
+        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+    def _guarded(self, read: Callable[[], Any]) -> Any:
+        try:
+            return read()
+        except LandmarkNavError:
+            raise
+        except Exception as error:  # readers are made from definitions: they raise anything
             raise LandmarkNavError(
-                f'{self._path}: a message on {self.topic} is not a {self.type_name} '
+                f'{self._bag.path}: a message on {self.topic} is not a {self.type_name} '
                 f'({error}): the recording is damaged'
             ) from error
 
 
 def once(messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
     """Messages without those that equal the one before on their topic: recorded twice."""
-    last: dict[str, bytes] = {}
+    last: dict[str, bytes | memoryview] = {}
     for entry in messages:
         if entry.data != last.get(entry.topic):
             last[entry.topic] = entry.data
@@ -79,9 +119,11 @@ class Bag:
     Parameters
     ----------
     path : path-like
-        A rosbag2 folder or an ``.mcap`` file.
+        A rosbag2 folder, or a file ``.mcap``, ``.db3`` or (ROS 1) ``.bag``; perhaps compressed.
     on_warning : callable
-        Told in one line what had to be passed over; logged by default.
+        Gets in one line what had to be passed over; logged by default.
+    topics : mapping, optional
+        Topics of the bag by the names of the contract, for those that are called otherwise.
 
     Attributes
     ----------
@@ -105,26 +147,35 @@ class Bag:
         self,
         path: Path | str,
         on_warning: Callable[[str], None] = _LOG.warning,
+        topics: Mapping[str, str] | None = None,
     ) -> None:
         """Open the files and read what they hold."""
         self.path = Path(path)
         self.warn = on_warning
+        self._given = dict(topics or {})
+        self._said: set[str] = set()
         try:
-            self._files = [McapFile(p, on_warning) for p in _mcap_paths(self.path, on_warning)]
+            self._files, self._by_message = open_files(self.path, on_warning)
         except OSError as error:
             raise LandmarkNavError(f'{self.path}: cannot be read: {why(error)}') from error
-        self._typestore = get_typestore(Stores.EMPTY)
-        self._learned: set[ChannelInfo] = set()
+        self._readers: dict[ChannelInfo, MessageReader] = {}
+        self._unstamped: dict[str, bool] = {}
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for file in self._files:
             for info, count in file.counts.items():
-                self.types[info.topic] = info.type_name
+                self.types[info.topic] = STANDARD_NAMES.get(info.type_name, info.type_name)
                 self.counts[info.topic] = self.counts.get(info.topic, 0) + count
-        filled = [file for file in self._files if file.counts]
+        filled = [file for file in self._files if any(file.counts.values())]
         self.start_ns = min((file.first_ns for file in filled), default=0)
         self.duration_s = 1e-9 * (max((f.last_ns for f in filled), default=0) - self.start_ns)
         self.complete = all(file.complete for file in self._files)
+
+    def say(self, text: str) -> None:
+        """Pass a warning on, once."""
+        if text not in self._said:
+            self._said.add(text)
+            self.warn(f'{self.path}: {text}')
 
     def find(self, name: str) -> str | None:
         """
@@ -137,9 +188,27 @@ class Bag:
 
         """
         try:
-            return find_topic(name, self._filled())
+            topic = find_topic(name, self._filled(), self._given)
         except LandmarkNavError as error:
             raise LandmarkNavError(f'{self.path}: {error}') from error
+        given = {other.strip('/') for other in self._given.values()}
+        if topic is not None and topic.strip('/') not in {name, *given}:
+            self.say(f'{topic} is taken for {name}')
+        return topic
+
+    def given(self, name: str) -> str:
+        """Topic that the user gives for a name of the contract; empty where he gives none."""
+        return self._given.get(name, '')
+
+    def candidates(self, name: str) -> list[str]:
+        """Topics that could carry what the contract calls `name`; `find` takes the one."""
+        if name in self._given:
+            return list(filter(None, [self.find(name)]))
+        return [
+            topic
+            for topic, kind in sorted(self._filled().items())
+            if relative_name(topic) == name and kind == TOPIC_TYPES[name]
+        ]
 
     def require(self, *alternatives: str) -> str:
         """
@@ -154,7 +223,7 @@ class Bag:
         for name in alternatives:
             if topic := self.find(name):
                 return topic
-        there = ', '.join(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
+        there = listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
         raise LandmarkNavError(
             f'{self.path}: topic {" or ".join(alternatives)} is missing: '
             f'{remedy_of_missing(alternatives, self._filled())}; there are {there}'
@@ -179,86 +248,77 @@ class Bag:
             A file is damaged, or a topic is not written as ROS 2 messages.
 
         """
-        self._learn_types(topics)
-        merged: Iterable[RawMessage] = heapq.merge(
-            *(file.messages(topics) for file in self._files), key=lambda raw: raw.stamp_ns
-        )
-        for raw in merged:
-            yield BagMessage(raw, self._typestore, self.path)
-
-    def _learn_types(self, topics: Collection[str] | None) -> None:
-        """Register the types of `topics` as the bag itself defines them."""
         for file in self._files:
             for info in file.counts:
-                if (topics is not None and info.topic not in topics) or info in self._learned:
-                    continue
-                self._check(info)
-                text = info.schema or _standard_definition(info.type_name)
-                try:
-                    self._typestore.register(get_types_from_msg(text, info.type_name))
-                except (TypesysError, KeyError, SyntaxError, ValueError) as error:
-                    # The parser's own complaint repeats the whole definition.
-                    raise LandmarkNavError(
-                        f'{self.path}: topic {info.topic} is of type {info.type_name}, whose '
-                        'definition in the bag is missing or damaged: record it again'
-                    ) from error
-                self._learned.add(info)
+                if topics is None or info.topic in topics:
+                    self._reader(info)
+        for raw in _merged(self._files, topics):
+            yield BagMessage(raw, self._reader(raw.channel), self)
 
-    def _check(self, info: ChannelInfo) -> None:
-        if info.message_encoding != 'cdr' or info.schema_encoding not in ('ros2msg', ''):
-            raise LandmarkNavError(
-                f'{self.path}: topic {info.topic} is written as '
-                f'{info.message_encoding or "nothing"} with {info.schema_encoding or "no"} '
-                'schema, not as cdr with ros2msg: record it with ros2 bag'
-            )
+    def is_unstamped(self, topic: str) -> bool:
+        """Whether the headers of a topic are not stamped; said once."""
+        if topic not in self._unstamped:
+            first = islice(self.messages([topic]), _STAMPS)
+            self._unstamped[topic] = not any(entry.header_ns for entry in first)
+            if self._unstamped[topic]:
+                self.say(f'{topic} has stamps of 0: the time of recording is taken')
+        return self._unstamped[topic]
 
+    @cached_property
+    def stamps_ns(self) -> dict[str, IntArray]:
+        """
+        When each message was recorded, and its header's stamp, (n, 2), of each topic with headers.
 
-def _standard_definition(type_name: str) -> str:
-    """Text of a standard message; empty where it is none."""
-    standard = default_typestore()
-    return standard.generate_msgdef(type_name)[0] if type_name in standard.types else ''
+        By log time. What is not stamped has the time of recording.
+        """
+        found: dict[str, list[tuple[int, int]]] = {}
+        topics = [topic for topic, kind in self._filled().items() if has_header(kind)]
+        for raw in _merged(self._files, topics) if topics else ():
+            entry = BagMessage(raw, self._reader(raw.channel), self)
+            found.setdefault(entry.topic, []).append((entry.stamp_ns, entry.header_ns))
+        return {
+            topic: np.array([(log, stamp or log) for log, stamp in pairs], dtype=np.int64)
+            for topic, pairs in found.items()
+        }
 
+    def unpacked(self, data: bytes) -> bytes:
+        """Content of a message's data."""
+        return unpack(data, 'zstd', None) if self._by_message else data
 
-def _mcap_paths(path: Path, on_warning: Callable[[str], None]) -> list[Path]:
-    """MCAP files of a bag in their order; refuses what is none."""
-    if not path.exists():
-        raise LandmarkNavError(f'{path}: no bag there: give a rosbag2 folder or an .mcap file')
-    if path.is_file():
-        if path.suffix in ('.db3', '.bag'):
-            kind = 'an sqlite3' if path.suffix == '.db3' else 'a ROS 1'
-            source = path.parent if path.suffix == '.db3' else path
-            raise LandmarkNavError(f'{path}: {kind} bag: {_CONVERT.format(path=source)}')
-        if path.name == 'metadata.yaml':
-            raise LandmarkNavError(f'{path}: give the folder it lies in, {path.parent}')
-        return [path]
-    if not (path / 'metadata.yaml').is_file():
-        return _without_metadata(path, on_warning)
-    information = read_yaml_mapping(path / 'metadata.yaml').get('rosbag2_bagfile_information')
-    if not isinstance(information, dict):
-        raise LandmarkNavError(f'{path / "metadata.yaml"}: not the description of a rosbag2 bag')
-    storage = str(information.get('storage_identifier', ''))
-    if storage != 'mcap':
-        raise LandmarkNavError(f'{path}: an {storage} bag: {_CONVERT.format(path=path)}')
-    if mode := str(information.get('compression_mode') or ''):
-        raise LandmarkNavError(
-            f'{path}: compressed by {mode.lower()}: {_CONVERT.format(path=path)}'
-        )
-    names = [Path(str(name)).name for name in information.get('relative_file_paths') or []]
-    missing = [name for name in names if not (path / name).is_file()]
-    if missing or not names:
-        raise LandmarkNavError(
-            f'{path}: metadata.yaml names {", ".join(missing) or "no file"}, which is not there'
-        )
-    return [path / name for name in names]
+    def _reader(self, info: ChannelInfo) -> MessageReader:
+        if info not in self._readers:
+            try:
+                self._readers[info] = MessageReader(info)
+            except LandmarkNavError as error:
+                raise LandmarkNavError(f'{self.path}: topic {info.topic}: {error}') from error
+        return self._readers[info]
 
 
-def _without_metadata(path: Path, on_warning: Callable[[str], None]) -> list[Path]:
-    found = sorted(path.glob('*.mcap'))
-    if found:
-        on_warning(f'{path}: metadata.yaml is missing: reading {len(found)} .mcap files by name')
-        return found
-    if any(path.glob('*.db3')):
-        raise LandmarkNavError(f'{path}: an sqlite3 bag: {_CONVERT.format(path=path)}')
-    raise LandmarkNavError(
-        f'{path}: not a bag: a folder without metadata.yaml and without .mcap files'
-    )
+def _merged(files: Iterable[BagFile], topics: Collection[str] | None) -> Iterator[RawMessage]:
+    """Messages of all files by log time; a file is opened when its first message is due."""
+    wanted = [
+        file
+        for file in files
+        if any(n and (topics is None or info.topic in topics) for info, n in file.counts.items())
+    ]
+    heads: list[tuple[int, int, RawMessage, Iterator[RawMessage]]] = []
+    for order, file in enumerate(sorted(wanted, key=lambda file: file.first_ns)):
+        yield from _until(file.first_ns, heads)
+        messages = file.messages(topics)
+        if (first := next(messages, None)) is not None:
+            heapq.heappush(heads, (first.stamp_ns, order, first, messages))
+    yield from _until(None, heads)
+
+
+def _until(
+    stamp_ns: int | None, heads: list[tuple[int, int, RawMessage, Iterator[RawMessage]]]
+) -> Iterator[RawMessage]:
+    """Messages of opened files that were recorded before a time."""
+    while heads and (stamp_ns is None or heads[0][0] < stamp_ns):
+        _, order, raw, messages = heads[0]
+        yield raw
+        following = next(messages, None)
+        if following is None:
+            heapq.heappop(heads)
+        else:
+            heapq.heapreplace(heads, (following.stamp_ns, order, following, messages))

@@ -10,6 +10,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags.reader import Bag, BagMessage, once
 from landmark_nav.storage.bags.sieve import Sieve
 from landmark_nav.storage.bags.timelines import CameraInfos, JointLog
+from landmark_nav.storage.bags.truth import truth_decoder
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -57,7 +58,7 @@ def sensor_events(
         odometry: lambda entry: decode.odometry(entry.message),
     }
     if truth is not None:
-        decoders[truth] = lambda entry: decode.pose_estimate(entry.message)
+        decoders[truth] = truth_decoder(bag, truth)
     messages = _pictures_last(once(bag.messages(decoders)), images)
     yield from _usable(bag, messages, decoders, {images: 'pictures'})
 
@@ -69,7 +70,11 @@ def _usable(
     names: Mapping[str, str],
 ) -> Iterator[SensorEvent]:
     """What messages hold, those left out that are bad input; told by the `names` of topics."""
-    sieves = {topic: Sieve(bag, topic, names.get(topic, 'messages')) for topic in decoders}
+    truth = bag.find('ground_truth/odom')
+    sieves = {
+        topic: Sieve(bag, topic, names.get(topic, 'messages'), needed=topic != truth)
+        for topic in decoders
+    }
     for entry in messages:
         event = sieves[entry.topic].take(decoders[entry.topic], entry)
         if event is not None:
@@ -99,7 +104,7 @@ def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
         bag.require('odom'): lambda entry: decode.odometry(entry.message),
     }
     if truth := bag.find('ground_truth/odom'):
-        decoders[truth] = lambda entry: decode.pose_estimate(entry.message)
+        decoders[truth] = truth_decoder(bag, truth)
     yield from _usable(bag, once(bag.messages(decoders)), decoders, {})
 
 

@@ -6,12 +6,42 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
+import numpy as np
+from scipy.ndimage import median_filter
+
+from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.bags.reader import Bag, BagMessage
 
-__all__ = ['Sieve', 'naming']
+__all__ = ['Sieve', 'naming', 'strays']
 
 T = TypeVar('T')
+
+
+# Stamps that differ by more from the time of recording than those around them are wrong.
+_STRAY_NS = 500_000_000
+# So many messages around each show what is usual; a clock that is set back changes it for all.
+_AROUND = 5
+
+
+def strays(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
+    """
+    Messages whose stamps are wrong, by log time and stamp; by how much, nanoseconds.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (n, 2)
+        Log time and stamp of each message of a topic.
+
+    """
+    if len(stamps_ns) < _AROUND:
+        return {}
+    offsets = stamps_ns[:, 1] - stamps_ns[:, 0]
+    middle = _AROUND // 2
+    at = np.clip(np.arange(len(offsets)), middle, len(offsets) - 1 - middle)
+    off = offsets - median_filter(offsets, _AROUND)[at]
+    wrong = np.flatnonzero(np.abs(off) > _STRAY_NS)
+    return {(int(stamps_ns[k, 0]), int(stamps_ns[k, 1])): int(off[k]) for k in wrong}
 
 
 @contextmanager
@@ -33,7 +63,10 @@ def naming(bag: Bag, topic: str) -> Iterator[None]:
 
 class Sieve:
     """
-    Leaves out what of a topic cannot be used, and tells of it once.
+    Leaves out what of a topic cannot be used, and says so once.
+
+    That is what its decoder refuses, and a message whose stamp differs from those around it as no
+    transport delays a message: it would be put into another time.
 
     Parameters
     ----------
@@ -43,11 +76,16 @@ class Sieve:
         Its name in the bag.
     what : str
         What it holds, for the complaint.
+    needed : bool
+        Whether there must be something of it.
 
     """
 
-    def __init__(self, bag: Bag, topic: str, what: str = 'messages') -> None:
-        self._bag, self._topic, self._what = bag, topic, what
+    def __init__(
+        self, bag: Bag, topic: str, what: str = 'messages', *, needed: bool = True
+    ) -> None:
+        self._bag, self._topic, self._what, self._needed = bag, topic, what, needed
+        self._stray_ns = strays(bag.stamps_ns.get(topic, np.empty((0, 2), np.int64)))
         self._used = 0
         self._complaints: list[str] = []
 
@@ -55,6 +93,11 @@ class Sieve:
         """What `decode` makes of a message; None if that is bad input."""
         try:
             with naming(self._bag, self._topic):
+                if (off_ns := self._stray_ns.get((entry.stamp_ns, entry.header_ns))) is not None:
+                    raise LandmarkNavError(
+                        f'the stamp {1e-9 * entry.header_ns:.3f} s is {1e-9 * off_ns:+.3f} s off '
+                        'those around it: its publisher must stamp it'
+                    )
                 event = decode(entry)
         except LandmarkNavError as error:
             self._complaints.append(str(error))
@@ -66,7 +109,7 @@ class Sieve:
         """Warn of what was left out; `LandmarkNavError` if that was all."""
         if not self._complaints:
             return
-        if not self._used:
+        if not self._used and self._needed:
             raise LandmarkNavError(self._complaints[0])
         count = len(self._complaints)
         self._bag.warn(

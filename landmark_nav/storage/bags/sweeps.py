@@ -2,41 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.coverage import describe_coverage, unseen_arcs
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.coverage import check_coverage
 from landmark_nav.storage.bags.reader import Bag, BagMessage, once
-from landmark_nav.storage.bags.sieve import naming
+from landmark_nav.storage.bags.sieve import naming, Sieve
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
 
 __all__ = ['read_sweeps']
 
-# Frames by stamp.
-_Pictures = dict[int, BagMessage]
-
+# Frames that a sweep may have are this close to what its trajectory says.
 _SAME_FRAME_NS = 5_000_000
+
+_SAME_ARC_RAD = 1e-6
 
 # Without a trajectory, a pause this many times the usual one begins another sweep.
 _PAUSE = 5.0
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Plan:
-    """Where the camera looked in one sweep, frame by frame, and what was recorded of it."""
+    """Where the camera looked in one sweep, frame by frame, and the images recorded of it."""
 
     samples: tuple[JointSample, ...]
-    pictures: tuple[BagMessage | None, ...]
+    # Stamp of the image of each; None where there is none.
+    stamps_ns: tuple[int | None, ...]
+    frames: dict[int, CameraFrame] = field(default_factory=dict)
+    # What is wrong with images that cannot be used, by stamp.
+    unusable: dict[int, str] = field(default_factory=dict)
 
     @property
     def start_ns(self) -> int:
         return self.samples[0].stamp_ns
+
+    @property
+    def is_complete(self) -> bool:
+        known = {*self.frames, *self.unusable}
+        return all(stamp is None or stamp in known for stamp in self.stamps_ns)
 
 
 def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
@@ -44,7 +54,8 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     Read the sweeps of a bag, one at a time, in the order of their start.
 
     The pan of a frame is the one that ``sweep/trajectory`` measured for it. That comes when a
-    sweep ends: where there is none, or the bag was cut off before it, ``joint_states`` tell.
+    sweep ends: where there is none, or the bag was cut off before it, ``joint_states`` give it.
+    Images that cannot be decoded are left out, unless nothing else sees what they saw.
 
     Parameters
     ----------
@@ -62,36 +73,101 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     Raises
     ------
     LandmarkNavError
-        A topic is missing, a sweep has no frames at all, or a picture or angle cannot be read.
-        Frames that are missing, and directions that nothing sees, go to the bag's `warn`.
+        A topic is missing, a sweep has no frames at all or cannot do without one that is damaged,
+        or an angle cannot be read. Frames that are missing, and directions that nothing sees, go
+        to the bag's `warn`.
 
     """
     topic = bag.require('sweep/image', 'sweep/image/compressed')
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')
-    pictures = {decode.stamp_ns(m.message.header): m for m in bag.messages([topic])}
-    plans = _plans(bag, mount, pictures)
+    numbers = _numbers(bag, topic)
+    plans = _plans(bag, mount, set(numbers))
     poses = _poses(bag, plans)
+    at = {stamp: (plan, k) for plan in plans for k, stamp in enumerate(plan.stamps_ns)}
+    entries = bag.messages([topic])
     for plan, pose in zip(plans, poses, strict=True):
-        frames = []
-        for sample, entry in zip(plan.samples, plan.pictures, strict=True):
-            if entry is None:
-                continue
-            with naming(bag, topic):
-                picture = decode.image(entry.message)
-                camera = cameras.for_picture(sample.stamp_ns, picture.shape)
-            frames.append(
-                CameraFrame(sample.stamp_ns, picture, camera, sample.pan_rad, sample.tilt_rad)
-            )
-        missing = [s for s, e in zip(plan.samples, plan.pictures, strict=True) if e is None]
-        cut_off = plan is plans[-1] and not bag.complete
-        if not check_coverage(bag, plan.start_ns, frames, missing, cut_off=cut_off):
-            continue
-        yield Sweep(plan.start_ns, tuple(frames), pose)
+        # One sweep after the other: its images alone are held.
+        while not plan.is_complete and (entry := next(entries, None)) is not None:
+            _add(bag, entry, cameras, at)
+        last = plan is plans[-1]
+        frames = [plan.frames[k] for k in sorted(plan.frames)]
+        missing = [
+            sample
+            for sample, stamp in zip(plan.samples, plan.stamps_ns, strict=True)
+            if stamp is None
+        ]
+        if plan.unusable:
+            _check_unusable(bag, plan, numbers, frames)
+        if check_coverage(bag, plan.start_ns, frames, missing, cut_off=last and not bag.complete):
+            yield Sweep(plan.start_ns, tuple(frames), pose)
+        plan.frames.clear()
 
 
-def _plans(bag: Bag, mount: PanTiltMount, pictures: _Pictures) -> list[_Plan]:
-    """Sweeps by trajectory, then those that only the joint states tell of, by start."""
-    left = dict(pictures)
+def _numbers(bag: Bag, topic: str) -> dict[int, int]:
+    """Stamps of the images of a topic; which of them each is, counted from 1."""
+    sieve = Sieve(bag, topic, 'images')
+    stamps = [
+        sieve.take(lambda entry: decode.stamp_ns(entry.message.header), entry)
+        for entry in bag.messages([topic])
+    ]
+    sieve.tell()
+    return {stamp: number for number, stamp in enumerate(stamps, 1) if stamp is not None}
+
+
+def _add(
+    bag: Bag, entry: BagMessage, cameras: CameraInfos, at: Mapping[int | None, tuple[_Plan, int]]
+) -> None:
+    """Decode an image for the sweep that it belongs to; a damaged message was left out before."""
+    try:
+        with naming(bag, entry.topic):
+            stamp = decode.stamp_ns(entry.message.header)
+    except LandmarkNavError:
+        return
+    if stamp not in at or stamp in at[stamp][0].frames:
+        return
+    plan, k = at[stamp]
+    try:
+        image = decode.image(entry.message)
+        camera = cameras.for_picture(stamp, image.shape)
+    except LandmarkNavError as error:
+        plan.unusable[stamp] = str(error)
+        return
+    sample = plan.samples[k]
+    plan.unusable.pop(stamp, None)
+    plan.frames[stamp] = CameraFrame(
+        sample.stamp_ns, image, camera, sample.pan_rad, sample.tilt_rad
+    )
+
+
+def _check_unusable(
+    bag: Bag, plan: _Plan, numbers: Mapping[int, int], frames: Sequence[CameraFrame]
+) -> None:
+    """Say which images of a sweep are left out; refuse where they leave a gap."""
+    first = min(plan.unusable)
+    count = len(plan.unusable)
+    which = (
+        f'{count} of {len(plan.samples)} frames of the sweep of {1e-9 * plan.start_ns:.1f} s left '
+        f'out: image {numbers[first]}, at {1e-9 * first:.3f} s'
+    )
+    reason = plan.unusable[first]
+    if not frames:
+        raise LandmarkNavError(f'{bag.path}: {which}: {reason}')
+    pans = [frame.pan_rad for frame in frames]
+    recorded = zip(plan.samples, plan.stamps_ns, strict=True)
+    whole = [sample.pan_rad for sample, stamp in recorded if stamp is not None]
+    half_fov = frames[0].camera.half_fov_rad
+    unseen, unseen_anyway = (
+        sum(end - begin for begin, end in unseen_arcs(angles, half_fov))
+        for angles in (pans, whole)
+    )
+    if unseen > unseen_anyway + _SAME_ARC_RAD:
+        gap = describe_coverage(pans, half_fov)
+        raise LandmarkNavError(f'{bag.path}: {which}, and then {gap}: record it again')
+    bag.warn(f'{bag.path}: {which}: {reason}')
+
+
+def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
+    """Sweeps by trajectory, then those that only the joint states give, by start."""
     plans = []
     if trajectory := bag.find('sweep/trajectory'):
         for entry in once(bag.messages([trajectory])):
@@ -101,13 +177,13 @@ def _plans(bag: Bag, mount: PanTiltMount, pictures: _Pictures) -> list[_Plan]:
                 ordered = tuple(sorted(samples, key=lambda sample: sample.stamp_ns))
                 plans.append(_Plan(ordered, _take(ordered, left)))
     after = plans[-1].samples[-1].stamp_ns if plans else 0
-    untold = sorted(stamp for stamp in left if stamp > after)
-    if untold and (not plans or not bag.complete):
+    alone = sorted(stamp for stamp in left if stamp > after)
+    if alone and (not plans or not bag.complete):
         bag.warn(
-            f'{bag.path}: {len(untold)} frames have no sweep/trajectory: '
+            f'{bag.path}: {len(alone)} frames have no sweep/trajectory: '
             'their angles are taken from joint_states'
         )
-        plans.extend(_plans_by_joints(JointHistory.read(bag, mount), untold, left))
+        plans.extend(_plans_by_joints(JointHistory.read(bag, mount), alone, left))
     if left:
         bag.warn(f'{bag.path}: {len(left)} frames belong to no sweep/trajectory: left out')
     if not plans:
@@ -115,32 +191,34 @@ def _plans(bag: Bag, mount: PanTiltMount, pictures: _Pictures) -> list[_Plan]:
     return sorted(plans, key=lambda plan: plan.start_ns)
 
 
-def _take(samples: tuple[JointSample, ...], left: _Pictures) -> tuple[BagMessage | None, ...]:
-    """Pictures of `samples`, taken out of `left`; None where there is none."""
+def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None, ...]:
+    """Stamps of the images of `samples`, taken out of `left`; None where there is none."""
     taken = []
     for sample in samples:
         nearest = min(left, key=lambda stamp: abs(stamp - sample.stamp_ns), default=None)
-        near = nearest is not None and abs(nearest - sample.stamp_ns) <= _SAME_FRAME_NS
-        taken.append(left.pop(nearest) if nearest is not None and near else None)
+        if nearest is not None and abs(nearest - sample.stamp_ns) > _SAME_FRAME_NS:
+            nearest = None
+        left.discard(nearest if nearest is not None else -1)
+        taken.append(nearest)
     return tuple(taken)
 
 
-def _plans_by_joints(joints: JointHistory, stamps: list[int], left: _Pictures) -> list[_Plan]:
+def _plans_by_joints(joints: JointHistory, stamps: list[int], left: set[int]) -> list[_Plan]:
     """Split `stamps` into sweeps at the pauses; angles from the joint states."""
     steps = np.diff(stamps)
     usual = np.median(steps) if len(steps) else 0.0
     pauses = np.flatnonzero(steps > _PAUSE * usual) + 1
     plans = []
     for group in np.split(np.asarray(stamps, dtype=np.int64), pauses):
-        told = (joints.at(int(stamp)) for stamp in group)
-        samples = tuple(sample for sample in told if isinstance(sample, JointSample))
+        known = (joints.at(int(stamp)) for stamp in group)
+        samples = tuple(sample for sample in known if isinstance(sample, JointSample))
         if samples:
             plans.append(_Plan(samples, _take(samples, left)))
     return plans
 
 
 def _poses(bag: Bag, plans: list[_Plan]) -> list[PoseEstimate | None]:
-    """Known pose of each sweep: the last one told before its end and after the one before."""
+    """Known pose of each sweep: the last one given before its end and after the one before."""
     found: list[PoseEstimate | None] = [None] * len(plans)
     topic = bag.find('sweep/pose')
     if topic is None:

@@ -13,8 +13,10 @@ from landmark_nav.geometry.angles import unwrap_joint
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.messages import decode
+from landmark_nav.messages.decode import JointNames
 from landmark_nav.storage.bags.reader import Bag, BagMessage
 from landmark_nav.storage.bags.sieve import Sieve
+from landmark_nav.storage.bags.transforms import joints_of_transforms
 from landmark_nav.types import JointSample, Refusal
 
 __all__ = ['CameraInfos', 'JointHistory', 'JointLog']
@@ -186,31 +188,55 @@ class JointLog:
         return cls(*_logged_joints(bag, mount))
 
 
-def _logged_joints(
-    bag: Bag, mount: PanTiltMount
-) -> tuple[list[tuple[int, JointSample]], list[tuple[int, tuple[int, float]]]]:
-    """Angles of a bag, and tilts that are told by themselves; when they were recorded."""
-    topic = bag.require('joint_states')
+# When each was recorded: angles, and the stamps and tilts of a tilt joint with its own driver.
+_Logged = tuple[list[tuple[int, JointSample]], list[tuple[int, tuple[int, float]]]]
 
-    def angles(entry: BagMessage) -> JointSample | tuple[int, float] | None:
-        sample = decode.joint_sample(entry.message, mount)
-        return decode.lone_tilt(entry.message, mount) if sample is None else sample
 
+def _logged_joints(bag: Bag, mount: PanTiltMount) -> _Logged:
+    """Angles of a bag: of the topic whose messages hold the pan joint, else of ``/tf``."""
+    _, of_frame, frame = bag.given('joint_states').partition(':')
+    found: dict[str, _Logged] = {}
+    missing = ''
+    for topic in () if of_frame else bag.candidates('joint_states'):
+        names = JointNames(mount)
+        logged = _of_topic(bag, topic, names)
+        if logged[0]:
+            found[topic] = logged
+        missing = missing or f'{bag.path}: {topic}: {names.missing}'
+    if not found and (turned := joints_of_transforms(bag, mount, frame)):
+        found['/tf'] = turned, []
+    if not found and missing:
+        raise LandmarkNavError(missing)
+    # Several are one too many unless one has the very name; without any it is missing.
+    topic = next(iter(found)) if len(found) == 1 else bag.require('joint_states')
+    _check_radians([sample for _, sample in found[topic][0]], f'{bag.path}: {topic}')
+    return found[topic]
+
+
+def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
+    """Angles of a topic; once more from its begin where a later message brings the pan joint."""
     sieve = Sieve(bag, topic)
     logged: list[tuple[int, JointSample]] = []
     tilts: list[tuple[int, tuple[int, float]]] = []
+    mount, taken = names.mount, None
+
+    def angles(entry: BagMessage) -> JointSample | tuple[int, float] | None:
+        nonlocal taken
+        taken = names.add(entry.message.name) or taken
+        sample = decode.joint_sample(entry.message, mount)
+        return decode.lone_tilt(entry.message, mount) if sample is None else sample
+
     for entry in bag.messages([topic]):
-        told = sieve.take(angles, entry)
-        if isinstance(told, JointSample):
-            logged.append((entry.stamp_ns, told))
-        elif told is not None:
-            tilts.append((entry.stamp_ns, told))
+        found = sieve.take(angles, entry)
+        if isinstance(found, JointSample):
+            logged.append((entry.stamp_ns, found))
+        elif found is not None:
+            tilts.append((entry.stamp_ns, found))
+    if names.mount != mount:
+        if taken:
+            bag.say(f'{topic}: {taken}')
+        return _of_topic(bag, topic, names)
     sieve.tell()
-    if not logged:
-        raise LandmarkNavError(
-            f'{bag.path}: {topic} never tells of {mount.pan_joint}: set pan_joint in robot.yaml'
-        )
-    _check_radians([sample for _, sample in logged], f'{bag.path}: {topic}')
     return logged, tilts
 
 

@@ -6,7 +6,10 @@ from collections.abc import Iterable, Mapping
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['TOPIC_TYPES', 'find_topic', 'relative_name', 'remedy_of_missing']
+__all__ = ['TOPIC_TYPES', 'find_topic', 'listed', 'relative_name', 'remedy_of_missing']
+
+# A line for people has room for so many names.
+_MOST_NAMES = 5
 
 TOPIC_TYPES = {
     'camera/image_raw': 'sensor_msgs/msg/Image',
@@ -35,6 +38,8 @@ TOPIC_TYPES = {
     'found_place': 'sensor_msgs/msg/PointCloud2',
     'odometry/fused': 'nav_msgs/msg/Odometry',
     'joint_delay': 'sensor_msgs/msg/PointCloud2',
+    'tf': 'tf2_msgs/msg/TFMessage',
+    'tf_static': 'tf2_msgs/msg/TFMessage',
 }
 
 
@@ -44,11 +49,14 @@ def relative_name(topic: str) -> str:
 
     ``/robot1/odom`` is ``odom``, ``/ground_truth/odom`` is not.
     """
-    ends = [name for name in TOPIC_TYPES if topic == name or topic.endswith('/' + name)]
-    return max(ends, key=len) if ends else topic.lstrip('/')
+    topic = _normal(topic)
+    ends = [name for name in TOPIC_TYPES if topic.endswith('/' + name)]
+    return max(ends, key=len) if ends else topic[1:]
 
 
-def find_topic(name: str, types: Mapping[str, str]) -> str | None:
+def find_topic(
+    name: str, types: Mapping[str, str], given: Mapping[str, str] | None = None
+) -> str | None:
     """
     Topic of a bag that carries what the contract calls `name`; None if there is none.
 
@@ -58,20 +66,39 @@ def find_topic(name: str, types: Mapping[str, str]) -> str | None:
         Relative name, such as ``camera/camera_info``.
     types : mapping
         Topics of the bag and their types.
+    given : mapping, optional
+        Topics by their names in the contract, as the user gives them. An image is raw or
+        compressed by its type, whichever name it is given for.
 
     Raises
     ------
     LandmarkNavError
-        Several could be it, or it is of another type.
+        Several could be it, it is of another type, or the one that is given is not there.
 
     """
-    found = [topic for topic in types if relative_name(topic) == name]
-    if f'/{name}' in found:
-        found = [f'/{name}']
+    topics = {_normal(topic): topic for topic in types}
+    by_user = {
+        _with_form(key, types.get(topics.get(_normal(topic), ''), '')): _normal(topic)
+        for key, topic in (given or {}).items()
+    }
+    if name in by_user:
+        found = [topics[by_user[name]]] if by_user[name] in topics else []
+        if not found:
+            raise LandmarkNavError(
+                f'--topic {name}={by_user[name]}: not in the bag; there are {listed(topics)}'
+            )
+    else:
+        found = [
+            topics[t] for t in topics if relative_name(t) == name and t not in by_user.values()
+        ]
+    if len(found) > 1 and f'/{name}' in topics:
+        found = [topics[f'/{name}']]
+    if len(found) > 1:
+        found = [topic for topic in found if types[topic] == TOPIC_TYPES[name]] or found
     if len(found) > 1:
         raise LandmarkNavError(
-            f'several topics could be {name} ({_listed(found)}): keep one of them, that of the '
-            f'robot and sensor that are meant, or rename it to /{name}'
+            f'several topics could be {name} ({listed(found)}): say which by --topic '
+            f'{name}={sorted(found)[0]}'
         )
     if not found:
         return None
@@ -83,21 +110,33 @@ def find_topic(name: str, types: Mapping[str, str]) -> str | None:
 
 
 def remedy_of_missing(names: Iterable[str], types: Mapping[str, str]) -> str:
-    """What to do where none of `names` is among topics: what could be it is told."""
+    """What to do where none of `names` is among topics: those that could be it are named."""
     others = sorted(topic for topic in types if relative_name(topic) not in TOPIC_TYPES)
-    renames = [
-        f'{topic} to {name}'
+    choices = [
+        f'--topic {name}={topic}'
         for name in names
         for topic in others
         if types[topic] == TOPIC_TYPES[name]
     ]
-    if not renames:
-        return 'record it'
-    return (
-        f'record it, or, if that is it, rename {" or ".join(renames)} '
-        '(remap it before it is recorded, or rewrite the bag)'
-    )
+    return f'record it, or give {" or ".join(choices[:2])}' if choices else 'record it'
 
 
-def _listed(names: Iterable[str]) -> str:
-    return ', '.join(sorted(names))
+def listed(names: Iterable[str]) -> str:
+    """Names in a line, some of them if they are many."""
+    ordered = sorted(names)
+    more = f' and {len(ordered) - _MOST_NAMES} more' if len(ordered) > _MOST_NAMES else ''
+    return ', '.join(ordered[:_MOST_NAMES]) + more
+
+
+def _normal(topic: str) -> str:
+    """Topic with one slash before each part of its name."""
+    return '/' + '/'.join(part for part in topic.split('/') if part)
+
+
+def _with_form(name: str, type_name: str) -> str:
+    """Name in the contract of what is of a type: images have one for each form."""
+    base = name.removesuffix('/compressed')
+    forms = {
+        TOPIC_TYPES[form]: form for form in (base, f'{base}/compressed') if form in TOPIC_TYPES
+    }
+    return forms.get(type_name, name)

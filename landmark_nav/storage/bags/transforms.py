@@ -1,0 +1,148 @@
+"""Pan and tilt out of ``/tf``, where a bag keeps them nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.rotation import rotation_rpy
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags.reader import Bag, BagMessage
+from landmark_nav.storage.bags.sieve import Sieve
+from landmark_nav.storage.bags.topics import listed
+from landmark_nav.types import FloatArray, JointSample
+
+__all__ = ['joints_of_transforms']
+
+# A frame that turns about the pan axis keeps its z axis on it, but for how well that is measured.
+_UPRIGHT = math.cos(0.35)
+
+# Child frame -> parent frame and the rotation (3, 3) between them.
+_Tree = Mapping[str, tuple[str, FloatArray]]
+
+
+def joints_of_transforms(
+    bag: Bag, mount: PanTiltMount, frame: str = ''
+) -> list[tuple[int, JointSample]]:
+    """
+    Pan and tilt by the transforms of a bag; when each was recorded.
+
+    The pan is the angle by which the frame that turns with the joint is turned about the pan axis
+    of `mount`, the tilt the one by which the frame on it looks up; each with its sign in space.
+
+    Parameters
+    ----------
+    frame : str
+        Frame that turns with the pan joint. If empty, that of ``pan_joint`` as URDF files call it:
+        ``pan_link``, ``pan_frame`` or ``pan``, perhaps behind a prefix.
+
+    Returns
+    -------
+    list
+        Empty where the bag has no such frame.
+
+    Raises
+    ------
+    LandmarkNavError
+        `frame` is not in ``/tf``, or does not turn about the pan axis.
+
+    """
+    topic = bag.find('tf')
+    if topic is None:
+        return []
+    entries = list(_transforms(bag, topic))
+    moving = {child for _, _, child, _, _ in entries}
+    pan_frame = frame.lstrip('/') if frame else _frame_of(mount.pan_joint, moving)
+    if pan_frame is None or (frame and pan_frame not in moving):
+        if frame:
+            raise LandmarkNavError(
+                f'{bag.path}: {topic} has no frame {frame}: it has {listed(moving) or "none"}'
+            )
+        return []
+    tilt_frame = _frame_of(mount.tilt_joint, moving)
+    static_topic = bag.find('tf_static')
+    tree = {
+        child: (parent, rotation)
+        for _, _, child, parent, rotation in (
+            _transforms(bag, static_topic) if static_topic else ()
+        )
+    }
+    axis = rotation_rpy(mount.axis_rpy)
+    tilt_rad = 0.0
+    found = []
+    for log_ns, stamp_ns, child, parent, rotation in entries:
+        if child == tilt_frame and child != pan_frame:
+            # The view is along x: up where that has a z.
+            tilt_rad = math.asin(min(max(float(rotation[2, 0]), -1.0), 1.0))
+        elif child == pan_frame:
+            turned = axis.T @ _to_base(parent, tree, mount.base_frame) @ rotation
+            if turned[2, 2] < _UPRIGHT:
+                raise LandmarkNavError(
+                    f'{bag.path}: {topic}: {child} does not turn about the pan axis of robot.yaml'
+                    ': give the frame that does by --topic joint_states=/tf:FRAME'
+                )
+            pan_rad = math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
+            found.append((log_ns, JointSample(stamp_ns, pan_rad, tilt_rad)))
+    bag.say(f'the pan is taken from {topic}, as {pan_frame} turns')
+    return found
+
+
+def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArray]]:
+    """Log time, stamp, child, parent and rotation of each transform."""
+
+    def rotations(entry: BagMessage) -> list[tuple[int, int, str, str, FloatArray]]:
+        return [
+            (
+                entry.stamp_ns,
+                decode.stamp_ns(one.header) or entry.stamp_ns,
+                str(one.child_frame_id).lstrip('/'),
+                str(one.header.frame_id).lstrip('/'),
+                _rotation(one.transform.rotation),
+            )
+            for one in entry.message.transforms
+        ]
+
+    sieve = Sieve(bag, topic)
+    taken = [sieve.take(rotations, entry) or [] for entry in bag.messages([topic])]
+    sieve.tell()
+    return [one for part in taken for one in part]
+
+
+def _rotation(quaternion: Any) -> FloatArray:
+    x, y, z, w = (float(getattr(quaternion, name)) for name in 'xyzw')
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if not 1e-3 < norm < 1e3:
+        raise LandmarkNavError(f'a rotation is ({x:g}, {y:g}, {z:g}, {w:g}), not a quaternion')
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _frame_of(joint: str, frames: set[str]) -> str | None:
+    """The frame that URDF files name after a joint, if there is one alone."""
+    stem = joint.removesuffix('_joint')
+    names = (
+        decode.matching_name(name, frames) for name in (f'{stem}_link', f'{stem}_frame', stem)
+    )
+    return next(filter(None, names), None)
+
+
+def _to_base(frame: str, tree: _Tree, base_frame: str) -> FloatArray:
+    """Rotation from a frame to the base through fixed joints, as far as they lead there."""
+    rotation = np.eye(3)
+    passed = set()
+    while frame in tree and frame not in passed and not decode.same_frame(frame, base_frame):
+        passed.add(frame)
+        frame, step = tree[frame]
+        rotation = step @ rotation
+    return rotation

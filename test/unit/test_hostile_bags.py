@@ -1,0 +1,177 @@
+"""Bags of strangers: whatever they declare, memory and time are bounded, and one line says it."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import subprocess
+import sys
+
+from bag_writers import MOUNT, write_drive
+import lz4.frame
+import pytest
+import zstandard
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.bags import Bag, sensor_events
+
+MAGIC = b'\x89MCAP0\r\n'
+
+
+def text(value):
+    return struct.pack('<I', len(value.encode())) + value.encode()
+
+
+def record(opcode, content):
+    return struct.pack('<BQ', opcode, len(content)) + content
+
+
+def chunk(compression, data, declared):
+    head = struct.pack('<QQQI', 1, 2, declared, 0) + text(compression)
+    return record(6, head + struct.pack('<Q', len(data)) + data)
+
+
+def schema(number, name, definition):
+    return record(3, struct.pack('<H', number) + text(name) + text('ros2msg') + text(definition))
+
+
+def channel(number, schema_number, topic):
+    head = struct.pack('<HH', number, schema_number)
+    return record(4, head + text(topic) + text('cdr') + struct.pack('<I', 0))
+
+
+def message(number, data):
+    return record(5, struct.pack('<HIQQ', number, 0, 5, 5) + data)
+
+
+def mcap(*records):
+    end = record(0x0F, bytes(4)) + record(2, bytes(20)) + MAGIC
+    return MAGIC + record(1, text('ros2') + text('')) + b''.join(records) + end
+
+
+ZEROS = bytes(2**28)
+ZSTD, LZ4 = zstandard.ZstdCompressor().compress(ZEROS), lz4.frame.compress(ZEROS)
+SMALL = zstandard.ZstdCompressor().compress(ZEROS[: 2**24])
+BOMBS = {
+    'zstd that says so': mcap(chunk('zstd', ZSTD, 2**28)),
+    'zstd that lies': mcap(chunk('zstd', ZSTD, 1000)),
+    'lz4 that says so': mcap(chunk('lz4', LZ4, 2**28)),
+    'lz4 that lies': mcap(chunk('lz4', LZ4, 1000)),
+    'many': mcap(*([chunk('zstd', SMALL, 2**24)] * 99)),
+    'file of zstd': ZSTD * 32,
+    'zstd of zstd': zstandard.ZstdCompressor().compress(ZSTD),
+    'long record': mcap() + struct.pack('<BQ', 6, 2**60),
+    'many channels': mcap(*(channel(k % 65535, 0, f'/{k}') for k in range(150_000))),
+}  # fmt: skip
+
+READ = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30))
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.storage.bags import Bag, sensor_events
+try:
+    list(sensor_events(Bag(sys.argv[1], print), PanTiltMount()))
+except LandmarkNavError as error:
+    print('refused:', error)
+"""
+
+
+@pytest.mark.parametrize('bomb', BOMBS)
+def test_what_unpacks_to_gigabytes_is_refused_within_one(tmp_path, bomb):
+    path = tmp_path / 'bomb'
+    path.write_bytes(BOMBS[bomb])
+    done = subprocess.run(
+        [sys.executable, '-c', READ, str(path)], capture_output=True, text=True, check=True
+    )
+    *warnings, refusal = done.stdout.splitlines()
+    assert refusal.startswith(f'refused: {path}')
+    assert len(warnings) <= 1
+
+
+HEADER = '=' * 80 + '\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n'
+JOINTS = (
+    'std_msgs/Header header\nstring[] name\n{}\nfloat64[] velocity\nfloat64[] effort\n' + HEADER
+)
+DEFINITIONS = {
+    'position is string': JOINTS.format('string[] position'),
+    'position is float64,': JOINTS.format('float64 position'),
+    r'position is float64\[3\]': JOINTS.format('float64[3] position'),
+    'position of sensor_msgs/msg/JointState is missing': JOINTS.format(''),
+    'more is not a field of': JOINTS.format('float64[] position').replace(
+        'effort\n', 'effort\nint8 more\n'
+    ),
+    'stamp of std_msgs/msg/Header is missing': JOINTS.format('float64[] position').replace(
+        'Header\nbuiltin_interfaces/Time stamp',
+        'Header\nuint32 seq\nbuiltin_interfaces/Time stamp',
+    ),
+    'contains itself': 'x/A a\n' + '=' * 80 + '\nMSG: x/A\nx/A[] a\n',
+    'over 100000 elements': 'float64[200000000] position\n',
+    'elements': 'x/A[70000] a\n' + '=' * 80 + '\nMSG: x/A\nint8 a\nint8 b\n',
+    'missing or damaged': '(' * 10_000,
+    'missing or damaged:': '#' * 1_000_000,
+}
+
+
+@pytest.mark.parametrize('reason', DEFINITIONS)
+def test_definitions_that_are_not_those_of_ros_are_named(tmp_path, reason):
+    path = tmp_path / 'own.mcap'
+    kind = 'sensor_msgs/msg/JointState'
+    path.write_bytes(
+        mcap(
+            schema(1, kind, DEFINITIONS[reason]),
+            channel(1, 1, '/joint_states'),
+            message(1, b'\0\1\0\0' + bytes(100)),
+        )
+    )
+    with pytest.raises(LandmarkNavError, match=reason) as error:
+        list(Bag(path).messages(['/joint_states']))
+    assert 'topic /joint_states' in str(error.value)
+    assert len(str(error.value)) - len(str(path)) < 200
+
+
+def test_an_index_that_is_wrong_is_done_without(tmp_path):
+    whole = (write_drive(tmp_path / 'drive') / 'drive.mcap').read_bytes()
+    footer = len(whole) - len(MAGIC) - 29
+    (summary,) = struct.unpack_from('<Q', whole, footer + 9)
+    at = summary
+    while whole[at] != 8:  # the first chunk index: start, end, offset, length
+        at += 9 + struct.unpack_from('<Q', whole, at + 1)[0]
+    spoiled = [(footer + 9, value) for value in (8, 100, footer, 2**60, 2**64 - 1)]
+    spoiled += [(at + 9 + 16, value) for value in (0, 9, 2**62)] + [(at + 9 + 24, 2**62)]
+    (length,) = struct.unpack_from('<Q', whole, at + 1)
+    files = [whole[:at] + whole[at : at + 9 + length] * 3 + whole[at + 9 + length :]]
+    for place, value in spoiled:
+        content = bytearray(whole)
+        struct.pack_into('<Q', content, place, value)
+        files.append(bytes(content))
+    for content in files:
+        (tmp_path / 'spoiled').write_bytes(content)
+        warnings = []
+        bag = Bag(tmp_path / 'spoiled', warnings.append)
+        assert len(list(sensor_events(bag, MOUNT))) == 90
+        assert bag.counts['/odom'] == 40
+        assert warnings == []
+
+
+def test_a_database_with_odd_values_is_one_line(tmp_path):
+    path = tmp_path / 'odd.db3'
+    base = sqlite3.connect(path)
+    base.execute('CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)')
+    base.execute('CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)')
+    base.execute("INSERT INTO topics VALUES (1, '/odom', 'nav_msgs/msg/Odometry', 'cdr')")
+    base.commit()
+    for values in (('abc', 'text'), (None, None), (5, 7), (2**62, b'\0')):
+        base.execute('DELETE FROM messages')
+        base.execute('INSERT INTO messages VALUES (1, 1, ?, ?)', values)
+        base.commit()
+        with pytest.raises(LandmarkNavError) as error:
+            [entry.message for entry in Bag(path).messages()]
+        assert '\n' not in str(error.value)
+    base.close()
+
+
+def test_a_bag_without_messages_says_what_is_missing(tmp_path):
+    (tmp_path / 'none.mcap').write_bytes(mcap())
+    with pytest.raises(LandmarkNavError, match=r'camera/image_raw/compressed is missing'):
+        list(sensor_events(Bag(tmp_path / 'none.mcap'), MOUNT))
