@@ -44,7 +44,7 @@ def listen_for_joints(
             heard.update(dict.fromkeys(message.name[:_LISTED]))
         names = ', '.join(heard) or 'no joint'
         raise IrrelevantError(
-            f'names {one_line(names):.80}, not {mount.pan_joint}: set pan_joint in robot.yaml'
+            f'{one_line(names):.80} arrive, not {mount.pan_joint}: set pan_joint in robot.yaml'
         )
 
     node.listen('joint_states', take, depth=depth)
