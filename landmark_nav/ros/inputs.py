@@ -120,7 +120,7 @@ class Input:
         now_s = time.monotonic()
         unused_s = now_s - self._used_s if self._used_s is not None else _SILENCE_S
         if self._irrelevant and unused_s >= _SILENCE_S and self._silent_s() < _SILENCE_S:
-            yield f'{self.name} {self._irrelevant}'
+            yield f'{self.name}: {self._irrelevant}'
         names = self._sources(now_s) if self.is_stream else []
         if len(names) > 1:
             yield f'{self.name} comes from two publishers, {" and ".join(names)}: stop one of them'

@@ -157,15 +157,15 @@ def test_bytes_that_are_no_message_end_nothing(graph: Graph) -> None:
 
 def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Graph) -> None:
     unit = graph.publisher('unit', '/robot/joint_states')
-    wrong = 'names neck_pan, neck_tilt, not pan_joint: set pan_joint in robot.yaml'
+    wrong = 'neck_pan, neck_tilt arrive, not pan_joint: set pan_joint in robot.yaml'
     graph.until(
-        graph.says(f'/robot/joint_states {wrong}'),
+        graph.says(f'/robot/joint_states: {wrong}'),
         lambda: unit.publish(joints(NOW_NS, 'neck_pan', 'neck_tilt')),
     )
     graph.until(lambda: bool(graph.listener.joints), lambda: unit.publish(joints(NOW_NS)))
     unit.publish(joints(NOW_NS, 'wheel_left', 'wheel_right'))
     graph.executor.spin_once(timeout_sec=0.1)
-    assert 'names' not in graph.said().reason
+    assert 'arrive, not' not in graph.said().reason
 
 
 def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: Graph) -> None:
