@@ -150,8 +150,8 @@ def _check_unusable(
     first = min(plan.unusable)
     count = len(plan.unusable)
     which = (
-        f'{topic}: {count} of {len(plan.samples)} frames of the sweep of {1e-9 * plan.start_ns:.1f} s left '
-        f'out: image {numbers[first]}, at {1e-9 * first:.3f} s'
+        f'{topic}: {count} of {len(plan.samples)} frames of the sweep of '
+        f'{1e-9 * plan.start_ns:.1f} s left out: image {numbers[first]}, at {1e-9 * first:.3f} s'
     )
     reason = plan.unusable[first]
     if not frames:
