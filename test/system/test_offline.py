@@ -196,7 +196,7 @@ def evaluate(bag, study, learned=None, start=True):
 def test_what_is_no_bag_is_refused(study, tmp_path, capsys):
     out = tmp_path / 'map'
     refused(capsys, learn(tmp_path / 'nowhere', study, out), 'no bag there')
-    refused(capsys, learn(study.room, study, out), 'not an MCAP file')
+    refused(capsys, learn(study.room, study, out), 'not a bag')
     refused(capsys, learn(study.folder / 'drive', study, out), 'sweep/image', 'is missing')
     refused(capsys, evaluate(study.folder / 'learn', study), 'camera/image_raw', 'is missing')
     assert not list(tmp_path.iterdir())

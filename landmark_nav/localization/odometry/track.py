@@ -32,10 +32,9 @@ _LONGEST_S = 3600.0
 # value are noise.
 _FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
 
-# A pose has jumped, too, if it moves otherwise than the speeds of the samples around it, by more
-# than these and as much again as they say, after so many that agreed: drivers set it to zero when
-# they restart. Sources whose speeds never agree, such as without the sideways one, are not judged
-# by them.
+# A driver that restarts sets the pose to zero, within these and one interval. The pose then moves
+# otherwise than the speeds around it, by more than these and as much again as they say, after so
+# many samples that agreed. Wheels that slip do so, too, but not to zero.
 _OFF_M, _OFF_RAD, _AGREED = 0.03, 0.05, 5
 
 
@@ -112,12 +111,14 @@ class OdometryTrack:
             return Refusal('odometry went back in time', f'{-seconds:.3f} s')
         increment = relative(last.pose_odom_base, sample.pose_odom_base)
         way, turn = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
-        # A driver that restarts begins at zero; speeds that agreed until now know the way.
-        reset = self._agreeing >= _AGREED and _is_near_zero(sample, seconds)
+        # Speeds that agreed until now know the way.
+        reset = self._contradicts_speeds(increment, last, sample, seconds) and _is_near_zero(
+            sample, seconds
+        )
         jumped = (
             way > self._config.max_speed_m_s * min(seconds, _LONGEST_S)
             or turn > self._config.max_rate_rad_s * seconds
-            or self._contradicts_speeds(increment, last, sample, seconds)
+            or reset
         )
         if jumped:
             known = min(seconds, HORIZON_S)

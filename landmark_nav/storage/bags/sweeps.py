@@ -97,7 +97,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
             if stamp is None
         ]
         if plan.unusable:
-            _check_unusable(bag, plan, numbers, frames)
+            _check_unusable(bag, topic, plan, numbers, frames)
         if check_coverage(bag, plan.start_ns, frames, missing, cut_off=last and not bag.complete):
             yield Sweep(plan.start_ns, tuple(frames), pose)
         plan.frames.clear()
@@ -140,14 +140,18 @@ def _add(
 
 
 def _check_unusable(
-    bag: Bag, plan: _Plan, numbers: Mapping[int, int], frames: Sequence[CameraFrame]
+    bag: Bag,
+    topic: str,
+    plan: _Plan,
+    numbers: Mapping[int, int],
+    frames: Sequence[CameraFrame],
 ) -> None:
     """Say which images of a sweep are left out; refuse where they leave a gap."""
     first = min(plan.unusable)
     count = len(plan.unusable)
     which = (
-        f'{count} of {len(plan.samples)} frames of the sweep of {1e-9 * plan.start_ns:.1f} s left '
-        f'out: image {numbers[first]}, at {1e-9 * first:.3f} s'
+        f'{topic}: {count} of {len(plan.samples)} frames of the sweep of '
+        f'{1e-9 * plan.start_ns:.1f} s left out: image {numbers[first]}, at {1e-9 * first:.3f} s'
     )
     reason = plan.unusable[first]
     if not frames:
