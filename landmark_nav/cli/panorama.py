@@ -6,13 +6,13 @@ import argparse
 import logging
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.coverage import unseen_arcs
+from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
 from landmark_nav.learning.calibration.alignment import align_sweep
 from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
@@ -119,9 +119,8 @@ def run(args: argparse.Namespace) -> int:
     rows = np.flatnonzero(view.mask[:, covered].all(axis=1))
     whole = slice(rows[0], rows[-1] + 1) if len(rows) else slice(None)
     alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
-    done, data = cv2.imencode('.png', np.dstack([view.image, alpha])[whole])
-    assert done, 'OpenCV writes every PNG of this shape'
-    write_whole(args.out, data.tobytes())
+    shown = np.dstack([view.image, alpha])[whole]
+    write_whole(args.out, encode_image(shown, '.png').tobytes())
     told = quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread)
     print(wrapped([str(told)]))
     print(

@@ -56,6 +56,6 @@ def test_a_picture_that_is_missing_is_told_in_one_line(
     told = capfd.readouterr().err
     assert told.startswith('landmark-nav panorama: ')
     assert told.count('\n') == 1
-    assert 'line 3: gone.png is not there' in told
+    assert 'gone.png: cannot be read: No such file' in told
     assert panorama(tmp_path, '--sweep', '1') == 1
     assert 'is one sweep: leave out --sweep 1' in capfd.readouterr().err

@@ -18,7 +18,7 @@ from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.container import ChannelInfo, McapFile, RawMessage
 from landmark_nav.storage.bags.topics import find_topic, remedy_of_missing
-from landmark_nav.storage.setup_files import read_yaml_mapping
+from landmark_nav.storage.reading import read_yaml_mapping
 
 __all__ = ['Bag', 'BagMessage', 'once']
 
