@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 import reprlib
 
 __all__ = ['LandmarkNavError', 'UsageError', 'one_line', 'shown', 'why']
 
-# A line for a user, and one word in it: paths and values may be of any length.
-_LINE_LENGTH, _WORD_LENGTH = 200, 70
+# A line for a user, and what a path or a value in it keeps at least.
+_LINE_LENGTH, _PART_LENGTH = 200, 60
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxlist, _REPR.maxtuple, _REPR.maxdict = 2, 6, 6, 3
@@ -36,7 +35,7 @@ def why(error: Exception) -> str:
 
 def shown(value: object) -> str:
     """Value out of a file or message, as an error shows it: on one line, of bounded length."""
-    return _shortened(_REPR.repr(value), _WORD_LENGTH)
+    return _shortened(_REPR.repr(value), _PART_LENGTH)
 
 
 def one_line(text: str) -> str:
@@ -44,10 +43,14 @@ def one_line(text: str) -> str:
     line = ''.join(
         c if c.isprintable() else c.encode('unicode_escape').decode() for c in text[:100_000]
     )
-    if len(line) > _LINE_LENGTH:
-        long_word = rf'\S{{{_WORD_LENGTH},}}'
-        line = re.sub(long_word, lambda word: _shortened(word[0], _WORD_LENGTH), line)
-    return _shortened(line, _LINE_LENGTH)
+    # Where it is too long, paths, values and lists are: between colons.
+    parts = line.split(': ')
+    while (excess := len(': '.join(parts)) - _LINE_LENGTH) > 0:
+        k = max(range(len(parts)), key=lambda i: len(parts[i]))
+        if len(parts[k]) <= _PART_LENGTH:
+            return ': '.join(parts)[: _LINE_LENGTH - 1] + '…'
+        parts[k] = _shortened(parts[k], max(_PART_LENGTH, len(parts[k]) - excess))
+    return ': '.join(parts)
 
 
 def _shortened(text: str, length: int) -> str:

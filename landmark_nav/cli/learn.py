@@ -13,6 +13,7 @@ import time
 from typing import Any
 
 from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out', required=True, metavar='MAP', type=Path, help='map folder to write'
     )
+    add_overwrite(parser)
     parser.add_argument(
         '--config',
         metavar='F',
@@ -80,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args.config, _Stages()) if args.config else _Stages()
     bag = Bag(args.bag)
     log = StageLog()
-    with whole_folder(args.out, MAP_FILES) as folder:
+    with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
         panoramas, frames = _panoramas(bag, room, mount, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
         result = learn_from_panoramas(panoramas, room, config, shown)

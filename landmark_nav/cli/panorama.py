@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from landmark_nav.cli.lines import wrapped
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.cli.numbers import ranged, within
+from landmark_nav.cli.options import add_overwrite
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.coverage import unseen_arcs
 from landmark_nav.image_codec import encode_image
@@ -21,7 +23,7 @@ from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import Bag, read_sweep_folder, read_sweeps
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.storage.whole import check_writable, write_whole
+from landmark_nav.storage.whole import check_new, check_writable, write_whole
 from landmark_nav.types import Sweep
 
 __all__ = ['add_arguments', 'run']
@@ -46,9 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '(file,pan_rad,focal_px,width,height)',
     )
     parser.add_argument(
-        '--sweep', type=int, dest='number', metavar='K', help='which sweep of the bag, from 1 on'
+        '--sweep',
+        type=within(int, 1),
+        dest='number',
+        metavar='K',
+        help='which sweep of the bag, from 1 on',
     )
     parser.add_argument('--out', required=True, metavar='F.png', type=Path, help='PNG to write')
+    add_overwrite(parser)
     parser.add_argument(
         '--robot',
         metavar='F',
@@ -62,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--crop',
-        type=int,
+        type=ranged(PanoramaConfig, 'crop_px'),
         default=PanoramaConfig.crop_px,
         metavar='PX',
         help='use the central PX x PX square of each frame alone (default: all of it)',
@@ -85,7 +92,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read the sweep, make the panorama, write it."""
     if args.out.suffix.lower() != '.png':
-        raise LandmarkNavError(f'--out {args.out}: panoramas are written as .png')
+        raise UsageError(f'--out {args.out}: panoramas are written as .png')
+    check_new(args.overwrite, args.out)
     check_writable(args.out)
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
     config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
@@ -95,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
             f'{args.sweep}: pictures without frames.csv (file,pan_rad,focal_px,width,height)'
         )
     if pictures and args.number is not None:
-        raise LandmarkNavError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
+        raise UsageError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
     sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args.sweep, args.number, mount)
     quality = PanoramaQuality(0.0)
     if args.align and pictures:
@@ -137,7 +145,7 @@ def _sweep(path: Path, number: int | None, mount: PanTiltMount) -> Sweep:
         return sweeps[0]
     if number is None or not 1 <= number <= len(sweeps):
         which = '' if number is None else f', no number {number}'
-        raise LandmarkNavError(
+        raise UsageError(
             f'{path}: holds {len(sweeps)} sweeps{which}: take one by --sweep 1 to {len(sweeps)}'
         )
     return sweeps[number - 1]

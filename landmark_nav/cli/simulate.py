@@ -14,6 +14,7 @@ import numpy as np
 
 from landmark_nav.cli.lines import evaluate_line
 from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import rosbag_factory
@@ -63,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'DIR/robot.yaml, DIR/start.json, and DIR/scene.json with what really hangs where.'
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
+    add_overwrite(parser)
     parser.add_argument(
         '--room', metavar='F', help='room.yaml to furnish (default: a room is drawn, too)'
     )
@@ -170,7 +172,7 @@ def run(args: argparse.Namespace) -> int:
     told = scene.room, mount
     if not args.exact:
         told = as_measured(*told, np.random.default_rng([args.seed, 60]))
-    with whole_folder(args.out, _FILES) as folder:
+    with whole_folder(args.out, _FILES, args.overwrite) as folder:
         with BagWriter(folder / 'learn') as bag:
             frames = args.frames * len(poses)
             world = robot_in(scene, poses[0], args.seed, start_ns=_LEARN_START_NS)

@@ -58,17 +58,17 @@ def _represent_list(dumper: yaml.SafeDumper, values: list[Any]) -> yaml.Node:
 _Dumper.add_representer(list, _represent_list)
 
 
-def save_map(landmarks: LandmarkMap, folder: Path | str) -> None:
+def save_map(landmarks: LandmarkMap, folder: Path | str, overwrite: bool = True) -> None:
     """
-    Write a map folder whole or not at all; one that is there is replaced.
+    Write a map folder whole or not at all; one that is there is replaced if `overwrite`.
 
     Raises
     ------
     LandmarkNavError
-        `folder` holds something else, or cannot be written.
+        `folder` holds something else, or a map that stays, or cannot be written.
 
     """
-    with whole_folder(Path(folder), MAP_FILES) as growing:
+    with whole_folder(Path(folder), MAP_FILES, overwrite) as growing:
         write_map(landmarks, growing)
 
 

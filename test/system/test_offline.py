@@ -131,6 +131,7 @@ def test_evaluate_reaches_the_figures_and_repeats_them(study, tmp_path, capsys):
         page = tmp_path / name / 'report.html'
         arguments = ['evaluate', str(bag), '--map', str(study.learned), '--robot', study.robot]
         arguments += ['--start', *study.start, '--json', str(figures), '--report', str(page)]
+        arguments += ['--out', str(figures.parent)]
         assert main(arguments) == 0
         reports.append(json.loads(figures.read_text()))
         for picture in ('trajectory.png', 'errors.png'):

@@ -84,7 +84,7 @@ def test_a_command_gets_its_arguments_and_gives_its_status(command: types.Module
     ('error', 'line'),
     [
         (LandmarkNavError('room.yaml: no walls: add some'), 'room.yaml: no walls: add some'),
-        (LandmarkNavError('two\n  lines'), 'two lines'),
+        (LandmarkNavError('two\n  lines'), r'two\n  lines'),
         (PermissionError(13, 'Permission denied', '/map'), '/map: Permission denied'),
         (ModuleNotFoundError('x', name='cv2'), 'cv2 is not installed: pip install opencv-pyth'),
         (ModuleNotFoundError('x', name='rclpy.node'), 'needs ROS 2 and rclpy is not installed: '),

@@ -23,7 +23,9 @@ def bag(tmp_path: Path) -> Path:
 
 def panorama(source: Path, *options: str) -> int:
     out = source.parent / 'out.png'
-    return main(['panorama', str(source), '--out', str(out), '--no-align', *options])
+    return main(
+        ['panorama', str(source), '--out', str(out), '--no-align', '--overwrite', *options]
+    )
 
 
 def test_of_two_sweeps_one_is_chosen(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -57,5 +59,5 @@ def test_a_picture_that_is_missing_is_told_in_one_line(
     assert told.startswith('landmark-nav panorama: ')
     assert told.count('\n') == 1
     assert 'gone.png: cannot be read: No such file' in told
-    assert panorama(tmp_path, '--sweep', '1') == 1
+    assert panorama(tmp_path, '--sweep', '1') == 2
     assert 'is one sweep: leave out --sweep 1' in capfd.readouterr().err

@@ -23,7 +23,7 @@ def gone() -> int:
 
 
 def save(folder: Path) -> None:
-    with whole_folder(folder, ['map.yaml']) as growing:
+    with whole_folder(folder, ['map.yaml'], overwrite=True) as growing:
         (growing / 'map.yaml').touch()
 
 
