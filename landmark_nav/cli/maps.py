@@ -137,13 +137,17 @@ def describe_comparison(comparison: Comparison) -> str:
     lines += [f'changed  {_name(p.a)} -> {p.b.id}: another texture' for p in changed]
     lines += [f'only A   {_name(k)}' for k in comparison.only_a]
     lines += [f'only B   {_name(k)}' for k in comparison.only_b]
+    still = not lines and not unknown
     if same:
         apart = np.array([np.hypot(*pair.disagreement_m) for pair in same])
         nees = float(np.mean([pair.sigmas**2 for pair in same]))
         lines.append(
             f'{len(same)} in both: {1e3 * np.median(apart):.1f} mm apart in the median, '
-            f'{1e3 * apart.max():.1f} mm at most; NEES {nees:.2f} (2 is ideal)'
+            f'{1e3 * apart.max():.1f} mm at most'
+            + (f'; NEES {nees:.2f} (2 is ideal)' if apart.any() else '')
         )
+    if still:
+        lines.append('no landmark moved or changed')
     lines.append(
         f'{len(changed)} changed, {len(comparison.only_a)} only in A, '
         f'{len(comparison.only_b)} only in B, {len(unknown)} unclear'
