@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
@@ -73,21 +74,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         return status
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:
-        # Whoever read our output has gone (`| head`): nothing to say, and nowhere to flush to.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # whoever read our output has gone (`| head`): nothing to say
+        with suppress(OSError):
+            _flush()
         return 1
     except UsageError as error:
         status, message = 2, str(error)
     except LandmarkNavError as error:
         status, message = 1, str(error)
     except OSError as error:
-        status, message = 1, f'{error.filename}: {why(error)}' if error.filename else str(error)
+        status, message = 1, f'{error.filename or "standard output or a file"}: {why(error)}'
     except MemoryError:
         status, message = 1, 'not enough memory: give less data, or smaller images'
     except ModuleNotFoundError as error:
         status, message = 1, _missing(error)
-    print(one_line(f'landmark-nav {name}: {message}'), file=sys.stderr)
+    if sys.stderr is not None:  # closed by whoever started us
+        print(one_line(f'landmark-nav {name}: {message}'), file=sys.stderr)
     return status
 
 
@@ -149,11 +151,10 @@ def _flush() -> None:
         return
     try:
         sys.stdout.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
+    except OSError:
+        # Nor could it be written at the end of the process.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise LandmarkNavError(f'standard output: cannot be written: {why(error)}') from error
+        raise
 
 
 def _set_up_logging(verbose: bool) -> None:

@@ -54,7 +54,8 @@ def whole_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator[
         )
     if folder.exists() and not folder.is_dir():
         raise LandmarkNavError(f'{folder}: is a file: take another name')
-    check_new(overwrite, *folder.glob(own[0]))
+    if any(folder.glob(own[0])):
+        check_new(overwrite, folder)
     target = folder.resolve()
     growing = target.with_name(f'.{target.name}.part-{os.getpid()}')
     try:
