@@ -14,7 +14,7 @@ from landmark_nav.cli.lines import evaluate_line, wrapped
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.odometry.commanded import command_delay_s, integrate_commands
@@ -25,7 +25,7 @@ from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import save_map
 from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
-from landmark_nav.storage.whole import check_new, write_whole
+from landmark_nav.storage.whole import check_new, check_writable, write_whole
 from landmark_nav.types import OdometrySample
 
 __all__ = ['add_arguments', 'run']
@@ -80,11 +80,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, find the delay, write bag and map."""
+    if not args.out.name:
+        raise UsageError(f'--out {args.out}: give the bag a name')
     landmarks, robot, beginning, config = (
         args.out.with_name(f'{args.out.name}_{kind}')
         for kind in ('map', 'robot.yaml', 'start.json', 'config.yaml')
     )
     check_new(args.overwrite, args.out, landmarks, robot, beginning, config)
+    check_writable(robot, beginning, config)
     log = read_mrclam(args.folder, args.robot, np.radians(args.bearing_sigma), args.landmark_sigma)
     delay = args.command_delay
     if delay is None:

@@ -76,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, draw, write."""
+    check_writable(args.out)
     picture = args.out.with_suffix('.png')
     if args.out == picture:
         raise UsageError(
@@ -85,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     if args.pan[0] > args.pan[1]:
         raise UsageError(f'--pan {args.pan[0]:g} {args.pan[1]:g}: give the lesser one first')
     check_new(args.overwrite, args.out, picture)
-    check_writable(args.out, picture)
+    check_writable(picture)
     config = PlanConfig(
         focal_px=args.focal,
         width_px=args.size[0],

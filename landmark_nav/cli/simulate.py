@@ -16,7 +16,7 @@ from landmark_nav.cli.lines import evaluate_line
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.furnishing import another_day, exchange_pictures
@@ -234,7 +234,8 @@ def _sweep_poses(
     others = places.poses[:, :2].mean(axis=0) + rng.uniform(-1.0, 1.0, (_PLACES_TRIED, 2))
     others = others[scene.room.contains(others) & (scene.distance_to_obstacles(others) > 0.45)]
     if missing > len(others):
-        raise LandmarkNavError(f'the room has space for {len(poses) + len(others)} sweeps only')
+        most = len(poses) + len(others)
+        raise UsageError(f'--sweeps: the room has space for {most} sweeps only')
     poses += [np.array([*xy, rng.uniform(-np.pi, np.pi)]) for xy in others[:missing]]
     return poses
 

@@ -56,7 +56,7 @@ def whole_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator[
         raise LandmarkNavError(f'{folder}: is a file: take another name')
     if any(folder.glob(own[0])):
         check_new(overwrite, folder)
-    target = folder.resolve()
+    target = Path(os.path.realpath(folder))
     growing = target.with_name(f'.{target.name}.part-{os.getpid()}')
     try:
         _clear_dead(target, own)
@@ -187,7 +187,7 @@ def check_writable(*files: Path | None) -> None:
 
 def left_over(folder: Path) -> Path | None:
     """What `whole_folder` moved aside for a new one that never came: it was killed in between."""
-    target = folder.resolve()
+    target = Path(os.path.realpath(folder))
     aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
     return aside[-1] if aside else None
 
