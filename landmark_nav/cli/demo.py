@@ -52,7 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
     add_overwrite(parser)
     parser.add_argument(
-        '--seed', type=within(int, 0), default=1, metavar='N', help='of the room (default 1)'
+        '--seed',
+        type=within(int, 0, 2**63 - 1),
+        default=1,
+        metavar='N',
+        help='of the room (default 1)',
     )
     parser.add_argument(
         '--domain-id',

@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--seed',
-        type=within(int, 0),
+        type=within(int, 0, 2**63 - 1),
         default=7,
         metavar='N',
         help='of the simulated room (default 7)',

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import evaluate_line
-from landmark_nav.cli.numbers import within
+from landmark_nav.cli.numbers import ranged, within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError, UsageError
@@ -79,28 +79,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--seed',
-        type=within(int, 0),
+        type=within(int, 0, 2**63 - 1),
         default=1,
         metavar='N',
         help='of all that is drawn at random (default 1)',
     )
     parser.add_argument(
         '--sweeps',
-        type=within(int, 1),
+        type=within(int, 1, 1000),
         default=2,
         metavar='N',
         help='how many sweeps (default 2)',
     )
     parser.add_argument(
         '--frames',
-        type=within(int, 8),
+        type=within(int, 8, 10_000),
         default=72,
         metavar='N',
         help='frames of each sweep (default 72)',
     )
     parser.add_argument(
         '--drive-seconds',
-        type=within(float, 0.5),
+        type=within(float, 0.5, 1e5),
         default=40.0,
         metavar='S',
         help='length of the drive in seconds (default 40)',
@@ -114,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--speed',
-        type=within(float, 0.05),
+        type=within(float, 0.05, 10),
         default=0.35,
         metavar='M/S',
         help='of the robot in the drive (default 0.35)',
@@ -128,7 +128,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--people',
-        type=within(int, 0),
+        type=ranged(WorldConfig, 'people'),
         default=0,
         metavar='N',
         help='who walk about (default 0)',
