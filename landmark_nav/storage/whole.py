@@ -65,6 +65,10 @@ def whole_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator[
         _swap(growing, target, own)
     except OSError as error:
         raise LandmarkNavError(f'{folder}: cannot be written: {why(error)}') from error
+    except LandmarkNavError as error:
+        if str(growing) not in str(error):
+            raise
+        raise LandmarkNavError(str(error).replace(str(growing), str(folder))) from error
     finally:
         shutil.rmtree(growing, ignore_errors=True)
 
