@@ -8,6 +8,8 @@ __all__ = ['LandmarkNavError', 'UsageError', 'one_line', 'shown', 'why']
 
 # A line for a user, and what a path or a value in it keeps at least.
 _LINE_LENGTH, _PART_LENGTH = 200, 60
+# More is not looked at.
+_MAX_LENGTH = 10_000
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxlist, _REPR.maxtuple, _REPR.maxdict = 2, 6, 6, 3
@@ -22,6 +24,10 @@ class LandmarkNavError(Exception):
     stderr and exit with status 1; services answer it with ``success: false``. What is merely to
     be expected (too few landmarks, a degenerate triplet) is a typed result instead.
     """
+
+    def __str__(self) -> str:
+        """Message without control characters, whatever file or message they came from."""
+        return _printable(super().__str__())
 
 
 class UsageError(LandmarkNavError):
@@ -40,17 +46,21 @@ def shown(value: object) -> str:
 
 def one_line(text: str) -> str:
     """Text as one line for a user: nothing but printable characters, 200 of them at most."""
-    line = ''.join(
-        c if c.isprintable() else c.encode('unicode_escape').decode() for c in text[:100_000]
-    )
     # Where it is too long, paths, values and lists are: between colons.
-    parts = line.split(': ')
+    parts = _printable(text).split(': ')
     while (excess := len(': '.join(parts)) - _LINE_LENGTH) > 0:
         k = max(range(len(parts)), key=lambda i: len(parts[i]))
         if len(parts[k]) <= _PART_LENGTH:
             return ': '.join(parts)[: _LINE_LENGTH - 1] + '…'
         parts[k] = _shortened(parts[k], max(_PART_LENGTH, len(parts[k]) - excess))
     return ': '.join(parts)
+
+
+def _printable(text: str) -> str:
+    if text.isprintable() and len(text) <= _MAX_LENGTH:
+        return text
+    escaped = (c if c.isprintable() else ascii(c)[1:-1] for c in text[:_MAX_LENGTH])
+    return ''.join(escaped)
 
 
 def _shortened(text: str, length: int) -> str:
