@@ -35,7 +35,7 @@ install: .venv/installed
 	touch $@
 
 demo: install
-	$(BIN)/landmark-nav demo --out demo
+	$(BIN)/landmark-nav demo --out demo --overwrite
 
 test: lint test-offline test-nodes
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, shown
 
 __all__ = ['Config', 'check_order', 'parameter', 'unit_hint']
 
@@ -58,7 +58,9 @@ class Config:
             where = f'parameter {field.name} of {type(self).__name__}'
             choices = field.metadata.get('choices')
             if choices is not None and value not in choices:
-                raise LandmarkNavError(f'{where} is {value!r}: take one of {", ".join(choices)}')
+                raise LandmarkNavError(
+                    f'{where} is {shown(value)}: take one of {", ".join(choices)}'
+                )
             if isinstance(value, bool) or not isinstance(value, int | float):
                 continue
             low, high = field.metadata.get('minimum'), field.metadata.get('maximum')

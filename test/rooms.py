@@ -39,12 +39,12 @@ def run_room(
     changes: list[object] = ['--light-change', '--exchange', EXCHANGED]
     if exact:
         changes.append('--exact')
-    command('simulate', '--out', folder, '--seed', seed, *changes, *options)
+    command('simulate', '--out', folder, '--overwrite', '--seed', seed, *changes, *options)
     room, robot = folder / 'room.yaml', folder / 'robot.yaml'
     start = json.loads((folder / 'start.json').read_text())['pose']
     command(
         'learn', folder / 'learn', '--room', room, '--robot', robot,
-        '--out', folder / 'map', '--json', folder / 'learn.json',
+        '--out', folder / 'map', '--overwrite', '--json', folder / 'learn.json',
     )  # fmt: skip
     command(
         'evaluate', folder / 'drive', '--map', folder / 'map', '--robot', robot,

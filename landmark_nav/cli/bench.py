@@ -65,14 +65,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--json', type=Path, metavar='F', help='write the times to F')
     parser.add_argument(
         '--seed',
-        type=within(int, 0),
+        type=within(int, 0, 2**63 - 1),
         default=0,
         metavar='N',
         help='of the simulated data (default 0)',
     )
     parser.add_argument(
         '--repeats',
-        type=within(int, 1),
+        type=within(int, 1, 1000),
         default=7,
         metavar='N',
         help='how often, of which the median is taken (default 7)',

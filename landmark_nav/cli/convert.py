@@ -12,8 +12,9 @@ import numpy as np
 
 from landmark_nav.cli.lines import evaluate_line, wrapped
 from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.odometry.commanded import command_delay_s, integrate_commands
@@ -24,7 +25,7 @@ from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import save_map
 from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
-from landmark_nav.storage.whole import write_whole
+from landmark_nav.storage.whole import check_new, check_writable, write_whole
 from landmark_nav.types import OdometrySample
 
 __all__ = ['add_arguments', 'run']
@@ -51,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--robot', required=True, type=int, choices=range(1, 6), metavar='N', help='1 to 5'
     )
     mrclam.add_argument('--out', required=True, type=Path, metavar='BAG', help='bag to write')
+    add_overwrite(mrclam)
     mrclam.add_argument(
         '--bearing-sigma',
         type=within(float, 1e-6, 90.0),
@@ -78,6 +80,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, find the delay, write bag and map."""
+    if not args.out.name:
+        raise UsageError(f'--out {args.out}: give the bag a name')
+    landmarks, robot, beginning, config = (
+        args.out.with_name(f'{args.out.name}_{kind}')
+        for kind in ('map', 'robot.yaml', 'start.json', 'config.yaml')
+    )
+    check_new(args.overwrite, args.out, landmarks, robot, beginning, config)
+    check_writable(robot, beginning, config)
     log = read_mrclam(args.folder, args.robot, np.radians(args.bearing_sigma), args.landmark_sigma)
     delay = args.command_delay
     if delay is None:
@@ -87,11 +97,7 @@ def run(args: argparse.Namespace) -> int:
     start = PoseTrack.of((pose.stamp_ns, pose.pose) for pose in log.truth).at([begin])[0]
     if np.isnan(start).any():
         raise LandmarkNavError(f'{args.folder}: robot {args.robot}: no truth at the start')
-    landmarks, robot, beginning, config = (
-        args.out.with_name(f'{args.out.name}_{kind}')
-        for kind in ('map', 'robot.yaml', 'start.json', 'config.yaml')
-    )
-    _write_bag(log, odometry, args.out)
+    _write_bag(log, odometry, args.out, args.overwrite)
     save_map(log.landmark_map, landmarks)
     write_whole(robot, robot_document(PanTiltMount(pan_sigma_rad=_SHARED_RAD)))
     write_whole(beginning, start_document(start))
@@ -107,7 +113,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write_bag(log: MrclamLog, odometry: tuple[OdometrySample, ...], path: Path) -> None:
+def _write_bag(
+    log: MrclamLog, odometry: tuple[OdometrySample, ...], path: Path, overwrite: bool
+) -> None:
     """Write all in the order of its stamps; what was seen comes after the odometry."""
     factory = rosbag_factory()
     truth = (OdometrySample(pose.stamp_ns, pose.pose) for pose in log.truth)
@@ -121,6 +129,6 @@ def _write_bag(log: MrclamLog, odometry: tuple[OdometrySample, ...], path: Path)
     )
     total = len(log.truth) + len(odometry) + len(log.sightings)
     merged = heapq.merge(*streams, key=lambda entry: entry[0])
-    with BagWriter(path) as bag:
+    with BagWriter(path, overwrite) as bag:
         for stamp, topic, message in progress(merged, 'writing', total):
             bag.write(topic, message, stamp)

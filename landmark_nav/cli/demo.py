@@ -9,6 +9,7 @@ from pathlib import Path
 import shutil
 
 from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.run_summary import error_table
 from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.interruption import Interruption
@@ -27,6 +28,7 @@ from landmark_nav.ros import require_ros
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_room
+from landmark_nav.storage.whole import check_new, write_whole
 from landmark_nav.types import Panorama
 
 __all__ = ['add_arguments', 'run']
@@ -48,8 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'that. Exit status 0 only if the map and the error are as they should be.'
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
+    add_overwrite(parser)
     parser.add_argument(
-        '--seed', type=within(int, 0), default=1, metavar='N', help='of the room (default 1)'
+        '--seed',
+        type=within(int, 0, 2**63 - 1),
+        default=1,
+        metavar='N',
+        help='of the room (default 1)',
     )
     parser.add_argument(
         '--domain-id',
@@ -63,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Conduct the demo, then measure what it recorded."""
     require_ros('it')
-    folder = _emptied(args.out)
+    folder = _emptied(args.out, args.overwrite)
     narrator = Narrator()
     room = prepare_room(folder, args.seed, _TOUR_M)
     commands = node_commands(room, folder / 'map')
@@ -87,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     return _report(folder, panoramas, unclean, narrator)
 
 
-def _emptied(folder: Path) -> Path:
+def _emptied(folder: Path, overwrite: bool) -> Path:
     """Take away what an earlier demo left in the folder."""
     if folder.exists() and not folder.is_dir():
         raise LandmarkNavError(f'{folder}: is a file: take another name')
@@ -97,6 +104,7 @@ def _emptied(folder: Path) -> Path:
         raise LandmarkNavError(
             f'{folder}: holds {", ".join(foreign[:3])}, not of a demo: take another folder'
         )
+    check_new(overwrite, *folder.iterdir())
     for path in folder.iterdir():
         if path.is_dir():
             shutil.rmtree(path)
@@ -116,15 +124,16 @@ def _report(
     room = load_room(folder / 'room.yaml')
     # The node gives the map alone; the same stages tell what became of every candidate.
     learned = learn_from_panoramas(panoramas, room, LearningConfig())
-    pictures = {name: folder / f'{name.lower()}.png' for name in ('Trajectory', 'Errors', 'Map')}
-    draw_trajectory(run, landmarks, pictures['Trajectory'])
-    draw_errors(run, run_errors(run), pictures['Errors'])
-    draw_map(landmarks, pictures['Map'], room.papers)
+    drawn = {name: folder / f'{name.lower()}.png' for name in ('Trajectory', 'Errors', 'Map')}
+    draw_trajectory(run, landmarks, drawn['Trajectory'])
+    draw_errors(run, run_errors(run), drawn['Errors'])
+    draw_map(landmarks, drawn['Map'], room.papers)
     for k, view in enumerate(learned.panoramas):
-        path = pictures[f'Panorama {k + 1}'] = folder / f'panorama_{k + 1}.png'
+        path = drawn[f'Panorama {k + 1}'] = folder / f'panorama_{k + 1}.png'
         draw_panorama(view, learned.candidates[k], learned.outcomes[k], k + 1, path)
-    (folder / 'report.html').write_text(html_report('Demo', measured, pictures), encoding='utf-8')
-    (folder / 'demo.json').write_text(json.dumps(measured, indent=2) + '\n', encoding='utf-8')
+    pictures = {caption: path.read_bytes() for caption, path in drawn.items()}
+    write_whole(folder / 'report.html', html_report('Demo', measured, pictures))
+    write_whole(folder / 'demo.json', json.dumps(measured, indent=2) + '\n')
     for line in error_table(measured):
         narrator.say(line)
     checks = judge(measured)

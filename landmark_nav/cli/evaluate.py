@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from io import BytesIO
 import json
 from pathlib import Path
-import tempfile
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.cli.run_summary import run_summary
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
@@ -49,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""
     parser.description = (
         'Localize along a recorded drive with the same stages as the nodes, compare '
-        'with ground_truth/odom at the stamps of the pictures, and draw trajectory.png and '
-        'errors.png.'
+        'with ground_truth/odom at the stamps of the images, and write what --json, --tum, '
+        '--report and --out ask for.'
     )
     parser.add_argument('bag', metavar='BAG', help='bag of a drive')
     add_topic_argument(parser)
@@ -105,18 +105,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--out',
         metavar='DIR',
         type=Path,
-        help='where the pictures go (default: beside the file of --json, else of --report, else '
-        'the current folder)',
+        help='folder for trajectory.png and errors.png (default: they are not drawn)',
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay, measure, draw; nothing is written unless all went well."""
     if args.report and args.report.suffix.lower() not in ('.html', '.htm'):
-        raise LandmarkNavError(f'--report {args.report}: reports are written as .html')
-    folder = args.out or (args.json or args.report or Path('x')).parent
-    figures = [folder / name for name in _FIGURES.values()]
-    check_writable(*figures, args.json, args.report, args.tum and args.tum / 'fused.tum')
+        raise UsageError(f'--report {args.report}: reports are written as .html')
+    figures_in = [args.out / name for name in _FIGURES.values()] if args.out else []
+    check_writable(*figures_in, args.json, args.report, args.tum and args.tum / 'fused.tum')
     mount, landmarks = load_robot(args.robot), load_map(args.map)
     start, covariance = _start(args, landmarks)
     if not landmarks.landmarks:
@@ -176,21 +174,24 @@ def run(args: argparse.Namespace) -> int:
                 f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
                 'doubt odometry, joint_states and camera where they seem to be wrong'
             )
-    with tempfile.TemporaryDirectory() as drawn:
-        paths = {caption: Path(drawn) / name for caption, name in _FIGURES.items()}
-        draw_trajectory(done, landmarks, paths['Trajectory'], smoothed)
-        draw_errors(done, errors, paths['Errors'])
-        for path in paths.values():
-            write_whole(folder / path.name, path.read_bytes())
-        if args.report:
-            title = f'{bag.path.name} on {Path(args.map).name}'
-            write_whole(args.report, html_report(title, report, paths))
+    figures = {caption: BytesIO() for caption in _FIGURES}
+    if args.out or args.report:
+        draw_trajectory(done, landmarks, figures['Trajectory'], smoothed)
+        draw_errors(done, errors, figures['Errors'])
+    if args.out:
+        for caption, name in _FIGURES.items():
+            write_whole(args.out / name, figures[caption].getvalue())
+    if args.report:
+        title = f'{bag.path.name} on {Path(args.map).name}'
+        drawn = {caption: png.getvalue() for caption, png in figures.items()}
+        write_whole(args.report, html_report(title, report, drawn))
     if args.tum:
         write_tum_files(done, args.tum, smoothed)
     if args.json:
         write_whole(args.json, json.dumps(report, indent=2) + '\n')
     print(run_summary(report))
-    print(f'{" and ".join(_FIGURES.values())} in {folder.resolve()}')
+    if args.out:
+        print(f'{" and ".join(_FIGURES.values())} in {args.out.resolve()}')
     return 0
 
 
@@ -200,14 +201,14 @@ def _start(args: argparse.Namespace, landmarks: LandmarkMap) -> tuple[Any, Any]:
         return None, None
     start, (position, heading) = np.array(args.start), args.start_sigma
     if abs(start[2]) > 2.0 * np.pi:
-        raise LandmarkNavError(
+        raise UsageError(
             f'--start: THETA is {start[2]:g}, more than a full turn: give it in radians'
         )
     room = Room(landmarks.walls) if landmarks.walls else None
     if room is not None and not room.contains(start[:2]):
         beyond = float(room.wall_distances(start[:2]).min())
         if beyond > 3.0 * position:
-            raise LandmarkNavError(
+            raise UsageError(
                 f'--start {start[0]:g} {start[1]:g} lies {beyond:.2f} m outside the room of '
                 f'{args.map}: give x and y in {landmarks.frame_id}, in metres'
             )

@@ -15,7 +15,7 @@ from landmark_nav.cli.figures_world import FiguresWorld
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures.area_figure import (
     AreaTest,
     draw_observation_areas,
@@ -40,6 +40,7 @@ from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.whole import check_writable
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
 
 __all__ = ['add_arguments', 'run']
@@ -76,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--seed',
-        type=within(int, 0),
+        type=within(int, 0, 2**63 - 1),
         default=7,
         metavar='N',
         help='of the simulated room (default 7)',
@@ -108,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     """Gather the data, draw, print the captions."""
     attention = _attention(args.feature)
     wanted = set(args.figure or ([6] if args.map and not args.bag else _NAMES))
-    args.out.mkdir(parents=True, exist_ok=True)
+    check_writable(*(args.out / _NAMES[number] for number in wanted))
     data = _gather(args, wanted, attention)
     for number in progress(sorted(wanted), 'figures'):
         path = args.out / _NAMES[number]
@@ -132,11 +133,11 @@ def _attention(features: list[str] | None) -> AttentionConfig:
 
 def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConfig) -> _Data:
     if args.bag and not (args.room and args.robot):
-        raise LandmarkNavError('--bag needs --room and --robot, as learn does')
+        raise UsageError('--bag needs --room and --robot, as learn does')
     given = load_map(args.map) if args.map else None
     if given is not None and not args.bag:
         if wanted != {6}:
-            raise LandmarkNavError('--map alone gives Figure 6: the others need --bag')
+            raise UsageError('--map alone gives Figure 6: the others need --bag')
         return _Data(Room(given.walls), (), (), None, given)
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     room = load_room(args.room) if args.room else None

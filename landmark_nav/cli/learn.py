@@ -14,6 +14,7 @@ from typing import Any
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
@@ -63,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out', required=True, metavar='MAP', type=Path, help='map folder to write'
     )
+    add_overwrite(parser)
     parser.add_argument(
         '--config',
         metavar='F',
@@ -82,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args.config, _Stages()) if args.config else _Stages()
     bag = open_bag(args.bag, args)
     log = StageLog()
-    with whole_folder(args.out, MAP_FILES) as folder:
+    with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
         panoramas, frames = _panoramas(bag, room, mount, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
         result = learn_from_panoramas(panoramas, room, config, shown)

@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from io import TextIOWrapper
 import logging
 import os
+from pathlib import Path
 import sys
+from typing import NoReturn
 import warnings
 
-from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.errors import LandmarkNavError, one_line, UsageError, why
 from landmark_nav.threads import keep_to_one_thread
 
 __all__ = ['main']
@@ -35,6 +39,9 @@ COMMANDS = {
     'figures': ('figures', 'draw the figures of Livatino and Madsen from own data'),
     'bench': ('bench', 'time every stage beside a reference'),
 }
+
+# Options that name what is written.
+_OUTPUTS = {'out', 'json', 'report', 'tum'}
 
 # Distributions that are not called as the module they hold.
 _DISTRIBUTIONS = {'cv2': 'opencv-python-headless', 'yaml': 'PyYAML'}
@@ -56,28 +63,46 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     """
     keep_to_one_thread()
+    # A name that the terminal's encoding lacks is no reason to end.
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors='backslashreplace')
     arguments = sys.argv[1:] if argv is None else list(argv)
     name = next((word for word in arguments if not word.startswith('-')), '')
     try:
-        return _run(name, arguments)
+        status = _run(name, arguments)
+        _flush()
+        return status
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:
-        # Whoever read our output has gone (`| head`): nothing to say, and nowhere to flush to.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # whoever read our output has gone (`| head`): nothing to say
+        with suppress(OSError):
+            _flush()
         return 1
+    except UsageError as error:
+        status, message = 2, str(error)
     except LandmarkNavError as error:
-        message = str(error)
+        status, message = 1, str(error)
     except OSError as error:
-        message = f'{error.filename}: {why(error)}' if error.filename else str(error)
+        status, message = 1, f'{error.filename or "standard output or a file"}: {why(error)}'
+    except MemoryError:
+        status, message = 1, 'not enough memory: give less data, or smaller images'
     except ModuleNotFoundError as error:
-        message = _missing(error)
-    print(f'landmark-nav {name}: {" ".join(message.split())}', file=sys.stderr)
-    return 1
+        status, message = 1, _missing(error)
+    if sys.stderr is not None:  # closed by whoever started us
+        print(one_line(f'landmark-nav {name}: {message}'), file=sys.stderr)
+    return status
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line of bounded length, after the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(2, one_line(f'{self.prog}: error: {message}') + '\n')
 
 
 def _run(name: str, arguments: list[str]) -> int:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog='landmark-nav',
         description='Lets a robot with one turning camera learn its landmarks by itself.',
         epilog='landmark-nav COMMAND --help tells more. What is marked (ROS) needs ROS 2, the '
@@ -99,25 +124,53 @@ def _run(name: str, arguments: list[str]) -> int:
         parser.print_help(sys.stderr)
         return 2
     try:
+        if '' in arguments:
+            parser.error('an argument is empty: is a variable of the shell not set?')
         args = parser.parse_args(arguments)
     except SystemExit as stop:  # argparse has printed its help or what is wrong
         return stop.code if isinstance(stop.code, int) else 2
     assert command is not None, 'argparse requires a known command'
     _set_up_logging(args.verbose)
-    status = int(command.run(args))
-    sys.stdout.flush()
-    return status
+    _check_apart(args)
+    return int(command.run(args))
+
+
+def _check_apart(args: argparse.Namespace) -> None:
+    """Refuse to write into a file that is read."""
+    given = {name: value for name, value in vars(args).items() if isinstance(value, str | Path)}
+    files = {name: path for name, path in given.items() if os.path.isfile(path)}
+    for output in _OUTPUTS & set(files):
+        for name in set(files) - _OUTPUTS:
+            if os.path.samefile(files[output], files[name]):
+                raise UsageError(f'--{output} {files[output]}: is read, too: take another name')
+
+
+def _flush() -> None:
+    """Write what is printed; a full disk is noticed here."""
+    if sys.stdout is None:  # closed by whoever started us
+        return
+    try:
+        sys.stdout.flush()
+    except OSError:
+        # Nor could it be written at the end of the process.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise
 
 
 def _set_up_logging(verbose: bool) -> None:
     """Log to stderr, warnings of libraries included, a line each."""
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
-        format='%(levelname)s: %(message)s',
-        stream=sys.stderr,
-    )
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_OneLine('%(levelname)s: %(message)s'))
+    logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
     logging.captureWarnings(True)
     warnings.formatwarning = lambda message, category, *_, **__: f'{category.__name__}: {message}'
+
+
+class _OneLine(logging.Formatter):
+    """A line a record; what an exception adds stands below."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
+        return one_line(super().formatMessage(record))
 
 
 def _version() -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.cli.options import add_overwrite
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.maps import load_map, MAP_DATA, save_map, SCHEMA_VERSION, write_map
 from landmark_nav.storage.whole import whole_folder
@@ -53,11 +54,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     merge.add_argument('a', metavar='OLDER', help='map folder, the older one')
     merge.add_argument('b', metavar='NEWER', help='map folder, the newer one')
     merge.add_argument('--out', required=True, metavar='MAP', help='map folder to write')
+    add_overwrite(merge)
     migrate = action(
         'migrate', _migrate, "Write a map of an older format in today's: nothing else changes."
     )
     migrate.add_argument('map', metavar='MAP', help='map folder')
     migrate.add_argument('--out', metavar='MAP', help='map folder to write (default: the same)')
+    add_overwrite(migrate)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -100,7 +103,7 @@ def _diff(args: argparse.Namespace) -> int:
 def _merge(args: argparse.Namespace) -> int:
     older, newer = load_map(args.a), load_map(args.b)
     merged = merge_maps(older, newer)
-    save_map(merged, args.out)
+    save_map(merged, args.out, args.overwrite)
     print(
         f'{args.out}: {len(merged.landmarks)} landmarks of {len(older.landmarks)} and '
         f'{len(newer.landmarks)}'
@@ -112,7 +115,7 @@ def _migrate(args: argparse.Namespace) -> int:
     landmarks = load_map(args.map)
     out = Path(args.out or args.map)
     # The figures in the folder are of the same map: they stay.
-    with whole_folder(out, MAP_DATA) as folder:
+    with whole_folder(out, MAP_DATA, args.overwrite or args.out is None) as folder:
         write_map(landmarks, folder)
     print(f'{out}: {len(landmarks.landmarks)} landmarks, schema version {SCHEMA_VERSION}')
     return 0
@@ -134,13 +137,17 @@ def describe_comparison(comparison: Comparison) -> str:
     lines += [f'changed  {_name(p.a)} -> {p.b.id}: another texture' for p in changed]
     lines += [f'only A   {_name(k)}' for k in comparison.only_a]
     lines += [f'only B   {_name(k)}' for k in comparison.only_b]
+    still = not lines and not unknown
     if same:
         apart = np.array([np.hypot(*pair.disagreement_m) for pair in same])
         nees = float(np.mean([pair.sigmas**2 for pair in same]))
         lines.append(
             f'{len(same)} in both: {1e3 * np.median(apart):.1f} mm apart in the median, '
-            f'{1e3 * apart.max():.1f} mm at most; NEES {nees:.2f} (2 is ideal)'
+            f'{1e3 * apart.max():.1f} mm at most'
+            + (f'; NEES {nees:.2f} (2 is ideal)' if apart.any() else '')
         )
+    if still:
+        lines.append('no landmark moved or changed')
     lines.append(
         f'{len(changed)} changed, {len(comparison.only_a)} only in A, '
         f'{len(comparison.only_b)} only in B, {len(unknown)} unclear'

@@ -6,14 +6,16 @@ import argparse
 import logging
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.lines import wrapped
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.cli.numbers import ranged, within
+from landmark_nav.cli.options import add_overwrite
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.coverage import unseen_arcs
+from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
 from landmark_nav.learning.calibration.alignment import align_sweep
 from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
@@ -22,7 +24,7 @@ from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import read_sweep_folder, read_sweeps
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.storage.whole import check_writable, write_whole
+from landmark_nav.storage.whole import check_new, check_writable, write_whole
 from landmark_nav.types import Sweep
 
 __all__ = ['add_arguments', 'run']
@@ -48,9 +50,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_topic_argument(parser)
     parser.add_argument(
-        '--sweep', type=int, dest='number', metavar='K', help='which sweep of the bag, from 1 on'
+        '--sweep',
+        type=within(int, 1),
+        dest='number',
+        metavar='K',
+        help='which sweep of the bag, from 1 on',
     )
     parser.add_argument('--out', required=True, metavar='F.png', type=Path, help='PNG to write')
+    add_overwrite(parser)
     parser.add_argument(
         '--robot',
         metavar='F',
@@ -64,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--crop',
-        type=int,
+        type=ranged(PanoramaConfig, 'crop_px'),
         default=PanoramaConfig.crop_px,
         metavar='PX',
         help='use the central PX x PX square of each frame alone (default: all of it)',
@@ -87,7 +94,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read the sweep, make the panorama, write it."""
     if args.out.suffix.lower() != '.png':
-        raise LandmarkNavError(f'--out {args.out}: panoramas are written as .png')
+        raise UsageError(f'--out {args.out}: panoramas are written as .png')
+    check_new(args.overwrite, args.out)
     check_writable(args.out)
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
     config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
@@ -97,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
             f'{args.sweep}: pictures without frames.csv (file,pan_rad,focal_px,width,height)'
         )
     if pictures and args.number is not None:
-        raise LandmarkNavError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
+        raise UsageError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
     sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args, mount)
     quality = PanoramaQuality(0.0)
     if args.align and pictures:
@@ -121,9 +129,8 @@ def run(args: argparse.Namespace) -> int:
     rows = np.flatnonzero(view.mask[:, covered].all(axis=1))
     whole = slice(rows[0], rows[-1] + 1) if len(rows) else slice(None)
     alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
-    done, data = cv2.imencode('.png', np.dstack([view.image, alpha])[whole])
-    assert done, 'OpenCV writes every PNG of this shape'
-    write_whole(args.out, data.tobytes())
+    shown = np.dstack([view.image, alpha])[whole]
+    write_whole(args.out, encode_image(shown, '.png').tobytes())
     told = quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread)
     print(wrapped([str(told)]))
     print(
@@ -142,7 +149,7 @@ def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
         return sweeps[0]
     if number is None or not 1 <= number <= len(sweeps):
         which = '' if number is None else f', no number {number}'
-        raise LandmarkNavError(
+        raise UsageError(
             f'{path}: holds {len(sweeps)} sweeps{which}: take one by --sweep 1 to {len(sweeps)}'
         )
     return sweeps[number - 1]

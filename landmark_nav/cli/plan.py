@@ -10,14 +10,16 @@ import numpy as np
 import yaml
 
 from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.numbers import ranged, within
+from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, Plan, plan_positions
 from landmark_nav.planning.prediction import CAP_M
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.storage.whole import check_writable, write_whole
+from landmark_nav.storage.whole import check_new, check_writable, write_whole
 
 __all__ = ['add_arguments', 'run']
 
@@ -38,41 +40,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
     )
     parser.add_argument(
-        '--positions', required=True, type=int, metavar='N', help='how many places, 2 or more'
+        '--positions',
+        required=True,
+        type=within(int, 2, 100),
+        metavar='N',
+        help='how many places, 2 or more',
     )
     parser.add_argument(
         '--out', required=True, type=Path, metavar='PLAN', help='plan.yaml to write'
     )
+    add_overwrite(parser)
     parser.add_argument(
-        '--focal', type=float, default=default.focal_px, metavar='PX',
+        '--focal', type=ranged(PlanConfig, 'focal_px'), default=default.focal_px, metavar='PX',
         help=f'focal length of the camera in pixels (default {default.focal_px:g})',
     )  # fmt: skip
     parser.add_argument(
-        '--size', type=int, nargs=2, default=(default.width_px, default.height_px),
+        '--size', type=ranged(PlanConfig, 'width_px'), nargs=2,
+        default=(default.width_px, default.height_px),
         metavar=('W', 'H'),
         help=f'of its pictures in pixels (default {default.width_px} {default.height_px})',
     )  # fmt: skip
     parser.add_argument(
-        '--pan', type=float, nargs=2, default=(default.pan_min_rad, default.pan_max_rad),
+        '--pan', type=ranged(PlanConfig, 'pan_min_rad'), nargs=2,
+        default=(default.pan_min_rad, default.pan_max_rad),
         metavar=('MIN', 'MAX'),
         help='range of the pan joint in rad, pan_min_rad and pan_max_rad of the nodes (default: '
         'a full turn)',
     )  # fmt: skip
     parser.add_argument(
-        '--clearance', type=float, default=default.clearance_m, metavar='M',
+        '--clearance', type=ranged(PlanConfig, 'clearance_m'), default=default.clearance_m,
+        metavar='M',
         help=f'least distance of the robot from walls in metres (default {default.clearance_m:g})',
     )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan, draw, write."""
+    check_writable(args.out)
     picture = args.out.with_suffix('.png')
     if args.out == picture:
-        raise LandmarkNavError(
+        raise UsageError(
             f'--out {args.out}: the plan is YAML, and its picture gets this name: take '
             f'{args.out.with_suffix(".yaml").name}'
         )
-    check_writable(args.out, picture)
+    if args.pan[0] > args.pan[1]:
+        raise UsageError(f'--pan {args.pan[0]:g} {args.pan[1]:g}: give the lesser one first')
+    check_new(args.overwrite, args.out, picture)
+    check_writable(picture)
     config = PlanConfig(
         focal_px=args.focal,
         width_px=args.size[0],
@@ -84,7 +98,6 @@ def run(args: argparse.Namespace) -> int:
     room, mount = load_room(args.room), load_robot(args.robot)
     rng = np.random.default_rng(0)
     plan = plan_positions(room, mount, args.positions, config, rng, progress)
-    args.out.parent.mkdir(parents=True, exist_ok=True)
     draw_plan(plan, room, picture)
     write_whole(args.out, _text(plan, config, room.frame_id))
     print(_summary(plan))

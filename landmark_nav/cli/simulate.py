@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import evaluate_line
-from landmark_nav.cli.numbers import within
+from landmark_nav.cli.numbers import ranged, within
+from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.furnishing import another_day, exchange_pictures
@@ -63,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'DIR/robot.yaml, DIR/start.json, and DIR/scene.json with what really hangs where.'
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
+    add_overwrite(parser)
     parser.add_argument(
         '--room', metavar='F', help='room.yaml to furnish (default: a room is drawn, too)'
     )
@@ -77,28 +79,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--seed',
-        type=within(int, 0),
+        type=within(int, 0, 2**63 - 1),
         default=1,
         metavar='N',
         help='of all that is drawn at random (default 1)',
     )
     parser.add_argument(
         '--sweeps',
-        type=within(int, 1),
+        type=within(int, 1, 1000),
         default=2,
         metavar='N',
         help='how many sweeps (default 2)',
     )
     parser.add_argument(
         '--frames',
-        type=within(int, 8),
+        type=within(int, 8, 10_000),
         default=72,
         metavar='N',
         help='frames of each sweep (default 72)',
     )
     parser.add_argument(
         '--drive-seconds',
-        type=within(float, 0.5),
+        type=within(float, 0.5, 1e5),
         default=40.0,
         metavar='S',
         help='length of the drive in seconds (default 40)',
@@ -112,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--speed',
-        type=within(float, 0.05),
+        type=within(float, 0.05, 10),
         default=0.35,
         metavar='M/S',
         help='of the robot in the drive (default 0.35)',
@@ -126,7 +128,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--people',
-        type=within(int, 0),
+        type=ranged(WorldConfig, 'people'),
         default=0,
         metavar='N',
         help='who walk about (default 0)',
@@ -170,7 +172,7 @@ def run(args: argparse.Namespace) -> int:
     told = scene.room, mount
     if not args.exact:
         told = as_measured(*told, np.random.default_rng([args.seed, 60]))
-    with whole_folder(args.out, _FILES) as folder:
+    with whole_folder(args.out, _FILES, args.overwrite) as folder:
         with BagWriter(folder / 'learn') as bag:
             frames = args.frames * len(poses)
             world = robot_in(scene, poses[0], args.seed, start_ns=_LEARN_START_NS)
@@ -232,7 +234,8 @@ def _sweep_poses(
     others = places.poses[:, :2].mean(axis=0) + rng.uniform(-1.0, 1.0, (_PLACES_TRIED, 2))
     others = others[scene.room.contains(others) & (scene.distance_to_obstacles(others) > 0.45)]
     if missing > len(others):
-        raise LandmarkNavError(f'the room has space for {len(poses) + len(others)} sweeps only')
+        most = len(poses) + len(others)
+        raise UsageError(f'--sweeps: the room has space for {most} sweeps only')
     poses += [np.array([*xy, rng.uniform(-np.pi, np.pi)]) for xy in others[:missing]]
     return poses
 

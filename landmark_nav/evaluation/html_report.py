@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from html import escape
-from pathlib import Path
 from typing import Any
 
 __all__ = ['ESTIMATES', 'cell', 'honest_range', 'html_report']
@@ -32,7 +31,7 @@ _ROWS = {
 ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 
 
-def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
+def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, bytes]) -> str:
     """
     Build the page; it needs no other file.
 
@@ -42,8 +41,8 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
         Of the page.
     report : mapping
         As `landmark_nav.evaluation.run_report` makes it: of a run, or of its poses alone.
-    figures : mapping of str to Path
-        Captions and PNG files.
+    figures : mapping of str to bytes
+        Captions and PNG data.
 
     """
     estimates = [name for name in ESTIMATES if name in report]
@@ -85,8 +84,8 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, Pat
     pictures = ''.join(
         f'<h2>{escape(caption)}</h2><img alt="{escape(caption)}" title="click for full size" '
         'onclick="this.classList.toggle(\'whole\')" '
-        f'src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'
-        for caption, path in figures.items()
+        f'src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+        for caption, png in figures.items()
     )
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8">'

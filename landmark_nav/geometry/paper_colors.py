@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 import re
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, shown
 
 __all__ = ['NAMED_HUES_DEG', 'paper_bgr']
 
@@ -55,12 +55,12 @@ def paper_bgr(color: str) -> tuple[float, float, float]:
         rgb = (r, g, b)
     else:
         raise LandmarkNavError(
-            f'paper colour {color!r} is not known: take one of {", ".join(NAMED_HUES_DEG)}, '
+            f'paper colour {shown(color)} is not known: take one of {", ".join(NAMED_HUES_DEG)}, '
             "'#rrggbb' in quotes, or hsv(degrees, percent, percent)"
         )
     if max(rgb) - min(rgb) < _LEAST_SATURATION * max(rgb) or max(rgb) < 0.1:
         raise LandmarkNavError(
-            f'paper colour {color!r} is too grey or too dark to be told by its hue: '
+            f'paper colour {shown(color)} is too grey or too dark to be told by its hue: '
             'hang a more vivid paper'
         )
     return 255.0 * rgb[2], 255.0 * rgb[1], 255.0 * rgb[0]

@@ -225,7 +225,7 @@ class Localizer:
         """Correct the pose by bearings that somebody else measured; else like `add_frame`."""
         prior = self._filter.estimate(found.stamp_ns)
         if prior is None:
-            return Refusal('not initialized', 'give a start pose')
+            return Refusal('not initialized', 'bearings alone give no first pose')
         no_view = Refusal('no picture', 'the bearings were found elsewhere')
         return self._fused(found.stamp_ns, no_view, self._observer.take(found, prior))
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import sys
 from typing import Any, TypeVar
 
-from landmark_nav.errors import LandmarkNavError
-from landmark_nav.storage.setup_files import read_yaml_mapping
+from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.storage.reading import read_yaml_mapping
 
 __all__ = ['load_config', 'shipped_config']
 
@@ -52,13 +52,13 @@ def load_config(path: Path | str, default: T) -> T:
 
 def _changed(config: T, values: Any, where: str) -> T:
     if not isinstance(values, Mapping):
-        raise LandmarkNavError(f'{where}: is {values!r}, not a mapping of parameters')
+        raise LandmarkNavError(f'{where}: is {shown(values)}, not a mapping of parameters')
     known = {field.name for field in dataclasses.fields(config)}  # type: ignore[arg-type]
     changes: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:
             raise LandmarkNavError(
-                f'{where}: no parameter {name!r}: there are {", ".join(sorted(known))}'
+                f'{where}: no parameter {shown(name)}: there are {", ".join(sorted(known))}'
             )
         old = getattr(config, name)
         if dataclasses.is_dataclass(old):
@@ -78,7 +78,7 @@ def _converted(value: Any, old: Any, where: str) -> Any:
     if isinstance(old, tuple) and isinstance(value, list):
         return tuple(value)
     if type(value) is not type(old):
-        raise LandmarkNavError(f'{where} is {value!r}: take {_KINDS[type(old)]}')
+        raise LandmarkNavError(f'{where} is {shown(value)}: take {_KINDS[type(old)]}')
     return value
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,19 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.storage.fields import (
     array_field,
     covariance_field,
-    field,
     integer_field,
+    name_field,
     number_field,
 )
+from landmark_nav.storage.reading import read_image
 from landmark_nav.types import FloatArray, ImageArray, Landmark
 
-__all__ = ['described', 'landmark_of', 'listed', 'patch_name', 'view_name']
+__all__ = ['described', 'landmark_of', 'listed', 'patch_name', 'patch_reader', 'view_name']
 
 # Numbers written by hand may miss what they stand for by this share of the largest one.
 _ROUNDING = 1e-6
+# A patch has some 1,000 pixels; these bounds are those of memory, of one and of a whole map.
+_MAX_PATCH_PIXELS, _MAX_MAP_PIXELS = 1_000_000, 100_000_000
 # Of a landmark of size 0 x 0: a point that has a bearing but no texture.
 _NO_PATCH: ImageArray = np.zeros((0, 0), dtype=np.uint8)
 
@@ -60,8 +64,8 @@ def described(landmark: Landmark) -> dict[str, Any]:
     } | ({'views': views} if views else {})
 
 
-def landmark_of(entry: Any, folder: Path, where: str) -> Landmark:
-    """Landmark of an entry, with its pictures; `where` begins what is said of a bad one."""
+def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -> Landmark:
+    """Landmark of an entry; `patch_of` reads its images, `where` begins an error's line."""
     identity = integer_field(entry, 'id', where)
     where = f'{where} (id {identity})'
     width, height = array_field(entry, 'size', (2,), where)
@@ -87,13 +91,13 @@ def landmark_of(entry: Any, folder: Path, where: str) -> Landmark:
         normal=normal,
         width_m=float(width),
         height_m=float(height),
-        patch=_NO_PATCH if point else _patch(folder / patch_name(identity), where),
+        patch=_NO_PATCH if point else patch_of(patch_name(identity)),
         viewpoint=array_field(entry, 'viewpoint', (3,), where),
         threshold=number_field(entry, 'threshold', where),
-        wall_id=str(field(entry, 'wall', where)),
+        wall_id=name_field(entry, 'wall', where, blank=True),
         saliency=number_field(entry, 'quality', where),
         views=tuple(
-            PatchView(viewpoint, _patch(folder / view_name(identity, k), where))
+            PatchView(viewpoint, patch_of(view_name(identity, k)))
             for k, viewpoint in enumerate(_viewpoints(entry, where))
         ),
     )
@@ -106,9 +110,22 @@ def _viewpoints(entry: Any, where: str) -> FloatArray:
     return array_field(entry, 'views', (None, 3), where)
 
 
-def _patch(path: Path, where: str) -> ImageArray:
-    data = np.frombuffer(path.read_bytes(), np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    patch = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
-    if patch is None:
-        raise LandmarkNavError(f'{where}: {path} is not there or is no picture')
-    return np.asarray(patch, dtype=np.uint8)
+def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
+    """
+    Function from the name of a patch in a map folder to its grey pixels (h, w).
+
+    It raises `LandmarkNavError` where that is no image, and where all together are too large.
+    """
+    pixels = 0
+
+    def patch_of(name: str) -> ImageArray:
+        nonlocal pixels
+        patch = read_image(folder / name, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
+        pixels += patch.size
+        if pixels > _MAX_MAP_PIXELS:
+            raise LandmarkNavError(
+                f'{folder}: the patches have over {_MAX_MAP_PIXELS / 1e6:g} million pixels'
+            )
+        return patch
+
+    return patch_of

@@ -8,13 +8,14 @@ Numbers are written with as many digits as it takes to read the same ones back.
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import cv2
 import yaml
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.image_codec import encode_image
 from landmark_nav.storage.fields import (
     array_field,
     covariance_field,
@@ -28,9 +29,11 @@ from landmark_nav.storage.map_entries import (
     landmark_of,
     listed,
     patch_name,
+    patch_reader,
     view_name,
 )
-from landmark_nav.storage.setup_files import read_yaml_mapping, wall_entry, wall_of
+from landmark_nav.storage.reading import read_yaml_mapping
+from landmark_nav.storage.setup_files import wall_entry, walls_field
 from landmark_nav.storage.whole import left_over, whole_folder
 from landmark_nav.types import LandmarkMap, PoseEstimate
 
@@ -55,17 +58,17 @@ def _represent_list(dumper: yaml.SafeDumper, values: list[Any]) -> yaml.Node:
 _Dumper.add_representer(list, _represent_list)
 
 
-def save_map(landmarks: LandmarkMap, folder: Path | str) -> None:
+def save_map(landmarks: LandmarkMap, folder: Path | str, overwrite: bool = True) -> None:
     """
-    Write a map folder whole or not at all; one that is there is replaced.
+    Write a map folder whole or not at all; one that is there is replaced if `overwrite`.
 
     Raises
     ------
     LandmarkNavError
-        `folder` holds something else, or cannot be written.
+        `folder` holds something else, or a map that stays, or cannot be written.
 
     """
-    with whole_folder(Path(folder), MAP_FILES) as growing:
+    with whole_folder(Path(folder), MAP_FILES, overwrite) as growing:
         write_map(landmarks, growing)
 
 
@@ -98,8 +101,7 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
     for kind in ('patches', 'views'):
         (folder / kind).mkdir()
     for name, picture in pictures.items():
-        if not cv2.imwrite(str(folder / name), picture):
-            raise OSError(f'{folder / name} cannot be written')
+        (folder / name).write_bytes(encode_image(picture, '.png').tobytes())
 
 
 def load_map(folder: Path | str) -> LandmarkMap:
@@ -120,25 +122,23 @@ def load_map(folder: Path | str) -> LandmarkMap:
     _check_version(document, path)
     where = str(path)
     entries = list_field(document, 'landmarks', where)
+    patch_of = patch_reader(folder)
     landmarks = tuple(
-        landmark_of(e, folder, f'{path}: landmarks[{k}]') for k, e in enumerate(entries)
+        landmark_of(e, patch_of, f'{path}: landmarks[{k}]') for k, e in enumerate(entries)
     )
-    ids = [landmark.id for landmark in landmarks]
-    doubled = sorted({k for k in ids if ids.count(k) > 1})
+    counts = Counter(landmark.id for landmark in landmarks)
+    doubled = sorted(k for k, count in counts.items() if count > 1)
     if doubled:
         raise LandmarkNavError(f'{path}: landmark id {doubled[0]} is there twice: rename one')
     if len({landmark.shared_loading.shape for landmark in landmarks}) > 1:
         raise LandmarkNavError(f'{path}: shared_loading must have as many columns everywhere')
     provenance = document.get('provenance') or {}
     if not isinstance(provenance, dict):
-        raise LandmarkNavError(f'{path}: provenance is {provenance!r}, not a mapping')
+        raise LandmarkNavError(f'{path}: provenance is {shown(provenance)}, not a mapping')
     return LandmarkMap(
         landmarks,
         name_field(document, 'frame_id', where),
-        tuple(
-            wall_of(entry, f'{path}: walls[{k}]')
-            for k, entry in enumerate(list_field(document, 'walls', where))
-        ),
+        walls_field(document, where),
         tuple(
             PoseEstimate(
                 integer_field(entry, 'stamp_ns', f'{path}: panorama_poses[{k}]'),
@@ -167,5 +167,6 @@ def _check_version(document: dict[str, Any], path: Path) -> None:
     newer = isinstance(version, int) and version > SCHEMA_VERSION
     remedy = 'update landmark_nav' if newer else 'learn the map again with `landmark-nav learn`'
     raise LandmarkNavError(
-        f'{path}: schema version {version!r}, this landmark_nav reads {SCHEMA_VERSION}: {remedy}'
+        f'{path}: schema version {shown(version)}, this landmark_nav reads {SCHEMA_VERSION}: '
+        f'{remedy}'
     )

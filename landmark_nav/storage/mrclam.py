@@ -9,13 +9,17 @@ fifteen posts; velocities are the ones commanded; truth is motion capture.
 from __future__ import annotations
 
 from dataclasses import dataclass
+import gzip
+from io import BytesIO, StringIO
 from pathlib import Path
 import warnings
+import zlib
 
 import numpy as np
 
 from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.storage.reading import read_bytes
 from landmark_nav.types import (
     Detections,
     FloatArray,
@@ -29,6 +33,8 @@ __all__ = ['MrclamLog', 'read_mrclam']
 
 # Subjects up to here are the robots themselves.
 _ROBOTS = 5
+# Unpacked; stamps are seconds since 1970.
+_MAX_BYTES, _LARGEST = 32_000_000, 1e11
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,18 +124,25 @@ def _table(folder: Path, name: str, columns: int) -> FloatArray:
     path = plain if plain.is_file() else packed
     if not path.is_file():
         raise LandmarkNavError(f'{plain}: not there, nor {packed.name}: unpack the data set here')
+    data = read_bytes(path)
     try:
+        if path == packed:
+            with gzip.open(BytesIO(data)) as stream:
+                data = stream.read(_MAX_BYTES)
+        # A cut row would be read; no table of the data set has a tenth of this.
+        if len(data) == _MAX_BYTES:
+            raise LandmarkNavError(f'{path}: {_MAX_BYTES / 1e6:g} MB or more: is it the file?')
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore', UserWarning)  # an empty file is told below
-            table = np.loadtxt(path, ndmin=2)
-    except (OSError, EOFError, UnicodeDecodeError, ValueError) as error:
+            warnings.simplefilter('ignore', UserWarning)  # of an empty file, refused below
+            table = np.loadtxt(StringIO(data.decode('utf-8-sig')), ndmin=2)
+    except (OSError, EOFError, zlib.error, ValueError) as error:
         raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
     if not len(table):
         raise LandmarkNavError(f'{path}: is empty')
     if table.shape[1] != columns:
         raise LandmarkNavError(f'{path}: is {table.shape[1]} columns wide, not {columns}')
-    if not np.all(np.isfinite(table)):
-        raise LandmarkNavError(f'{path}: holds something that is not a number')
+    if not np.all(np.abs(table) < _LARGEST):
+        raise LandmarkNavError(f'{path}: holds something that is not a number below {_LARGEST:g}')
     return table
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Room, Wall
@@ -21,15 +20,16 @@ from landmark_nav.storage.fields import (
     name_field,
     number_field,
 )
+from landmark_nav.storage.reading import read_yaml_mapping
 
-__all__ = ['load_camera', 'load_robot', 'load_room', 'read_yaml_mapping', 'wall_entry', 'wall_of']
-
-# libyaml, where PyYAML has it, reads a map ten times as fast.
-_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+__all__ = ['load_camera', 'load_robot', 'load_room', 'wall_entry', 'wall_of', 'walls_field']
 
 # Walls and papers are measured to a few centimetres, with the papers perhaps on a frame; what is
 # farther off its wall was not measured but mistaken.
 _MAX_OFF_WALL_M = 0.1
+
+# Each wall is compared with each other one.
+_MAX_WALLS, _MAX_PAPERS = 1000, 100
 
 # What is longer or higher, or farther from the base, is told in another unit.
 _MAX_WALL_M, _MAX_HEIGHT_M, _MAX_MOUNT_M = 1000.0, 50.0, 10.0
@@ -46,24 +46,6 @@ _ROBOT_FIELDS = (
 )
 
 
-def read_yaml_mapping(path: Path) -> dict[str, Any]:
-    """Top-level mapping of a YAML file, empty if the file is; `LandmarkNavError` if another."""
-    try:
-        text = path.read_text(encoding='utf-8')
-    except (OSError, UnicodeDecodeError) as error:
-        raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
-    try:
-        document = yaml.load(text, Loader=_LOADER)
-    except yaml.MarkedYAMLError as error:
-        line = '' if error.problem_mark is None else f'line {error.problem_mark.line + 1}: '
-        raise LandmarkNavError(f'{path}: not YAML: {line}{error.problem}') from error
-    except yaml.YAMLError as error:
-        raise LandmarkNavError(f'{path}: not YAML: {" ".join(str(error).split())}') from error
-    if not isinstance(document, dict | None):
-        raise LandmarkNavError(f'{path}: holds no mapping')
-    return document or {}
-
-
 def load_room(path: Path | str) -> Room:
     """
     Read the walls and the papers of the reference area.
@@ -78,15 +60,10 @@ def load_room(path: Path | str) -> Room:
     document = read_yaml_mapping(path)
     try:
         check_spelling(document, ('frame_id', 'walls', 'reference_area'), 'room')
-        walls = tuple(
-            wall_of(wall, f'walls[{i}]')
-            for i, wall in enumerate(list_field(document, 'walls', 'room'))
-        )
+        walls = walls_field(document, 'room')
         area = document.get('reference_area') or {}
-        papers = tuple(
-            _paper(paper, f'papers[{i}]')
-            for i, paper in enumerate(list_field(area, 'papers', 'reference_area') if area else [])
-        )
+        hung = list_field(area, 'papers', 'reference_area', _MAX_PAPERS) if area else []
+        papers = tuple(_paper(paper, f'papers[{i}]') for i, paper in enumerate(hung))
         for wall in walls:
             if wall.length > _MAX_WALL_M:
                 raise LandmarkNavError(
@@ -102,6 +79,14 @@ def load_room(path: Path | str) -> Room:
         return room
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
+
+
+def walls_field(mapping: Any, where: str) -> tuple[Wall, ...]:
+    """Walls of a room or a map."""
+    return tuple(
+        wall_of(entry, f'{where}: walls[{k}]')
+        for k, entry in enumerate(list_field(mapping, 'walls', where, _MAX_WALLS))
+    )
 
 
 def wall_of(entry: Any, where: str) -> Wall:
@@ -230,7 +215,7 @@ def _angles(mapping: Any, key: str, shape: tuple[int, ...], where: str) -> Any:
     angles = array_field(mapping, key, shape, where)
     if np.any(np.abs(angles) > _FULL_TURN_RAD):
         raise LandmarkNavError(
-            f'{where}: {key} is {mapping[key]!r}, more than a full turn: give it in radians'
+            f'{where}: {key} is {shown(mapping[key])}, more than a full turn: give it in radians'
         )
     return tuple(angles.tolist()) if shape else float(angles)
 

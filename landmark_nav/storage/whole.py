@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+import errno
 import fnmatch
 import os
 from pathlib import Path
+import re
 import shutil
+import stat
+import sys
 
 from landmark_nav.errors import LandmarkNavError, why
 
-__all__ = ['check_writable', 'left_over', 'whole_folder', 'write_whole']
+__all__ = ['check_new', 'check_writable', 'left_over', 'whole_folder', 'write_whole']
+
+# What /dev/stdout and /dev/fd/3 lead to: an open file of this process. It has no name.
+_DESCRIPTOR = re.compile(rf'/(?:dev|proc/(?:self|thread-self|{os.getpid()}))/fd/(\d+)')
 
 
 @contextmanager
-def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
+def whole_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator[Path]:
     """
     Fill a hidden folder, which takes the place of `folder` if nothing goes wrong.
 
@@ -27,6 +34,8 @@ def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
     own : sequence of str
         Patterns of what this program writes there; the first must be in any folder that may be
         replaced.
+    overwrite : bool
+        Whether one that is there may be replaced.
 
     Yields
     ------
@@ -45,7 +54,9 @@ def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
         )
     if folder.exists() and not folder.is_dir():
         raise LandmarkNavError(f'{folder}: is a file: take another name')
-    target = folder.resolve()
+    if any(folder.glob(own[0])):
+        check_new(overwrite, folder)
+    target = Path(os.path.realpath(folder))
     growing = target.with_name(f'.{target.name}.part-{os.getpid()}')
     try:
         _clear_dead(target, own)
@@ -54,13 +65,37 @@ def whole_folder(folder: Path, own: Sequence[str]) -> Iterator[Path]:
         _swap(growing, target, own)
     except OSError as error:
         raise LandmarkNavError(f'{folder}: cannot be written: {why(error)}') from error
+    except LandmarkNavError as error:
+        if str(growing) not in str(error):
+            raise
+        raise LandmarkNavError(str(error).replace(str(growing), str(folder))) from error
     finally:
         shutil.rmtree(growing, ignore_errors=True)
+
+
+def check_new(overwrite: bool, *outputs: Path) -> None:
+    """
+    Refuse to replace what is there, unless `overwrite`.
+
+    Raises
+    ------
+    LandmarkNavError
+        One of the outputs is there.
+
+    """
+    there = [path for path in outputs if path.is_file() or path.is_dir()]
+    if there and not overwrite:
+        raise LandmarkNavError(
+            f'{there[0]}: is there already: add --overwrite to replace it, or take another name'
+        )
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
     """
     Write a file, in place of the one that is there, and the folders above it.
+
+    A link stays, what it leads to is written. A pipe, a device or an open file of this process
+    (``/dev/stdout``) is written to.
 
     Raises
     ------
@@ -68,18 +103,63 @@ def write_whole(path: Path, content: str | bytes) -> None:
         It cannot be written.
 
     """
-    if path.parent.is_file():
-        raise LandmarkNavError(f'{path.parent}: is a file: take another name')
-    data = content.encode('utf-8') if isinstance(content, str) else content
-    growing = path.with_name(f'.{path.name}.part-{os.getpid()}')
+    # Names of files that are not UTF-8 may be in the text.
+    data = content.encode('utf-8', 'backslashreplace') if isinstance(content, str) else content
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        growing.write_bytes(data)
-        growing.replace(path)
+        if (descriptor := _descriptor(path)) is not None:
+            for stream in filter(None, (sys.stdout, sys.stderr)):
+                stream.flush()
+            _write(os.dup(descriptor), data)
+        elif _is_stream(path):
+            # A pipe that nobody reads would keep us waiting.
+            opened = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+            os.set_blocking(opened, True)
+            _write(opened, data)
+        else:
+            _replace(Path(os.path.realpath(path)), data)
     except OSError as error:
+        reason = 'nobody reads it' if error.errno == errno.ENXIO else why(error)
+        raise LandmarkNavError(f'{path}: cannot be written: {reason}') from error
+
+
+def _replace(target: Path, data: bytes) -> None:
+    """Write beside `target`, then put it there; what is there hands on its permissions."""
+    growing = target.with_name(f'.{target.name[:40]}.part-{os.getpid()}')
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        growing.write_bytes(data)
+        with suppress(OSError):  # nothing there yet, or no permissions on such a disk
+            shutil.copymode(target, growing)
+        growing.replace(target)
+    except OSError:
         with suppress(OSError):
             growing.unlink()
-        raise LandmarkNavError(f'{path}: cannot be written: {why(error)}') from error
+        raise
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    with os.fdopen(descriptor, 'wb') as stream:
+        stream.write(data)
+
+
+def _descriptor(path: Path) -> int | None:
+    """Open file of this process that a path leads to; None where it names a file."""
+    for _ in range(40):  # as many links as Linux follows
+        if found := _DESCRIPTOR.fullmatch(os.path.abspath(path)):
+            return int(found[1])
+        if not path.is_symlink():
+            break
+        path = path.parent / path.readlink()
+    return None
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether a path leads to a pipe, a socket or a device."""
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def check_writable(*files: Path | None) -> None:
@@ -93,20 +173,25 @@ def check_writable(*files: Path | None) -> None:
 
     """
     for path in files:
-        if path is None:
+        if path is None or _descriptor(path) is not None:
             continue
         if path.is_dir():
             raise LandmarkNavError(f'{path}: is a folder: take another name')
-        there = next(folder for folder in path.absolute().parents if folder.exists())
-        if not there.is_dir():
-            raise LandmarkNavError(f'{there}: is a file: take another name')
-        if not os.access(there, os.W_OK):
-            raise LandmarkNavError(f'{path}: cannot be written: no permission to write in {there}')
+        target = Path(os.path.realpath(path))
+        needed = [target] if target.exists() else []
+        if not _is_stream(path):
+            folder = next(place for place in target.parents if os.path.exists(place))
+            if not folder.is_dir():
+                raise LandmarkNavError(f'{folder}: is a file: take another name')
+            needed.append(folder)
+        for place in needed:
+            if not os.access(place, os.W_OK):
+                raise LandmarkNavError(f'{path}: cannot be written: no permission for {place}')
 
 
 def left_over(folder: Path) -> Path | None:
     """What `whole_folder` moved aside for a new one that never came: it was killed in between."""
-    target = folder.resolve()
+    target = Path(os.path.realpath(folder))
     aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
     return aside[-1] if aside else None
 

@@ -32,6 +32,7 @@ _SEARCH = 0.15
 # Points without a texture are the same within this.
 _SAME_POINT_M = 0.06
 _MIN_SCORE = 0.7
+_LEAST_SIGMA_M = 1e-6
 
 
 class Texture(Enum):
@@ -60,8 +61,10 @@ class Pair:
     @property
     def sigmas(self) -> float:
         """Mahalanobis distance of the disagreement (2 degrees of freedom)."""
+        # A place may be given as exact.
+        covariance = self.covariance + _LEAST_SIGMA_M**2 * np.eye(2)
         return float(
-            np.sqrt(self.disagreement_m @ np.linalg.solve(self.covariance, self.disagreement_m))
+            np.sqrt(self.disagreement_m @ np.linalg.solve(covariance, self.disagreement_m))
         )
 
 
@@ -125,7 +128,7 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
     axes = np.stack(patch_axes(a.normal))
     offset = axes @ (b.position - a.position)
     covariance = axes @ (a.covariance + b.covariance) @ axes.T
-    if not (a.patch.size and b.patch.size):
+    if _is_copy(a, b) or not (a.patch.size and b.patch.size):  # nothing to align
         return Pair(a, b, Texture.SAME, offset, covariance)
     seen = _texture_offset(a, b, offset)
     if seen is None:
@@ -136,6 +139,12 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
         what = Texture.CHANGED if changed else Texture.UNKNOWN
         return Pair(a, b, what, offset, covariance)
     return Pair(a, b, Texture.SAME, seen[0], covariance + seen[1])
+
+
+def _is_copy(a: Landmark, b: Landmark) -> bool:
+    """Whether the textures are the same to the last bit; blank ones tell nothing."""
+    alike = (a.width_m, a.height_m) == (b.width_m, b.height_m)
+    return alike and bool(np.array_equal(a.patch, b.patch) and a.patch.size and np.ptp(a.patch))
 
 
 def _texture_offset(

@@ -72,10 +72,10 @@ def rewrite(source, target, change):
     return str(target)
 
 
-def refused(capsys, arguments, *words):
-    """The command ends with status 1 and one line on stderr that holds all `words`."""
+def refused(capsys, arguments, *words, status=1):
+    """The command ends with a status and one line on stderr that holds all `words`."""
     capsys.readouterr()
-    assert main([str(a) for a in arguments]) == 1
+    assert main([str(a) for a in arguments]) == status
     lines = capsys.readouterr().err.strip().splitlines()
     last = lines[-1]
     assert last.startswith(f'landmark-nav {arguments[0]}: ')
@@ -131,6 +131,7 @@ def test_evaluate_reaches_the_figures_and_repeats_them(study, tmp_path, capsys):
         page = tmp_path / name / 'report.html'
         arguments = ['evaluate', str(bag), '--map', str(study.learned), '--robot', study.robot]
         arguments += ['--start', *study.start, '--json', str(figures), '--report', str(page)]
+        arguments += ['--out', str(figures.parent)]
         assert main(arguments) == 0
         reports.append(json.loads(figures.read_text()))
         for picture in ('trajectory.png', 'errors.png'):
@@ -311,8 +312,9 @@ def test_maps_and_starts_that_cannot_be_are_refused(study, tmp_path, capsys):
     refused(capsys, evaluate(drive, study, learned=tmp_path), 'schema version 7', 'update')
     refused(capsys, ['map', 'show', tmp_path], 'schema version 7')
     arguments = evaluate(drive, study, start=False)
-    refused(capsys, [*arguments, '--start', '1', '1', '90'], 'radians')
-    refused(capsys, [*arguments, '--start', '7.6', '1', '0'], '1.00 m outside the room')
+    refused(capsys, [*arguments, '--start', '1', '1', '90'], 'radians', status=2)
+    outside = [*arguments, '--start', '7.6', '1', '0']
+    refused(capsys, outside, '1.00 m outside the room', status=2)
 
 
 def test_a_truncated_drive_is_evaluated_up_to_the_break(study, tmp_path, caplog):

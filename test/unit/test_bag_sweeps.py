@@ -155,13 +155,13 @@ def test_a_folder_of_pictures_is_a_sweep(tmp_path):
         with pytest.raises(LandmarkNavError, match=match):
             read_sweep_folder(tmp_path)
 
-    refused('gone.png,0.1,50,64,48', r'line 8: gone\.png is not there')
+    refused('gone.png,0.1,50,64,48', r'line 8: .*gone\.png: cannot be read: No such file')
     refused('1.png,abc,50,64,48', "line 8: pan_rad is 'abc', not a number")
     refused('1.png,nan,50,64,48', "line 8: pan_rad is 'nan', not a number")
     refused('1.png,0.1,50,wide,48', "line 8: width is 'wide', not a number")
     refused('1.png,0.1,50,64', 'line 8: height is None, not a number')
-    refused('frames.csv,0.1,50,64,48', r'line 8: frames\.csv is no picture')
-    refused('1.png,0.1,50,65,48', 'line 8: 1.png is 64 x 48, not 65 x 48')
+    refused('frames.csv,0.1,50,64,48', r'line 8: .*frames\.csv: is neither a PNG nor a JPEG')
+    refused('1.png,0.1,50,65,48', "line 8: '1.png' is 64 x 48, not 65 x 48")
     refused('1.png,0.1,-50,64,48', 'line 8: .*not a calibrated camera')
     refused('1.png,90,50,64,48', r'frames.csv: pan_rad: the pan goes over 93 rad: are these deg')
     (tmp_path / 'frames.csv').write_text('file,pan\n1.png,0')

@@ -84,7 +84,7 @@ def test_a_command_gets_its_arguments_and_gives_its_status(command: types.Module
     ('error', 'line'),
     [
         (LandmarkNavError('room.yaml: no walls: add some'), 'room.yaml: no walls: add some'),
-        (LandmarkNavError('two\n  lines'), 'two lines'),
+        (LandmarkNavError('two\n  lines'), r'two\n  lines'),
         (PermissionError(13, 'Permission denied', '/map'), '/map: Permission denied'),
         (ModuleNotFoundError('x', name='cv2'), 'cv2 is not installed: pip install opencv-pyth'),
         (ModuleNotFoundError('x', name='rclpy.node'), 'needs ROS 2 and rclpy is not installed: '),
@@ -187,3 +187,26 @@ def test_long_lines_go_on_below_and_keep_their_words() -> None:
     assert max(map(len, middle)) <= 99
     assert [line[: len(line) - len(line.lstrip())] for line in middle[:2]] == ['  ', '      ']
     assert last == '/a/path/' + 120 * 'x'
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'complaint'),
+    [
+        (['learn', '', '--room', 'r', '--robot', 'r', '--out', 'm'], 'an argument is empty'),
+        (['map', 'show', ''], 'an argument is empty'),
+        (['bench', '--seed', '1\n2' * 1000], 'argument --seed: '),
+        (['plan', '--room', 'r', '--robot', 'r', '--out', 'p', '--positions', '1'], '--positions'),
+        (['plan', '--room', 'r', '--robot', 'r', '--out', 'p.png', '--positions', '2'], '--out'),
+        (['evaluate', 'b', '--map', 'm', '--robot', 'r', '--report', 'page.txt'], '--report'),
+        (['panorama', 'b', '--out', 'p.jpg'], '--out'),
+        (['panorama', 'b', '--out', 'p.png', '--crop', '-1'], 'argument --crop'),
+        (['figures', '--out', 'f', '--bag', 'b'], '--bag needs'),
+    ],
+)
+def test_arguments_that_cannot_be_are_status_2_and_one_line(
+    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert complaint in line
+    assert len(line) <= 200

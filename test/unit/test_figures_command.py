@@ -137,12 +137,12 @@ def test_a_map_gives_its_observation_areas(tmp_path, capsys):
     assert main(arguments) == 0
     assert [p.name for p in (tmp_path / 'out').iterdir()] == ['figure_6_observation_areas.png']
     capsys.readouterr()
-    assert main([*arguments, '--figure', '5']) == 1
+    assert main([*arguments, '--figure', '5']) == 2
     assert 'need --bag' in capsys.readouterr().err
 
 
 def test_wrong_usage_is_told_in_a_line(tmp_path, capsys):
-    assert main(['figures', '--out', str(tmp_path), '--bag', str(BAGS / 'learn')]) == 1
+    assert main(['figures', '--out', str(tmp_path), '--bag', str(BAGS / 'learn')]) == 2
     assert '--bag needs --room and --robot' in capsys.readouterr().err
     assert main(['figures', '--out', str(tmp_path), '--feature', 'smell']) == 2
     assert main(['figures', '--out', str(tmp_path), '--seed', '-1']) == 2

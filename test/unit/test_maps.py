@@ -134,13 +134,18 @@ def test_folders_that_are_no_maps_are_not_touched(tmp_path):
     assert (tmp_path / 'photo.png').read_text() == 'precious'
 
 
+class _WithoutAliases(yaml.SafeDumper):
+    def ignore_aliases(self, data):
+        return True
+
+
 def edited(tmp_path, edit):
     folder = tmp_path / 'map'
     save_map(make_map(), folder)
     path = folder / 'map.yaml'
     document = yaml.safe_load(path.read_text())
     edit(document)
-    path.write_text(yaml.safe_dump(document))
+    path.write_text(yaml.dump(document, Dumper=_WithoutAliases))
     return folder
 
 
@@ -169,7 +174,7 @@ def first(key, value):
         (first('covariance', [[0.0] * 3] * 3), r'\(id 0\): covariance is less .*exact place'),
         (first('normal', [0.0, 0.0, 1.0]), 'normal is not horizontal'),
         (first('views', [[1.0, 2.0]]), 'views is .*not n x 3 numbers'),
-        (first('views', [[1.0, 2.0, 1.1]] * 3), '000_3.png is not there'),
+        (first('views', [[1.0, 2.0, 1.1]] * 3), r'map/views/000_3\.png: cannot be read'),
         (first('size', [0.0, 1.0]), 'must be positive'),
         (first('id', True), 'not an integer'),
         (lambda d: d['walls'][0].pop('height'), r'walls\[0\]: height is missing'),
@@ -180,7 +185,7 @@ def first(key, value):
 def test_a_map_that_cannot_be_is_refused_in_one_line(tmp_path, edit, match):
     with pytest.raises(LandmarkNavError, match=match) as error:
         load_map(edited(tmp_path, edit))
-    assert 'map.yaml' in str(error.value)
+    assert str(tmp_path) in str(error.value)
     assert '\n' not in str(error.value)
 
 
@@ -226,7 +231,7 @@ def test_missing_parts_are_named(tmp_path):
     folder = tmp_path / 'map'
     save_map(make_map(), folder)
     (folder / 'patches' / '007.png').unlink()
-    with pytest.raises(LandmarkNavError, match=r'id 7\): .*007\.png is not there'):
+    with pytest.raises(LandmarkNavError, match=r'007\.png: cannot be read: No such file'):
         load_map(folder)
     (folder / 'map.yaml').write_text('- a\n: b')
     with pytest.raises(LandmarkNavError, match='not YAML'):

@@ -103,6 +103,7 @@ def test_evaluated_smoothed_and_exported(
     arguments += [str(robot), '--start', *map(str, start), '--smooth']
     arguments += ['--config', str(config), '--tum', str(tmp_path / 'tum')]
     arguments += ['--report', str(tmp_path / 'run.html')]
+    arguments += ['--out', str(tmp_path)]
     assert main([*arguments, '--json', str(tmp_path / 'run.json')]) == 0
     report = json.loads((tmp_path / 'run.json').read_text())
     assert report['odometry']['position_rmse_m'] > 3 * report['fused']['position_rmse_m']
@@ -162,8 +163,18 @@ def test_a_bag_in_the_way_stays(
 ) -> None:
     before = sorted(path.stat().st_mtime_ns for path in converted.rglob('*'))
     assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(converted)]) == 1
-    assert 'exists already' in capsys.readouterr().err
+    assert 'is there already' in capsys.readouterr().err
     assert before == sorted(path.stat().st_mtime_ns for path in converted.rglob('*'))
+    again = ['convert', 'mrclam', str(log), '--robot', '1', '--out', str(converted)]
+    assert main([*again, '--overwrite']) == 0
+    assert before != sorted(path.stat().st_mtime_ns for path in converted.rglob('*'))
+
+
+def test_a_map_of_exact_points_equals_itself(
+    converted: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['map', 'diff', f'{converted}_map', f'{converted}_map']) == 0
+    assert 'no landmark moved or changed' in capsys.readouterr().out
 
 
 def test_points_without_a_picture_cross_all_borders(converted: Path) -> None:

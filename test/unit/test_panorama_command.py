@@ -23,18 +23,19 @@ def bag(tmp_path: Path) -> Path:
 
 def panorama(source: Path, *options: str) -> int:
     out = source.parent / 'out.png'
-    return main(['panorama', str(source), '--out', str(out), '--no-align', *options])
+    command = ['panorama', str(source), '--out', str(out), '--overwrite', '--no-align']
+    return main([*command, *options])
 
 
 def test_of_two_sweeps_one_is_chosen(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert panorama(bag) == 1
+    assert panorama(bag) == 2
     assert 'holds 2 sweeps: take one by --sweep 1 to 2' in capsys.readouterr().err
     for number, frames in (('1', 24), ('2', 18)):
         assert panorama(bag, '--sweep', number) == 0
         assert f'{frames} frames' in capsys.readouterr().out
-    for number in ('0', '3'):
-        assert panorama(bag, '--sweep', number) == 1
-        assert f'holds 2 sweeps, no number {number}: take' in capsys.readouterr().err
+    assert panorama(bag, '--sweep', '0') == 2
+    assert panorama(bag, '--sweep', '3') == 2
+    assert 'holds 2 sweeps, no number 3: take' in capsys.readouterr().err
 
 
 def test_a_crop_that_leaves_gaps_is_warned_of(bag: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -56,6 +57,6 @@ def test_a_picture_that_is_missing_is_told_in_one_line(
     told = capfd.readouterr().err
     assert told.startswith('landmark-nav panorama: ')
     assert told.count('\n') == 1
-    assert 'line 3: gone.png is not there' in told
-    assert panorama(tmp_path, '--sweep', '1') == 1
+    assert 'gone.png: cannot be read: No such file' in told
+    assert panorama(tmp_path, '--sweep', '1') == 2
     assert 'is one sweep: leave out --sweep 1' in capfd.readouterr().err

@@ -18,7 +18,8 @@ from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.recording import drive_messages, sweep_messages
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.room_generator import generate_scene
-from landmark_nav.simulation.world import RobotWorld, WorldConfig
+from landmark_nav.simulation.setup_documents import robot_document, room_document
+from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld, WorldConfig
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
@@ -130,6 +131,12 @@ def test_gaze_looks_at_things_on_walls_within_its_limits():
     assert held.min() >= 17
 
 
+def test_the_recorded_room_is_drawn_again() -> None:
+    bags = Path(__file__).parents[2] / 'bags'
+    assert room_document(generate_scene(7).room) == (bags / 'room.yaml').read_text()
+    assert robot_document(DEFAULT_MOUNT) == (bags / 'robot.yaml').read_text()
+
+
 class TestCommand:
     @pytest.mark.parametrize('exact', [True, False])
     def test_writes_bags_and_setup(self, tmp_path, capsys, exact):
@@ -165,6 +172,8 @@ class TestCommand:
         start = json.loads((out / 'start.json').read_text())['pose']
         assert decode.odometry(truth).pose_odom_base == pytest.approx(start)
         assert [float(word) for word in evaluate[-3:]] == pytest.approx(start, abs=1e-4)
+        assert main(['simulate', '--out', str(out), *words]) == 1
+        assert f'{out}: is there already: add --overwrite' in capsys.readouterr().err
 
     def test_bad_input_is_one_line_and_nothing_is_written(self, tmp_path, capsys):
         bad = tmp_path / 'room.yaml'

@@ -192,7 +192,14 @@ def test_the_commands_tell_it_with_their_exit_status(tmp_path, capsys):
     assert 'moved    0 on south' in printed
     assert '+3.0 cm right' in printed
     assert '5 in both' in printed
+    assert 'no landmark moved' not in printed
+    assert main(['map', 'diff', a, a]) == 0
+    printed = capsys.readouterr().out
+    assert '0.0 mm at most' in printed
+    assert 'no landmark moved or changed' in printed
     assert main(['map', 'merge', a, b, '--out', out]) == 0
+    assert main(['map', 'merge', a, b, '--out', out]) == 1
+    assert '--overwrite' in capsys.readouterr().err
     (tmp_path / 'out' / 'map.png').write_bytes(b'figure')
     assert main(['map', 'migrate', out]) == 0
     assert (tmp_path / 'out' / 'map.png').read_bytes() == b'figure'

@@ -8,10 +8,12 @@ import subprocess
 import sys
 
 import pytest
+from test_maps import make_map
 
 from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.storage.whole import check_writable, whole_folder
+from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
 
 
 @pytest.fixture
@@ -23,7 +25,7 @@ def gone() -> int:
 
 
 def save(folder: Path) -> None:
-    with whole_folder(folder, ['map.yaml']) as growing:
+    with whole_folder(folder, ['map.yaml'], overwrite=True) as growing:
         (growing / 'map.yaml').touch()
 
 
@@ -100,3 +102,102 @@ def test_commands_look_first(
     (tmp_path / 'file').touch()
     assert main([*command, str(tmp_path / 'file' / 'e.json')]) == 1
     assert 'file: is a file: take another name' in capsys.readouterr().err
+
+
+def test_what_a_link_leads_to_is_written(tmp_path: Path) -> None:
+    real, link, chain, dangling, new = (
+        tmp_path / name for name in ('real', 'link', 'chain', 'dangling', 'new')
+    )
+    real.write_text('before')
+    real.chmod(0o640)
+    link.symlink_to('real')
+    chain.symlink_to(link)
+    dangling.symlink_to(new)
+    for path in (link, chain, dangling):
+        check_writable(path)
+        write_whole(path, path.name)
+        assert path.is_symlink()
+        assert path.read_text() == path.name
+    assert real.read_text() == 'chain'
+    assert real.stat().st_mode & 0o777 == 0o640
+    assert new.read_text() == 'dangling'
+    link.unlink()
+    link.symlink_to(link)
+    with pytest.raises(LandmarkNavError, match='link: cannot be written'):
+        write_whole(link, '')
+
+
+def test_pipes_and_devices_are_written_to(tmp_path: Path) -> None:
+    fifo = tmp_path / 'fifo'
+    os.mkfifo(fifo)
+    with pytest.raises(LandmarkNavError, match='fifo: cannot be written: nobody reads it'):
+        write_whole(fifo, 'x')
+    reader = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+    check_writable(fifo)
+    write_whole(fifo, 'through')
+    assert os.read(reader, 100) == b'through'
+    os.close(reader)
+    assert fifo.is_fifo()
+    # A terminal: no test run by root can replace it, as it could /dev/null.
+    master, slave = os.openpty()
+    device = Path(os.ttyname(slave))
+    check_writable(device)
+    write_whole(device, 'through')
+    assert os.read(master, 100) == b'through'
+    assert device.is_char_device()
+
+
+@pytest.mark.parametrize('stream', ['/dev/fd/1', '/proc/self/fd/1', 'link'])
+def test_an_open_file_of_the_process_is_written_in_its_order(stream: str, tmp_path: Path) -> None:
+    (tmp_path / 'link').symlink_to('/proc/self/fd/1')  # as /dev/stdout is
+    code = (
+        'from pathlib import Path\n'
+        'from landmark_nav.storage.whole import check_writable, write_whole\n'
+        f'path = Path({stream!r})\n'
+        'check_writable(path)\n'
+        "print('one')\n"
+        "write_whole(path, 'two\\n')\n"
+        "print('three')\n"
+    )
+    out = tmp_path / 'out'
+    with out.open('wb') as file:
+        subprocess.run([sys.executable, '-c', code], stdout=file, check=True, cwd=tmp_path)
+    assert out.read_text() == 'one\ntwo\nthree\n'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, cwd=tmp_path)
+    assert done.stdout == b'one\ntwo\nthree\n', done.stderr
+    assert (tmp_path / 'link').is_symlink()
+
+
+def test_names_that_the_locale_lacks_are_written_and_printed(tmp_path: Path) -> None:
+    """A map in a folder of Latin letters, where the locale knows ASCII alone."""
+    code = (
+        'import sys\n'
+        'from pathlib import Path\n'
+        'from test_maps import make_map\n'
+        'from landmark_nav.storage.maps import save_map\n'
+        'from landmark_nav.cli.main import main\n'
+        'save_map(make_map(), sys.argv[1])\n'
+        "sys.exit(main(['map', 'migrate', sys.argv[1]]))\n"
+    )
+    ascii_alone = {'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'}
+    for name in ('m\u00e4p'.encode(), b'm\xe4p'):
+        folder = os.fsencode(tmp_path) + b'/' + name
+        done = subprocess.run(
+            [sys.executable, '-c', code, folder],
+            env={**os.environ, **ascii_alone},
+            cwd=Path(__file__).parent,
+            capture_output=True,
+        )
+        assert done.returncode == 0, done.stderr
+        assert b'landmarks, schema version' in done.stdout
+        assert len(load_map(os.fsdecode(folder)).landmarks) == 3
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    save_map(make_map(), tmp_path / 'map')
+    command = [sys.executable, '-m', 'landmark_nav', 'map', 'show', str(tmp_path / 'map')]
+    with Path('/dev/full').open('wb') as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 1
+    (line,) = done.stderr.decode().splitlines()
+    assert line == 'landmark-nav map: standard output or a file: No space left on device'

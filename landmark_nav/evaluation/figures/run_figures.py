@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -34,7 +35,7 @@ __all__ = ['draw_errors', 'draw_trajectory']
 
 
 def draw_trajectory(
-    run: Replay, landmark_map: LandmarkMap, path: Path, smoothed: Smoothed | None = None
+    run: Replay, landmark_map: LandmarkMap, path: Path | BytesIO, smoothed: Smoothed | None = None
 ) -> None:
     """Draw where the robot was, where odometry alone and fusion say it was, in the room."""
     figure = new_figure(9.0, 6.6)
@@ -73,7 +74,7 @@ def _driven(run: Replay, stamps_ns: IntArray, poses: FloatArray) -> FloatArray:
     return np.asarray(run.odometry.carry(known).poses[:, :2].T)
 
 
-def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
+def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
     """
     Draw the errors along and across the way and in heading, with the claimed +-3 sigma.
 

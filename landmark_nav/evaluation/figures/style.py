@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Wall
+from landmark_nav.storage.whole import write_whole
 from landmark_nav.types import FloatArray
 
 __all__ = [
@@ -62,21 +64,28 @@ def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figu
     return figure
 
 
-def save(figure: Figure, path: Path, tight: bool = True) -> None:
+def save(figure: Figure, path: Path | BytesIO, tight: bool = True) -> None:
     """
-    Write a PNG without date or version in it, so that the same figure is the same file.
+    Write a PNG, to a file or to memory.
+
+    It holds no date and no version, so that the same figure is the same file.
 
     Tight, as axes of equal scale leave less room below them than the layout had planned for; it
     draws everything twice.
     """
+    drawn = BytesIO()
     figure.savefig(
-        path,
+        drawn,
         metadata={'Software': None},
         bbox_inches='tight' if tight else None,
         pad_inches=0.12,
         # Half the size is not worth many times the time.
         pil_kwargs={'compress_level': 1},
     )
+    if isinstance(path, Path):
+        write_whole(path, drawn.getvalue())
+    else:
+        path.write(drawn.getvalue())
 
 
 def plain(axes: Axes) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from landmark_nav.image_codec import encode_image
 from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.types import ImageArray
@@ -38,12 +39,9 @@ def compressed_image(
     jpeg_quality: int = 90,
 ) -> Any:
     """Build a sensor_msgs/CompressedImage (JPEG) of grey (h, w) or BGR (h, w, 3)."""
-    done, data = cv2.imencode('.jpg', picture, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
-    if not done:
-        raise ValueError(f'a picture of shape {picture.shape} cannot be written as JPEG')
     return factory(
         'sensor_msgs/msg/CompressedImage',
         header=header(factory, stamp_ns, frame_id),
         format='jpeg',
-        data=data.reshape(-1),
+        data=encode_image(picture, '.jpg', [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]),
     )

@@ -13,7 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.bags.container import McapFile
 from landmark_nav.storage.bags.foreign import RosbagsFile
 from landmark_nav.storage.bags.unpack import unpack_file
-from landmark_nav.storage.setup_files import read_yaml_mapping
+from landmark_nav.storage.reading import read_yaml_mapping
 
 __all__ = ['BagFile', 'open_files']
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import csv
+from io import StringIO
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.storage.reading import read_image, read_text
 from landmark_nav.types import CameraFrame, Sweep
 
 __all__ = ['read_sweep_folder']
 
 _COLUMNS = ('file', 'pan_rad', 'focal_px', 'width', 'height')
+# Of a list, and of all its images together: 36 of 8 million, say.
+_MAX_LIST_BYTES, _MAX_SWEEP_PIXELS = 1_000_000, 300_000_000
 
 
 def read_sweep_folder(folder: Path | str) -> Sweep:
@@ -33,35 +36,42 @@ def read_sweep_folder(folder: Path | str) -> Sweep:
     folder = Path(folder)
     path = folder / 'frames.csv'
     try:
-        with path.open(newline='', encoding='utf-8') as stream:
-            rows = list(csv.DictReader(stream))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
+        rows = list(csv.DictReader(StringIO(read_text(path, _MAX_LIST_BYTES), newline='')))
+    except csv.Error as error:
+        raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
     missing = [name for name in _COLUMNS if not rows or rows[0].get(name) is None]
     if missing:
         raise LandmarkNavError(
             f'{path}: {"lists no picture" if not rows else "lacks " + ", ".join(missing)}: '
             f'it needs the columns {",".join(_COLUMNS)}'
         )
-    frames = [_frame(folder, row, k) for k, row in enumerate(rows)]
+    frames: list[CameraFrame] = []
+    pixels = 0
+    for k, row in enumerate(rows):
+        where = f'{path}: line {k + 2}'
+        frames.append(_frame(folder, row, k, where))
+        pixels += frames[-1].camera.width * frames[-1].camera.height
+        if pixels > _MAX_SWEEP_PIXELS:
+            raise LandmarkNavError(
+                f'{where}: the images up to here have over {_MAX_SWEEP_PIXELS / 1e6:.0f} million '
+                'pixels: reduce them'
+            )
     check_one_turn([frame.pan_rad for frame in frames], f'{path}: pan_rad')
     return Sweep(frames[0].stamp_ns, tuple(frames))
 
 
-def _frame(folder: Path, row: dict[str, str], number: int) -> CameraFrame:
-    where = f'{folder / "frames.csv"}: line {number + 2}'
+def _frame(folder: Path, row: dict[str, str], number: int, where: str) -> CameraFrame:
     pan, focal = (_number(row, name, where) for name in ('pan_rad', 'focal_px'))
     width, height = (int(_number(row, name, where)) for name in ('width', 'height'))
-    file = folder / row['file']
-    if not file.is_file():  # OpenCV would say so too, in words of its own
-        raise LandmarkNavError(f'{where}: {row["file"]} is not there')
-    picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise LandmarkNavError(f'{where}: {row["file"]} is no picture')
+    file = row['file'] or ''
+    try:
+        picture = read_image(folder / file)
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{where}: {error}') from error
     # A camera held upright is often listed by its sensor's size: the picture knows better.
     if sorted(picture.shape[:2]) != sorted((height, width)):
         raise LandmarkNavError(
-            f'{where}: {row["file"]} is {picture.shape[1]} x {picture.shape[0]}, '
+            f'{where}: {shown(file)} is {picture.shape[1]} x {picture.shape[0]}, '
             f'not {width} x {height}'
         )
     height, width = picture.shape[:2]
@@ -69,7 +79,7 @@ def _frame(folder: Path, row: dict[str, str], number: int) -> CameraFrame:
         camera = CameraModel(width, height, focal, focal, (width - 1) / 2.0, (height - 1) / 2.0)
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{where}: {error}') from error
-    return CameraFrame(number, np.asarray(picture, dtype=np.uint8), camera, pan)
+    return CameraFrame(number, picture, camera, pan)
 
 
 def _number(row: dict[str, str], name: str, where: str) -> float:
@@ -78,5 +88,5 @@ def _number(row: dict[str, str], name: str, where: str) -> float:
     except (TypeError, ValueError):
         value = np.nan
     if not np.isfinite(value):
-        raise LandmarkNavError(f'{where}: {name} is {row[name]!r}, not a number')
+        raise LandmarkNavError(f'{where}: {name} is {shown(row[name])}, not a number')
     return value

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 import shutil
 from types import TracebackType
@@ -9,7 +11,7 @@ from typing import Any
 
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.factory import default_typestore
 
 __all__ = ['BagWriter']
@@ -25,7 +27,9 @@ class BagWriter:
     Parameters
     ----------
     path : path-like
-        Folder to make; it must not exist.
+        Folder to make.
+    overwrite : bool
+        Whether a bag that is there may be replaced.
 
     Raises
     ------
@@ -34,10 +38,11 @@ class BagWriter:
 
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, overwrite: bool = False) -> None:
         """Refuse a place that is taken."""
         self.path = Path(path)
-        if self.path.exists():
+        replaced = overwrite and (self.path / 'metadata.yaml').is_file()
+        if self.path.exists() and not replaced:
             raise LandmarkNavError(f'{self.path}: exists already: remove it or take another name')
         self._growing = self.path.with_name(f'.{self.path.name}.part')
         self._store = default_typestore()
@@ -45,10 +50,12 @@ class BagWriter:
 
     def __enter__(self) -> BagWriter:
         """Start the file."""
-        shutil.rmtree(self._growing, ignore_errors=True)
-        # Version 9 of the metadata is what rosbag2 writes since Jazzy.
-        self._writer = Writer(self._growing, version=9, storage_plugin=StoragePlugin.MCAP)
-        self._writer.open()
+        with self._named():
+            shutil.rmtree(self._growing, ignore_errors=True)
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            # Version 9 of the metadata is what rosbag2 writes since Jazzy.
+            self._writer = Writer(self._growing, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.open()
         return self
 
     def __exit__(
@@ -59,12 +66,23 @@ class BagWriter:
     ) -> None:
         """Put the bag in its place, or remove what was begun."""
         try:
-            self._writer.__exit__(kind, error, trace)
-            if kind is None:
-                self._name_after_bag()
-                self._growing.rename(self.path)
+            with self._named():
+                self._writer.__exit__(kind, error, trace)
+                if kind is None:
+                    self._name_after_bag()
+                    if self.path.exists():
+                        shutil.rmtree(self.path)
+                    self._growing.rename(self.path)
         finally:
             shutil.rmtree(self._growing, ignore_errors=True)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Say which bag could not be written."""
+        try:
+            yield
+        except OSError as error:
+            raise LandmarkNavError(f'{self.path}: cannot be written: {why(error)}') from error
 
     def write(self, topic: str, message: Any, stamp_ns: int) -> None:
         """
@@ -107,7 +125,8 @@ class BagWriter:
             self._connections[topic] = self._writer.add_connection(
                 topic, type_name, typestore=self._store
             )
-        self._writer.write(self._connections[topic], stamp_ns, data)
+        with self._named():
+            self._writer.write(self._connections[topic], stamp_ns, data)
 
     def _name_after_bag(self) -> None:
         """Call the file after the bag, not after the folder that it grew in."""

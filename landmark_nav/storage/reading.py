@@ -1,0 +1,224 @@
+"""Files that are read: regular ones, of bounded size, text in UTF-8, YAML of plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+import re
+import stat
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from landmark_nav.arrays import ImageArray
+from landmark_nav.errors import LandmarkNavError, shown, why
+from landmark_nav.image_codec import decode_image, MAX_PIXELS
+
+__all__ = ['check_regular', 'read_bytes', 'read_image', 'read_text', 'read_yaml_mapping']
+
+# The largest map has a few megabytes.
+_MAX_BYTES = 32_000_000
+# What a document may hold; a map of 3,000 landmarks has as many nodes.
+_MAX_NODES, _MAX_DEPTH = 500_000, 40
+# Longer plain scalars are text: no number has so many digits.
+_MAX_NUMBER_LENGTH = 64
+
+# libyaml, where PyYAML has it, reads a map ten times as fast.
+_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+_RESOLVERS: dict[str, list[tuple[str, re.Pattern[str]]]] = yaml.SafeLoader.yaml_implicit_resolvers
+_CONSTRUCTOR = yaml.constructor.SafeConstructor()
+_TAG = 'tag:yaml.org,2002:'
+_CONSTRUCT = {
+    f'{_TAG}int': _CONSTRUCTOR.construct_yaml_int,
+    f'{_TAG}float': _CONSTRUCTOR.construct_yaml_float,
+    f'{_TAG}bool': _CONSTRUCTOR.construct_yaml_bool,
+    f'{_TAG}null': _CONSTRUCTOR.construct_yaml_null,
+}
+# YAML 1.2 and JSON write 1e-3; to PyYAML, which reads 1.1, this is text.
+_EXPONENT = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+')
+_ABSENT = object()
+
+
+def check_regular(path: Path) -> int:
+    """
+    Size of a file in bytes.
+
+    Raises
+    ------
+    LandmarkNavError
+        It is not there, or is a folder, a pipe or a device, which may never end.
+
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as error:
+        raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
+    if not stat.S_ISREG(status.st_mode):
+        kind = 'a folder' if stat.S_ISDIR(status.st_mode) else 'a pipe, socket or device'
+        raise LandmarkNavError(f'{path}: is {kind}: give a file')
+    return status.st_size
+
+
+def read_bytes(path: Path, max_bytes: int = _MAX_BYTES) -> bytes:
+    """
+    Content of a file.
+
+    Raises
+    ------
+    LandmarkNavError
+        It is no regular file, has more than `max_bytes`, or can not be read.
+
+    """
+    size = check_regular(path)
+    if size > max_bytes:
+        raise LandmarkNavError(
+            f'{path}: {size / 1e6:.0f} MB, more than {max_bytes / 1e6:g} MB: is it the right file?'
+        )
+    try:
+        with path.open('rb') as stream:
+            return stream.read(max_bytes)
+    except OSError as error:
+        raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
+
+
+def read_image(
+    path: Path, mode: int = cv2.IMREAD_COLOR, max_pixels: int = MAX_PIXELS
+) -> ImageArray:
+    """
+    Pixels of a PNG or JPEG file, 8 bits each, as of `decode_image`.
+
+    Raises
+    ------
+    LandmarkNavError
+        As of `read_bytes`, or it is no such image, or has more than `max_pixels`.
+
+    """
+    data = read_bytes(path)
+    try:
+        return np.asarray(decode_image(data, mode, max_pixels), dtype=np.uint8)
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{path}: {error}') from error
+
+
+def read_text(path: Path, max_bytes: int = _MAX_BYTES) -> str:
+    """
+    Text of a file in UTF-8, with or without byte order mark.
+
+    Raises
+    ------
+    LandmarkNavError
+        As of `read_bytes`, or it is no such text.
+
+    """
+    data = read_bytes(path, max_bytes)
+    try:
+        return data.decode('utf-8-sig')
+    except UnicodeDecodeError as error:
+        line = data.count(b'\n', 0, error.start) + 1
+        raise LandmarkNavError(f'{path}: line {line}: not UTF-8 text: save it as UTF-8') from error
+
+
+def read_yaml_mapping(path: Path) -> dict[str, Any]:
+    """
+    Top-level mapping of a YAML file, empty if the file is.
+
+    Values are those of YAML 1.1, and numbers as JSON writes them. Dates are text; tags and aliases
+    are refused.
+
+    Raises
+    ------
+    LandmarkNavError
+        It can not be read, is no such YAML, or is larger than any file of this package.
+
+    """
+    text = read_text(path)
+    try:
+        document = _document(yaml.parse(text, Loader=_LOADER))
+    except yaml.MarkedYAMLError as error:
+        line = '' if error.problem_mark is None else f'line {error.problem_mark.line + 1}: '
+        raise LandmarkNavError(f'{path}: not YAML: {line}{error.problem}') from error
+    except yaml.YAMLError as error:
+        raise LandmarkNavError(f'{path}: not YAML: {" ".join(str(error).split())}') from error
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{path}: {error}') from error
+    if not isinstance(document, dict | None):
+        raise LandmarkNavError(f'{path}: holds no mapping')
+    return document or {}
+
+
+def _document(events: Iterator[yaml.Event]) -> Any:
+    """
+    Build the value of the one document without recursion, each step bounded.
+
+    PyYAML's own constructor follows aliases, whose expansion has no bound, and lets the errors
+    of nonsense behind a tag through.
+    """
+    document: Any = None
+    # Containers that are open, each with the key that waits for its value.
+    opened: list[tuple[Any, Any]] = []
+    nodes = documents = 0
+    for event in events:
+        value: Any = None
+        if isinstance(event, yaml.DocumentStartEvent):
+            documents += 1
+            if documents > 1:
+                raise _refused(event, 'a second document begins: keep one')
+        if isinstance(event, yaml.NodeEvent):
+            nodes += 1
+            _check_node(event, nodes, len(opened))
+        if isinstance(event, yaml.SequenceStartEvent | yaml.MappingStartEvent):
+            opened.append(([] if isinstance(event, yaml.SequenceStartEvent) else {}, _ABSENT))
+            continue
+        if isinstance(event, yaml.ScalarEvent):
+            value = _scalar(event.value) if event.implicit[0] else event.value
+        elif isinstance(event, yaml.SequenceEndEvent | yaml.MappingEndEvent):
+            value, _ = opened.pop()
+        else:
+            continue
+        if not opened:
+            document = value
+            continue
+        container, key = opened[-1]
+        if isinstance(container, list):
+            container.append(value)
+        elif key is not _ABSENT:
+            container[key] = value
+            opened[-1] = container, _ABSENT
+        elif isinstance(value, dict | list):
+            raise _refused(event, f'{shown(value)} is no name of a value')
+        elif value in container:
+            raise _refused(event, f'{shown(value)} is there twice: keep one')
+        else:
+            opened[-1] = container, value
+    return document
+
+
+def _check_node(event: yaml.NodeEvent, nodes: int, depth: int) -> None:
+    if isinstance(event, yaml.AliasEvent):
+        raise _refused(event, f'*{event.anchor}: write the value instead of an alias')
+    if (tag := getattr(event, 'tag', None)) is not None:
+        raise _refused(event, f'tag {shown(tag.replace(_TAG, "!!"))}: write the value alone')
+    if nodes > _MAX_NODES or depth > _MAX_DEPTH:
+        bounds = f'{_MAX_NODES} values or {_MAX_DEPTH} levels'
+        raise _refused(event, f'more than {bounds}: is it the right file?')
+
+
+def _refused(event: yaml.Event, what: str) -> LandmarkNavError:
+    mark = event.start_mark
+    return LandmarkNavError(what if mark is None else f'line {mark.line + 1}: {what}')
+
+
+def _scalar(text: str) -> Any:
+    """Value of a plain scalar: a number, true or false, nothing, or text."""
+    if len(text) <= _MAX_NUMBER_LENGTH:
+        for tag, pattern in _RESOLVERS.get(text[:1], ()):
+            if tag in _CONSTRUCT and pattern.match(text):
+                try:
+                    return _CONSTRUCT[tag](yaml.ScalarNode(tag, text))
+                except ValueError:  # `0x_` has the form of a number
+                    return text
+        if _EXPONENT.fullmatch(text):
+            return float(text)
+    return text

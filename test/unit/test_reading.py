@@ -1,0 +1,214 @@
+"""Every file is read through one door: bounded, regular, text; what is odd is one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import gzip
+import os
+from pathlib import Path
+import socket
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from test_image_codec import jpeg_of_size, png_of_size
+from test_maps import make_map
+
+from landmark_nav.errors import LandmarkNavError, one_line
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.storage.bags import Bag, read_sweep_folder
+from landmark_nav.storage.config_files import load_config
+from landmark_nav.storage.map_entries import patch_reader
+from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.mrclam import read_mrclam
+from landmark_nav.storage.reading import read_bytes, read_text, read_yaml_mapping
+from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+
+BOMB = 'a0: &a0 [x, x]\n' + ''.join(
+    f'a{k}: &a{k} [{", ".join([f"*a{k - 1}"] * 10)}]\n' for k in range(1, 10)
+)
+NESTED = 'a: ' * 3 + '[' * 100_000
+HOSTILE = {
+    'aliases': BOMB,
+    'alias as a value': f'{BOMB}walls: *a9\nlandmarks: *a9\npan_axis: *a9\nimage_width: *a9\n',
+    'tag without a value': 'walls: !!float\npan_axis: !!timestamp\n',
+    'tag with nonsense': 'walls: !!int zz\npan_axis: !!bool maybe\nimage_width: !!int zz\n',
+    'tag of Python': 'walls: !!python/object/apply:os.abort []\n',
+    'digits': f'walls: {"9" * 400}\npan_axis: {"9" * 5000}\nimage_width: {"9" * 400}\n',
+    'nested': NESTED,
+    'nested blocks': '- ' * 50_000,
+    'a list as a key': '? [1, 2]\n: 3\n',
+    'keys that are there twice': 'walls: 1\nwalls: 2\npan_axis: 1\npan_axis: 2\n',
+    'two documents': 'walls: []\n---\nwalls: []\n',
+    'wide': f'walls: [[{"x, " * 20_000}x]]\npan_axis: {{{"k: {}, " * 5000}}}',
+    'long': f'walls: {"x" * 1_000_000}\npan_axis: "{"y" * 1_000_000}"\n',
+    'control characters': 'walls: "\\n\\e[2J"\npan_axis: "\\0\\x07"\n',
+    'deep maps': 'walls: ' + '{a: ' * 30 + '1' + '}' * 30,
+    'NUL': 'walls: \x00',
+}
+
+
+@pytest.fixture(params=HOSTILE)
+def hostile(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A folder whose files all hold the same hostile document."""
+    for name in ('map.yaml', 'metadata.yaml', 'x.yaml'):
+        (tmp_path / name).write_text(HOSTILE[request.param])
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    'read',
+    [
+        lambda folder: load_room(folder / 'x.yaml'),
+        lambda folder: load_robot(folder / 'x.yaml'),
+        lambda folder: load_camera(folder / 'x.yaml'),
+        lambda folder: load_config(folder / 'x.yaml', PanTiltMount()),
+        load_map,
+        Bag,
+    ],
+)
+def test_hostile_yaml_is_one_short_line(read: Callable[[Path], Any], hostile: Path) -> None:
+    with pytest.raises(LandmarkNavError) as caught:
+        read(hostile)
+    assert len(str(caught.value)) < 1000
+    line = one_line(str(caught.value))
+    assert len(line) <= 200
+    assert line.isprintable()
+
+
+def test_yaml_is_read_as_people_and_programs_write_it(tmp_path: Path) -> None:
+    path = tmp_path / 'x.yaml'
+    path.write_bytes(
+        b'\xef\xbb\xbf%YAML 1.1\r\n---\r\na: 1e-3 # small\r\nb: [1, -2.5, .inf, 0x10]\r\n'
+        b'c: {d: yes, e: ~, f: "1"}\r\ng: 2024-01-01\r\nh: &anchor x\r\n'
+        b'i: |\r\n  two\r\n  lines\r\n'
+    )
+    assert read_yaml_mapping(path) == {
+        'a': 0.001,
+        'b': [1, -2.5, np.inf, 16],
+        'c': {'d': True, 'e': None, 'f': '1'},
+        'g': '2024-01-01',
+        'h': 'x',
+        'i': 'two\nlines\n',
+    }
+    path.write_text('')
+    assert read_yaml_mapping(path) == {}
+
+
+def test_an_error_names_file_and_line(tmp_path: Path) -> None:
+    path = tmp_path / 'x.yaml'
+    for text in ('a: 1\nb: [2\n', 'a: &a 1\nb: *a\n', 'a: 1\nb: !!int x', 'a: 1\na: 2'):
+        path.write_text(text)
+        with pytest.raises(LandmarkNavError, match=r'x\.yaml: (not YAML: )?line [23]: '):
+            read_yaml_mapping(path)
+    path.write_bytes(b'a: 1\nb: M\xfcller\n')
+    with pytest.raises(LandmarkNavError, match=r'x\.yaml: line 2: not UTF-8'):
+        read_yaml_mapping(path)
+
+
+def test_values_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / 'x.yaml'
+    path.write_text('a: [' + '1,' * 500_001 + ']')
+    with pytest.raises(LandmarkNavError, match='more than 500000 values'):
+        read_yaml_mapping(path)
+
+
+def test_only_regular_files_of_bounded_size_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fifo, link, large = tmp_path / 'fifo', tmp_path / 'link', tmp_path / 'large'
+    os.mkfifo(fifo)
+    link.symlink_to('/dev/zero')
+    with large.open('wb') as stream:
+        stream.truncate(10**10)
+    monkeypatch.chdir(tmp_path)  # a socket's path must be short
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind('socket')
+    for path in (
+        fifo,
+        link,
+        large,
+        tmp_path / 'socket',
+        tmp_path,
+        tmp_path / 'none',
+        Path('/dev/zero'),
+    ):
+        with pytest.raises(LandmarkNavError, match=str(path)):
+            read_text(path)
+    with pytest.raises(LandmarkNavError, match='cannot be read'):
+        read_bytes(tmp_path / 'nul\0')
+
+
+@pytest.mark.parametrize('data', [png_of_size(30_000, 30_000), jpeg_of_size(65_000, 16_000), b''])
+def test_images_in_folders_are_bounded(data: bytes, tmp_path: Path) -> None:
+    save_map(make_map(), tmp_path / 'map')
+    (tmp_path / 'map' / 'patches' / '007.png').write_bytes(data)
+    with pytest.raises(LandmarkNavError, match=r'007\.png: '):
+        load_map(tmp_path / 'map')
+    (tmp_path / '0.png').write_bytes(data)
+    (tmp_path / 'frames.csv').write_text('file,pan_rad,focal_px,width,height\n0.png,0,60,64,48\n')
+    with pytest.raises(LandmarkNavError, match=r'frames\.csv: line 2: .*0\.png: '):
+        read_sweep_folder(tmp_path)
+
+
+def test_all_patches_of_a_map_together_are_bounded(tmp_path: Path) -> None:
+    (tmp_path / '0.png').write_bytes(cv2.imencode('.png', np.zeros((1000, 1000)))[1].tobytes())
+    patch_of = patch_reader(tmp_path)
+    for _ in range(100):
+        assert patch_of('0.png').shape == (1000, 1000)
+    with pytest.raises(LandmarkNavError, match='patches have over 100 million pixels'):
+        patch_of('0.png')
+
+
+@pytest.mark.parametrize(
+    'rows',
+    [
+        '0.png,1e400,60,64,48',
+        '0.png,0,60,1e300,48',
+        '0.png,0,0x40,64,48',
+        '0.png,0,60',
+        ',0,60,64,48',
+        '..,0,60,64,48',
+        '0.png\0,0,60,64,48',
+        f'{"x" * 300_000},0,60,64,48',
+        '"unclosed,0,60,64,48\n' * 100,
+        '"a\nb.png",0,60,64,48',
+    ],
+)
+def test_a_hostile_list_of_images_is_refused(rows: str, tmp_path: Path) -> None:
+    (tmp_path / 'frames.csv').write_text(f'file,pan_rad,focal_px,width,height\n{rows}\n')
+    with pytest.raises(LandmarkNavError, match=r'frames\.csv: '):
+        read_sweep_folder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    'data',
+    [
+        b'',
+        b'1 2 3 4 nan',
+        b'1 2 3 4 1e400',
+        b'1 2 3 4 1e300',
+        b'1 0x2 3 4 5',
+        b'1 2\0 3 4 5',
+        b'\xff\xfe1',
+        b'1 2 3 4 5\n1 2',
+        b'# M\xfcller\n',
+    ],
+)
+@pytest.mark.parametrize('packed', [False, True])
+def test_a_hostile_log_is_refused(data: bytes, packed: bool, tmp_path: Path) -> None:
+    path = tmp_path / ('Landmark_Groundtruth.dat.gz' if packed else 'Landmark_Groundtruth.dat')
+    (tmp_path / 'Barcodes.dat').write_bytes(b'\xef\xbb\xbf6 63\r\n7 25\r\n')
+    path.write_bytes(gzip.compress(data) if packed else data)
+    with pytest.raises(LandmarkNavError, match='Landmark_Groundtruth'):
+        read_mrclam(tmp_path, 1, 0.01)
+
+
+@pytest.mark.parametrize(
+    'data', [b'\x1f\x8b', gzip.compress(b'1 2')[:-9], gzip.compress(b' ' * 40_000_000), b'plain']
+)
+def test_a_packed_log_that_is_damaged_or_grows_is_refused(data: bytes, tmp_path: Path) -> None:
+    (tmp_path / 'Barcodes.dat.gz').write_bytes(data)
+    with pytest.raises(LandmarkNavError, match='Barcodes'):
+        read_mrclam(tmp_path, 1, 0.01)
