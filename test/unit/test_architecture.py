@@ -11,7 +11,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 
 # Part of the package -> the parts below it. Learning and localization do not know each other, and
 # no stage knows files, ROS or the command line.
-GROUND = {'arrays', 'errors', 'parameters', 'geometry', 'quality', 'types'}
+GROUND = {'arrays', 'errors', 'image_codec', 'parameters', 'geometry', 'quality', 'types'}
 STAGES = {*GROUND, 'matching', 'learning', 'localization'}
 FILES = {*GROUND, 'messages', 'storage'}
 RUN = {'ros', 'threads'}
@@ -19,6 +19,7 @@ BELOW = {
     'errors': set[str](),
     'parameters': {'errors'},
     'arrays': set(),
+    'image_codec': {'errors'},
     'geometry': {'arrays', 'errors'},
     'quality': set(),
     'types': {'arrays', 'errors', 'geometry', 'quality'},

@@ -1,0 +1,122 @@
+"""PNG and JPEG: the size from the header, and bytes to pixels and back, without files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import struct
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.errors import LandmarkNavError
+
+__all__ = ['MAX_PIXELS', 'decode_image', 'encode_image', 'image_size']
+
+# An image of 8K video; larger ones are refused before memory is taken for them.
+MAX_PIXELS = 7680 * 4320
+
+# Each scan of a progressive JPEG is a pass over all pixels, however few bytes it has.
+_MAX_SCANS = 100
+
+_PNG = b'\x89PNG\r\n\x1a\n'
+# JPEG markers: those that begin a frame hold its size; those in `_LONE` have no content.
+_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_LONE = frozenset({0x01, *range(0xD0, 0xD9)})
+_SCAN, _END = 0xDA, 0xD9
+
+
+def image_size(data: bytes | npt.NDArray[np.uint8]) -> tuple[int, int]:
+    """
+    Width and height of a PNG or JPEG, from its header alone.
+
+    Source: PNG (ISO/IEC 15948) 11.2.2, JPEG (ITU-T T.81) B.1 and B.2. Bytes between two segments
+    of a JPEG are skipped, as libjpeg does: the size is the one that it will decode.
+
+    Raises
+    ------
+    LandmarkNavError
+        The data is neither, or ends before its size.
+
+    """
+    content = data if isinstance(data, bytes) else data.tobytes()
+    if content[:8] == _PNG and content[12:16] == b'IHDR' and len(content) >= 24:
+        width, height = struct.unpack('>II', content[16:24])
+    elif content[:2] == b'\xff\xd8':
+        width, height = _jpeg_size(content)
+    else:
+        width = height = 0
+    if not width or not height:
+        raise LandmarkNavError('is neither a PNG nor a JPEG, or is cut off: write it again')
+    return width, height
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int]:
+    """Width and height of the first frame; 0, 0 where there is none."""
+    at = 2
+    while (at := data.find(b'\xff', at)) >= 0 and at + 9 <= len(data):
+        marker = data[at + 1]
+        if marker in _FRAMES:
+            height, width = struct.unpack('>HH', data[at + 5 : at + 9])
+            return width, height
+        if marker in (_SCAN, _END):
+            break
+        if marker == 0xFF:  # a fill byte
+            at += 1
+        elif marker == 0x00 or marker in _LONE:
+            at += 2
+        else:
+            at += 2 + int.from_bytes(data[at + 2 : at + 4], 'big')
+    return 0, 0
+
+
+def decode_image(
+    data: bytes | npt.NDArray[np.uint8],
+    mode: int = cv2.IMREAD_COLOR,
+    max_pixels: int = MAX_PIXELS,
+) -> npt.NDArray[np.generic]:
+    """
+    Pixels of a PNG or JPEG, as `cv2.imdecode` gives them in `mode`.
+
+    Raises
+    ------
+    LandmarkNavError
+        The data is neither, is damaged, or has more than `max_pixels`.
+
+    """
+    content = data if isinstance(data, bytes) else data.tobytes()
+    width, height = image_size(content)
+    if width * height > max_pixels:
+        raise LandmarkNavError(
+            f'has {width} x {height} pixels: reduce it to {max_pixels / 1e6:.3g} million at most'
+        )
+    scans = content.count(b'\xff\xda')
+    if content[:1] == b'\xff' and scans > _MAX_SCANS:
+        raise LandmarkNavError(f'is a JPEG of {scans} scans: write it again as a baseline JPEG')
+    try:
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), mode)
+    except cv2.error:
+        image = None
+    if image is None or not image.size:
+        raise LandmarkNavError(f'{len(content)} bytes do not decode: the image is damaged')
+    return np.asarray(image)
+
+
+def encode_image(
+    image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16],
+    suffix: str,
+    options: Sequence[int] = (),
+) -> npt.NDArray[np.uint8]:
+    """
+    Bytes (n,) of an image as a file with `suffix` (``.png``, ``.jpg``) holds it.
+
+    Raises
+    ------
+    ValueError
+        OpenCV can not write this shape or type so.
+
+    """
+    done, data = cv2.imencode(suffix, image, list(options))
+    if not done:
+        raise ValueError(f'an image of shape {image.shape} cannot be written as {suffix}')
+    return np.asarray(data, np.uint8).reshape(-1)
