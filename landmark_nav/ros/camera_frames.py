@@ -14,8 +14,8 @@ from landmark_nav.geometry.angles import unwrap_joint
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
-from landmark_nav.types import CameraFrame, JointSample, Refusal
+from landmark_nav.storage.bags.timelines import JointHistory
+from landmark_nav.types import CameraFrame, ImageArray, JointSample, Refusal
 
 __all__ = ['CameraFrames']
 
@@ -50,14 +50,15 @@ class CameraFrames:
         self._joints: deque[JointSample] = deque()
         # Stamps and tilts of a tilt joint that has a driver of its own.
         self._tilts: deque[tuple[int, float]] = deque()
-        self._camera: CameraModel | None = None
+        self._info: decode.CameraInfo | None = None
+        self._depth = decode.BitDepth()
         node.listen('joint_states', self._on_joints, depth=50)
         node.listen('camera/camera_info', self._on_camera_info)
 
     @property
     def camera(self) -> CameraModel | None:
-        """The last calibration, if any came."""
-        return self._camera
+        """Camera of the last calibration, if any came, at the resolution of the frames."""
+        return None if self._info is None else self._info.camera.reduced
 
     @property
     def pan_rad(self) -> float | None:
@@ -107,18 +108,17 @@ class CameraFrames:
         """
         stamp = decode.stamp_ns(message.header)
         # Meanwhile what belongs to it arrives.
-        picture = decode.image(message, grey=True)
+        view = self._view(message)
         self._wait(stamp, seconds, also, late_s)
         joints = self.joints_at(stamp)
         if isinstance(joints, Refusal):
             raise LandmarkNavError(f'{joints} after a wait of {seconds:g} s')
-        if self._camera is None:
+        view = view or self._view(message)
+        if view is None:
             raise LandmarkNavError('nothing on camera/camera_info')
-        camera = CameraInfos([(stamp, self._camera)]).for_picture(stamp, picture.shape)
         return CameraFrame(
             stamp,
-            picture,
-            camera,
+            *view,
             joints.pan_rad,
             joints.tilt_rad,
             pan_rate_rad_s=joints.pan_rate_rad_s,
@@ -153,8 +153,14 @@ class CameraFrames:
         while self._tilts[0][0] < tilt[0] - _HISTORY_NS:
             self._tilts.popleft()
 
+    def _view(self, message: Any) -> tuple[ImageArray, CameraModel] | None:
+        """Pixels and camera of an image message; None before a calibration came."""
+        if self._info is None:
+            return None
+        return decode.camera_image(message, self._info, True, self._depth)
+
     def _on_camera_info(self, message: Any) -> None:
-        self._camera = decode.camera_model(message)
+        self._info = decode.camera_info(message)
 
     def _wait(
         self, stamp_ns: int, seconds: float, also: Callable[[int], bool], late_s: float

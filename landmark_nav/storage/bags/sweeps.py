@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.coverage import check_coverage
 from landmark_nav.storage.bags.reader import Bag, BagMessage, once
-from landmark_nav.storage.bags.sieve import naming
+from landmark_nav.storage.bags.sieve import naming, Sieve
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
-from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
+from landmark_nav.types import CameraFrame, ImageArray, JointSample, PoseEstimate, Sweep
 
 __all__ = ['read_sweeps']
-
-# Frames by stamp.
-_Pictures = dict[int, BagMessage]
 
 _SAME_FRAME_NS = 5_000_000
 
@@ -29,14 +28,22 @@ _PAUSE = 5.0
 
 @dataclass(frozen=True)
 class _Plan:
-    """Where the camera looked in one sweep, frame by frame, and what was recorded of it."""
+    """Where the camera looked in one sweep, frame by frame, and the stamps of those recorded."""
 
     samples: tuple[JointSample, ...]
-    pictures: tuple[BagMessage | None, ...]
+    stamps: tuple[int | None, ...]
 
     @property
     def start_ns(self) -> int:
         return self.samples[0].stamp_ns
+
+
+@dataclass(eq=False)
+class _Images:
+    """Decoded images of a sweep by stamp, with cameras and bit depths."""
+
+    missing: set[int]
+    views: dict[int, tuple[ImageArray, CameraModel, int]] = field(default_factory=dict)
 
 
 def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
@@ -68,30 +75,66 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     """
     topic = bag.require('sweep/image', 'sweep/image/compressed')
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')
-    pictures = {decode.stamp_ns(m.message.header): m for m in bag.messages([topic])}
-    plans = _plans(bag, mount, pictures)
+    stamps = {decode.stamp_ns(entry.message.header) for entry in bag.messages([topic])}
+    plans = _plans(bag, mount, stamps)
     poses = _poses(bag, plans)
-    for plan, pose in zip(plans, poses, strict=True):
-        frames = []
-        for sample, entry in zip(plan.samples, plan.pictures, strict=True):
-            if entry is None:
-                continue
-            with naming(bag, topic):
-                picture = decode.image(entry.message)
-                camera = cameras.for_picture(sample.stamp_ns, picture.shape)
-            frames.append(
-                CameraFrame(sample.stamp_ns, picture, camera, sample.pan_rad, sample.tilt_rad)
-            )
-        missing = [s for s, e in zip(plan.samples, plan.pictures, strict=True) if e is None]
-        cut_off = plan is plans[-1] and not bag.complete
-        if not check_coverage(bag, plan.start_ns, frames, missing, cut_off=cut_off):
+    images = [_Images({stamp for stamp in plan.stamps if stamp is not None}) for plan in plans]
+    sweep_of = {stamp: kept for kept in images for stamp in kept.missing}
+    depth, sieve = decode.BitDepth(), Sieve(bag, topic, 'frames')
+
+    def view(entry: BagMessage) -> tuple[ImageArray, CameraModel, int]:
+        stamp = decode.stamp_ns(entry.message.header)
+        try:
+            pixels, camera = decode.camera_image(entry.message, cameras.at(stamp), depth=depth)
+        except LandmarkNavError as error:
+            raise LandmarkNavError(f'frame of {1e-9 * stamp:.3f} s: {error}') from error
+        return pixels, camera, depth.bits
+
+    # Sweeps follow each other: the images of one are held, unless they lie out of order.
+    waiting = deque(zip(plans, images, poses, strict=True))
+    for entry in chain(bag.messages([topic]), (None,)):
+        stamp = decode.stamp_ns(entry.message.header) if entry else 0
+        kept = sweep_of.pop(stamp, None)
+        if entry and kept:
+            kept.missing.remove(stamp)
+            if (found := sieve.take(view, entry)) is not None:
+                kept.views[stamp] = found
+        while waiting and not waiting[0][1].missing:
+            plan, kept, pose = waiting.popleft()
+            if not kept.views:
+                sieve.tell()
+            frames, missing = _frames(plan, kept, depth)
+            cut_off = not waiting and not bag.complete
+            if check_coverage(bag, plan.start_ns, frames, missing, cut_off=cut_off):
+                yield Sweep(plan.start_ns, frames, pose)
+    sieve.tell()
+
+
+def _frames(
+    plan: _Plan, images: _Images, depth: decode.BitDepth
+) -> tuple[tuple[CameraFrame, ...], list[JointSample]]:
+    """Frames of a sweep by time, all at the depth of their stream, and where there are none."""
+    frames, missing = [], []
+    for sample, stamp in zip(plan.samples, plan.stamps, strict=True):
+        if stamp not in images.views:
+            missing.append(sample)
             continue
-        yield Sweep(plan.start_ns, tuple(frames), pose)
+        pixels, camera, bits = images.views.pop(stamp)
+        frames.append(
+            CameraFrame(
+                sample.stamp_ns,
+                depth.lowered(pixels, bits),
+                camera,
+                sample.pan_rad,
+                sample.tilt_rad,
+            )
+        )
+    return tuple(frames), missing
 
 
-def _plans(bag: Bag, mount: PanTiltMount, pictures: _Pictures) -> list[_Plan]:
-    """Sweeps by trajectory, then those that only the joint states tell of, by start."""
-    left = dict(pictures)
+def _plans(bag: Bag, mount: PanTiltMount, stamps: Collection[int]) -> list[_Plan]:
+    """Sweeps by trajectory, then those that only the joint states give, by start."""
+    left = set(stamps)
     plans = []
     if trajectory := bag.find('sweep/trajectory'):
         for entry in once(bag.messages([trajectory])):
@@ -115,17 +158,19 @@ def _plans(bag: Bag, mount: PanTiltMount, pictures: _Pictures) -> list[_Plan]:
     return sorted(plans, key=lambda plan: plan.start_ns)
 
 
-def _take(samples: tuple[JointSample, ...], left: _Pictures) -> tuple[BagMessage | None, ...]:
-    """Pictures of `samples`, taken out of `left`; None where there is none."""
-    taken = []
+def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None, ...]:
+    """Stamps of the images of `samples`, taken out of `left`; None where there is none."""
+    taken: list[int | None] = []
     for sample in samples:
-        nearest = min(left, key=lambda stamp: abs(stamp - sample.stamp_ns), default=None)
-        near = nearest is not None and abs(nearest - sample.stamp_ns) <= _SAME_FRAME_NS
-        taken.append(left.pop(nearest) if nearest is not None and near else None)
+        nearest = min(left, key=lambda stamp: (abs(stamp - sample.stamp_ns), stamp), default=None)
+        if nearest is not None and abs(nearest - sample.stamp_ns) > _SAME_FRAME_NS:
+            nearest = None
+        taken.append(nearest)
+        left.discard(nearest)
     return tuple(taken)
 
 
-def _plans_by_joints(joints: JointHistory, stamps: list[int], left: _Pictures) -> list[_Plan]:
+def _plans_by_joints(joints: JointHistory, stamps: list[int], left: set[int]) -> list[_Plan]:
     """Split `stamps` into sweeps at the pauses; angles from the joint states."""
     steps = np.diff(stamps)
     usual = np.median(steps) if len(steps) else 0.0
