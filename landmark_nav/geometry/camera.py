@@ -35,7 +35,7 @@ MAX_PX_PER_RAD = 600.0
 # A lens is used as far as its radius grows at least so fast, and up to this angle.
 _LEAST_SLOPE, _WIDEST_RAD = 0.2, float(np.radians(85.0))
 # That must leave this share of the image; and so much must be seen to both sides.
-_LEAST_SHARE, _LEAST_HALF_FOV_RAD = 0.7, float(np.radians(1.5))
+_LEAST_SHARE, _LEAST_HALF_FOV_RAD = 0.5, float(np.radians(1.5))
 
 # Enough for 1e-9 px with any lens, as far as it is used; most take three.
 _POLISH_ITERATIONS = 30
@@ -95,7 +95,8 @@ class CameraModel:
         if len(self.distortion) > _COEFFICIENTS[self.model]:
             raise LandmarkNavError(
                 f'camera model {self.model} takes {_COEFFICIENTS[self.model]} distortion '
-                f'coefficients at most, camera_info has {len(self.distortion)}'
+                f'coefficients at most, camera_info has {len(self.distortion)}: calibrate without '
+                'the others'
             )
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(values)) or min(self.fx, self.fy) <= 0.0:

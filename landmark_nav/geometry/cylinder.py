@@ -60,7 +60,7 @@ class Cylinder:
 
         """
         ends = np.clip([tan_min, tan_max], -STEEPEST_TANGENT, STEEPEST_TANGENT)
-        if not 0.0 <= 2.0 * np.pi * px_per_rad**2 * np.ptp(ends) <= _MAX_PIXELS:
+        if not 0.0 <= 2.0 * np.pi * px_per_rad * px_per_rad * np.ptp(ends) <= _MAX_PIXELS:
             raise LandmarkNavError(
                 f'a panorama of {px_per_rad:.0f} px/rad that covers tangents of elevation of '
                 f'{ends[0]:.2f} to {ends[1]:.2f} has over {_MAX_PIXELS / 1e6:.0f} million pixels: '

@@ -98,8 +98,8 @@ def _check_level(rise: FloatArray, pan_rad: FloatArray) -> None:
         where = 'up' if elevation_deg > 0.0 else 'down'
         raise LandmarkNavError(
             f'the camera looks {abs(elevation_deg):.0f} deg {where} at pan {pan_rad[worst]:.2f} '
-            f'rad, of {_MOST_ELEVATION_DEG:.0f} at most: check the tilt joint, and rpy of pan_axis '
-            'in robot.yaml'
+            f'rad, of {_MOST_ELEVATION_DEG:.0f} at most: check the tilt joint, and the rpy '
+            'of pan_axis in robot.yaml'
         )
 
 

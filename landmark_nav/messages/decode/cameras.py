@@ -43,8 +43,14 @@ class CameraInfo:
 
     @property
     def camera(self) -> CameraModel:
-        """Camera of the image that region of interest and binning leave, as the message says."""
-        return self.for_image(*self._usual_size)
+        """Camera of the image that region of interest and binning leave, before one is seen."""
+        try:
+            return self.for_image(*self._usual_size)
+        except LandmarkNavError:
+            if self.size == self._usual_size:
+                raise
+            # Sizes may be those of the small image already.
+            return self.for_image(*self.size)
 
     def for_image(self, width: int, height: int) -> CameraModel:
         """
@@ -92,8 +98,7 @@ class CameraInfo:
         )
         if (width, height) in (self._usual_size, self.size):
             yield small
-            if small != self.intrinsics:
-                yield self.intrinsics
+            yield self.intrinsics
             return
         for size, (fx, fy, cx, cy) in ((self._usual_size, small), (self.size, self.intrinsics)):
             if n := _whole_factor(size, (width, height)):
@@ -164,7 +169,7 @@ def camera_model(msg: Any) -> CameraModel:
 
 @lru_cache(maxsize=32)
 def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
-    readings = list(info.readings(width, height))
+    readings = list(dict.fromkeys(info.readings(width, height)))
     if not readings:
         raise LandmarkNavError(
             f'image is {width} x {height}, but its camera_info is for {info.described}: calibrate '

@@ -250,5 +250,6 @@ def _naming(msg: Any) -> Iterator[None]:
         yield
     except LandmarkNavError as error:
         raise LandmarkNavError(
-            f'compressed image of format {str(msg.format)[:40]!r} {error}; jpeg and png are taken'
+            f'compressed image of {len(msg.data)} bytes, format {str(msg.format)[:40]!r}, does '
+            f'not decode as jpeg or png: {error}'
         ) from error
