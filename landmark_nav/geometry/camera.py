@@ -7,7 +7,7 @@ x right, y down, z forward (REP-103).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 import math
 
@@ -21,14 +21,24 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.rotation import rot_y, rot_z, rotation_rpy
 from landmark_nav.geometry.se2 import compose
 
-__all__ = ['CameraModel', 'PanTiltMount']
+__all__ = ['MAX_PX_PER_RAD', 'CameraModel', 'PanTiltMount']
 
 
-# How many distortion coefficients each ROS distortion model carries.
-_COEFFICIENTS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4}
+# How many distortion coefficients each ROS distortion model carries. OpenCV tells its polynomials
+# apart by that number alone: drivers write all of them under the names of the first two.
+_COEFFICIENTS = {'plumb_bob': 12, 'rational_polynomial': 12, 'equidistant': 4}
 
-# Enough for 1e-9 px with any lens whose distortion is invertible inside the image.
-_POLISH_ITERATIONS = 60
+# Numerical setting: images are reduced to this resolution as they arrive, so that time and memory
+# do not grow with what the camera delivers. Bearings are good to a part of a pixel already.
+MAX_PX_PER_RAD = 600.0
+
+# A lens is used as far as its radius grows at least so fast, and up to this angle.
+_LEAST_SLOPE, _WIDEST_RAD = 0.2, float(np.radians(85.0))
+# That must leave this share of the image; and so much must be seen to both sides.
+_LEAST_SHARE, _LEAST_HALF_FOV_RAD = 0.5, float(np.radians(1.5))
+
+# Enough for 1e-9 px with any lens, as far as it is used; most take three.
+_POLISH_ITERATIONS = 30
 
 # Spacing of the rays that `ray_grid` computes exactly.
 _GRID_PX = 8
@@ -53,12 +63,15 @@ class CameraModel:
     model : str
         ROS distortion model: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``.
     distortion : tuple of float
-        Coefficients in ROS order; empty means none.
+        Coefficients in the order of ROS and OpenCV (with those of thin prisms); empty means none.
+    full_size : (int, int), optional
+        Width and height of the image that this one was reduced from.
 
     Raises
     ------
     LandmarkNavError
-        Unknown model, wrong number of coefficients, or values that are not a camera.
+        Unknown model, wrong number of coefficients, values that are not a camera, or a lens that
+        folds back within most of the image.
 
     """
 
@@ -70,6 +83,7 @@ class CameraModel:
     cy: float
     model: str = 'plumb_bob'
     distortion: tuple[float, ...] = field(default=())
+    full_size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -81,16 +95,133 @@ class CameraModel:
         if len(self.distortion) > _COEFFICIENTS[self.model]:
             raise LandmarkNavError(
                 f'camera model {self.model} takes {_COEFFICIENTS[self.model]} distortion '
-                f'coefficients at most, camera_info has {len(self.distortion)}'
+                f'coefficients at most, camera_info has {len(self.distortion)}: calibrate without '
+                'the others'
             )
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(values)) or min(self.fx, self.fy) <= 0.0:
             raise LandmarkNavError(
-                f'camera_info is not a calibrated camera (fx {self.fx}, fy {self.fy}, '
-                f'cx {self.cx}, cy {self.cy}): calibrate it'
+                f'camera_info is not a calibrated camera (fx {self.fx:g}, fy {self.fy:g}, '
+                f'cx {self.cx:g}, cy {self.cy:g}): calibrate it'
             )
-        if self.width < 16 or self.height < 16:
+        if min(self.width, self.height) < 16:
             raise LandmarkNavError(f'camera_info has a {self.width} x {self.height} image')
+        self._check_view()
+
+    def _check_view(self) -> None:
+        """Refuse what sees too little, or of which too little can be used."""
+        what = f'camera_info: {self.width} x {self.height} with fx {self.fx:g}, fy {self.fy:g}'
+        row_near = -self.height <= self.cy <= 2 * self.height
+        if not (0.0 <= self.cx <= self.width - 1.0 and row_near):
+            raise LandmarkNavError(
+                f'{what} has its principal point at {self.cx:g}, {self.cy:g}, outside of the '
+                'image: calibrate it, or give K at the size of the image'
+            )
+        if self._used_share < _LEAST_SHARE:
+            raise LandmarkNavError(f'camera_info: {self.restriction}: calibrate it')
+        angle, _, distorted = self._lens
+        aside = min(self.cx + 0.5, self.width - 0.5 - self.cx) / self.fx
+        seen = float(np.interp(aside, distorted, angle))
+        if seen < _LEAST_HALF_FOV_RAD:
+            raise LandmarkNavError(
+                f'{what}, cx {self.cx:g} sees {math.degrees(seen):.2g} deg to one side of its '
+                'principal point: calibrate it'
+            )
+
+    @property
+    def restriction(self) -> str:
+        """Why a part of the image is not used; empty if all is."""
+        if self._used_share == 1.0:
+            return ''
+        tangent, distorted = self._reach
+        angle = math.degrees(math.atan(tangent))
+        lens = ', '.join(f'{value:.3g}' for value in self.distortion[:3])
+        why = f'the lens ({self.model} {lens}) folds back'
+        if angle > math.degrees(_WIDEST_RAD) - 1.0:
+            why = f'fx {self.fx:g} for {self.width} x {self.height} sees too wide'
+        return (
+            f'{why} at {angle:.0f} deg, {distorted * self.fx:.0f} px from the centre; '
+            f'{100.0 * self._used_share:.0f} % of the image lies inside'
+        )
+
+    @cached_property
+    def _used_share(self) -> float:
+        """Share of the image inside of `_reach`."""
+        u = (np.linspace(-0.5, self.width - 0.5, 33) - self.cx) / self.fx
+        v = (np.linspace(-0.5, self.height - 0.5, 33) - self.cy) / self.fy
+        return float(np.mean(np.hypot(u, v[:, None]) <= self._reach[1]))
+
+    @cached_property
+    def _reach(self) -> tuple[float, float]:
+        """Tangent of the widest angle that is used, and its distorted radius."""
+        _, tangent, distorted = self._lens
+        return float(tangent[-1]), float(distorted[-1])
+
+    @cached_property
+    def _lens(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Angles, their tangents and distorted radii, (n,), as far as the lens is used."""
+        angle = np.linspace(0.0, _WIDEST_RAD, 1025)
+        tangent = np.tan(angle)
+        with np.errstate(all='ignore'):
+            distorted = self._distorted(tangent)
+            slope = np.diff(distorted) / np.diff(angle if self._is_fisheye else tangent)
+            # Whatever is not a number is not greater.
+            folds = np.flatnonzero(~(slope > _LEAST_SLOPE))
+        end = int(folds[0]) + 1 if len(folds) else len(angle)
+        return angle[:end], tangent[:end], distorted[:end]
+
+    @property
+    def _is_fisheye(self) -> bool:
+        return self.model == 'equidistant'
+
+    def _distorted(self, tangent: FloatArray) -> FloatArray:
+        """Distorted radii (n,), in focal lengths, at tangents (n,) of angles, radially alone."""
+        if self._is_fisheye:
+            angle = np.arctan(tangent)
+            k1, k2, k3, k4 = self.coefficients
+            square = angle * angle
+            return np.asarray(
+                angle * (1 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
+            )
+        return np.asarray(tangent * self._radial(tangent * tangent))
+
+    def _radial(self, square: FloatArray) -> FloatArray:
+        """Factor (n,) of the polynomial at squared radii (n,)."""
+        k1, k2, _, _, k3, k4, k5, k6 = self._polynomial[:8]
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        if k4 or k5 or k6:
+            radial /= 1.0 + square * (k4 + square * (k5 + square * k6))
+        return np.asarray(radial)
+
+    def resized(self, width: int, height: int) -> CameraModel:
+        """Camera of the same image with other, smaller or larger, pixels."""
+        across, down = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * across,
+            fy=self.fy * down,
+            # Pixel centres are integers: these are the places of the same ray.
+            cx=(self.cx + 0.5) * across - 0.5,
+            cy=(self.cy + 0.5) * down - 0.5,
+            full_size=self.full_size or (self.width, self.height),
+        )
+
+    @cached_property
+    def reduced(self) -> CameraModel:
+        """The camera at no more than `MAX_PX_PER_RAD`."""
+        scale = MAX_PX_PER_RAD / max(self.fx, self.fy)
+        if scale >= 1.0:
+            return self
+        return self.resized(round(self.width * scale), round(self.height * scale))
+
+    def in_full_image(self, pixels: FloatArray) -> FloatArray:
+        """Pixels (..., 2) of this image in the one that it was reduced from."""
+        if self.full_size is None:
+            return pixels
+        scale = np.array(self.full_size) / [self.width, self.height]
+        return np.asarray((pixels + 0.5) * scale - 0.5)
 
     @property
     def matrix(self) -> FloatArray:
@@ -99,15 +230,16 @@ class CameraModel:
 
     @cached_property
     def coefficients(self) -> FloatArray:
-        """Distortion coefficients, as many as the model has, with zeros behind."""
-        padded = np.zeros(_COEFFICIENTS[self.model])
+        """Distortion coefficients with zeros behind, as many as OpenCV takes (4, 5, 8 or 12)."""
+        counts = {'equidistant': [4], 'plumb_bob': [5, 8, 12], 'rational_polynomial': [8, 12]}
+        padded = np.zeros(next(n for n in counts[self.model] if n >= len(self.distortion)))
         padded[: len(self.distortion)] = self.distortion
         return padded
 
     @cached_property
     def _polynomial(self) -> list[float]:
-        """Eight coefficients, those of `plumb_bob` with zeros behind."""
-        return [*self.coefficients.tolist(), 0.0, 0.0, 0.0][:8]
+        """All twelve coefficients, zeros behind those that there are."""
+        return [*self.coefficients.tolist(), *[0.0] * 7][:12]
 
     @cached_property
     def _max_radius(self) -> float:
@@ -134,7 +266,8 @@ class CameraModel:
         flat = points.reshape(-1, 3)
         depth = flat[:, 2]
         radius = np.hypot(flat[:, 0], flat[:, 1])
-        good = (depth > 1e-9) & (radius < 1.05 * self._max_radius * depth)
+        widest = min(1.05 * self._max_radius, self._reach[0])
+        good = (depth > 1e-9) & (radius < widest * depth)
         if good.any() and good.all():
             return self._project_unchecked(flat).reshape((*points.shape[:-1], 2))
         pixels = np.full((len(flat), 2), np.nan)
@@ -143,44 +276,57 @@ class CameraModel:
         return pixels.reshape((*points.shape[:-1], 2))
 
     def unproject(self, pixels: npt.ArrayLike) -> FloatArray:
-        """Rays (..., 3) with z = 1 in the optical frame, of pixels (..., 2)."""
+        """
+        Rays (..., 3) with z = 1 in the optical frame, of pixels (..., 2).
+
+        Pixels beyond the part of the image that is used get the ray at its border.
+        """
         uv = np.asarray(pixels, dtype=np.float64)
-        flat = np.ascontiguousarray(uv.reshape(-1, 1, 2))
+        flat = uv.reshape(-1, 2)
         if not len(flat):
-            return np.empty((*uv.shape[:-1], 3))  # OpenCV takes no empty arrays
-        if self.model == 'equidistant':
-            start = cv2.fisheye.undistortPoints(flat, self.matrix, self.coefficients)
-        else:
-            start = cv2.undistortPoints(flat, self.matrix, self.coefficients)
+            return np.empty((*uv.shape[:-1], 3))
+        focal, center = np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+        angle, _, distorted = self._lens
+        wanted = (flat - center) / focal
+        radius = np.maximum(np.linalg.norm(wanted, axis=-1, keepdims=True), 1e-12)
+        wanted *= np.minimum(1.0, distorted[-1] / radius)
+        radius = np.minimum(radius, distorted[-1])
+        flat = center + wanted * focal
+        # Radially first, by the table; then Newton's method with the slopes along and across.
+        angles = np.interp(radius, distorted, angle)
+        slope = np.interp(angles, angle, np.gradient(distorted, angle))
+        along, across = slope * np.cos(angles) ** 2, radius / np.maximum(np.tan(angles), 1e-12)
+        outward = wanted / radius
         rays = np.ones((len(flat), 3))
-        rays[:, :2] = np.asarray(start, dtype=np.float64).reshape(-1, 2)
-        # OpenCV stops after five iterations, up to 0.1 px away, and how to ask for more differs
-        # between its versions; this fixed point contracts by the distortion's slope each time.
+        rays[:, :2] = outward * np.tan(angles)
         for _ in range(_POLISH_ITERATIONS):
-            residual = self._project_unchecked(rays) - flat[:, 0]
-            rays[:, :2] -= residual / [self.fx, self.fy]
+            residual = self._project_unchecked(rays) - flat
             if np.abs(residual).max() < 1e-9:
                 break
+            off = residual / focal
+            radial = np.sum(off * outward, axis=-1, keepdims=True) * outward
+            rays[:, :2] -= radial / along + (off - radial) / across
         return rays.reshape((*uv.shape[:-1], 3))
 
     def _project_unchecked(self, points: FloatArray) -> FloatArray:
         """Pixels (n, 2) of points (n, 3) that lie in front of the camera."""
-        if self.model == 'equidistant':
+        if self._is_fisheye:
             zero = np.zeros(3)
             inside = np.ascontiguousarray(points).reshape(-1, 1, 3)
             found = cv2.fisheye.projectPoints(inside, zero, zero, self.matrix, self.coefficients)
             return np.asarray(found[0], dtype=np.float64).reshape(-1, 2)
         # cv2.projectPoints computes derivatives too, and takes three times as long.
-        k1, k2, p1, p2, k3, k4, k5, k6 = self._polynomial
+        _, _, p1, p2, *_ = self._polynomial
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
         square = x * x + y * y
-        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-        if k4 or k5 or k6:
-            radial /= 1.0 + square * (k4 + square * (k5 + square * k6))
-        along = radial + 2.0 * (p1 * y + p2 * x)
+        along = self._radial(square) + 2.0 * (p1 * y + p2 * x)
         pixels = np.empty((len(x), 2))
         pixels[:, 0] = self.fx * (x * along + p2 * square) + self.cx
         pixels[:, 1] = self.fy * (y * along + p1 * square) + self.cy
+        s1, s2, s3, s4 = self._polynomial[8:]
+        if s1 or s2 or s3 or s4:
+            pixels[:, 0] += self.fx * square * (s1 + s2 * square)
+            pixels[:, 1] += self.fy * square * (s3 + s4 * square)
         return pixels
 
     @property

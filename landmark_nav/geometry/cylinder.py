@@ -7,13 +7,21 @@ This is the only place where "image right is clockwise" turns into counter-clock
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray
+from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['Cylinder']
+__all__ = ['STEEPEST_TANGENT', 'Cylinder']
+
+# Rows end here, 60 degrees above and below the horizon: the poles are infinitely far away, and
+# what is seen so steeply on a wall is too oblique to be recognised.
+STEEPEST_TANGENT = math.sqrt(3.0)
+# Columns times rows; with each pixel in eight frames or so, a sweep takes ten bytes and more.
+_MAX_PIXELS = 16_000_000
 
 
 @dataclass(frozen=True)
@@ -42,11 +50,26 @@ class Cylinder:
 
     @classmethod
     def with_resolution(cls, px_per_rad: float, tan_min: float, tan_max: float) -> Cylinder:
-        """Square-pixel cylinder of about `px_per_rad` that covers tangents of elevation."""
+        """
+        Square-pixel cylinder of about `px_per_rad` that covers tangents of elevation.
+
+        Raises
+        ------
+        LandmarkNavError
+            It would have too many pixels to hold.
+
+        """
+        ends = np.clip([tan_min, tan_max], -STEEPEST_TANGENT, STEEPEST_TANGENT)
+        if not 0.0 <= 2.0 * np.pi * px_per_rad * px_per_rad * np.ptp(ends) <= _MAX_PIXELS:
+            raise LandmarkNavError(
+                f'a panorama of {px_per_rad:.0f} px/rad that covers tangents of elevation of '
+                f'{ends[0]:.2f} to {ends[1]:.2f} has over {_MAX_PIXELS / 1e6:.0f} million pixels: '
+                'lower px_per_rad'
+            )
         width = round(2.0 * np.pi * px_per_rad)
         scale = width / (2.0 * np.pi)
-        top = int(np.ceil(tan_max * scale))
-        bottom = int(np.ceil(-tan_min * scale))
+        top = int(np.ceil(ends[1] * scale))
+        bottom = int(np.ceil(-ends[0] * scale))
         return cls(width, top + bottom + 1, scale, (width - 1) / 2.0, float(top))
 
     @property

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.types import FloatArray, ImageArray
 
@@ -45,21 +44,11 @@ class Look:
 
 def look_at(image: ImageArray, camera: CameraModel, camera_roll_rad: float = 0.0) -> Look:
     """
-    Measure a picture, BGR (height, width, 3) or grey (height, width), of a camera that is rolled.
+    Measure an image, BGR (height, width, 3) or grey (height, width), of a camera that is rolled.
 
     The gradient is Sobel's, as in Tenenbaum's measure of focus (Krotkov, IJCV 1, 1987).
 
-    Raises
-    ------
-    LandmarkNavError
-        The calibration is for pictures of another size.
-
     """
-    if (camera.height, camera.width) != image.shape[:2]:
-        raise LandmarkNavError(
-            f'picture is {image.shape[1]} x {image.shape[0]}, but camera_info is for '
-            f'{camera.width} x {camera.height}: calibrate at the size that is published'
-        )
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     low, high = cv2.minMaxLoc(grey)[:2]
     slopes = [cv2.Sobel(grey, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1))]

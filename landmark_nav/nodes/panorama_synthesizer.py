@@ -23,7 +23,7 @@ from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import PoseEstimate, Sweep
+from landmark_nav.types import ImageArray, PoseEstimate, Sweep
 
 __all__ = ['PanoramaSynthesizerNode', 'Parameters', 'main']
 
@@ -55,8 +55,11 @@ class PanoramaSynthesizerNode(LandmarkNode):
             for name in ('panorama/image', 'panorama/camera_info', 'panorama/pose')
         ]
         self._lock = Lock()
+        # Images and calibrations that wait for each other, and frames: pixels, camera, bit depth.
         self._images: dict[int, Any] = {}
-        self._cameras: dict[int, CameraModel] = {}
+        self._infos: dict[int, decode.CameraInfo] = {}
+        self._views: dict[int, tuple[ImageArray, CameraModel, int]] = {}
+        self._depth = decode.BitDepth()
         self._pose: PoseEstimate | None = None
         self._health = Health(Level.OK, 'waiting for a sweep')
         # The next sweep may come in the other form.
@@ -73,15 +76,23 @@ class PanoramaSynthesizerNode(LandmarkNode):
         return self._health
 
     def _on_image(self, message: Any) -> None:
-        with self._lock:
-            _remember(self._images, decode.stamp_ns(message.header), message)
-            while sum(len(image.data) for image in self._images.values()) > _MAX_BYTES:
-                del self._images[min(self._images)]
+        self._join(self._images, decode.stamp_ns(message.header), message)
 
     def _on_camera_info(self, message: Any) -> None:
-        camera = decode.camera_model(message)
+        info = decode.camera_info(message)
+        self._join(self._infos, decode.stamp_ns(message.header), info)
+
+    def _join(self, waiting: dict[int, Any], stamp_ns: int, item: Any) -> None:
+        """Decode the image of a stamp once its calibration is there: frames are small."""
         with self._lock:
-            _remember(self._cameras, decode.stamp_ns(message.header), camera)
+            _remember(waiting, stamp_ns, item)
+            while sum(len(image.data) for image in self._images.values()) > _MAX_BYTES:
+                del self._images[min(self._images)]
+            if stamp_ns not in self._images or stamp_ns not in self._infos:
+                return
+            image, info = self._images.pop(stamp_ns), self._infos.pop(stamp_ns)
+            pixels, camera = decode.camera_image(image, info, depth=self._depth)
+            _remember(self._views, stamp_ns, (pixels, camera, self._depth.bits))
 
     def _on_pose(self, message: Any) -> None:
         decode.check_frame(message.header, self._room.frame_id, 'give it there')
@@ -127,28 +138,22 @@ class PanoramaSynthesizerNode(LandmarkNode):
         deadline = time.monotonic() + self._config.late_frames_s
         while True:
             with self._lock:
-                pairs = self._images.keys() & self._cameras.keys()
-            if not missing_frames(trajectory, pairs) or time.monotonic() > deadline:
+                complete = not missing_frames(trajectory, self._views)
+            if complete or time.monotonic() > deadline:
                 break
             time.sleep(0.05)
         with self._lock:
-            found = {
-                stamp: (self._images[stamp], self._cameras[stamp])
-                for stamp in {sample.stamp_ns for sample in trajectory} & pairs
+            views = {
+                stamp: (self._depth.lowered(pixels, bits), camera)
+                for stamp, (pixels, camera, bits) in self._views.items()
             }
             # What is older belongs to this sweep or to one that was given up.
             end_ns = max((sample.stamp_ns for sample in trajectory), default=0)
-            for items in (self._images, self._cameras):
+            for items in (self._images, self._infos, self._views):
                 for stamp in [stamp for stamp in items if stamp <= end_ns]:
                     del items[stamp]
-        pictures = {}
-        for stamp, (image, camera) in found.items():
-            try:
-                pictures[stamp] = decode.image(image), camera
-            except LandmarkNavError as error:
-                self.drop('frame of a sweep', error)
         pose, self._pose = self._pose, None
-        return assemble_sweep(trajectory, pictures, pose)
+        return assemble_sweep(trajectory, views, pose)
 
 
 def _quality(quality: PanoramaQuality | None) -> dict[str, object]:

@@ -172,7 +172,8 @@ class SweepRunner:
 
     def _inspect(self, frame: _Frame) -> Look:
         image, info = frame
-        return look_at(decode.image(image), decode.camera_model(info), self._camera_roll_rad)
+        view = decode.camera_image(image, decode.camera_info(info), grey=True)
+        return look_at(*view, self._camera_roll_rad)
 
     def _command(self, sweep: SweepCapture[_Frame]) -> None:
         pan_rad = sweep.command(self._now_ns())

@@ -216,7 +216,9 @@ class TriangulationLocalizerNode(LandmarkNode):
         assert self._observer is not None, 'pictures come after the map'
         while self._odometry:
             self._observer.add_odometry(self._odometry.popleft())
-        return self._observer.look(frame, prior, self._triplet, late)
+        seen = self._observer.look(frame, prior, self._triplet, late)
+        uv_px = frame.camera.in_full_image(seen.detections.uv_px)
+        return replace(seen, detections=replace(seen.detections, uv_px=uv_px))
 
     def _complete(
         self, message: Any, also: Callable[[int], bool]

@@ -15,8 +15,8 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.ros.joints import listen_for_joints
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
-from landmark_nav.types import CameraFrame, JointSample, Refusal
+from landmark_nav.storage.bags.timelines import JointHistory
+from landmark_nav.types import CameraFrame, ImageArray, JointSample, Refusal
 
 __all__ = ['CameraFrames']
 
@@ -51,14 +51,15 @@ class CameraFrames:
         self._joints: deque[JointSample] = deque()
         # Stamps and tilts of a tilt joint that has a driver of its own.
         self._tilts: deque[tuple[int, float]] = deque()
-        self._camera: CameraModel | None = None
         listen_for_joints(node, mount, self._on_joints, self._on_tilt, depth=50)
+        self._info: decode.CameraInfo | None = None
+        self._depth = decode.BitDepth()
         node.listen('camera/camera_info', self._on_camera_info)
 
     @property
     def camera(self) -> CameraModel | None:
-        """The last calibration, if any came."""
-        return self._camera
+        """Camera of the last calibration, if any came, at the resolution of the frames."""
+        return None if self._info is None else self._info.camera.reduced
 
     @property
     def pan_rad(self) -> float | None:
@@ -108,20 +109,19 @@ class CameraFrames:
         """
         stamp = decode.stamp_ns(message.header)
         # Meanwhile what belongs to it arrives.
-        picture = decode.image(message, grey=True)
+        view = self._view(message)
         self._wait(stamp, seconds, also, late_s)
         joints = self.joints_at(stamp)
         if isinstance(joints, Refusal):
             why = self._node.inputs.why_none('joint_states')
             raise LandmarkNavError(f'{joints} after a wait of {seconds:g} s{why}')
-        if self._camera is None:
+        view = view or self._view(message)
+        if view is None:
             why = self._node.inputs.why_none('camera/camera_info')
             raise LandmarkNavError(f'no camera_info{why}')
-        camera = CameraInfos([(stamp, self._camera)]).for_picture(stamp, picture.shape)
         return CameraFrame(
             stamp,
-            picture,
-            camera,
+            *view,
             joints.pan_rad,
             joints.tilt_rad,
             pan_rate_rad_s=joints.pan_rate_rad_s,
@@ -150,8 +150,14 @@ class CameraFrames:
         while self._tilts[0][0] < stamp_ns - _HISTORY_NS:
             self._tilts.popleft()
 
+    def _view(self, message: Any) -> tuple[ImageArray, CameraModel] | None:
+        """Pixels and camera of an image message; None before a calibration came."""
+        if self._info is None:
+            return None
+        return decode.camera_image(message, self._info, True, self._depth)
+
     def _on_camera_info(self, message: Any) -> None:
-        self._camera = decode.camera_model(message)
+        self._info = decode.camera_info(message)
 
     def _wait(
         self, stamp_ns: int, seconds: float, also: Callable[[int], bool], late_s: float

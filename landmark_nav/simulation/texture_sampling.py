@@ -77,6 +77,7 @@ def _look_up(
     # Outside the rectangle, where coverage ends: one border texel of its own level.
     inside = np.clip(place, -1.0 / scale, 1.0 + 1.0 / scale)
     xy = inside * scale + offset
-    map_x = xy[:, 0].reshape(-1, TILE_PX)
-    map_y = xy[:, 1].reshape(-1, TILE_PX)
-    return np.asarray(cv2.remap(pyramid.atlas, map_x, map_y, cv2.INTER_LINEAR), dtype=np.uint8)
+    # A tile a row, as OpenCV takes no map of 32767 rows or more.
+    map_x, map_y = (xy[:, k].reshape(len(xy), -1) for k in (0, 1))
+    texels = cv2.remap(pyramid.atlas, map_x, map_y, cv2.INTER_LINEAR)
+    return np.asarray(texels, dtype=np.uint8).reshape(len(xy) * TILE_PX, TILE_PX, -1)

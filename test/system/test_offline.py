@@ -239,7 +239,11 @@ def test_a_hole_in_a_sweep_is_named_and_nothing_learned_there(study, tmp_path, c
     ('topic', 'change', 'words'),
     [
         ('/sweep/camera_info', {'distortion_model': 'fisheye624'}, ('fisheye624', 'plumb_bob')),
-        ('/sweep/image/compressed', {'format': 'h264'}, ('h264', 'jpeg')),
+        (
+            '/sweep/image/compressed',
+            {'format': 'h264', 'data': np.array([0, 0, 0, 1, 0x67] * 20, np.uint8)},
+            ('h264', 'jpeg'),
+        ),
         ('/sweep/image/compressed', {'data': np.zeros(99, np.uint8)}, ('does not decode',)),
     ],
 )

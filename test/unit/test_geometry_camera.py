@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -100,15 +101,63 @@ def test_half_field_of_view_is_the_smaller_side() -> None:
     ('change', 'message'),
     [
         ({'model': 'fov'}, "'fov' is not supported: publish camera_info as one of equidistant"),
-        ({'distortion': (0.1,) * 6}, 'takes 5 distortion coefficients at most'),
+        ({'distortion': (0.1,) * 13}, 'takes 12 distortion coefficients at most'),
         ({'fx': 0.0}, 'not a calibrated camera'),
         ({'cx': float('nan')}, 'not a calibrated camera'),
         ({'width': 0}, '0 x 384 image'),
+        ({'distortion': (-1.5,)}, 'folds back'),
+        ({'fx': 1.0, 'fy': 1.0}, 'sees too wide'),
+        ({'fx': 57000.0, 'fy': 57000.0}, 'to one side'),
+        ({'cx': 1e6}, 'outside of the image'),
+        ({'cy': -1e6}, 'outside of the image'),
+        ({'distortion': (1e300, 0, 0, 0, 0, -1e300)}, 'folds back'),
     ],
 )
 def test_what_is_no_camera_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(LandmarkNavError, match=message):
         CameraModel(**{**SIZE, **change})
+
+
+def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that() -> None:
+    camera = CameraModel(**SIZE, distortion=(-0.7,))
+    assert 'folds back' in camera.restriction
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform(-0.5, [511.5, 383.5], (2000, 2))
+    rays = camera.unproject(pixels)
+    assert np.isfinite(rays).all()
+    assert np.isfinite(camera.ray_grid).all()
+    back = camera.project(rays * [0.999, 0.999, 1.0])
+    inside = np.linalg.norm((pixels - [254.0, 193.5]) / [570.0, 572.0], axis=1) < 0.44
+    assert 0.7 < inside.mean() < 1.0
+    np.testing.assert_allclose(camera.project(rays[inside]), pixels[inside], atol=1e-6)
+    # No ray comes back to a pixel beyond the fold.
+    assert np.linalg.norm(np.nan_to_num(back) - [254.0, 193.5], axis=1).max() < 0.51 * 570.0
+
+
+@pytest.mark.parametrize('distortion', [(0.9,), (3.0,), (-0.3, 0.1, 0.02, -0.02), (0.0,) * 5])
+@pytest.mark.parametrize('prism', [(), (0.0, 0.0, 0.0, 0.01, 0.002, -0.02, 0.003)])
+def test_strong_lenses_and_thin_prisms_invert(
+    distortion: tuple[float, ...], prism: tuple[float, ...]
+) -> None:
+    lens = (*distortion, *[0.0] * (5 - len(distortion)), *prism)
+    camera = CameraModel(**SIZE, distortion=lens)
+    pixels = np.random.default_rng(1).uniform(-0.5, [511.5, 383.5], (500, 2))
+    rays = camera.unproject(pixels)
+    np.testing.assert_allclose(camera.project(rays), pixels, atol=1e-6)
+    expected, _ = cv2.projectPoints(
+        rays, np.zeros(3), np.zeros(3), camera.matrix, camera.coefficients
+    )
+    np.testing.assert_allclose(expected[:, 0], pixels, atol=1e-6)
+
+
+@pytest.mark.parametrize('size', [(256, 192), (171, 128), (1024, 768)])
+def test_a_resized_camera_sees_the_same_rays(size: tuple[int, int]) -> None:
+    camera = CAMERAS['plumb_bob']
+    resized = camera.resized(*size)
+    points = camera.unproject(np.random.default_rng(2).uniform(0.0, [511.0, 383.0], (50, 2)))
+    np.testing.assert_allclose(
+        resized.in_full_image(resized.project(points)), camera.project(points), atol=1e-6
+    )
 
 
 def test_rpy_turns_about_fixed_axes_roll_first() -> None:

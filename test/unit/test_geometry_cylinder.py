@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.cylinder import Cylinder
 
@@ -53,3 +54,15 @@ def test_resolution_and_extent_as_asked(px_per_rad: float, low: float, high: flo
     assert cylinder.fx == cylinder.fy == pytest.approx(px_per_rad, rel=0.002)
     assert cylinder.tangent(0) >= high - 1e-9
     assert cylinder.tangent(cylinder.height - 1) <= low + 1e-9
+
+
+@pytest.mark.parametrize(('low', 'high'), [(-1e9, 5.0), (-np.inf, np.inf), (0.0, 1e300)])
+def test_rows_end_before_the_poles(low: float, high: float) -> None:
+    cylinder = Cylinder.with_resolution(500.0, low, high)
+    assert cylinder.width * cylinder.height < 7e6
+
+
+@pytest.mark.parametrize('px_per_rad', [1e4, 1e300, np.nan])
+def test_a_cylinder_too_large_to_hold_is_refused(px_per_rad: float) -> None:
+    with pytest.raises(LandmarkNavError, match='million pixels'):
+        Cylinder.with_resolution(px_per_rad, -0.5, 0.5)

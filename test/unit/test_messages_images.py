@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+import struct
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
 from wire import both, FACTORY, over_the_wire, STAMP
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.camera import CameraModel, MAX_PX_PER_RAD
 from landmark_nav.messages import decode, encode
+
+
+def raw(pixels, encoding, padding=0, big=False):
+    """Message of pixels (h, w[, channels]) as they lie in memory."""
+    rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
+    rows = np.pad(rows, ((0, 0), (0, padding)))
+    return FACTORY(
+        'sensor_msgs/msg/Image',
+        height=pixels.shape[0],
+        width=pixels.shape[1],
+        step=rows.shape[1],
+        encoding=encoding,
+        is_bigendian=int(big),
+        data=rows.reshape(-1),
+    )
 
 
 @both
@@ -26,14 +44,20 @@ def test_every_encoding_becomes_bgr_or_grey(deliver):
     rng = np.random.default_rng(1)
     bgr = rng.integers(0, 256, (4, 6, 3)).astype(np.uint8)
     alpha = np.full((4, 6, 1), 255, np.uint8)
-    for encoding, pixels in {
-        'rgb8': bgr[..., ::-1],
-        'bgra8': np.concatenate([bgr, alpha], -1),
-        'rgba8': np.concatenate([bgr[..., ::-1], alpha], -1),
+    rgb, bgra = bgr[..., ::-1], np.concatenate([bgr, alpha], -1)
+    rgba = np.concatenate([rgb, alpha], -1)
+    for names, pixels in {
+        ('bgr{}', '{}UC3'): bgr,
+        ('rgb{}',): rgb,
+        ('bgra{}', '{}UC4'): bgra,
+        ('rgba{}',): rgba,
     }.items():
-        msg = encode.image(FACTORY, np.ascontiguousarray(pixels), STAMP, '')
-        msg.encoding = encoding
-        np.testing.assert_array_equal(decode.image(deliver(msg)), bgr)
+        for name in names:
+            msg = raw(pixels, name.format(8))
+            np.testing.assert_array_equal(decode.image(deliver(msg)), bgr)
+            for big in (False, True):
+                msg = raw(pixels.astype('>u2' if big else '<u2') << 8, name.format(16), big=big)
+                np.testing.assert_array_equal(decode.image(deliver(msg)), bgr)
 
 
 @pytest.mark.parametrize('packed', [False, True])
@@ -48,30 +72,6 @@ def test_pictures_are_grey_on_request(packed):
     grey = decode.image(msg, grey=True)
     np.testing.assert_allclose(grey, cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), atol=1)
     np.testing.assert_array_equal(decode.image(msg), bgr)
-
-
-@pytest.mark.parametrize('big', [False, True])
-def test_mono16_keeps_the_high_byte_and_padding_of_rows_is_dropped(big):
-    words = np.arange(12).reshape(3, 4) * 5000
-    rows = np.zeros((3, 11), np.uint8)
-    rows[:, :8] = words.astype('>u2' if big else '<u2').view(np.uint8).reshape(3, 8)
-    msg = FACTORY(
-        'sensor_msgs/msg/Image',
-        height=3,
-        width=4,
-        step=11,
-        encoding='mono16',
-        is_bigendian=int(big),
-        data=rows.reshape(-1),
-    )
-    np.testing.assert_array_equal(decode.image(msg), words >> 8)
-
-
-def test_unknown_encoding_is_refused_by_name():
-    msg = encode.image(FACTORY, np.zeros((4, 4), np.uint8), STAMP, '')
-    msg.encoding = 'bayer_rggb8'
-    with pytest.raises(LandmarkNavError, match='bayer_rggb8'):
-        decode.image(msg)
 
 
 @pytest.mark.parametrize('change', [{'step': 3}, {'height': 6}, {'width': 0}])
@@ -103,6 +103,202 @@ def test_damaged_and_foreign_compressed_images_are_refused():
     msg.format = '16UC1; compressedDepth png'
     with pytest.raises(LandmarkNavError, match='compressedDepth'):
         decode.image(msg)
+
+
+# Encodings whose pixels share colours, and how each packs an image of one colour a quarter.
+MOSAICS = {'rggb': 'RGGB', 'bggr': 'BGGR', 'gbrg': 'GBRG', 'grbg': 'GRBG'}
+
+
+def quarters():
+    """Four quarters of one colour each, 32 x 32, BGR."""
+    bgr = np.zeros((32, 32, 3), np.uint8)
+    for k, colour in enumerate(([200, 60, 40], [40, 180, 60], [50, 70, 210], [120, 120, 120])):
+        bgr[16 * (k // 2) :, 16 * (k % 2) :] = colour
+    return bgr
+
+
+def packed(bgr, encoding):
+    height, width = bgr.shape[:2]
+    if encoding.startswith('bayer'):
+        mosaic = np.empty((height, width), np.uint8)
+        for k, colour in enumerate(encoding[6:10]):
+            part = (slice(k // 2, None, 2), slice(k % 2, None, 2))
+            mosaic[part] = bgr[part][..., 'bgr'.index(colour)]
+        if encoding.endswith('16'):
+            return raw(mosaic.astype('<u2') << 4, encoding)
+        return raw(mosaic, encoding)
+    i420 = cv2.cvtColor(bgr, cv2.COLOR_BGR2YUV_I420)
+    luma = i420[:height]
+    chroma = i420[height:].reshape(2, height // 2, width // 2)
+    if encoding in ('nv12', 'nv21'):
+        order = (0, 1) if encoding == 'nv12' else (1, 0)
+        pairs = np.stack([chroma[k] for k in order], -1).reshape(height // 2, width)
+        msg = raw(np.vstack([luma, pairs]), encoding)
+        msg.height = height
+        return msg
+    chroma = np.repeat(chroma, 2, axis=1)
+    pairs = np.stack([np.repeat(chroma, 1, axis=2)[k] for k in (0, 1)], -1).reshape(height, width)
+    both_bytes = (luma, pairs) if encoding in ('yuv422_yuy2', 'yuyv') else (pairs, luma)
+    return raw(np.stack(both_bytes, -1), encoding)
+
+
+@both
+@pytest.mark.parametrize(
+    'encoding',
+    ['yuv422', 'uyvy', 'yuv422_yuy2', 'yuyv', 'nv12', 'nv21']
+    + [f'bayer_{mosaic}{bits}' for mosaic in MOSAICS for bits in (8, 16)],
+)
+@pytest.mark.parametrize('padding', [0, 6])
+def test_colours_of_cameras_come_out(deliver, encoding, padding):
+    bgr = quarters()
+    msg = packed(bgr, encoding)
+    if padding:
+        rows = np.asarray(msg.data).reshape(-1, msg.step)
+        msg.data = np.pad(rows, ((0, 0), (0, padding))).reshape(-1)
+        msg.step += padding
+    msg = deliver(msg)
+    inner = np.concatenate([np.arange(4, 12), np.arange(20, 28)])
+    found = decode.image(msg)[np.ix_(inner, inner)].astype(int)
+    assert np.abs(found - bgr[np.ix_(inner, inner)]).max() <= 8
+    grey = decode.image(msg, grey=True)[np.ix_(inner, inner)].astype(int)
+    assert np.abs(grey - cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)[np.ix_(inner, inner)]).max() <= 8
+
+
+def test_two_channels_show_the_first():
+    pixels = np.random.default_rng(3).integers(0, 256, (4, 6, 2)).astype(np.uint8)
+    np.testing.assert_array_equal(decode.image(raw(pixels, '8UC2')), pixels[..., 0])
+
+
+@pytest.mark.parametrize('bits', [8, 10, 12, 14, 16])
+@pytest.mark.parametrize('big', [False, True])
+@pytest.mark.parametrize('encoding', ['mono16', '16UC1'])
+def test_the_bits_in_use_become_eight_and_padding_of_rows_is_dropped(bits, big, encoding):
+    words = np.linspace(0, 2**bits - 1, 12).astype(int).reshape(3, 4)
+    msg = raw(words.astype('>u2' if big else '<u2'), encoding, padding=3, big=big)
+    np.testing.assert_array_equal(decode.image(msg), words >> (bits - 8))
+
+
+def test_the_depth_of_a_stream_never_shrinks_and_early_images_can_follow():
+    depth = decode.BitDepth()
+    levels = (250, 1000, 90, 4000, 700)
+    seen = []
+    for level in levels:
+        pixels = np.full((16, 16), level, np.uint16)
+        seen.append((decode.image(raw(pixels, 'mono16'), depth=depth), depth.bits))
+    assert [bits for _, bits in seen] == [8, 10, 10, 12, 12]
+    for level, (pixels, bits) in zip(levels, seen, strict=True):
+        np.testing.assert_array_equal(depth.lowered(pixels, bits), level >> 4)
+
+
+@pytest.mark.parametrize(('encoding', 'shape'), [('nv12', (3, 6)), ('yuyv', (4, 5, 2))])
+def test_sizes_that_an_encoding_cannot_have_are_refused(encoding, shape):
+    msg = raw(np.zeros(shape, np.uint8), encoding)
+    if encoding == 'nv12':
+        msg.height = 3
+    with pytest.raises(LandmarkNavError, match='broken'):
+        decode.image(msg)
+
+
+def compressed(data, kind='jpeg'):
+    data = np.frombuffer(bytes(data), np.uint8)
+    return FACTORY('sensor_msgs/msg/CompressedImage', format=kind, data=data)
+
+
+def test_a_png_of_sixteen_bits_is_read_as_such():
+    words = np.linspace(0, 1023, 16 * 16).astype(np.uint16).reshape(16, 16)
+    msg = compressed(cv2.imencode('.png', words)[1], 'mono16; png compressed')
+    np.testing.assert_array_equal(decode.image(msg), words >> 2)
+    np.testing.assert_array_equal(decode.image(msg, grey=True), words >> 2)
+
+
+def test_a_mosaic_in_a_png_is_coloured():
+    bgr = quarters()
+    mosaic = packed(bgr, 'bayer_gbrg8')
+    data = cv2.imencode('.png', np.asarray(mosaic.data).reshape(32, 32))[1]
+    found = decode.image(compressed(data, 'bayer_gbrg8; png compressed bayer_gbrg8'))
+    assert np.abs(found[5:10, 5:10].astype(int) - bgr[5:10, 5:10]).max() <= 8
+
+
+def test_an_orientation_tag_turns_nothing():
+    wide = np.zeros((32, 64, 3), np.uint8)
+    wide[:, 32:] = 255
+    jpeg = cv2.imencode('.jpg', wide)[1].tobytes()
+    # A TIFF header with one entry: Orientation, SHORT, 6 (turned by 90 degrees).
+    entry = struct.pack('>HHIHH', 0x0112, 3, 1, 6, 0)
+    exif = b'Exif\x00\x00MM\x00*' + struct.pack('>IH', 8, 1) + entry + bytes(4)
+    tagged = jpeg[:2] + b'\xff\xe1' + struct.pack('>H', len(exif) + 2) + exif + jpeg[2:]
+    turned = cv2.imdecode(np.frombuffer(tagged, np.uint8), cv2.IMREAD_COLOR)
+    assert turned.shape[:2] == (64, 32)
+    for grey in (False, True):
+        assert decode.image(compressed(tagged), grey=grey).shape[:2] == (32, 64)
+
+
+CAMERA = CameraModel(1920, 1080, 1400.0, 1405.0, 970.0, 530.0, 'plumb_bob', (-0.1, 0.02))
+
+
+def spots():
+    """Image of that camera with soft spots, and their directions."""
+    places = np.array([[200.3, 150.7], [960.2, 540.4], [1700.6, 900.1], [640.9, 820.5]])
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(np.float32)
+    image = np.full((CAMERA.height, CAMERA.width), 30.0, np.float32)
+    for x, y in places:
+        image += 200.0 * np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * 9.0**2))
+    return np.rint(image).clip(0, 255).astype(np.uint8), CAMERA.unproject(places)
+
+
+@pytest.mark.parametrize('form', ['bgr8', 'mono16', '.jpg', '.png'])
+@pytest.mark.parametrize('grey', [False, True])
+def test_frames_are_reduced_to_the_working_resolution_and_keep_their_directions(form, grey):
+    image, rays = spots()
+    if form == 'mono16':
+        msg = raw(image.astype('<u2') << 4, form)
+    elif form == 'bgr8':
+        msg = raw(np.repeat(image[..., None], 3, axis=2), form)
+    else:
+        data = cv2.imencode(form, np.repeat(image[..., None], 3, axis=2))[1]
+        msg = compressed(data, form[1:])
+    info = decode.camera_info(encode.camera_info(FACTORY, CAMERA, STAMP, 'cam'))
+    pixels, camera = decode.camera_image(msg, info, grey)
+    assert pixels.shape[:2] == (camera.height, camera.width)
+    assert max(camera.fx, camera.fy) < MAX_PX_PER_RAD + 1.0
+    level = (pixels if pixels.ndim == 2 else pixels[..., 1]).astype(float) - 30.0
+    for u, v in camera.project(rays):
+        rows, columns = (slice(round(at) - 12, round(at) + 13) for at in (v, u))
+        weight = np.maximum(level[rows, columns] - 20.0, 0.0)
+        y, x = np.mgrid[rows, columns]
+        found = np.array([np.sum(weight * x), np.sum(weight * y)]) / weight.sum()
+        np.testing.assert_allclose(found, [u, v], atol=0.06)
+
+
+def test_small_images_are_not_touched():
+    camera = CameraModel(64, 48, 55.0, 55.0, 31.0, 24.0)
+    info = decode.camera_info(encode.camera_info(FACTORY, camera, STAMP, 'cam'))
+    image = np.random.default_rng(5).integers(0, 256, (48, 64, 3)).astype(np.uint8)
+    pixels, its = decode.camera_image(raw(image, 'bgr8'), info)
+    np.testing.assert_array_equal(pixels, image)
+    assert its == camera
+
+
+def test_a_header_that_promises_too_much_is_refused_before_memory_is_taken():
+    jpeg = bytearray(cv2.imencode('.jpg', np.zeros((16, 16), np.uint8))[1].tobytes())
+    at = jpeg.index(b'\xff\xc0') + 5
+    jpeg[at : at + 4] = struct.pack('>HH', 16000, 65000)
+    info = decode.camera_info(encode.camera_info(FACTORY, CAMERA, STAMP, 'cam'))
+    tracemalloc.start()
+    try:
+        for take in (lambda m: decode.image(m), lambda m: decode.camera_image(m, info)):
+            with pytest.raises(LandmarkNavError, match='65000 x 16000'):
+                take(compressed(jpeg))
+        assert tracemalloc.get_traced_memory()[1] < 10e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_unknown_encodings_are_refused_by_name():
+    for name in ('32FC1', 'bayer_rggb12', 'h264', 'x' * 1000):
+        with pytest.raises(LandmarkNavError, match=f'{name[:10]}') as told:
+            decode.image(raw(np.zeros((4, 4), np.uint8), name))
+        assert len(str(told.value)) < 200
 
 
 @both

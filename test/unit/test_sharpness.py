@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.sharpness import look_at, relative_sharpness
 
@@ -104,10 +103,3 @@ def test_blank_pictures_and_pictures_of_other_places():
     wall = look_at(view(texture(rng), 0.0, rng), CAMERA)
     assert not wall.flat
     assert relative_sharpness(wall, wall, 1.5) is None
-
-
-def test_the_calibration_of_another_size_is_refused():
-    with pytest.raises(
-        LandmarkNavError, match=r'picture is 64 x 48, but camera_info .* 256 x 192'
-    ):
-        look_at(np.zeros((48, 64), np.uint8), CAMERA)

@@ -36,6 +36,15 @@ TARGETS = tuple(
 SCENE = Scene(3, ROOM, TARGETS, (Box((1.2, 1.0), 0.3, (0.5, 0.4, 0.7), 'books', 5),))
 
 
+def test_a_camera_of_two_million_pixels_shows_the_same_as_a_small_one() -> None:
+    small = CameraModel(480, 270, 300.0, 300.0, 239.5, 134.5)
+    rotation, center = MOUNT.camera_pose_map(np.array([2.0, 2.2, 0.4]), 0.3)
+    views = [Renderer(SCENE, camera).render(rotation, center) for camera in (
+        small, small.resized(1920, 1080))]  # fmt: skip
+    reduced = cv2.resize(views[1], (480, 270), interpolation=cv2.INTER_AREA)
+    assert np.abs(views[0].astype(float) - reduced).mean() < 4.0
+
+
 @pytest.fixture(scope='module')
 def renderer() -> Renderer:
     return Renderer(SCENE, CAMERA)

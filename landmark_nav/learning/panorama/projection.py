@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+import math
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
@@ -23,6 +25,9 @@ __all__ = ['FrameSlab', 'RangeOfAzimuth', 'frame_slab', 'frame_window', 'sweep_c
 
 # Spacing of the exact projections; the map between them is interpolated, within 0.02 px.
 _GRID_PX = 8
+
+# A camera that looks farther up or down sees no walls.
+_MOST_ELEVATION_DEG = 45.0
 
 RangeOfAzimuth = Callable[[FloatArray], FloatArray]
 
@@ -62,6 +67,12 @@ def sweep_cylinder(
     px_per_rad : float
         Columns per radian; 0 takes the camera's focal length.
 
+    Raises
+    ------
+    LandmarkNavError
+        The camera looks so far up or down that it sees no walls, or the cylinder has too many
+        pixels.
+
     """
     camera = sweep.frames[0].camera
     _, top, _, bottom = frame_window(sweep.frames[0], crop_px)
@@ -70,11 +81,26 @@ def sweep_cylinder(
         np.array([getattr(frame, name) for frame in sweep.frames])
         for name in ('pan_rad', 'tilt_rad', 'roll_rad')
     )
-    rays = np.einsum('kij,nj->kni', mount.camera_pose_base(pan, tilt, roll)[0], ends)
+    turned = mount.camera_pose_base(pan, tilt, roll)[0]
+    _check_level(turned[:, 2, 2], pan)
+    rays = np.einsum('kij,nj->kni', turned, ends)
     tangent = rays[..., 2] / np.hypot(rays[..., 0], rays[..., 1])
     return Cylinder.with_resolution(
         px_per_rad or camera.fx, float(tangent.min()), float(tangent.max())
     )
+
+
+def _check_level(rise: FloatArray, pan_rad: FloatArray) -> None:
+    """Refuse sweeps of which a frame looks too far up or down; `rise` (n,) is the sine of that."""
+    worst = int(np.argmax(np.abs(rise)))
+    elevation_deg = math.degrees(math.asin(rise[worst]))
+    if abs(elevation_deg) > _MOST_ELEVATION_DEG:
+        where = 'up' if elevation_deg > 0.0 else 'down'
+        raise LandmarkNavError(
+            f'the camera looks {abs(elevation_deg):.0f} deg {where} at pan {pan_rad[worst]:.2f} '
+            f'rad, of {_MOST_ELEVATION_DEG:.0f} at most: check the tilt joint, and the rpy '
+            'of pan_axis in robot.yaml'
+        )
 
 
 def frame_window(frame: CameraFrame, crop_px: int) -> tuple[float, float, float, float]:

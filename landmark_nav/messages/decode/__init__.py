@@ -5,7 +5,7 @@ Every function takes objects that have the fields of the message, so that the sa
 rosbags and rclpy; numeric arrays may be NumPy arrays, array.array, bytes or lists.
 """
 
-from landmark_nav.messages.decode.cameras import camera_model
+from landmark_nav.messages.decode.cameras import camera_info, camera_model, CameraInfo
 from landmark_nav.messages.decode.detections import detections, triplet
 from landmark_nav.messages.decode.headers import (
     check_frame,
@@ -14,7 +14,7 @@ from landmark_nav.messages.decode.headers import (
     set_stamp,
     stamp_ns,
 )
-from landmark_nav.messages.decode.images import image
+from landmark_nav.messages.decode.images import BitDepth, camera_image, image
 from landmark_nav.messages.decode.joints import (
     joint_delay,
     joint_sample,
@@ -28,7 +28,11 @@ from landmark_nav.messages.decode.panoramas import panorama
 from landmark_nav.messages.decode.poses import found_place, odometry, pose_estimate
 
 __all__ = [
+    'BitDepth',
+    'CameraInfo',
     'JointNames',
+    'camera_image',
+    'camera_info',
     'camera_model',
     'check_frame',
     'detections',

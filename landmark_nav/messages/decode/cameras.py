@@ -1,8 +1,11 @@
-"""Camera calibration."""
+"""Camera calibration, in the pixels of the image that it comes with."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
+import logging
 from typing import Any
 
 import numpy as np
@@ -10,62 +13,202 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 
-__all__ = ['camera_model']
+__all__ = ['CameraInfo', 'camera_info', 'camera_model']
+
+_LOG = logging.getLogger(__name__)
+
+# Images may be larger or smaller than their calibration by whole factors up to this.
+_LARGEST_FACTOR = 8
+# Another reading of K is taken where the usual one puts the principal point so far from the centre
+# (share of the image), and it itself less than half so far.
+_FAR_OFF = 0.15
+# Pixels that a skew may move something; OpenCV's lens models have none.
+_LARGEST_SKEW_PX = 1.0
 
 
-def camera_model(msg: Any) -> CameraModel:
+@dataclass(frozen=True)
+class CameraInfo:
     """
-    Camera of a sensor_msgs/CameraInfo, in the pixels of the image it belongs to.
+    What a sensor_msgs/CameraInfo says; which camera that is depends on the size of the image.
 
-    Calibrations are given at full resolution: region of interest and binning are applied here.
-    Equal messages give the same object, which keeps what it computed once.
+    `intrinsics` are fx, fy, cx, cy; `roi` is x, y, width, height, all in pixels.
+    """
+
+    size: tuple[int, int]
+    intrinsics: tuple[float, float, float, float]
+    model: str
+    distortion: tuple[float, ...]
+    binning: tuple[int, int]
+    roi: tuple[int, int, int, int]
+
+    @property
+    def camera(self) -> CameraModel:
+        """Camera of the image that region of interest and binning leave, before one is seen."""
+        try:
+            return self.for_image(*self._usual_size)
+        except LandmarkNavError:
+            if self.size == self._usual_size:
+                raise
+            # Sizes may be those of the small image already.
+            return self.for_image(*self.size)
+
+    def for_image(self, width: int, height: int) -> CameraModel:
+        """
+        Camera of an image of some size.
+
+        K is of the whole sensor, and region of interest and binning are applied to it. Drivers
+        also publish K of the small image with them: that is taken where the principal point says
+        so. Images that are a whole factor larger or smaller are scaled.
+
+        Raises
+        ------
+        LandmarkNavError
+            It is for images of another size, or no calibrated camera.
+
+        """
+        return _camera(self, width, height)
+
+    @property
+    def _usual_size(self) -> tuple[int, int]:
+        _, _, width, height = self.roi
+        return (
+            (width or self.size[0]) // self.binning[0],
+            (height or self.size[1]) // self.binning[1],
+        )
+
+    def readings(self, width: int, height: int) -> Iterator[tuple[float, float, float, float]]:
+        """
+        Every meaning that K may have for an image of some size, the usual one first.
+
+        Yields
+        ------
+        tuple of float
+            fx, fy, cx, cy in the pixels of that image.
+
+        """
+        fx, fy, cx, cy = self.intrinsics
+        across, down = self.binning
+        left, top, _, _ = self.roi
+        # Pixel centres are integers: binning moves them by half a pixel of either size.
+        small = (
+            fx / across,
+            fy / down,
+            (cx - left + 0.5) / across - 0.5,
+            (cy - top + 0.5) / down - 0.5,
+        )
+        if (width, height) in (self._usual_size, self.size):
+            yield small
+            yield self.intrinsics
+            return
+        for size, (fx, fy, cx, cy) in ((self._usual_size, small), (self.size, self.intrinsics)):
+            if n := _whole_factor(size, (width, height)):
+                yield fx * n, fy * n, (cx + 0.5) * n - 0.5, (cy + 0.5) * n - 0.5
+
+    @property
+    def described(self) -> str:
+        """Sizes, in words."""
+        words = f'{self.size[0]} x {self.size[1]}'
+        if any(self.roi):
+            words += ', region of interest {2} x {3} at {0}, {1}'.format(*self.roi)
+        if self.binning != (1, 1):
+            words += ', binning {} x {}'.format(*self.binning)
+        return words
+
+
+def camera_info(msg: Any) -> CameraInfo:
+    """
+    Calibration of a sensor_msgs/CameraInfo.
+
+    Equal messages give the same cameras, which keep what they computed once.
 
     Raises
     ------
     LandmarkNavError
-        Unknown distortion model, or values that are not a calibrated camera.
+        Nothing is calibrated, a model that is not supported, or a skew.
 
     """
     k = np.asarray(msg.k, dtype=np.float64)
-    # Drivers pad the coefficients with zeros, each to a length of its own.
-    distortion = np.trim_zeros(np.asarray(msg.d, dtype=np.float64), 'b')
-    return _camera(
-        (int(msg.width), int(msg.height)),
-        (k[0], k[4], k[2], k[5]),
-        str(msg.distortion_model),
-        tuple(float(value) for value in distortion),
-        (max(1, int(msg.binning_x)), max(1, int(msg.binning_y))),
-        (
-            int(msg.roi.x_offset),
-            int(msg.roi.y_offset),
-            int(msg.roi.width),
-            int(msg.roi.height),
-        ),
-    )
-
-
-@lru_cache(maxsize=16)
-def _camera(
-    size: tuple[int, int],
-    intrinsics: tuple[float, float, float, float],
-    model: str,
-    distortion: tuple[float, ...],
-    binning: tuple[int, int],
-    roi: tuple[int, int, int, int],
-) -> CameraModel:
-    fx, fy, cx, cy = (float(value) for value in intrinsics)
-    if not any((fx, fy, cx, cy)):
+    if not k.any():
         raise LandmarkNavError('camera_info is all zero: calibrate the camera')
-    left, top = roi[:2]
-    width, height = roi[2] or size[0], roi[3] or size[1]
-    # Pixel centres are integers: binning moves them by half a pixel of either size.
-    return CameraModel(
-        width=width // binning[0],
-        height=height // binning[1],
-        fx=fx / binning[0],
-        fy=fy / binning[1],
-        cx=(cx - left + 0.5) / binning[0] - 0.5,
-        cy=(cy - top + 0.5) / binning[1] - 0.5,
-        model=model,
-        distortion=distortion,
+    model = str(msg.distortion_model)
+    # Drivers pad the coefficients with zeros, each to a length of its own.
+    distortion = tuple(np.trim_zeros(np.asarray(msg.d, dtype=np.float64), 'b').tolist())
+    if not model and not distortion:
+        model = 'plumb_bob'  # of none, as simulators and rectified images have it
+    roi = msg.roi
+    skew = float(k[1])
+    if abs(skew) * int(msg.height) > 2.0 * _LARGEST_SKEW_PX * abs(k[4]):
+        raise LandmarkNavError(
+            f'camera_info has a skew of {skew:g} (K[1]), which no model of ROS corrects: '
+            'calibrate the camera without'
+        )
+    info = CameraInfo(
+        (int(msg.width), int(msg.height)),
+        (float(k[0]), float(k[4]), float(k[2]), float(k[5])),
+        model,
+        distortion,
+        (max(1, int(msg.binning_x)), max(1, int(msg.binning_y))),
+        (int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
     )
+    _ = info.camera  # refuses what is none
+    return info
+
+
+def camera_model(msg: Any) -> CameraModel:
+    """
+    Camera of a sensor_msgs/CameraInfo, in the pixels of the image that it describes.
+
+    Raises
+    ------
+    LandmarkNavError
+        As `camera_info` and `CameraInfo.for_image`.
+
+    """
+    return camera_info(msg).camera
+
+
+@lru_cache(maxsize=32)
+def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
+    readings = list(dict.fromkeys(info.readings(width, height)))
+    if not readings:
+        raise LandmarkNavError(
+            f'image is {width} x {height}, but its camera_info is for {info.described}: calibrate '
+            'at the size that is published, or a whole factor of it'
+        )
+
+    def off_centre(reading: tuple[float, float, float, float]) -> float:
+        """How far the principal point lies from the centre, as a share of the image."""
+        _, _, cx, cy = reading
+        return max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
+
+    usual, *others = readings
+    best = min(others, key=off_centre, default=usual)
+    if off_centre(usual) > _FAR_OFF and off_centre(best) < 0.5 * off_centre(usual):
+        _LOG.warning(
+            'camera_info (%s): its K is taken as that of the image of %d x %d, by its principal '
+            'point',
+            info.described,
+            width,
+            height,
+        )
+        usual = best
+    elif others and off_centre(best) < _FAR_OFF:
+        _LOG.warning(
+            'camera_info (%s): its K is taken as that of the whole sensor, as ROS defines it, '
+            'though it could be that of the small image',
+            info.described,
+        )
+    camera = CameraModel(width, height, *usual, info.model, info.distortion)
+    if camera.restriction:
+        _LOG.warning('camera_info: %s: calibrate it to use all', camera.restriction)
+    return camera
+
+
+def _whole_factor(size: tuple[int, int], image: tuple[int, int]) -> float:
+    """Pixels of an image along one of its calibration's, or 0 if that is no whole factor."""
+    for factor in range(2, _LARGEST_FACTOR + 1):
+        if (size[0] * factor, size[1] * factor) == image:
+            return float(factor)
+        if (size[0] // factor, size[1] // factor) == image:
+            return 1.0 / factor
+    return 0.0

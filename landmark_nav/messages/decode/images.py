@@ -1,67 +1,161 @@
-"""Pictures."""
+"""Images, raw and compressed, in every form that cameras send; docs/images.md lists them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.image_codec import decode_image, image_size
 from landmark_nav.messages.buffers import bytes_array
+from landmark_nav.messages.decode.cameras import CameraInfo
 from landmark_nav.types import ImageArray
 
-__all__ = ['image', 'image_bgra']
+__all__ = ['BitDepth', 'camera_image', 'image', 'image_bgra']
 
-# Encoding -> bytes per pixel, and the conversion to grey or BGR (None: as it is).
-_ENCODINGS: dict[str, tuple[int, int | None]] = {
-    'mono8': (1, None),
-    '8UC1': (1, None),
-    'bgr8': (3, None),
-    '8UC3': (3, None),
-    'rgb8': (3, cv2.COLOR_RGB2BGR),
-    'bgra8': (4, cv2.COLOR_BGRA2BGR),
-    'rgba8': (4, cv2.COLOR_RGBA2BGR),
-    'mono16': (2, None),
+_Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+
+# Bits of the analogue-to-digital converters that there are.
+_DEPTHS = (8, 10, 12, 14, 16)
+
+# First byte of a PNG; and how to decode a JPEG at a part of its size, averaged.
+_PNG = b'\x89'
+_REDUCED = {
+    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
+    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
+    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
 }
 
 
-def image(msg: Any, grey: bool = False) -> ImageArray:
+@dataclass(frozen=True)
+class _Layout:
     """
-    Picture of a sensor_msgs/Image or CompressedImage: BGR (h, w, 3) or grey (h, w), uint8.
+    How pixels lie in memory, and the conversions to BGR and grey (None: nothing to convert).
+
+    `rows` of the buffer belong to two rows of the image; `first` takes the first channel alone.
+    """
+
+    channels: int
+    to_bgr: int | None = None
+    to_grey: int | None = None
+    rows: int = 2
+    first: bool = False
+
+
+def _layouts() -> dict[str, tuple[str, _Layout]]:
+    """Encoding -> type of a channel, layout."""
+    found: dict[str, tuple[str, _Layout]] = {}
+    colours = {
+        ('mono{}', '{}UC1'): _Layout(1),
+        ('{}UC2',): _Layout(2, first=True),
+        ('bgr{}', '{}UC3'): _Layout(3, None, cv2.COLOR_BGR2GRAY),
+        ('rgb{}',): _Layout(3, cv2.COLOR_RGB2BGR, cv2.COLOR_RGB2GRAY),
+        ('bgra{}', '{}UC4'): _Layout(4, cv2.COLOR_BGRA2BGR, cv2.COLOR_BGRA2GRAY),
+        ('rgba{}',): _Layout(4, cv2.COLOR_RGBA2BGR, cv2.COLOR_RGBA2GRAY),
+        # OpenCV calls a mosaic by its second row, from the second column on.
+        ('bayer_rggb{}',): _Layout(1, cv2.COLOR_BayerBG2BGR, cv2.COLOR_BayerBG2GRAY),
+        ('bayer_bggr{}',): _Layout(1, cv2.COLOR_BayerRG2BGR, cv2.COLOR_BayerRG2GRAY),
+        ('bayer_gbrg{}',): _Layout(1, cv2.COLOR_BayerGR2BGR, cv2.COLOR_BayerGR2GRAY),
+        ('bayer_grbg{}',): _Layout(1, cv2.COLOR_BayerGB2BGR, cv2.COLOR_BayerGB2GRAY),
+    }
+    for names, layout in colours.items():
+        for name in names:
+            found |= {name.format(bits): (f'u{bits // 8}', layout) for bits in (8, 16)}
+    uyvy = _Layout(2, cv2.COLOR_YUV2BGR_UYVY, cv2.COLOR_YUV2GRAY_UYVY)
+    yuyv = _Layout(2, cv2.COLOR_YUV2BGR_YUY2, cv2.COLOR_YUV2GRAY_YUY2)
+    nv12 = _Layout(1, cv2.COLOR_YUV2BGR_NV12, cv2.COLOR_YUV2GRAY_NV12, rows=3)
+    nv21 = _Layout(1, cv2.COLOR_YUV2BGR_NV21, cv2.COLOR_YUV2GRAY_NV21, rows=3)
+    for names, layout in {
+        ('yuv422', 'uyvy'): uyvy,
+        ('yuv422_yuy2', 'yuyv'): yuyv,
+        ('nv12',): nv12,
+        ('nv21',): nv21,
+    }.items():
+        found |= dict.fromkeys(names, ('u1', layout))
+    return found
+
+
+_LAYOUTS = _layouts()
+
+
+@dataclass
+class BitDepth:
+    """
+    Bits that a stream of 16-bit images uses, as told by the greatest value so far.
+
+    A camera of 10 or 12 bits fills the lower ones of `mono16`. The depth never shrinks, so that
+    grey levels do not change from image to image.
+    """
+
+    bits: int = 8
+
+    def to_bytes(self, pixels: _Pixels) -> ImageArray:
+        """Upper eight of the bits in use; images of 8 bits as they are."""
+        if pixels.dtype == np.uint8:
+            return np.asarray(pixels, dtype=np.uint8)
+        needed = int(pixels.max(initial=0)).bit_length()
+        self.bits = max(self.bits, next(bits for bits in _DEPTHS if bits >= needed))
+        return np.asarray(pixels >> (self.bits - 8), dtype=np.uint8)
+
+    def lowered(self, pixels: ImageArray, bits: int) -> ImageArray:
+        """Pixels that were decoded when `bits` were known, as they are with those of now."""
+        return np.asarray(pixels >> max(self.bits - bits, 0), dtype=np.uint8)
+
+
+def image(msg: Any, grey: bool = False, depth: BitDepth | None = None) -> ImageArray:
+    """
+    Pixels of a sensor_msgs/Image or CompressedImage: BGR (h, w, 3) or grey (h, w), uint8.
 
     With `grey`, coloured ones become grey; a JPEG is then decoded in two thirds of the time.
+    `depth` is that of the stream that the image belongs to; without it, the image stands alone.
 
     Raises
     ------
     LandmarkNavError
-        Unknown encoding, sizes that contradict each other, or bytes that are not a picture.
+        Unknown encoding, sizes that contradict each other, or bytes that are not an image.
 
     """
-    if not hasattr(msg, 'encoding'):
-        return _compressed(msg, cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_ANYCOLOR)
-    picture = _raw(msg)
-    return (
-        np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
-        if grey and picture.ndim == 3
-        else picture
-    )
+    return (depth or BitDepth()).to_bytes(_pixels(msg, grey, 1))
 
 
-def _raw(msg: Any) -> ImageArray:
-    pixels = _pixels(msg)
-    if msg.encoding == 'mono16':
-        words = pixels.view('>u2' if msg.is_bigendian else '<u2')[..., 0]
-        return np.asarray(words >> 8, dtype=np.uint8)
-    conversion = _ENCODINGS[msg.encoding][1]
-    if conversion is not None:
-        return np.asarray(cv2.cvtColor(pixels, conversion))
-    return pixels[..., 0] if pixels.shape[2] == 1 else pixels
+def camera_image(
+    msg: Any, info: CameraInfo, grey: bool = False, depth: BitDepth | None = None
+) -> tuple[ImageArray, CameraModel]:
+    """
+    Pixels of an image, as `image`, with its camera; reduced to what `CameraModel.reduced` says.
+
+    Pixels are averaged by area. The size is checked before anything is decoded.
+
+    Raises
+    ------
+    LandmarkNavError
+        As `image`, or the calibration is for images of another size.
+
+    """
+    width, height = _size(msg)
+    full = info.for_image(width, height)
+    camera = full.reduced
+    # A JPEG is decoded at a half, quarter or eighth of its size in a part of the time, exactly so
+    # if that divides its sides.
+    fits = [n for n in (8, 4, 2) if n * camera.width <= width and not (width % n or height % n)]
+    share = fits[0] if fits else 1
+    pixels: Any = _pixels(msg, grey, share)
+    if pixels.shape[:2] != (camera.height, camera.width):
+        size = (camera.width, camera.height)
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return (depth or BitDepth()).to_bytes(pixels), camera
 
 
 def image_bgra(msg: Any) -> ImageArray:
     """
-    Picture of a sensor_msgs/Image whose alpha means something, (h, w, 4).
+    Pixels of a sensor_msgs/Image whose alpha means something, (h, w, 4).
 
     Raises
     ------
@@ -71,43 +165,91 @@ def image_bgra(msg: Any) -> ImageArray:
     """
     if msg.encoding != 'bgra8':
         raise LandmarkNavError(f'panorama image is {msg.encoding!r}: publish it as bgra8')
-    return _pixels(msg)
+    return np.asarray(_buffer(msg)[0], dtype=np.uint8)
 
 
-def _pixels(msg: Any) -> ImageArray:
-    """Bytes of a raw picture without the padding of its rows, (h, w, bytes per pixel)."""
-    if msg.encoding not in _ENCODINGS:
-        raise LandmarkNavError(
-            f'image encoding {msg.encoding!r} is not supported: '
-            f'publish one of {", ".join(sorted(_ENCODINGS))}, or jpeg or png'
-        )
-    size = _ENCODINGS[msg.encoding][0]
-    height, width, step = int(msg.height), int(msg.width), int(msg.step)
-    data = bytes_array(msg.data)
-    if not height or not width or step < width * size or len(data) < step * height:
-        raise LandmarkNavError(
-            f'image of {width} x {height} {msg.encoding} has rows of {step} bytes and '
-            f'{len(data)} bytes in all: its publisher is broken'
-        )
-    rows = data[: step * height].reshape(height, step)[:, : width * size]
-    return np.ascontiguousarray(rows).reshape(height, width, size)
+def _size(msg: Any) -> tuple[int, int]:
+    """Width and height of an image, decoded or not."""
+    if hasattr(msg, 'encoding'):
+        return int(msg.width), int(msg.height)
+    with _naming(msg):
+        return image_size(bytes_array(msg.data))
 
 
-def _compressed(msg: Any, mode: int) -> ImageArray:
-    kind = str(msg.format)
-    known = any(name in kind.lower() for name in ('jpeg', 'jpg', 'png'))
-    if not known or 'compresseddepth' in kind.lower():
-        raise LandmarkNavError(
-            f'compressed image of format {kind!r} is not supported: publish jpeg or png'
-        )
-    data = bytes_array(msg.data)
+def _pixels(msg: Any, grey: bool, share: int) -> _Pixels:
+    """Grey or BGR pixels of 8 or 16 bits; a JPEG at a `share`-th of its size."""
+    if not hasattr(msg, 'encoding'):
+        return _compressed(msg, grey, share)
+    pixels, layout = _buffer(msg)
+    return _converted(pixels, layout, grey)
+
+
+def _converted(pixels: _Pixels, layout: _Layout, grey: bool) -> _Pixels:
+    if layout.first:
+        return pixels[..., 0]
+    conversion = layout.to_grey if grey else layout.to_bgr
+    if conversion is None:
+        return pixels
     try:
-        picture = cv2.imdecode(data, mode) if len(data) else None
-    except cv2.error:
-        picture = None
-    if picture is None:
+        return np.asarray(cv2.cvtColor(pixels, conversion))  # type: ignore[return-value]
+    except cv2.error as error:
         raise LandmarkNavError(
-            f'compressed image of {len(data)} bytes does not decode as {kind!r}: '
-            'it is damaged or its format is wrong'
+            f'image of {pixels.shape[1]} x {pixels.shape[0]} is too small for its encoding, or of '
+            'an odd size: its publisher is broken'
+        ) from error
+
+
+def _buffer(msg: Any) -> tuple[_Pixels, _Layout]:
+    """Channels of a raw image without the padding of its rows, (h, w[, channels]), and layout."""
+    encoding = str(msg.encoding)
+    if encoding not in _LAYOUTS:
+        raise LandmarkNavError(
+            f'image encoding {encoding[:40]!r} is not supported: publish bgr8, mono8 or another '
+            'of docs/images.md'
         )
-    return np.asarray(picture, dtype=np.uint8)
+    kind, layout = _LAYOUTS[encoding]
+    height, width, step = int(msg.height), int(msg.width), int(msg.step)
+    used = width * layout.channels * int(kind[1])
+    rows = height * layout.rows // 2
+    data = bytes_array(msg.data)
+    if not height or not width or step < used or len(data) < step * rows:
+        raise LandmarkNavError(
+            f'image of {width} x {height} {encoding} has rows of {step} bytes and {len(data)} '
+            'bytes in all: its publisher is broken'
+        )
+    packed = np.ascontiguousarray(data[: step * rows].reshape(rows, step)[:, :used])
+    if kind == 'u2':
+        packed = packed.view('>u2' if msg.is_bigendian else '<u2').astype(np.uint16, copy=False)
+    shape = (rows, width) if layout.channels == 1 else (rows, width, layout.channels)
+    return packed.reshape(shape), layout
+
+
+def _compressed(msg: Any, grey: bool, share: int) -> _Pixels:
+    """Decode by what the bytes are; a camera's orientation tag turns nothing, as in ROS."""
+    kind = str(msg.format)
+    if 'compresseddepth' in kind.lower():
+        raise LandmarkNavError(f'image of format {kind[:40]!r} is not supported: publish jpeg')
+    data = bytes_array(msg.data)
+    mode = cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_ANYCOLOR
+    if data[:1].tobytes() == _PNG:
+        mode |= cv2.IMREAD_ANYDEPTH
+    elif share > 1:
+        mode = _REDUCED[share] | (0 if grey else cv2.IMREAD_COLOR)
+    with _naming(msg):
+        pixels = decode_image(data, mode | cv2.IMREAD_IGNORE_ORIENTATION)
+    mosaic = _LAYOUTS.get(kind.split(';')[0].strip(), ('', None))[1]
+    if mosaic is not None and kind.startswith('bayer') and pixels.ndim == 2:
+        return _converted(pixels, mosaic, grey)  # type: ignore[arg-type]
+    return pixels  # type: ignore[return-value]
+
+
+@contextmanager
+def _naming(msg: Any) -> Iterator[None]:
+    """Errors from inside name the format."""
+    try:
+        yield
+    except LandmarkNavError as error:
+        raise LandmarkNavError(
+            f'compressed image of {len(msg.data)} bytes, format {str(msg.format)[:40]!r}, does '
+            f'not decode as jpeg or png: {error}'
+        ) from error

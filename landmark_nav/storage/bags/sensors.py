@@ -53,8 +53,9 @@ def sensor_events(
     joints = JointLog.read(bag, mount)
     truth = bag.find('ground_truth/odom')
     delay_ns = round(joint_delay_s * 1e9)
+    depth = decode.BitDepth()
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
-        images: lambda entry: _frame(bag, entry, cameras, joints, delay_ns),
+        images: lambda entry: _frame(bag, entry, cameras, joints, delay_ns, depth),
         odometry: lambda entry: decode.odometry(entry.message),
     }
     if truth is not None:
@@ -109,10 +110,15 @@ def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
 
 
 def _frame(
-    bag: Bag, entry: BagMessage, cameras: CameraInfos, joints: JointLog, delay_ns: int
+    bag: Bag,
+    entry: BagMessage,
+    cameras: CameraInfos,
+    joints: JointLog,
+    delay_ns: int,
+    depth: decode.BitDepth,
 ) -> CameraFrame:
     stamp = decode.stamp_ns(entry.message.header)
-    picture = decode.image(entry.message, grey=True)
+    pixels, camera = decode.camera_image(entry.message, cameras.at(stamp), True, depth)
     sample = joints.at(stamp + delay_ns, entry.stamp_ns)
     if isinstance(sample, Refusal):
         raise LandmarkNavError(
@@ -121,8 +127,8 @@ def _frame(
         )
     return CameraFrame(
         stamp,
-        picture,
-        cameras.for_picture(stamp, picture.shape),
+        pixels,
+        camera,
         sample.pan_rad,
         sample.tilt_rad,
         pan_rate_rad_s=sample.pan_rate_rad_s,

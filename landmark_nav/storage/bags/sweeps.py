@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,6 +36,8 @@ class _Plan:
     # Stamp of the image of each; None where there is none.
     stamps_ns: tuple[int | None, ...]
     frames: dict[int, CameraFrame] = field(default_factory=dict)
+    # Depth that the pixels of each were brought to.
+    bits: dict[int, int] = field(default_factory=dict)
     # What is wrong with images that cannot be used, by stamp.
     unusable: dict[int, str] = field(default_factory=dict)
 
@@ -85,12 +87,16 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     poses = _poses(bag, plans)
     at = {stamp: (plan, k) for plan in plans for k, stamp in enumerate(plan.stamps_ns)}
     entries = bag.messages([topic])
+    depth = decode.BitDepth()
     for plan, pose in zip(plans, poses, strict=True):
         # One sweep after the other: its images alone are held.
         while not plan.is_complete and (entry := next(entries, None)) is not None:
-            _add(bag, entry, cameras, at)
+            _add(bag, entry, cameras, depth, at)
         last = plan is plans[-1]
-        frames = [plan.frames[k] for k in sorted(plan.frames)]
+        frames = [
+            replace(plan.frames[k], image=depth.lowered(plan.frames[k].image, plan.bits[k]))
+            for k in sorted(plan.frames)
+        ]
         missing = [
             sample
             for sample, stamp in zip(plan.samples, plan.stamps_ns, strict=True)
@@ -115,7 +121,11 @@ def _numbers(bag: Bag, topic: str) -> dict[int, int]:
 
 
 def _add(
-    bag: Bag, entry: BagMessage, cameras: CameraInfos, at: Mapping[int | None, tuple[_Plan, int]]
+    bag: Bag,
+    entry: BagMessage,
+    cameras: CameraInfos,
+    depth: decode.BitDepth,
+    at: Mapping[int | None, tuple[_Plan, int]],
 ) -> None:
     """Decode an image for the sweep that it belongs to; a damaged message was left out before."""
     try:
@@ -127,13 +137,13 @@ def _add(
         return
     plan, k = at[stamp]
     try:
-        image = decode.image(entry.message)
-        camera = cameras.for_picture(stamp, image.shape)
+        image, camera = decode.camera_image(entry.message, cameras.at(stamp), depth=depth)
     except LandmarkNavError as error:
         plan.unusable[stamp] = str(error)
         return
     sample = plan.samples[k]
     plan.unusable.pop(stamp, None)
+    plan.bits[stamp] = depth.bits
     plan.frames[stamp] = CameraFrame(
         sample.stamp_ns, image, camera, sample.pan_rad, sample.tilt_rad
     )

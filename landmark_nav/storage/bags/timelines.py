@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import unwrap_joint
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.messages import decode
 from landmark_nav.messages.decode import JointNames
@@ -254,42 +254,28 @@ def _check_radians(samples: Sequence[JointSample], where: str) -> None:
 class CameraInfos:
     """Calibrations by time; drivers publish them before or after the picture they belong to."""
 
-    def __init__(self, stamped: Iterable[tuple[int, CameraModel]]) -> None:
+    def __init__(self, stamped: Iterable[tuple[int, decode.CameraInfo]]) -> None:
         """Sort by time; there must be one."""
         ordered = sorted(stamped, key=lambda pair: pair[0])
         self._stamps = np.array([stamp for stamp, _ in ordered], dtype=np.int64)
-        self._cameras = [camera for _, camera in ordered]
+        self._infos = [info for _, info in ordered]
 
-    def for_picture(self, stamp_ns: int, shape: Sequence[int]) -> CameraModel:
-        """
-        Calibration nearest in time to a picture of `shape` (rows, columns, ...).
-
-        Raises
-        ------
-        LandmarkNavError
-            It is for pictures of another size.
-
-        """
-        camera = self._cameras[int(np.argmin(np.abs(self._stamps - stamp_ns)))]
-        if (camera.height, camera.width) != tuple(shape[:2]):
-            raise LandmarkNavError(
-                f'picture is {shape[1]} x {shape[0]}, but its camera_info is for '
-                f'{camera.width} x {camera.height}: calibrate at the size that is published'
-            )
-        return camera
+    def at(self, stamp_ns: int) -> decode.CameraInfo:
+        """Calibration nearest in time."""
+        return self._infos[int(np.argmin(np.abs(self._stamps - stamp_ns)))]
 
     @classmethod
     def read(cls, bag: Bag, *names: str) -> CameraInfos:
         """Read them from the first topic of `names` that `bag` has."""
         topic = bag.require(*names)
 
-        def model(entry: BagMessage) -> CameraModel:
-            return decode.camera_model(entry.message)
+        def calibration(entry: BagMessage) -> decode.CameraInfo:
+            return decode.camera_info(entry.message)
 
         sieve, stamped = Sieve(bag, topic), []
         for entry in bag.messages([topic]):
-            camera = sieve.take(model, entry)
-            if camera is not None:
-                stamped.append((decode.stamp_ns(entry.message.header), camera))
+            info = sieve.take(calibration, entry)
+            if info is not None:
+                stamped.append((decode.stamp_ns(entry.message.header), info))
         sieve.tell()
         return cls(stamped)
