@@ -2,6 +2,7 @@
 
 import sys
 
-from landmark_nav.cli.main import main
+from landmark_nav.executables import command
 
-sys.exit(main())
+if __name__ == '__main__':
+    sys.exit(command())

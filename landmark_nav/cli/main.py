@@ -13,10 +13,12 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 import logging
 import os
+import signal
 import sys
 import warnings
 
 from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.signals import interrupting
 from landmark_nav.threads import keep_to_one_thread
 
 __all__ = ['main']
@@ -52,7 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 done, 1 the data does not allow it, 2 wrong usage, 130 interrupted.
+        Exit status: 0 done, 1 the data does not allow it, 2 wrong usage; 130 after SIGINT,
+        143 after SIGTERM.
 
     """
     keep_to_one_thread()
@@ -60,8 +63,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = next((word for word in arguments if not word.startswith('-')), '')
     try:
         return _run(name, arguments)
-    except KeyboardInterrupt:
-        return 130
+    except KeyboardInterrupt as interrupt:
+        return 128 + (interrupt.args[0] if interrupt.args else signal.SIGINT)
     except BrokenPipeError:
         # Whoever read our output has gone (`| head`): nothing to say, and nowhere to flush to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -104,8 +107,9 @@ def _run(name: str, arguments: list[str]) -> int:
         return stop.code if isinstance(stop.code, int) else 2
     assert command is not None, 'argparse requires a known command'
     _set_up_logging(args.verbose)
-    status = int(command.run(args))
-    sys.stdout.flush()
+    with interrupting():
+        status = int(command.run(args))
+        sys.stdout.flush()
     return status
 
 

@@ -9,6 +9,14 @@ because the executables import their node before they run it.
 
 from __future__ import annotations
 
+import sys
+
+from landmark_nav.signals import end_at_once
+
+if sys.argv[:1] == ['-m']:
+    # `python -m landmark_nav.nodes.NAME` imports this first, then all that the node needs.
+    end_at_once(0)
+
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros import require_ros
 from landmark_nav.threads import keep_to_one_thread
