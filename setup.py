@@ -72,8 +72,8 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            f'landmark-nav = {PACKAGE}.executables:command',
-            *(f'{name} = {PACKAGE}.executables:{name}' for name in NODES),
+            f'landmark-nav = {PACKAGE}.__main__:main',
+            *(f'{name} = {PACKAGE}.nodes.{name}:main' for name in NODES),
         ],
     },
     zip_safe=False,

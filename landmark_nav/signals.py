@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import os
 import signal
-import threading
 from types import FrameType
-from typing import NoReturn
 
 __all__ = ['ENDING', 'end_at_once', 'interrupting']
 
@@ -28,7 +26,7 @@ def end_at_once(status: int | None = None) -> None:
 
     """
 
-    def end(number: int, _frame: FrameType | None) -> NoReturn:
+    def end(number: int, _frame: FrameType | None) -> None:
         os._exit(128 + number if status is None else status)
 
     for number in ENDING:
@@ -42,10 +40,13 @@ def interrupting() -> Iterator[None]:
     """
     Raise KeyboardInterrupt at a signal, with its number, so that work in the block cleans up.
 
-    A second signal does what it did before the block. Outside of the main thread, which gets
-    the signals, the block is as any other.
+    A second signal does what it did before the block. Outside of the main thread, where signals
+    do not arrive, the block is as any other.
     """
-    if threading.current_thread() is not threading.main_thread():
+    # Not on top: what executables import first of all is to be short.
+    from threading import current_thread, main_thread
+
+    if current_thread() is not main_thread():
         yield
         return
 
@@ -53,7 +54,7 @@ def interrupting() -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, handler)
 
-    def interrupt(number: int, _frame: FrameType | None) -> NoReturn:
+    def interrupt(number: int, _frame: FrameType | None) -> None:
         restore()
         raise KeyboardInterrupt(number)
 

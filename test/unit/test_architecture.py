@@ -33,13 +33,12 @@ BELOW = {
     'evaluation': {*STAGES, *FILES, 'planning'},
     'threads': set[str](),
     'signals': set[str](),
-    'executables': {'signals'},
     'ros': FILES,
     'nodes': {*STAGES, *FILES, 'simulation', *RUN},
     'demo': {*STAGES, *FILES, 'simulation', 'evaluation'},
     'cli': {*STAGES, *FILES, 'planning', 'simulation', 'evaluation', 'upkeep', 'demo', *RUN},
     'launch': set[str](),
-    '__main__': {'executables'},
+    '__main__': {'cli', 'signals'},
 }
 
 ROS_PARTS = {'ros', 'nodes', 'launch'}
