@@ -74,7 +74,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            'landmark-nav = landmark_nav.cli.main:main',
+            f'landmark-nav = {PACKAGE}.__main__:main',
             *(f'{name} = {PACKAGE}.nodes.{name}:main' for name in NODES),
         ],
     },

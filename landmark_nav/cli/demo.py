@@ -24,7 +24,7 @@ from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama
 from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.ros import require_ros
+from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_room
@@ -61,25 +61,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--domain-id',
         type=within(int, 0, 232),
-        default=10 + os.getpid() % 90,
         metavar='N',
-        help='ROS domain of the nodes, to look at them meanwhile (default: one for itself)',
+        help='ROS domain of the nodes, to look at them meanwhile (default: that of '
+        'ROS_DOMAIN_ID, or else one for itself)',
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Conduct the demo, then measure what it recorded."""
     require_ros('it')
+    domain_id = _domain(args.domain_id)
     folder = _emptied(args.out, args.overwrite)
     narrator = Narrator()
     room = prepare_room(folder, args.seed, _TOUR_M)
     commands = node_commands(room, folder / 'map')
-    environment = node_environment(args.domain_id)
+    environment = node_environment(domain_id)
     os.environ.update(environment)
-    from landmark_nav.ros.robot_client import RobotClient
-
-    narrator.say(f'to look at the topics meanwhile: export ROS_DOMAIN_ID={args.domain_id}')
+    narrator.say(f'to look at the topics meanwhile: export ROS_DOMAIN_ID={domain_id}')
     with Interruption() as interruption, Supervisor(folder / 'logs', environment) as supervisor:
+        from landmark_nav.ros.robot_client import RobotClient
 
         def watch() -> None:
             interruption.check()
@@ -87,11 +87,17 @@ def run(args: argparse.Namespace) -> int:
 
         for name, command in commands.items():
             supervisor.start(name, command)
-        with RobotClient(args.domain_id, watch) as robot:
+        with RobotClient(domain_id, watch) as robot:
             tell(robot, room, commands, folder, narrator)
             panoramas = robot.panoramas
         unclean = [name for name, status in supervisor.stop().items() if status]
     return _report(folder, panoramas, unclean, narrator)
+
+
+def _domain(given: int | None) -> int:
+    """That of the command line, else that of the environment, else one of its own."""
+    chosen = chosen_domain() if given is None else given
+    return 10 + os.getpid() % 90 if chosen is None else chosen
 
 
 def _emptied(folder: Path, overwrite: bool) -> Path:

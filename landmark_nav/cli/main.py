@@ -16,11 +16,13 @@ from io import TextIOWrapper
 import logging
 import os
 from pathlib import Path
+import signal
 import sys
 from typing import NoReturn
 import warnings
 
 from landmark_nav.errors import LandmarkNavError, one_line, UsageError, why
+from landmark_nav.signals import interrupting
 from landmark_nav.threads import keep_to_one_thread
 
 __all__ = ['main']
@@ -59,7 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 done, 1 the data does not allow it, 2 wrong usage, 130 interrupted.
+        Exit status: 0 done, 1 the data does not allow it, 2 wrong usage; 130 after SIGINT,
+        143 after SIGTERM.
 
     """
     keep_to_one_thread()
@@ -72,8 +75,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         status = _run(name, arguments)
         _flush()
         return status
-    except KeyboardInterrupt:
-        return 130
+    except KeyboardInterrupt as interrupt:
+        return 128 + (interrupt.args[0] if interrupt.args else signal.SIGINT)
     except BrokenPipeError:  # whoever read our output has gone (`| head`): nothing to say
         with suppress(OSError):
             _flush()
@@ -132,7 +135,8 @@ def _run(name: str, arguments: list[str]) -> int:
     assert command is not None, 'argparse requires a known command'
     _set_up_logging(args.verbose)
     _check_apart(args)
-    return int(command.run(args))
+    with interrupting():
+        return int(command.run(args))
 
 
 def _check_apart(args: argparse.Namespace) -> None:

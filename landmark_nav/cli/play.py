@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
 
 from landmark_nav.cli.bags import add_topic_argument
 from landmark_nav.cli.numbers import within
 from landmark_nav.ros import require_ros
+from landmark_nav.signals import ENDING
 
 __all__ = ['add_arguments', 'run']
 
@@ -43,4 +45,6 @@ def run(args: argparse.Namespace) -> int:
         parameters += ['-r', f'{topic}:=/{name}']
     command = ['-m', 'landmark_nav.nodes.bag_player', '--ros-args', *parameters, *args.ros_args]
     sys.stdout.flush()
+    # A signal waits until the node heeds it.
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     os.execv(sys.executable, [sys.executable, *command])

@@ -18,6 +18,33 @@ from launch_ros.parameter_descriptions import ParameterValue
 def generate_launch_description() -> LaunchDescription:
     """Return the simulator beside what bringup.launch.py starts."""
     share = Path(get_package_share_directory('landmark_nav'))
+    arguments = [
+        DeclareLaunchArgument('seed', default_value='1', description='draws the room'),
+        DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
+        DeclareLaunchArgument('room_file', description='room.yaml: walls and reference area'),
+        DeclareLaunchArgument('map_folder', default_value='map', description='folder of the map'),
+        DeclareLaunchArgument(
+            'load_on_start', default_value='false', description='load that map at once'
+        ),
+        DeclareLaunchArgument('namespace', default_value='', description='of all nodes'),
+        DeclareLaunchArgument(
+            'use_sim_time',
+            default_value='false',
+            description='take the time from /clock, which the simulator does not publish',
+        ),
+    ]
+    # launch refuses an include that does not hand on what has no default.
+    bringup = IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(str(share / 'launch' / 'bringup.launch.py')),
+        launch_arguments={
+            'robot_file': LaunchConfiguration('robot_file'),
+            'room_file': LaunchConfiguration('room_file'),
+            'map_folder': LaunchConfiguration('map_folder'),
+            'load_on_start': LaunchConfiguration('load_on_start'),
+            'namespace': LaunchConfiguration('namespace'),
+            'use_sim_time': LaunchConfiguration('use_sim_time'),
+        }.items(),
+    )
     types = {'seed': int, 'robot_file': str, 'room_file': str}
     simulator = Node(
         package='landmark_nav',
@@ -33,8 +60,4 @@ def generate_launch_description() -> LaunchDescription:
             },
         ],
     )
-    bringup = IncludeLaunchDescription(
-        PythonLaunchDescriptionSource(str(share / 'launch' / 'bringup.launch.py'))
-    )
-    seed = DeclareLaunchArgument('seed', default_value='1', description='draws the room')
-    return LaunchDescription([seed, bringup, simulator])
+    return LaunchDescription([*arguments, bringup, simulator])

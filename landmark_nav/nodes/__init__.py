@@ -1,7 +1,8 @@
 """
 The ROS nodes: each converts, calls a stage and publishes.
 
-Executables are the modules with a `main`; the others are parts of theirs.
+Executables are the modules with a `main`; the others are parts of theirs. An executable imports
+this first: it heeds signals from here on, while it imports the rest for a second or so.
 
 Importing any of them without ROS 2 ends the process with one line that says what to install,
 because the executables import their node before they run it.
@@ -9,12 +10,25 @@ because the executables import their node before they run it.
 
 from __future__ import annotations
 
+import os
+import sys
+
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros import require_ros
+from landmark_nav.signals import end_at_once
 from landmark_nav.threads import keep_to_one_thread
 
+
+def _is_program() -> bool:
+    """Whether this process is a node: by ``python -m``, or by an executable of a node's name."""
+    name = os.path.basename(sys.argv[0])
+    return name == '-m' or os.path.isfile(os.path.join(os.path.dirname(__file__), f'{name}.py'))
+
+
+if _is_program():
+    end_at_once(0)
+keep_to_one_thread()
 try:
     require_ros('this node')
 except LandmarkNavError as error:
     raise SystemExit(str(error)) from None
-keep_to_one_thread()

@@ -121,6 +121,11 @@ class TriangulationLocalizerNode(LandmarkNode):
                 return Health(level, f'{what} for {now_s - since_s:.1f} s', health.values)
         return health
 
+    def destroy_node(self) -> None:
+        """Leave nobody behind who looks at images."""
+        self._pictures.close()
+        super().destroy_node()
+
     def _on_odometry(self, message: Any) -> None:
         sample = decode.odometry(message)
         self._odometry.append(sample)

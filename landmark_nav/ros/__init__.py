@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.util import find_spec
+import os
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['require_ros']
+__all__ = ['chosen_domain', 'require_ros']
 
 _PACKAGES = (
     'rclpy',
@@ -20,6 +22,8 @@ _PACKAGES = (
     'trajectory_msgs',
     'visualization_msgs',
 )
+# With more, ports after the DDS-RTPS specification, 9.6.2, go beyond 65535.
+_LAST_DOMAIN = 232
 
 
 def require_ros(what: str) -> None:
@@ -38,3 +42,30 @@ def require_ros(what: str) -> None:
             f'{what} needs ROS 2, and {", ".join(missing)} cannot be imported: '
             f"run pip install '.[ros]' or source a ROS 2 environment"
         )
+    try:
+        import_module('rclpy')
+    except ImportError as error:
+        raise LandmarkNavError(
+            f'{what} needs ROS 2, and rclpy cannot be imported: {str(error).splitlines()[0]}: '
+            f'source the ROS 2 environment that this Python belongs to'
+        ) from None
+
+
+def chosen_domain() -> int | None:
+    """
+    ROS domain that the environment chooses by ``ROS_DOMAIN_ID``, None where it does not.
+
+    Raises
+    ------
+    LandmarkNavError
+        It is not a domain: Fast DDS would end the process.
+
+    """
+    text = os.environ.get('ROS_DOMAIN_ID', '').strip()
+    if not text:
+        return None
+    if not text.isdecimal() or len(text) > 3 or int(text) > _LAST_DOMAIN:
+        raise LandmarkNavError(
+            f'ROS_DOMAIN_ID is {text[:20]!r}: set it to a number from 0 to {_LAST_DOMAIN}'
+        )
+    return int(text)

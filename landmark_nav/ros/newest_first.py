@@ -27,7 +27,9 @@ class NewestFirst:
         self._waiting: Any = None
         self._changed = Condition()
         self._dropped = 0
-        Thread(target=self._run, daemon=True).start()
+        self._closed = False
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
 
     @property
     def dropped(self) -> int:
@@ -41,9 +43,23 @@ class NewestFirst:
             self._waiting = message
             self._changed.notify()
 
+    def close(self) -> None:
+        """
+        End the thread, after the message that it works on.
+
+        Python aborts the process if it ends while such a thread is in a library written in C++
+        (rclpy's issue 1484).
+        """
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
     def _run(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._waiting is not None)
+                self._changed.wait_for(lambda: self._closed or self._waiting is not None)
+                if self._closed:
+                    return
                 message, self._waiting = self._waiting, None
             self._work(message)

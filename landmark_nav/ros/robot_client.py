@@ -19,6 +19,7 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.ros.acquaintance import Acquaintance
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.joining import join_ros
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.topics import TOPICS, with_depth
@@ -28,6 +29,8 @@ from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
 __all__ = ['RobotClient', 'Word']
 
 _POLL_S = 0.02
+# A node is there within that time after its start, also where a machine starts many at once.
+_START_S = 30.0
 _RECORDED_DEPTH = 200
 
 
@@ -52,8 +55,8 @@ class RobotClient:
 
     Parameters
     ----------
-    domain_id : int
-        ROS domain of the nodes.
+    domain_id : int, optional
+        ROS domain of the nodes; by default that of ``ROS_DOMAIN_ID``, else 0.
     watch : callable
         Called all the time while waiting; raises to end that.
 
@@ -72,11 +75,13 @@ class RobotClient:
 
     """
 
-    def __init__(self, domain_id: int, watch: Callable[[], None]) -> None:
+    def __init__(
+        self, domain_id: int | None = None, watch: Callable[[], None] = lambda: None
+    ) -> None:
         self._watch = watch
         self._context = Context()
         # Signals stay with the caller, who has processes to end.
-        self._context.init(domain_id=domain_id)
+        self._domain_id = join_ros(context=self._context, domain_id=domain_id)
         self._node = _ClientNode('conductor', 'script', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -134,11 +139,12 @@ class RobotClient:
         Raises
         ------
         LandmarkNavError
-            It is not there, does not answer in time, or refuses; then with its reason.
+            It is not there soon, does not answer in time, or refuses; then with its reason.
 
         """
         client: Any = self._node.create_client(Trigger, service)
-        self.wait(client.service_is_ready, timeout_s, f'the service {service}')
+        there = f'the service {service} in ROS domain {self._domain_id}'
+        self.wait(client.service_is_ready, min(timeout_s, _START_S), there)
         with Acquaintance(self._node, service) as acquaintance:
             self.wait(acquaintance.made, timeout_s, f'the node of {service} to know its client')
         future = client.call_async(Trigger.Request())
@@ -204,7 +210,7 @@ class RobotClient:
         words = [
             f'{name}: {word.reason}' for name, word in sorted(self.status.items()) if name != own
         ]
-        return '; '.join(words) or 'nothing of any node'
+        return '; '.join(words) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -7,13 +7,13 @@ from pathlib import Path
 import sys
 
 import rclpy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.end_signals import EndSignals
 from landmark_nav.ros.executor import CallbackExecutor
+from landmark_nav.ros.joining import join_ros
 from landmark_nav.ros.logs import forward_logs
 from landmark_nav.ros.node import LandmarkNode
 
@@ -46,7 +46,7 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
     asked: Future[None] = Future()
     with EndSignals(lambda: asked.set_result(None), _GRACE_S) as end_signals:
         try:
-            _join_ros()
+            join_ros()
             if own := remove_ros_args(sys.argv)[1:]:
                 print(_usage(name, sys.modules[make_node.__module__].__doc__ or ''))
                 return 0 if set(own) & {'-h', '--help'} else 2
@@ -68,14 +68,6 @@ def _usage(name: str, does: str) -> str:
         f'usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]\n'
         f'All parameters with their defaults: python -m landmark_nav.nodes.describe {name}'
     )
-
-
-def _join_ros() -> None:
-    """Take the arguments that ROS takes: a parameter file that cannot be read is bad input."""
-    try:
-        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # RCLError, UnknownROSArgsError
-        raise LandmarkNavError(' '.join(str(error).split())) from error
 
 
 def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:

@@ -68,6 +68,20 @@ def test_who_died_is_told_and_the_rest_ends(demo: subprocess.Popen[str], tmp_pat
     assert processes(tmp_path) == {}
 
 
+def test_the_domain_is_that_of_the_environment(tmp_path: Path, domain_id: int) -> None:
+    command = [*DEMO, str(tmp_path / 'demo')]
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
+    try:
+        wait(lambda: len(processes(tmp_path)) == NODES, 60.0)
+        for number in processes(tmp_path).values():
+            variables = Path(f'/proc/{number}/environ').read_text().split('\0')
+            assert f'ROS_DOMAIN_ID={domain_id}' in variables
+    finally:
+        process.terminate()
+        process.wait(30.0)
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_all(
     number: signal.Signals, demo: subprocess.Popen[str], tmp_path: Path

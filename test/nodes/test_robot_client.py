@@ -69,6 +69,38 @@ def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(
         assert node.asked == 1
 
 
+def test_the_domain_is_that_of_the_environment(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    with (
+        counting(domain_id) as (_, executor),
+        RobotClient(watch=lambda: executor.spin_once(timeout_sec=0.0)) as client,
+    ):
+        assert client.call('/deep/down/count', 10.0) == 'asked 1 times'
+
+
+def test_a_service_that_is_not_there_is_not_waited_for_until_its_answer_would_be_late(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setattr('landmark_nav.ros.robot_client._START_S', 0.2)
+    with (
+        RobotClient(domain_id) as client,
+        pytest.raises(LandmarkNavError, match=f'service count in ROS domain {domain_id}'),
+    ):
+        client.call('count', 240.0)
+
+
+@pytest.mark.parametrize('text', ['500', '-1', 'seven', '1e2', '9' * 400, '0x1'])
+def test_a_domain_that_cannot_be_is_refused(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', text)
+    with pytest.raises(LandmarkNavError, match='0 to 232') as refused:
+        RobotClient()
+    assert len(str(refused.value)) < 100
+
+
 def test_who_waits_in_vain_is_told_what_the_nodes_last_said(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

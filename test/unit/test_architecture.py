@@ -14,7 +14,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 GROUND = {'arrays', 'errors', 'image_codec', 'parameters', 'geometry', 'quality', 'types'}
 STAGES = {*GROUND, 'matching', 'learning', 'localization'}
 FILES = {*GROUND, 'messages', 'storage'}
-RUN = {'ros', 'threads'}
+RUN = {'ros', 'signals', 'threads'}
 BELOW = {
     'errors': set[str](),
     'parameters': {'errors'},
@@ -33,12 +33,13 @@ BELOW = {
     'upkeep': {*GROUND, 'matching'},
     'evaluation': {*STAGES, *FILES, 'planning'},
     'threads': set[str](),
+    'signals': set[str](),
     'ros': FILES,
     'nodes': {*STAGES, *FILES, 'simulation', *RUN},
     'demo': {*STAGES, *FILES, 'simulation', 'evaluation'},
     'cli': {*STAGES, *FILES, 'planning', 'simulation', 'evaluation', 'upkeep', 'demo', *RUN},
     'launch': set[str](),
-    '__main__': {'cli'},
+    '__main__': {'cli', 'signals'},
 }
 
 ROS_PARTS = {'ros', 'nodes', 'launch'}

@@ -33,6 +33,26 @@ def test_what_waits_makes_way_for_what_is_newer() -> None:
     assert worker.dropped == 4
 
 
+def test_the_thread_ends_after_what_it_is_at() -> None:
+    done: list[int] = []
+    began = Event()
+
+    def work(number: int) -> None:
+        began.set()
+        time.sleep(0.2)
+        done.append(number)
+
+    worker = NewestFirst(work)
+    worker.take(0)
+    assert began.wait(5.0)
+    worker.take(1)
+    worker.close()
+    worker.take(2)
+    assert done == [0]
+    time.sleep(0.3)
+    assert done == [0]
+
+
 def test_ages_by_another_clock_are_none() -> None:
     latency = Latency()
     assert latency.values() == {}

@@ -1,0 +1,138 @@
+"""Arguments of launch files, which run here with recorders in the place of ROS' launch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+import runpy
+import sys
+from types import ModuleType
+from typing import Any, ClassVar
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+LAUNCH_FILES = sorted((REPOSITORY / 'landmark_nav' / 'launch').glob('*.launch.py'))
+
+
+@dataclass
+class Recorded:
+    """Any object of launch: how it was made."""
+
+    kind: str
+    positional: tuple[Any, ...] = ()
+    named: dict[str, Any] = field(default_factory=dict)
+
+    def argument(self, position: int, name: str) -> Any:
+        """What was given for one parameter, by its place or by its name."""
+        given = self.positional[position : position + 1]
+        return given[0] if given else self.named.get(name)
+
+
+class Recorder(ModuleType):
+    """A module of launch whose every class records how its objects are made."""
+
+    __path__: ClassVar[list[str]] = []
+
+    def __getattr__(self, kind: str) -> Any:
+        if kind.startswith('__'):
+            raise AttributeError(kind)
+        return lambda *positional, **named: Recorded(kind, positional, named)
+
+
+@pytest.fixture(autouse=True)
+def recorders(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in (
+        *('launch', 'launch.actions', 'launch.conditions', 'launch.substitutions'),
+        *('launch.launch_description_sources', 'launch_ros', 'launch_ros.actions'),
+        *('launch_ros.parameter_descriptions', 'launch_ros.substitutions'),
+    ):
+        monkeypatch.setitem(sys.modules, name, Recorder(name))
+    packages = ModuleType('ament_index_python.packages')
+    # Launch files find each other below it, by their names alone here.
+    packages.get_package_share_directory = lambda name: f'/share/{name}'  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, 'ament_index_python', Recorder('ament_index_python'))
+    monkeypatch.setitem(sys.modules, packages.__name__, packages)
+
+
+def described(path: Path) -> list[Recorded]:
+    """All objects of the description that a launch file returns."""
+    return list(within(runpy.run_path(str(path))['generate_launch_description']()))
+
+
+def within(value: Any) -> Iterator[Recorded]:
+    if isinstance(value, Recorded):
+        yield value
+        yield from within(value.positional)
+        yield from within(value.named)
+    elif isinstance(value, Mapping):
+        yield from within(list(value.items()))
+    elif isinstance(value, Iterable) and not isinstance(value, str):
+        for item in value:
+            yield from within(item)
+
+
+def declared(objects: list[Recorded]) -> dict[str, bool]:
+    """Argument -> whether it has a default."""
+    return {
+        item.argument(0, 'name'): item.named.get('default_value') is not None
+        for item in objects
+        if item.kind == 'DeclareLaunchArgument'
+    }
+
+
+def used(value: Any) -> set[str]:
+    return {
+        item.argument(0, 'variable_name')
+        for item in within(value)
+        if item.kind == 'LaunchConfiguration'
+    }
+
+
+def included(objects: list[Recorded]) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Files of this package that are included, and the arguments that each gets."""
+    for item in objects:
+        if item.kind != 'IncludeLaunchDescription':
+            continue
+        source = item.argument(0, 'launch_description_source')
+        path = Path(source.positional[0] if isinstance(source, Recorded) else source)
+        yield (
+            REPOSITORY / 'landmark_nav' / 'launch' / path.name,
+            dict(item.named.get('launch_arguments') or ()),
+        )
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_every_declared_argument_is_used_and_every_used_one_declared(path: Path) -> None:
+    objects = described(path)
+    assert used(objects) == set(declared(objects))
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_every_include_hands_on_all_arguments(path: Path) -> None:
+    objects = described(path)
+    for other, given in included(objects):
+        assert set(given) == set(declared(described(other))), other.name
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_what_is_handed_on_under_its_name_has_a_default_where_it_had_one(path: Path) -> None:
+    objects = described(path)
+    own = declared(objects)
+    for other, given in included(objects):
+        optional = {name for name, default in declared(described(other)).items() if default}
+        handed_on = {name for name, value in given.items() if used(value) == {name}}
+        assert {name for name in handed_on & optional if not own[name]} == set()
+
+
+def test_some_file_includes_another() -> None:
+    assert [path.name for path in LAUNCH_FILES if list(included(described(path)))]
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_nodes_are_executables_of_the_package(path: Path) -> None:
+    executables = {file.name for file in (REPOSITORY / 'resource' / 'executables').iterdir()}
+    nodes = [item for item in described(path) if item.kind == 'Node']
+    assert nodes
+    assert {node.named['executable'] for node in nodes} <= executables

@@ -1,0 +1,112 @@
+"""SIGINT and SIGTERM end commands quietly, while they import and while they work."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from landmark_nav.signals import interrupting
+
+NUMBERS = [signal.SIGINT, signal.SIGTERM]
+
+
+def heeds_signals(process: subprocess.Popen[str]) -> bool:
+    """Whether a process has a handler for SIGTERM, as Python by itself has not."""
+    status = Path(f'/proc/{process.pid}/status').read_text()
+    caught = next(line for line in status.splitlines() if line.startswith('SigCgt'))
+    return bool(int(caught.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
+
+
+def signalled(command: list[str], number: int, after_s: float) -> tuple[int, str]:
+    """Status and complaints of a process that is signalled so long after it heeds signals."""
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        while process.poll() is None and not heeds_signals(process):
+            time.sleep(0.001)
+        time.sleep(after_s)
+        process.send_signal(number)
+        return process.wait(30.0), process.stderr.read() if process.stderr else ''
+    finally:
+        process.kill()
+
+
+@pytest.mark.parametrize('after_s', [0.0, 0.1, 0.4])
+@pytest.mark.parametrize('number', NUMBERS)
+def test_a_command_ends_quietly(number: int, after_s: float, tmp_path: Path) -> None:
+    command = [sys.executable, '-m', 'landmark_nav', 'simulate', '--out', str(tmp_path / 'room')]
+    assert signalled(command, number, after_s) == (128 + number, '')
+
+
+@pytest.mark.parametrize('after_s', [0.0, 0.1, 0.4])
+@pytest.mark.parametrize('number', NUMBERS)
+def test_a_node_ends_quietly(number: int, after_s: float, tmp_path: Path) -> None:
+    pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+    command = [sys.executable, '-m', 'landmark_nav.nodes.room_simulator']
+    assert signalled(command, number, after_s) == (0, '')
+
+
+@pytest.mark.parametrize('number', NUMBERS)
+def test_an_executable_of_a_node_ends_quietly(number: int, tmp_path: Path) -> None:
+    pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+    script = tmp_path / 'room_simulator'
+    script.write_text(
+        'from landmark_nav.nodes.room_simulator import main\nraise SystemExit(main())'
+    )
+    assert signalled([sys.executable, str(script)], number, 0.05) == (0, '')
+
+
+def test_importing_nodes_leaves_signals_alone() -> None:
+    pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+    before = [signal.getsignal(number) for number in NUMBERS]
+    import landmark_nav.nodes  # noqa: F401
+
+    assert [signal.getsignal(number) for number in NUMBERS] == before
+
+
+@pytest.mark.parametrize('number', NUMBERS)
+def test_work_that_is_interrupted_cleans_up(number: signal.Signals) -> None:
+    cleaned = []
+
+    def work() -> None:
+        try:
+            os.kill(os.getpid(), number)
+        finally:
+            cleaned.append('first')
+            os.kill(os.getpid(), number)
+
+    before = signal.signal(number, lambda *_: cleaned.append('second'))
+    try:
+        with pytest.raises(KeyboardInterrupt) as interrupt, interrupting():
+            work()
+    finally:
+        signal.signal(number, before)
+    assert interrupt.value.args == (number,)
+    assert cleaned == ['first', 'second']
+
+
+def test_signals_held_back_by_the_starter_are_heeded() -> None:
+    script = """
+        import os, signal, sys
+        from landmark_nav.signals import end_at_once
+        end_at_once(7)
+        print('went on')
+    """
+    process = subprocess.Popen(
+        [sys.executable, '-c', textwrap.dedent(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.pthread_sigmask(signal.SIG_BLOCK, NUMBERS),
+    )
+    process.send_signal(signal.SIGINT)
+    output, complaint = process.communicate(timeout=30)
+    assert (process.returncode, output, complaint) == (7, '', '')
