@@ -22,7 +22,7 @@ PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \
-	latency papers bad-sweeps spoiled faults config test-oldest test-colcon clean
+	latency papers bad-sweeps spoiled faults fuzz config test-oldest test-colcon clean
 
 install: .venv/installed
 
@@ -46,7 +46,7 @@ lint: install
 
 # The longest files first, so that both processes have work until the end.
 test-offline: install
-	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/unit
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
 
 # One after the other: these start nodes as processes of their own.
 test-nodes: install test-offline
@@ -101,6 +101,11 @@ spoiled: install
 # A drive with faults of odometry, joints, camera and clock. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
 faults: install
 	$(BIN)/python test/faults_check.py $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
+
+# Hostile files, bags and messages at every door: N inputs each, others than in CI and every time.
+N ?= 1000
+fuzz: install
+	FUZZ_N=$(N) $(BIN)/pytest -q -n 2 test/fuzz
 
 # The parameter files say what the code says; run it after changing a parameter.
 config: install

@@ -1,0 +1,157 @@
+"""Valid inputs to start from: a small room, its map, a message of each topic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.messages import encode
+from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.messages.found_place import FoundPlace
+from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.types import (
+    Detections,
+    JointSample,
+    Landmark,
+    LandmarkMap,
+    OdometrySample,
+    Panorama,
+    PoseEstimate,
+    Triplet,
+)
+
+__all__ = ['CAMERA', 'ROBOT_YAML', 'ROOM_YAML', 'SECOND_NS', 'landmark_map', 'messages']
+
+SECOND_NS = 1_000_000_000
+CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
+
+ROOM_YAML: dict[str, Any] = {
+    'frame_id': 'map',
+    'walls': [
+        {'id': 'south', 'start': [0.0, 0.0], 'end': [4.0, 0.0], 'height': 2.5},
+        {'id': 'east', 'start': [4.0, 0.0], 'end': [4.0, 3.0], 'height': 2.5},
+        {'id': 'north', 'start': [4.0, 3.0], 'end': [0.0, 3.0], 'height': 2.5},
+        {'id': 'west', 'start': [0.0, 3.0], 'end': [0.0, 0.0], 'height': 2.5},
+    ],
+    'reference_area': {
+        'papers': [
+            {'color': colour, 'center': [x, 0.0, 1.1], 'width': 0.21, 'height': 0.297}
+            for colour, x in (('red', 1.0), ('green', 2.0), ('blue', 3.2))
+        ]
+    },
+}
+ROBOT_YAML: dict[str, Any] = {
+    'pan_axis': {'xyz': [0.08, 0.0, 1.1], 'rpy': [0.0, 0.0, 0.0]},
+    'optical_center_offset': [0.01, 0.0, 0.0],
+    'camera_roll': 0.0,
+    'pan_sigma': 0.0002,
+    'base_frame': 'base_link',
+    'pan_joint': 'pan_joint',
+    'tilt_joint': 'tilt_joint',
+}
+
+
+def landmark_map(count: int = 6) -> LandmarkMap:
+    """Landmarks on the south wall of the room."""
+    rng = np.random.default_rng(0)
+    landmarks = tuple(
+        Landmark(
+            k,
+            np.array([0.5 + 0.6 * k, 0.0, 1.1]),
+            np.diag([1e-4, 1e-5, 1e-4]),
+            np.zeros((3, 0)),
+            np.array([0.0, 1.0, 0.0]),
+            0.2,
+            0.15,
+            rng.integers(0, 255, (15, 20), dtype=np.uint8),
+            np.array([2.0, 1.5, 1.1]),
+            0.7,
+            'south',
+        )
+        for k in range(count)
+    )
+    return LandmarkMap(landmarks)
+
+
+def messages(
+    make: MessageFactory, robot_file: Any, stamp_ns: int = 10 * SECOND_NS
+) -> dict[str, Any]:
+    """
+    Valid message of each topic that some node or a bag reads, by topic.
+
+    Parameters
+    ----------
+    make : MessageFactory
+        Builds them.
+    robot_file : path-like
+        ``robot.yaml``.
+    stamp_ns : int
+        Stamp of all of them.
+
+    """
+    mount = load_robot(robot_file)
+    rng = np.random.default_rng(1)
+    image = rng.integers(0, 255, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    pose = PoseEstimate(stamp_ns, np.array([2.0, 1.5, -1.5]), np.diag([1e-3, 1e-3, 1e-3]))
+    sample = OdometrySample(stamp_ns, np.array([2.0, 1.5, -1.5]), 0.2, 0.1)
+    joints = JointSample(stamp_ns, 0.1)
+    bearings = np.array([-0.4, 0.0, 0.5])
+    found = Detections(
+        stamp_ns,
+        np.arange(3),
+        bearings,
+        np.full(3, 1e-6),
+        np.full(3, 0.9),
+        np.full((3, 2), 20.0),
+        np.array([4]),
+    )
+    triplet = Triplet(stamp_ns, np.arange(3), bearings, np.full(3, 1e-3), np.eye(3) * 1e-4, 0.1)
+    place = FoundPlace(stamp_ns, pose.pose, pose.covariance, np.arange(3))
+    cylinder = Cylinder(64, 16, 10.2, 31.5, 7.5)
+    panorama = Panorama(
+        stamp_ns,
+        np.ascontiguousarray(image[:16]),
+        np.ones((16, 64), dtype=np.bool_),
+        cylinder,
+        np.array([2.0, 1.5, 1.1]),
+        0.0,
+        np.eye(4) * 1e-4,
+    )
+    points, atlas, _ = encode.landmark_map(make, landmark_map(), stamp_ns)
+    panorama_image, panorama_info, panorama_pose = encode.panorama(make, panorama)
+    frames = tuple(
+        JointSample(stamp_ns + k * SECOND_NS // 10, pan)
+        for k, pan in enumerate(np.linspace(-3.0, 3.0, 12))
+    )
+    camera_info = encode.camera_info(make, CAMERA, stamp_ns, 'camera_optical_frame')
+    raw = encode.image(make, image, stamp_ns, 'camera_optical_frame')
+    compressed = encode.compressed_image(make, image, stamp_ns, 'camera_optical_frame')
+    return {
+        'camera/image_raw': raw,
+        'camera/image_raw/compressed': compressed,
+        'camera/camera_info': camera_info,
+        'joint_states': encode.joint_state(make, joints, mount),
+        'odom': encode.odometry(make, sample),
+        'sweep/image': raw,
+        'sweep/image/compressed': compressed,
+        'sweep/camera_info': camera_info,
+        'sweep/trajectory': encode.sweep_trajectory(make, frames, mount),
+        'sweep/pose': encode.pose(make, pose),
+        'panorama/image': panorama_image,
+        'panorama/camera_info': panorama_info,
+        'panorama/pose': panorama_pose,
+        'landmarks': points,
+        'landmarks/atlas': atlas,
+        'triplet': encode.triplet(make, triplet),
+        'detections': encode.detections(make, found),
+        'triangulation/pose': encode.pose(make, pose),
+        'initialpose': encode.pose(make, pose),
+        'found_place': encode.found_place(make, place),
+        'odometry/fused': encode.odometry(make, sample, np.eye(3) * 1e-4),
+        'joint_delay': encode.joint_delay(make, stamp_ns, 0.01, 0.002),
+        'pan_tilt/command': encode.sweep_trajectory(make, frames[:1], mount),
+        'cmd_vel': make('geometry_msgs/msg/Twist'),
+    }

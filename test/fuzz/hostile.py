@@ -1,0 +1,226 @@
+"""Hostile inputs: bytes that are changed, values that are odd, messages with such values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hypothesis import strategies as st
+import numpy as np
+from rosbags.interfaces import Nodetype
+
+from landmark_nav.messages.factory import default_typestore
+
+__all__ = ['changed_bytes', 'changed_message', 'changed_yaml']
+
+_WORDS = (
+    b'!!int zz', b'!!float x', b'!!bool 7', b'!!timestamp q', b'!!python/object:os.system',
+    b'&a [*a]', b'&a', b'*a', b'<<: *a', b'9' * 400, b'1e400', b'-1', b'0', b'.nan', b'-.inf',
+    b'nan', b'1e-320', b'~', b'[]', b'{}', b'[' * 3000, b'"', b"'", b'\x00', b'\t', b'\r', b'\xff',
+    b'\xef\xbb\xbf', b'|', b'? ', b'- ', b': ', b'%', b'2026-01-01', b'0x7fffffffffffffff', b'1_0',
+)  # fmt: skip
+
+
+@st.composite
+def changed_bytes(draw: st.DrawFn, valid: bytes, most: int = 8) -> bytes:
+    """
+    Bytes of a valid file with up to `most` changes, or cut off.
+
+    Parameters
+    ----------
+    valid : bytes
+        The file.
+    most : int
+        The most changes.
+
+    """
+    data = bytearray(valid)
+    for _ in range(draw(st.integers(1, most))):
+        at = draw(st.integers(0, max(0, len(data) - 1)))
+        span = draw(st.sampled_from((0, 1, 2, 4, 8, 64)))
+        kind = draw(st.sampled_from(('word', 'bytes', 'cut', 'repeat', 'integer')))
+        if kind == 'word':
+            data[at : at + span] = draw(st.sampled_from(_WORDS))
+        elif kind == 'bytes':
+            data[at : at + span] = draw(st.binary(max_size=16))
+        elif kind == 'cut':
+            del data[at : at + 16 * span]
+        elif kind == 'repeat':
+            data[at:at] = data[at : at + 16 * span] * draw(st.integers(1, 8))
+        else:
+            value = draw(
+                st.sampled_from((0, 1, 0x7FFFFFFF, 0xFFFFFFFF, (1 << 63) - 1, (1 << 64) - 1))
+            )
+            size = draw(st.sampled_from((1, 2, 4, 8)))
+            data[at : at + size] = (value & ((1 << 8 * size) - 1)).to_bytes(size, 'little')
+    return bytes(data)
+
+
+_ODD: tuple[Any, ...] = (
+    None, True, '', 'x', 'x' * 5000, '\x1b[31m\n', 0, -1, 1e9, 1e300, -1e300, 1e-300, 10**400,
+    float('nan'), float('inf'), [], {}, [[]], [1.0, 2.0], [0.0] * 3, [float('nan')] * 3,
+    [[0.0, 0.0], [0.0, 0.0]], {'x': 1}, {1: 2},
+    'map', 57.3, -57.3, 0.5, 100.0, 2**31, 2**63,
+)  # fmt: skip
+
+
+@st.composite
+def changed_yaml(draw: st.DrawFn, valid: Any, most: int = 3) -> Any:
+    """Document with up to `most` of its values replaced, removed or doubled."""
+    document = _copied(valid)
+    for _ in range(draw(st.integers(1, most))):
+        holder = document
+        while True:
+            keys = list(holder) if isinstance(holder, dict) else list(range(len(holder)))
+            if not keys:
+                break
+            key = draw(st.sampled_from(keys))
+            if isinstance(holder[key], dict | list) and draw(st.booleans()):
+                holder = holder[key]
+                continue
+            kind = draw(st.sampled_from(('odd', 'odd', 'scaled', 'removed', 'added')))
+            if kind == 'removed':
+                del holder[key]
+            elif kind == 'scaled' and isinstance(holder[key], int | float):
+                holder[key] *= draw(st.sampled_from((-1, 0.001, 10, 1000, 57.3)))
+            elif kind == 'added' and isinstance(holder, list):
+                holder.append(holder[key])
+            elif kind == 'added':
+                holder['odd'] = draw(st.sampled_from(_ODD))
+            else:
+                holder[key] = draw(st.sampled_from(_ODD))
+            break
+    return document
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _copied(entry) for key, entry in value.items()}
+    return [_copied(entry) for entry in value] if isinstance(value, list) else value
+
+
+_TEXTS = ('', 'map', 'odom', 'base_link', '/x', 'pan_joint', 'mono8', 'bgr8', 'é' * 300, '\n')
+_FLOATS = (0.0, -0.0, 1.0, -1.0, 1e-320, 1e-9, 3.2, 100.0, 1e9, 1e19, 1e100, 1.7e308)
+_BAD_FLOATS = (float('nan'), float('inf'), float('-inf'))
+
+
+@st.composite
+def changed_message(draw: st.DrawFn, type_name: str, valid: Any, most: int = 3) -> Any:
+    """
+    Message with up to `most` fields replaced; all values fit their types, as on the wire.
+
+    Parameters
+    ----------
+    type_name : str
+        Such as ``sensor_msgs/msg/Image``.
+    valid : message
+        Of the type, of any class; it is not changed.
+    most : int
+        The most fields.
+
+    Returns
+    -------
+    message
+        Fields as attributes, of rosbags' classes.
+
+    """
+    changes = draw(st.integers(1, most))
+    message = _as_rosbags(type_name, valid)
+    for _ in range(changes):
+        _change(draw, type_name, message)
+    return message
+
+
+def _as_rosbags(type_name: str, message: Any) -> Any:
+    """Copy of a message in rosbags' own, mutable, form."""
+    store = default_typestore()
+    fields = {}
+    for name, description in store.fielddefs[type_name][1]:
+        fields[name] = _copied_field(description, getattr(message, name))
+    return _Message(type_name, fields)
+
+
+class _Message:
+    """A message whose fields can be replaced."""
+
+    def __init__(self, type_name: str, fields: dict[str, Any]) -> None:
+        self.type_name = type_name
+        self.__dict__.update(fields)
+
+
+def _copied_field(description: Any, value: Any) -> Any:
+    kind, content = description
+    if kind == Nodetype.NAME:
+        return _as_rosbags(content, value)
+    if kind == Nodetype.BASE:
+        return value
+    element = content[0]
+    if element[0] == Nodetype.BASE and element[1][0] != 'string':
+        return np.array(value, dtype=_dtype(element[1][0]))
+    return [_copied_field(element, entry) for entry in value]
+
+
+def _dtype(name: str) -> Any:
+    return np.dtype({'bool': 'bool', 'byte': 'u1', 'char': 'u1'}.get(name, name))
+
+
+def _change(draw: st.DrawFn, type_name: str, message: Any) -> None:
+    name, description = draw(st.sampled_from(default_typestore().fielddefs[type_name][1]))
+    kind, content = description
+    value = getattr(message, name)
+    if kind == Nodetype.NAME:
+        _change(draw, content, value)
+    elif kind == Nodetype.BASE:
+        setattr(message, name, draw(_scalar(content[0])))
+    else:
+        setattr(message, name, _changed_array(draw, content[0], value, kind == Nodetype.ARRAY))
+
+
+def _changed_array(draw: st.DrawFn, element: Any, value: Any, fixed: bool) -> Any:
+    what = draw(
+        st.sampled_from(('entry', 'entry', 'fill') if fixed else ('entry', 'fill', 'length'))
+    )
+    if what == 'length':
+        length = draw(
+            st.sampled_from((0, 1, len(value) // 2, max(0, len(value) - 1), 2 * len(value)))
+        )
+        if isinstance(value, np.ndarray):
+            return np.resize(value, length)
+        return (value * 2)[:length]
+    if not len(value):
+        return value
+    at = draw(st.integers(0, len(value) - 1))
+    if element[0] == Nodetype.NAME:
+        _change(draw, element[1], value[at])
+        return value
+    odd = draw(_scalar(element[1][0]))
+    if isinstance(value, np.ndarray) and what == 'fill':
+        value[:] = odd
+    elif isinstance(value, np.ndarray) and value.dtype == np.uint8:
+        # Bytes that hold numbers: a run of them is one.
+        run = draw(st.one_of(st.binary(max_size=16), st.sampled_from(_BAD_FLOATS).map(_packed)))
+        run = run[: len(value) - at]
+        value[at : at + len(run)] = np.frombuffer(run, np.uint8)
+    else:
+        value[at] = odd
+    return value
+
+
+def _packed(number: float) -> bytes:
+    return np.float64(number).tobytes()
+
+
+def _scalar(name: str) -> st.SearchStrategy[Any]:
+    if name == 'string':
+        return st.one_of(st.sampled_from(_TEXTS), st.text(max_size=12))
+    dtype = _dtype(name)
+    if dtype.kind == 'b':
+        return st.booleans()
+    if dtype.kind == 'f':
+        width = 32 if dtype.itemsize == 4 else 64
+        numbers = [float(np.float32(v)) if width == 32 and v < 3e38 else v for v in _FLOATS]
+        fitting = [v for v in numbers if width == 64 or abs(v) < 3e38]
+        return st.one_of(st.sampled_from([*fitting, *_BAD_FLOATS]), st.floats(width=width))
+    limits = np.iinfo(dtype)
+    ends = [v for v in (0, 1, 2, 3, 7, 255, 65535) if v <= limits.max]
+    ends += [int(limits.min), int(limits.max)]
+    return st.one_of(st.sampled_from(ends), st.integers(int(limits.min), int(limits.max)))

@@ -1,0 +1,212 @@
+"""Every file format that is read, with hostile contents: it is read, or refused in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+import os
+from pathlib import Path
+import tempfile
+from typing import Any
+
+from bounds import enter, FUZZ
+import corpus
+import cv2
+from hostile import changed_bytes, changed_message, changed_yaml
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import get_typestore, Stores
+import yaml
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.learning.pipeline import LearningConfig
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.messages.factory import default_typestore, rosbag_factory
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags.folder import read_sweep_folder
+from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.config_files import load_config
+from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.mrclam import read_mrclam
+from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+
+BAG_TOPICS = ('camera/image_raw/compressed', 'camera/camera_info', 'joint_states', 'odom')
+CAMERA_YAML = {
+    'image_width': 64,
+    'image_height': 48,
+    'distortion_model': 'plumb_bob',
+    'camera_matrix': {'rows': 3, 'cols': 3, 'data': [60.0, 0, 31.5, 0, 60.0, 23.5, 0, 0, 1]},
+    'distortion_coefficients': {'rows': 1, 'cols': 5, 'data': [0.0] * 5},
+}
+CONFIG = {'fusion': {'mode': 'bearings'}, 'odometry': {}}
+
+# Name -> document, what reads it.
+YAML_FILES: dict[str, tuple[Any, Callable[[Path], Any]]] = {
+    'room.yaml': (corpus.ROOM_YAML, load_room),
+    'robot.yaml': (corpus.ROBOT_YAML, load_robot),
+    'camera.yaml': (CAMERA_YAML, load_camera),
+    'learn.yaml': ({'stereo': {}}, lambda path: load_config(path, LearningConfig())),
+    'evaluate.yaml': (CONFIG, lambda path: load_config(path, LocalizationConfig())),
+}
+
+
+@pytest.mark.parametrize('name', sorted(YAML_FILES))
+@FUZZ
+@given(data=st.data())
+def test_yaml_files(name: str, data: st.DataObject, scratch: Path) -> None:
+    document, read = YAML_FILES[name]
+    path = scratch / name
+    if data.draw(st.booleans()):
+        text = yaml.safe_dump(data.draw(changed_yaml(document)), allow_unicode=True).encode()
+    else:
+        text = data.draw(changed_bytes(yaml.safe_dump(document).encode()))
+    path.write_bytes(text)
+    enter(lambda: read(path))
+
+
+@FUZZ
+@given(data=st.data())
+def test_maps(data: st.DataObject, scratch: Path) -> None:
+    folder = scratch / 'map'
+    if not folder.exists():
+        save_map(corpus.landmark_map(), folder)
+        (scratch / 'map.yaml').write_bytes((folder / 'map.yaml').read_bytes())
+        (scratch / 'patch.png').write_bytes((folder / 'patches' / '000.png').read_bytes())
+    text, patch = (scratch / 'map.yaml').read_bytes(), (scratch / 'patch.png').read_bytes()
+    kind = data.draw(st.sampled_from(('bytes', 'values', 'patch')))
+    if kind == 'bytes':
+        text = data.draw(changed_bytes(text))
+    elif kind == 'values':
+        text = yaml.safe_dump(data.draw(changed_yaml(yaml.safe_load(text)))).encode()
+    else:
+        patch = data.draw(changed_bytes(patch))
+    (folder / 'map.yaml').write_bytes(text)
+    (folder / 'patches' / '000.png').write_bytes(patch)
+    enter(lambda: load_map(folder))
+
+
+@FUZZ
+@given(data=st.data())
+def test_sweep_folders(data: st.DataObject, scratch: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 255, (12, 16, 3), dtype=np.uint8)
+    jpeg = cv2.imencode('.jpg', image)[1].tobytes()
+    rows = [f'{k}.jpg,{0.5 * k},20.0,16,12' for k in range(3)]
+    table = '\n'.join(['file,pan_rad,focal_px,width,height', *rows]).encode()
+    if data.draw(st.booleans()):
+        table = data.draw(changed_bytes(table))
+    else:
+        jpeg = data.draw(changed_bytes(jpeg))
+    (scratch / 'frames.csv').write_bytes(table)
+    for k in range(3):
+        (scratch / f'{k}.jpg').write_bytes(jpeg)
+    enter(lambda: read_sweep_folder(scratch))
+
+
+MRCLAM = {
+    'Barcodes.dat': '# subject barcode\n6 72\n7 27\n8 54\n',
+    'Landmark_Groundtruth.dat': '6 1.0 2.0 0.0 0.0\n7 2.0 -1.0 0.0 0.0\n8 3.0 1.0 0.0 0.0\n',
+    'Robot1_Odometry.dat': ''.join(f'{100 + k}.0 0.1 0.02\n' for k in range(9)),
+    'Robot1_Measurement.dat': ''.join(
+        f'{101 + k}.5 {(72, 27)[k % 2]} 1.5 0.2\n' for k in range(7)
+    ),
+    'Robot1_Groundtruth.dat': ''.join(f'{100 + k}.0 {0.1 * k} 0.0 0.0\n' for k in range(9)),
+}
+
+
+@FUZZ
+@given(data=st.data())
+def test_mrclam_logs(data: st.DataObject, scratch: Path) -> None:
+    for name, text in MRCLAM.items():
+        (scratch / name).write_text(text, encoding='utf-8')
+    name = data.draw(st.sampled_from(sorted(MRCLAM)))
+    (scratch / name).write_bytes(data.draw(changed_bytes(MRCLAM[name].encode())))
+    enter(lambda: read_mrclam(scratch, 1, 0.03))
+
+
+@cache
+def robot_messages() -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        robot = Path(folder) / 'robot.yaml'
+        robot.write_text(yaml.safe_dump(corpus.ROBOT_YAML), encoding='utf-8')
+        return corpus.messages(rosbag_factory(), robot)
+
+
+def write_bag(path: Path, kind: str, messages: dict[str, Any]) -> Path:
+    """Write one message of each topic three times; returns the file that holds them."""
+    stamps = range(10 * corpus.SECOND_NS, 13 * corpus.SECOND_NS, corpus.SECOND_NS)
+    store = default_typestore()
+    if kind == 'ros1':
+        old = get_typestore(Stores.ROS1_NOETIC)
+        with Ros1Writer(path) as bag:
+            for topic in ('joint_states',):
+                type_name = TOPIC_TYPES[topic]
+                connection = bag.add_connection(f'/{topic}', type_name, typestore=old)
+                raw = store.serialize_cdr(messages[topic], type_name)
+                data = old.cdr_to_ros1(raw, type_name)
+                for stamp in stamps:
+                    bag.write(connection, stamp, data)
+        return path
+    plugin = StoragePlugin.MCAP if kind == 'mcap' else StoragePlugin.SQLITE3
+    with Ros2Writer(path, version=9, storage_plugin=plugin) as bag:
+        for topic, message in messages.items():
+            connection = bag.add_connection(f'/{topic}', TOPIC_TYPES[topic], typestore=store)
+            for stamp in stamps:
+                bag.write(connection, stamp, store.serialize_cdr(message, TOPIC_TYPES[topic]))
+    return next(file for file in path.iterdir() if file.name != 'metadata.yaml')
+
+
+def read_all(path: Path) -> None:
+    """Read all messages; what is passed over is said in one line."""
+    warnings: list[str] = []
+    bag = Bag(path, warnings.append)
+    for entry in bag.messages():
+        try:
+            _ = entry.message
+        except LandmarkNavError as error:
+            warnings.append(str(error))
+    assert all(line.isprintable() for line in warnings), warnings
+
+
+@pytest.mark.parametrize('kind', ['mcap', 'db3', 'ros1'])
+@FUZZ
+@given(data=st.data())
+def test_bags(kind: str, data: st.DataObject, scratch: Path) -> None:
+    path = scratch / ('bag.bag' if kind == 'ros1' else 'bag')
+    copy = scratch / 'valid'
+    if not path.exists():
+        small = {topic: robot_messages()[topic] for topic in BAG_TOPICS}
+        file = write_bag(path, kind, small)
+        copy.write_bytes(file.read_bytes())
+        (scratch / 'name').write_text(os.fspath(file), encoding='utf-8')
+    file = Path((scratch / 'name').read_text(encoding='utf-8'))
+    metadata = path / 'metadata.yaml'
+    if kind != 'ros1' and not (scratch / 'metadata').exists():
+        (scratch / 'metadata').write_bytes(metadata.read_bytes())
+    if kind != 'ros1':
+        metadata.write_bytes((scratch / 'metadata').read_bytes())
+    file.write_bytes(copy.read_bytes())
+    if kind != 'ros1' and data.draw(st.integers(0, 3)) == 0:
+        metadata.write_bytes(data.draw(changed_bytes(metadata.read_bytes())))
+    else:
+        file.write_bytes(data.draw(changed_bytes(copy.read_bytes())))
+    enter(lambda: read_all(path))
+
+
+@FUZZ
+@given(data=st.data())
+def test_bags_of_hostile_messages(data: st.DataObject, scratch: Path) -> None:
+    path = scratch / f'bag{len(list(scratch.iterdir()))}'
+    messages = dict(robot_messages())
+    topic = data.draw(st.sampled_from(BAG_TOPICS))
+    store = default_typestore()
+    changed = data.draw(changed_message(TOPIC_TYPES[topic], messages[topic]))
+    raw = store.serialize_cdr(changed, TOPIC_TYPES[topic])
+    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        connection = bag.add_connection(f'/{topic}', TOPIC_TYPES[topic], typestore=store)
+        bag.write(connection, 10 * corpus.SECOND_NS, data.draw(changed_bytes(raw)))
+    enter(lambda: read_all(path))
