@@ -23,9 +23,12 @@ __all__ = ['IMAGES', 'JOINTS', 'ODOMETRY', 'Cause', 'Verdict', 'verdict']
 _ALIKE, _CERTAIN = 5.0, 12.0
 # Scales that are tried: reversed, geared, degrees, ticks, none.
 _SCALES = (-1.0, 0.5, 2.0, -0.5, -2.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi, 0.0)
+_LENS = 3.0
 _DRIFTS = np.arange(-0.1, 0.1001, 0.0025)
 # Clocks are searched near and far with these steps.
 _NEAR_S, _NEAR_STEP_S, _FAR_S, _FAR_STEP_S = 3.0, 0.02, 120.0, 0.05
+# A drift that comes to less over a recording is none.
+_LEAST_DRIFT_S = 0.05
 # So many pairs are enough for a first search.
 _PAIRS = 160
 _FIRST_NOISE_RAD = 0.01
@@ -165,17 +168,24 @@ def _scales(motion: Motion) -> Iterator[Cause]:
             near = fit(turns - rest - scale * factor, np.column_stack([factor, parallax]))
             scale += float(near.values[0])
         if stream == IMAGES:
-            changed = replace(motion, turns_rad=turns / scale) if abs(scale) > 0.02 else motion
-            cause = _cause(stream, 'scale', changed, 1, scale)
-            # In units of the measured turns, as for all others.
-            score = cause.score - len(motion) * np.log(max(abs(scale), 0.02))
-            yield replace(cause, score=float(score))
+            # Another lens, or a mirror; what is farther off is not the camera's.
+            if 1.0 / _LENS < abs(scale) < _LENS:
+                cause = _cause(stream, 'scale', replace(motion, turns_rad=turns / scale), 1, scale)
+                # In units of the measured turns, as for all others.
+                yield replace(cause, score=cause.score - len(motion) * float(np.log(abs(scale))))
         elif stream == JOINTS:
             changed = replace(motion, pan_scale=motion.pan_scale * scale)
             yield _cause(stream, 'scale', changed, 1, scale)
         else:
             changed = replace(motion, yaw_scale=motion.yaw_scale * scale)
             yield _cause(stream, 'scale', changed, 1, scale)
+            if scale < 0.0 and motion.odometry is not None:
+                # Of a path that was summed up with the reversed yaw, the sides are exchanged too.
+                mirrored = motion.odometry.values * [1.0, -1.0, -1.0]
+                track = Track(motion.odometry.seconds, mirrored)
+                yield _cause(
+                    stream, 'scale', replace(changed, odometry=track, yaw_scale=-scale), 1, scale
+                )
 
 
 def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:
@@ -216,7 +226,7 @@ def _first_clocks(
     near = np.arange(-_NEAR_S, _NEAR_S, _NEAR_STEP_S)
     if not drifts:
         far = np.arange(-reach, reach, _FAR_STEP_S)
-        grids = [(Clock(float(h.offset_s), h.drift, h.anchor_s), near) for h in hinted]
+        grids = [(Clock(h.offset_s), near) for h in hinted]
         grids += [(Clock(), near), (Clock(), far)]
         if hinted:
             grids.append((Clock(hinted[0].offset_s, 0.0, 0.0), far))
@@ -260,28 +270,30 @@ def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause
     if not drift:
         step = 2.0 * _FAR_STEP_S
         best = minimize_scalar(
-            lambda offset: badness(replace(first, offset_s=float(offset))),
-            bounds=(first.offset_s - step, first.offset_s + step),
+            lambda later: badness(first.later(float(later))),
+            bounds=(-step, step),
             method='bounded',
             options={'xatol': 1e-4},
         )
-        clock = replace(first, offset_s=float(best.x))
+        clock = first.later(float(best.x))
         kind, value = 'clock', clock.offset_s
     else:
         span = max(float(np.ptp(motion.before_s)), 1.0)
         best = minimize(
-            lambda p: badness(replace(first, offset_s=float(p[0]), drift=float(p[1]))),
-            [first.offset_s, first.drift],
+            lambda p: badness(replace(first.later(float(p[0])), drift=float(p[1]))),
+            [0.0, first.drift],
             method='Nelder-Mead',
             options={
-                'initial_simplex': np.array([first.offset_s, first.drift])
+                'initial_simplex': np.array([0.0, first.drift])
                 + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]]),
                 'xatol': 1e-4,
                 'maxfev': 120,
             },
         )
-        clock = replace(first, offset_s=float(best.x[0]), drift=float(best.x[1]))
+        clock = replace(first.later(float(best.x[0])), drift=float(best.x[1]))
         kind, value = 'drift', clock.drift
+        if abs(clock.drift) * span < _LEAST_DRIFT_S:
+            kind, value = 'clock', clock.offset_s
     sign = -1.0 if stream == IMAGES else 1.0
     return _cause(
         stream,

@@ -27,8 +27,9 @@ __all__ = ['Clock', 'Estimate', 'Fit', 'Linear', 'Motion', 'Track', 'explained',
 
 _FREEDOM = 3.0
 _ITERATIONS = 25
-# More noise than both of these, the second as a share of the usual turn, is no noise.
-NOISE_RAD, NOISE_SHARE = 0.015, 0.06
+# More is no noise of images; nor is it where more of them than this are as far off.
+NOISE_RAD = 0.02
+_FAR_SIGMAS, _MOST_AWAY = 5.0, 0.15
 # Errors up to these are within what localization estimates.
 PAN_SCALE, YAW_SCALE, CLOCK_S = 0.03, 0.12, 0.03
 _STEP_S = 0.05
@@ -170,6 +171,12 @@ class Fit:
     log_likelihood: float
     residuals_rad: FloatArray
 
+    @property
+    def quiet(self) -> bool:
+        """Whether what is left is noise."""
+        away = np.abs(self.residuals_rad) > max(NOISE_RAD, _FAR_SIGMAS * self.noise_rad)
+        return self.noise_rad < NOISE_RAD and bool(np.mean(away) < _MOST_AWAY)
+
 
 def fit(turns: FloatArray, columns: FloatArray) -> Fit:
     """
@@ -239,13 +246,7 @@ class Linear:
     odometry_clock_s: Estimate
     nearness: Estimate
     sideways: Estimate
-    noise_rad: float
-    moving_rad: float
-
-    @property
-    def quiet(self) -> bool:
-        """Whether what is left is noise."""
-        return self.noise_rad < max(NOISE_RAD, NOISE_SHARE * self.moving_rad)
+    quiet: bool
 
     @property
     def fits(self) -> bool:
@@ -275,6 +276,5 @@ def linear(motion: Motion) -> Linear:
     columns = [panned, yawed, rate('pan'), rate('odometry'), *motion.parallax().T]
     found = fit(motion.turns_rad - panned - yawed, np.stack(columns, -1))
     pairs = zip(found.values.tolist(), found.sigmas.tolist(), strict=True)
-    moving = float(np.sqrt(np.mean(motion.turns_rad**2)))
     pan, yaw, pan_clock, yaw_clock, nearness, sideways = (Estimate(*pair) for pair in pairs)
-    return Linear(pan, yaw, pan_clock, yaw_clock, nearness, sideways, found.noise_rad, moving)
+    return Linear(pan, yaw, pan_clock, yaw_clock, nearness, sideways, found.quiet)

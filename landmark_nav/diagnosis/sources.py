@@ -48,32 +48,42 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
     is_angle = np.isin(np.arange(values.shape[1]), angles)
     speed = np.where(is_angle, _FASTEST_RAD_S, _FASTEST_M_S)
     tolerance = np.where(is_angle, _TOLERANCE_RAD, _TOLERANCE_M)
-    tracks: list[tuple[float, FloatArray]] = []
+    tracks: list[tuple[float, FloatArray, FloatArray]] = []
     owner = np.zeros(len(times), dtype=np.intp)
     for k, (time, value) in enumerate(zip(times.tolist(), values, strict=True)):
         best, least = -1, 1.0
-        for index, (last, before) in enumerate(tracks):
-            step = np.abs(value - before)
+        for index, (last, before, rate) in enumerate(tracks):
+            since = min(time - last, _MEMORY_S)
+            step = np.abs(value - before - rate * since)
             step = np.where(
                 is_angle, np.minimum(step % _TURN_RAD, _TURN_RAD - step % _TURN_RAD), step
             )
-            away = float((step / (speed * min(time - last, _MEMORY_S) + tolerance)).max())
+            away = float((step / (speed * since + tolerance)).max())
             if away < least:
                 best, least = index, away
         if best < 0:
             if len(tracks) == _MOST_TRACKS:
                 return None
             best = len(tracks)
-            tracks.append((time, value))
-        tracks[best] = (time, value)
+            tracks.append((time, value, np.zeros_like(value)))
+        last, before, rate = tracks[best]
+        if time > last:
+            rate = np.clip((value - before) / (time - last), -speed, speed)
+        tracks[best] = (time, value, rate)
         owner[k] = best
     counts = np.bincount(owner, minlength=len(tracks))
     if len(counts) < 2:
         return None
-    main, other = np.argsort(-counts, kind='stable')[:2]
-    turns = int((np.diff(owner[(owner == main) | (owner == other)]) != 0).sum())
-    if turns < 2 * _LEAST_TURNS or counts[other] < _LEAST_SHARE * len(times):
+    main, other = (int(index) for index in np.argsort(-counts, kind='stable')[:2])
+    changes = np.flatnonzero(np.diff(owner) != 0) + 1
+    if len(changes) < 2 * _LEAST_TURNS or counts[other] < _LEAST_SHARE * len(times):
         return None
+    # Tracks that cross may be exchanged there; a source that stands is known by its value.
+    alone = changes[:-1][np.diff(changes) == 1]
+    kinds, often = np.unique(values[alone], axis=0, return_counts=True)
+    if len(alone) >= _LEAST_TURNS and often.max() > 0.8 * len(alone):
+        main, other = 0, 1
+        owner = np.all(values == kinds[often.argmax()], axis=1).astype(np.intp)
 
     def source(index: int) -> Source:
         keep = np.zeros(len(times), dtype=np.bool_)
@@ -83,4 +93,4 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
         spread = float(np.ptp(values[owner == index], axis=0).max())
         return Source(keep, 1.0 / period if period > 0.0 else 0.0, spread < 1e-6)
 
-    return source(int(main)), source(int(other))
+    return source(main), source(other)

@@ -31,6 +31,8 @@ _NEEDS = {
 _SET_BACK_S = 0.5
 # Of the lag between stamp and recording, what is farther from its line has another clock.
 _OUT_OF_STEP_S = 0.5
+# Jitter of stamps that matters while a camera turns at 1 rad/s.
+_SHAKEN_S = 0.01
 # What is more often than this out of order was sent so.
 _OFTEN = 0.01
 
@@ -91,6 +93,7 @@ def check_stamps(stream: Stream) -> list[Finding]:
                 {'longest_s': longest, 'at_s': at},
             )
         )
+    yielded += _jitter(stream, need.what if need else 'the publisher')
     same, back = int((steps == 0.0).sum()), int((steps < 0.0).sum())
     if same or back:
         yielded.append(_order(name, stream, same, back, float(-steps.min())))
@@ -106,6 +109,26 @@ def _rate(name: str, need: _Need | None, rate_hz: float, messages: int) -> Findi
         f'publish {name} at {need.rate_hz:g} Hz at least' if slow and need else '',
         {'rate_hz': rate_hz, 'messages': messages},
     )
+
+
+def _jitter(stream: Stream, what: str) -> list[Finding]:
+    """Stamps that are shaken while messages arrive evenly."""
+    lag = np.diff(stream.seconds - stream.logged)
+    arrival = np.diff(stream.logged)
+    shaken = float(1.4826 * np.median(np.abs(lag - np.median(lag))))
+    uneven = float(1.4826 * np.median(np.abs(arrival - np.median(arrival))))
+    if shaken < _SHAKEN_S or uneven > 0.5 * shaken:
+        return []
+    return [
+        Finding(
+            f'{stream.name} jitter',
+            'warning',
+            f'stamps are shaken by {1e3 * shaken:.0f} ms, messages arrive within '
+            f'{1e3 * uneven:.0f} ms',
+            f'{what} must stamp {stream.name} at the time of measurement',
+            {'stamps_s': shaken, 'arrival_s': uneven},
+        )
+    ]
 
 
 def _order(name: str, stream: Stream, same: int, back: int, furthest_s: float) -> Finding:

@@ -83,7 +83,7 @@ def check_twist(stream: Stream) -> list[Finding]:
         if 1.0 / _ALIKE < ratio < _ALIKE:
             found.append(Finding(f'odom twist, {name}', 'ok', text, '', {'ratio': ratio}))
             continue
-        unit = unit_of(size) or unit_of(1.0 / size)
+        unit = unit_of(size) or unit_of(1.0 / max(size, 1e-9))
         if ratio < 0.0:
             advice = 'pose and twist have opposite signs: publish both by REP-103'
         elif size < 1e-3:
