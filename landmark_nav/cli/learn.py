@@ -12,8 +12,10 @@ from pathlib import Path
 import time
 from typing import Any
 
+from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.progress import progress
+from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
@@ -80,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args.config, _Stages()) if args.config else _Stages()
     bag = Bag(args.bag)
     log = StageLog()
+    with log.measure('checks'):
+        refuse_errors(bag, diagnose(bag, mount, room, QUICK))
     with whole_folder(args.out, MAP_FILES) as folder:
         panoramas, frames = _panoramas(bag, room, mount, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)

@@ -17,7 +17,7 @@ from scipy.optimize import minimize, minimize_scalar
 from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.motion import Clock, explained, Fit, fit, linear, Motion, Track
 
-__all__ = ['IMAGES', 'JOINTS', 'ODOMETRY', 'Cause', 'Verdict', 'verdict']
+__all__ = ['IMAGES', 'JOINTS', 'ODOMETRY', 'Cause', 'Verdict', 'late_odometry', 'verdict']
 
 # Likelihoods this near are alike, and this far above none a fault is one.
 _ALIKE, _CERTAIN = 5.0, 12.0
@@ -76,7 +76,7 @@ class Verdict:
     What was found.
 
     `cause` is the likeliest, of kind ``none`` where all fits; `rivals` explain it as well;
-    `fits` says whether what is left is noise.
+    `fits` says whether what is left is noise, as it is with any fault that is named.
     """
 
     cause: Cause
@@ -114,11 +114,17 @@ def verdict(
     found += _scales(motion)
     found += _clocks(motion, clocks or {})
     best = max(found, key=lambda cause: cause.score)
-    if best.score < none.score + _CERTAIN:
+    if best.score < none.score + _CERTAIN or not linear(best.motion).quiet:
         best = none
     alike = [c for c in found if c is not best and c.score > best.score - _ALIKE]
     rivals = [] if best is none else [c for c in alike if _differs(c, best)]
     return Verdict(best, tuple(rivals), linear(best.motion).quiet)
+
+
+def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
+    """By how much the odometry of a motion is stamped late, seconds, to explain the images."""
+    (first,) = _first_clocks(motion, ODOMETRY, list(hints), drifts=False)
+    return _refined(motion, ODOMETRY, first, drift=False).value
 
 
 def _differs(one: Cause, other: Cause) -> bool:

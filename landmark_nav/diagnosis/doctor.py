@@ -15,7 +15,7 @@ from landmark_nav.diagnosis.advice import (
     CORRECTED_S,
     motion_findings,
 )
-from landmark_nav.diagnosis.causes import IMAGES, JOINTS, ODOMETRY, verdict
+from landmark_nav.diagnosis.causes import IMAGES, JOINTS, late_odometry, ODOMETRY, verdict
 from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.looks import look, Looks
 from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
@@ -39,6 +39,8 @@ _LEAST_PAIRS = 12
 _COVERED = 0.1
 # Without motion, times of recording tell clocks apart to about this.
 _BY_LOG_S = 0.5
+# Share of the images at whose time there is ground truth.
+_ENOUGH = 0.8
 # A clock that motion knows to this needs no times of recording.
 _KNOWN_S = 0.1
 
@@ -196,8 +198,9 @@ class _Drive:
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         slopes = linear(motion)
         if slopes.fits:
-            by_log = _clocks_by_log(motion, hints, slopes)
-            return [*found, *motion_findings(motion, slopes, self._room), *by_log], Delays(), True
+            found += motion_findings(motion, slopes, self._room)
+            found += _clocks_by_log(motion, hints, slopes)
+            return [*found, *self._truth(images, motion, Clock())], Delays(), True
         others = {
             name: Track.of(stream.seconds, self._mount.pan_sense * _angles(stream))
             for name, stream in self._joints.items()
@@ -210,11 +213,41 @@ class _Drive:
         slopes = linear(cause.motion)
         if slopes.quiet:
             found += motion_findings(cause.motion, slopes, self._room)
+            right = cause.motion.pan_clock if cause.stream == IMAGES else Clock()
+            found += self._truth(images, cause.motion, right)
+        if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
+            # What follows from a wrong heading is no fault of its own.
+            follows = ('odom twist', 'camera heading', 'odom unit')
+            found = [finding for finding in found if not finding.name.startswith(follows)]
         if cause.kind == 'none':
             found += _clocks_by_log(motion, hints, slopes)
         late = cause.value if cause.kind == 'clock' and abs(cause.value) <= CORRECTED_S else 0.0
         by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
         return found, Delays(**{by_stream[cause.stream]: late}), False
+
+    def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
+        """The clock of the ground truth, which serves figures alone, against one that is right."""
+        topic = self._bag.find('ground_truth/odom')
+        truth = read_stream(self._bag, 'ground_truth', topic, _odometry) if topic else None
+        if truth is None or len(truth) < 2:
+            return []
+        values = truth.values[:, :3].copy()
+        values[:, 2] = np.unwrap(values[:, 2])
+        track = Track.of(truth.seconds, values)
+        known = replace(motion, odometry=track, odometry_clock=clock, yaw_scale=1.0)
+        slopes = linear(known)
+        seconds = track.seconds - clock.offset_s
+        if _covered(
+            known, replace(track, seconds=seconds)
+        ) > _ENOUGH and not slopes.odometry_clock_s.beyond(0.05, _KNOWN_S):
+            return []
+        hints = clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
+        late = hints[0].offset_s or hints[1].offset_s
+        if slopes.odometry_clock_s.sigma < np.inf or abs(late) > _BY_LOG_S:
+            late = late_odometry(known, hints) - clock.offset_s
+        said = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
+        advice = 'errors are measured against it: stamp it by the clock of the robot'
+        return [Finding('ground_truth clock', 'warning', said, advice, {'late_s': late})]
 
     def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
         seconds = looks.stream.seconds
@@ -246,7 +279,8 @@ class _Sweeps:
     def findings(self, most_images: int) -> list[Finding]:
         infos = ('sweep/camera_info', 'camera/camera_info')
         looks = look(self._bag, self._images, infos, self._mount, most_images)
-        found = [*check_stamps(looks.stream), *looks.findings]
+        stream = replace(looks.stream, name='sweep images')
+        found = [*check_stamps(stream), *looks.findings]
         motion = self._motion(looks)
         if motion is None or len(motion) < _LEAST_PAIRS:
             return found
