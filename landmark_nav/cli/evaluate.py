@@ -132,6 +132,9 @@ def run(args: argparse.Namespace) -> int:
     diagnosis = diagnose(bag, mount, room, QUICK)
     refuse_errors(bag, diagnosis)
     late = diagnosis.delays
+    # What was measured is not known exactly.
+    sigma_s = max(late.pan_sigma_s, config.fusion.delay_sigma_s)
+    config = replace(config, fusion=replace(config.fusion, delay_sigma_s=sigma_s))
 
     def localized(joint_delay_s: float, fusion: FusionConfig) -> Replay:
         delays = (late.joints_s + joint_delay_s, late.images_s, late.odometry_s)
@@ -144,7 +147,6 @@ def run(args: argparse.Namespace) -> int:
     offsets = camera_offsets(done, landmarks, mount, learned)
     delay_s = 0.0
     if offsets.delay_matters:
-        # What was measured is not known exactly.
         sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
         fusion = replace(config.fusion, delay_sigma_s=sigma_s)
         corrected = localized(offsets.delay_s, fusion)

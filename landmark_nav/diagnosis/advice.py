@@ -39,6 +39,8 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
     values = {'late_s': late_s}
     if corrected and abs(late_s) <= CORRECTED_S:
         advice = 'corrected here; on the robot stamp at the time of measurement'
+        if stream == JOINTS:
+            advice = f'corrected here; on the robot set joint_delay_s to {late_s:.3f}'
         return Finding(f'{stream} clock', 'warning', said, advice, values)
     advice = (
         'wall time beside simulated time: set use_sim_time alike everywhere'

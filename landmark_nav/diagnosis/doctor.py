@@ -39,6 +39,8 @@ _LEAST_PAIRS = 12
 _COVERED = 0.1
 # Without motion, times of recording tell clocks apart to about this.
 _BY_LOG_S = 0.5
+# Delays are not known better from how images turn.
+_LEAST_SIGMA_S = 1e-3
 # Share of the images at whose time there is ground truth.
 _ENOUGH = 0.8
 # A clock that motion knows to this needs no times of recording.
@@ -50,11 +52,16 @@ _SWEEP_IMAGES = ('sweep/image', 'sweep/image/compressed')
 
 @dataclass(frozen=True)
 class Delays:
-    """By how much streams are stamped late, seconds, where that is to be taken off."""
+    """
+    By how much streams are stamped late, seconds, where that is to be taken off.
+
+    `pan_sigma_s` is the sigma of what the first two do to the pan of an image.
+    """
 
     images_s: float = 0.0
     joints_s: float = 0.0
     odometry_s: float = 0.0
+    pan_sigma_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -223,7 +230,9 @@ class _Drive:
             found += _clocks_by_log(motion, hints, slopes)
         late = cause.value if cause.kind == 'clock' and abs(cause.value) <= CORRECTED_S else 0.0
         by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
-        return found, Delays(**{by_stream[cause.stream]: late}), False
+        sigma = max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S)
+        pan_sigma_s = sigma if late and cause.stream != ODOMETRY else 0.0
+        return found, Delays(**{by_stream[cause.stream]: late}, pan_sigma_s=pan_sigma_s), False
 
     def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
         """The clock of the ground truth, which serves figures alone, against one that is right."""

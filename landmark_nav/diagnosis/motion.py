@@ -31,7 +31,7 @@ _ITERATIONS = 25
 NOISE_RAD = 0.02
 _FAR_SIGMAS, _MOST_AWAY = 5.0, 0.15
 # Errors up to these are within what localization estimates.
-PAN_SCALE, YAW_SCALE, CLOCK_S = 0.03, 0.12, 0.03
+PAN_SCALE, YAW_SCALE, PAN_CLOCK_S, YAW_CLOCK_S = 0.03, 0.12, 0.01, 0.03
 _STEP_S = 0.05
 # Turns between images are not measured better, whatever agrees.
 _LEAST_SIGMA_RAD = 1e-3
@@ -254,8 +254,8 @@ class Linear:
         return self.quiet and not (
             self.pan_scale.beyond(PAN_SCALE, 0.1)
             or self.yaw_scale.beyond(YAW_SCALE, 0.2)
-            or self.pan_clock_s.beyond(CLOCK_S, 0.1)
-            or self.odometry_clock_s.beyond(CLOCK_S, 0.1)
+            or self.pan_clock_s.beyond(PAN_CLOCK_S, 0.1)
+            or self.odometry_clock_s.beyond(YAW_CLOCK_S, 0.1)
         )
 
 
