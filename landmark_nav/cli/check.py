@@ -66,8 +66,10 @@ def refuse_errors(bag: Bag, found: Diagnosis) -> None:
 
     """
     for finding in found.warnings:
-        bag.warn(f'{bag.path}: {finding.line()}')
-    if found.errors:
-        first, *more = found.errors
+        if not finding.when_read:
+            bag.warn(f'{bag.path}: {finding.line()}')
+    errors = [finding for finding in found.errors if not finding.when_read]
+    if errors:
+        first, *more = errors
         others = f' (and {len(more)} more: landmark-nav check)' if more else ''
         raise LandmarkNavError(f'{bag.path}: {first.line()}{others}')

@@ -137,16 +137,18 @@ def run(args: argparse.Namespace) -> int:
     config = replace(config, fusion=replace(config.fusion, delay_sigma_s=sigma_s))
 
     def localized(joint_delay_s: float, fusion: FusionConfig) -> Replay:
-        delays = (late.joints_s + joint_delay_s, late.images_s, late.odometry_s)
+        delays = (joint_delay_s, late.images_s, late.odometry_s)
         events = progress(sensor_events(bag, mount, *delays), 'localizing', total)
         known = replace(config, fusion=fusion)
         return replay(events, landmarks, mount, known, start, covariance)
 
-    done = localized(0.0, config.fusion)
+    done = localized(late.joints_s, config.fusion)
     learned = replace(config, odometry=done.odometry_noise)
     offsets = camera_offsets(done, landmarks, mount, learned)
-    delay_s = 0.0
-    if offsets.delay_matters:
+    again = offsets.delay_matters or late.joints_s != 0.0
+    offsets = replace(offsets, delay_s=late.joints_s + offsets.delay_s)
+    delay_s = late.joints_s
+    if again:
         sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
         fusion = replace(config.fusion, delay_sigma_s=sigma_s)
         corrected = localized(offsets.delay_s, fusion)
@@ -169,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
     errors = run_errors(done)
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report(done, errors, landmarks, mount, learned)
-    report['camera'] = {**offsets.report(), 'joint_delay_applied_s': late.joints_s + delay_s}
+    report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
     report['checks'] = [finding.report() for finding in diagnosis.findings]
     smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:

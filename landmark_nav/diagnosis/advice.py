@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from landmark_nav.diagnosis.causes import Cause, IMAGES, JOINTS, ODOMETRY, Verdict
@@ -39,9 +41,11 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
     values = {'late_s': late_s}
     if corrected and abs(late_s) <= CORRECTED_S:
         advice = 'corrected here; on the robot stamp at the time of measurement'
-        if stream == JOINTS:
+        # Its own line of `evaluate` is more accurate.
+        by_map = stream == JOINTS
+        if by_map:
             advice = f'corrected here; on the robot set joint_delay_s to {late_s:.3f}'
-        return Finding(f'{stream} clock', 'warning', said, advice, values)
+        return Finding(f'{stream} clock', 'warning', said, advice, values, by_map)
     advice = (
         'wall time beside simulated time: set use_sim_time alike everywhere'
         if abs(late_s) > _WALL_TIME_S
@@ -76,18 +80,14 @@ def cause_findings(judged: Verdict) -> list[Finding]:
     finding = _named(cause)
     if judged.rivals:
         also = ', '.join(sorted({_short(rival) for rival in judged.rivals}))
-        finding = Finding(
-            finding.name,
-            finding.level,
-            f'{finding.measured} (or {also}: undecided)',
-            finding.advice,
-            finding.values,
-        )
+        finding = replace(finding, measured=f'{finding.measured} (or {also}: undecided)')
     return [finding]
 
 
 def _short(cause: Cause) -> str:
-    what = {'clock': 'clock', 'drift': 'clock', 'scale': 'scale'}.get(cause.kind, cause.kind)
+    what = {'clock': 'clock', 'drift': 'clock', 'step': 'clock', 'scale': 'scale'}.get(
+        cause.kind, cause.kind
+    )
     return f'{cause.stream} {what}'
 
 
@@ -106,6 +106,15 @@ def _named(cause: Cause) -> Finding:
             f'runs {said} {fast} against {_OTHERS[stream]}{at if abs(cause.offset_s) > 1 else ""}',
             'its stamps drift: stamp by the clock of the host, disciplined by chrony',
             {'drift': value, 'offset_s': cause.offset_s},
+        )
+    if cause.kind == 'step':
+        side = 'ahead' if value > 0.0 else 'back'
+        return Finding(
+            f'{stream} clock',
+            'error' if abs(value) > CORRECTED_S else 'warning',
+            f'steps {side} by {seconds_text(abs(value))} at {cause.offset_s:.1f} s',
+            'discipline the clock of its host before driving (chrony)',
+            {'step_s': value, 'at_s': cause.offset_s},
         )
     if cause.kind == 'joint':
         return Finding(

@@ -46,7 +46,7 @@ class Cause:
     stream : str
         Whose fault: ``images``, ``joint_states`` or ``odom``.
     kind : str
-        ``none``, ``scale``, ``clock``, ``drift``, ``joint`` or ``twist``.
+        ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint`` or ``twist``.
     motion : Motion
         Without the fault.
     left : Fit
@@ -54,9 +54,11 @@ class Cause:
     score : float
         Log-likelihood less the cost of its parameters.
     value : float
-        Scale; seconds by which the clock is ahead of the others; drift as a share.
+        Scale; seconds by which the clock is ahead of the others; drift as a share; step, s.
     name : str
         Of the joint, where that is the fault.
+    offset_s : float
+        Offset of a clock that drifts; moment of a step.
 
     """
 
@@ -221,6 +223,7 @@ def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Ca
             yield _refined(motion, stream, clock, drift=False)
         for clock in _first_clocks(few, stream, hinted, drifts=True):
             yield _refined(motion, stream, clock, drift=True)
+        yield _step(motion, stream)
 
 
 def _first_clocks(
@@ -251,6 +254,14 @@ def _best_offset(
     motion: Motion, stream: str, base: Clock, grid: FloatArray
 ) -> tuple[float, Clock]:
     """Misfit and clock of the best offset of a grid, on top of a clock."""
+    misfit = _misfit(_left(motion, stream, base, grid))
+    # Of offsets that are as good, the least.
+    best = int(np.argmin(misfit + 1e-6 * np.abs(grid)))
+    return float(misfit[best]), base.later(float(grid[best]))
+
+
+def _left(motion: Motion, stream: str, base: Clock, grid: FloatArray) -> FloatArray:
+    """What is left of each turn, (m, n), with offsets (m,) on top of a clock."""
     pan, yaw = motion.panned(), motion.yawed()
     pairs = np.stack([motion.before_s, motion.after_s])
     moved = base.at(pairs) + grid[:, None, None]
@@ -261,10 +272,38 @@ def _best_offset(
         heading = Track(motion.odometry.seconds, motion.odometry.values[:, 2:])
         turned = heading.at(moved)[..., 0]
         yaw = motion.yaw_scale * (turned[:, 1] - turned[:, 0])
-    misfit = _misfit(motion.turns_rad - pan - yaw)
-    # Of offsets that are as good, the least.
-    best = int(np.argmin(misfit + 1e-6 * np.abs(grid)))
-    return float(misfit[best]), replace(base, offset_s=base.offset_s + float(grid[best]))
+    return np.asarray(motion.turns_rad - pan - yaw)
+
+
+def _step(motion: Motion, stream: str) -> Cause:
+    """The likeliest clock that is right up to a moment, or from one on, and off by a step else."""
+    grid = np.arange(-_NEAR_S, _NEAR_S, _NEAR_STEP_S)
+    order = np.argsort(motion.before_s)
+    each = np.log1p((_left(motion, stream, Clock(), grid) / _FIRST_NOISE_RAD) ** 2)[:, order]
+    right = each[np.abs(grid).argmin()]
+    # Sums over the pairs before each, and from it on.
+    off_before = np.cumsum(each, axis=1) - each
+    off_after = each.sum(1)[:, None] - off_before
+    right_before = np.cumsum(right) - right
+    right_after = right.sum() - right_before
+    becomes, was = right_before + off_after, off_before + right_after
+    late = becomes.min() < was.min()
+    offset, at = np.unravel_index(int((becomes if late else was).argmin()), becomes.shape)
+    moment = float(motion.before_s[order][at])
+
+    def clock(step_s: float) -> Clock:
+        return Clock(0.0 if late else step_s, 0.0, 0.0, step_s if late else -step_s, moment)
+
+    best = minimize_scalar(
+        lambda step_s: -explained(_with_clock(motion, stream, clock(step_s))).log_likelihood,
+        bounds=(grid[offset] - 2.0 * _NEAR_STEP_S, grid[offset] + 2.0 * _NEAR_STEP_S),
+        method='bounded',
+        options={'xatol': 1e-4},
+    )
+    sign = -1.0 if stream == IMAGES else 1.0
+    found = clock(float(best.x))
+    value = sign * found.step_s
+    return _cause(stream, 'step', _with_clock(motion, stream, found), 2, value, offset_s=moment)
 
 
 def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause:

@@ -30,6 +30,8 @@ class Finding:
         What to do; empty where all is well.
     values : dict
         The same as `measured` for programs; the unit is in the name: ``offset_s``.
+    when_read : bool
+        Whether whoever reads the bag says it as well, message by message.
 
     """
 
@@ -38,6 +40,7 @@ class Finding:
     measured: str
     advice: str = ''
     values: dict[str, Any] = field(default_factory=dict)
+    when_read: bool = False
 
     def line(self) -> str:
         """All of it in one line."""

@@ -140,6 +140,7 @@ def _encoding(failed: list[str], kinds: Iterable[str], tried: int) -> Iterable[F
             f'{len(failed)} of {tried} cannot be used',
             failed[0][:110],
             {'failed': len(failed), 'tried': tried},
+            when_read=True,
         )
     elif named:
         yield Finding('images encoding', 'ok', named)

@@ -43,16 +43,19 @@ class Clock:
     A clock against that of the images.
 
     A stream stamped by it shows at `seconds` what happened at that time less `offset_s`, and it
-    runs faster by `drift` from `anchor_s` on.
+    runs faster by `drift` from `anchor_s` on. At `step_at_s` it is set ahead by `step_s`.
     """
 
     offset_s: float = 0.0
     drift: float = 0.0
     anchor_s: float = 0.0
+    step_s: float = 0.0
+    step_at_s: float = 0.0
 
     def at(self, seconds: FloatArray) -> FloatArray:
         """Its times, at times of the images' clock."""
-        return seconds + self.offset_s + self.drift * (seconds - self.anchor_s)
+        ahead = self.offset_s + self.drift * (seconds - self.anchor_s)
+        return seconds + ahead + self.step_s * (seconds >= self.step_at_s)
 
     def later(self, seconds: float) -> Clock:
         """Return the clock that is ahead by so much more."""

@@ -57,6 +57,7 @@ def check_stamps(stream: Stream) -> list[Finding]:
                 f'{stream.refused} of {n + stream.refused} messages cannot be used',
                 stream.why[:90],
                 {'refused': stream.refused, 'messages': n + stream.refused},
+                when_read=True,
             )
         ]
     else:

@@ -114,7 +114,7 @@ def read_stream(bag: Bag, name: str, topic: str, values: Values | None = None) -
         topic,
         np.array(stamps, dtype=np.int64),
         np.array(logged, dtype=np.int64),
-        np.array(numbers, dtype=np.float64).reshape(-1, width),
+        np.array(numbers, dtype=np.float64).reshape(len(numbers), width),
         tuple(frames),
         refused,
         why,
