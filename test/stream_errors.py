@@ -1,7 +1,7 @@
 """
 Errors of whole streams, put into a recorded drive, and the cause that should be named.
 
-`REPORTED` are those that users reported; `OTHERS` were written down before it was known what the
+`SWEEPS` are errors of recorded sweeps. `REPORTED` are those that users reported; `OTHERS` were written down before it was known what the
 checks say of them.
 """
 
@@ -21,7 +21,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.bags.topics import relative_name
 
-__all__ = ['OTHERS', 'REPORTED', 'StreamError', 'write_drive']
+__all__ = ['OTHERS', 'REPORTED', 'SWEEPS', 'StreamError', 'write_drive']
 
 TRUTH = 'ground_truth/odom'
 # Message, and how often it was sent before.
@@ -81,6 +81,20 @@ def times(scale: float, joint: str = 'pan_joint') -> Altered:
         index = list(message.name).index(joint)
         message.position = np.array(message.position)
         message.position[index] *= scale
+        return message
+
+    return change
+
+
+def swept(scale: float) -> Altered:
+    """Pans of a trajectory, scaled."""
+
+    def change(message: Any, _: int) -> Any:
+        for point in message.points:
+            point.positions = np.array(point.positions) * [
+                scale,
+                *[1.0] * (len(message.joint_names) - 1),
+            ]
         return message
 
     return change
@@ -201,7 +215,9 @@ PICTURES = (CAMERA, INFO)
 _SAME = _always(same)
 
 REPORTED = {
-    'odom +1 s': StreamError((ODOMETRY,), _always(later(1.0)), 'odom clock', '(1.0. s|0.9. s|9.. ms)'),
+    'odom +1 s': StreamError(
+        (ODOMETRY,), _always(later(1.0)), 'odom clock', '(1.0. s|0.9. s|9.. ms)'
+    ),
     'odom +5 s': StreamError((ODOMETRY,), _always(later(5.0)), 'odom clock', '(5.0|4.9)'),
     'odom -60 s': StreamError((ODOMETRY,), _always(later(-60.0)), 'odom clock', '(60.0|59.9)'),
     'odom -4990 s': StreamError(
@@ -282,8 +298,14 @@ OTHERS = {
 }
 
 
+SWEEPS = {
+    'pan reversed': StreamError(('sweep/trajectory',), swept(-1.0), 'pan sign', 'reversed'),
+    'pan in degrees': StreamError(('sweep/trajectory',), swept(57.29578), 'pan scale', 'degrees'),
+}
+
+
 def write_drive(bag: Bag, path: Path, error: StreamError) -> Path:
-    """Write a drive with an error in it."""
+    """Write a drive, or sweeps, with an error in it."""
     out: list[tuple[str, Any, int]] = []
     counts: dict[str, int] = {}
     for entry in bag.messages():
