@@ -1,8 +1,8 @@
 """
 Errors of whole streams, put into a recorded drive, and the cause that should be named.
 
-`SWEEPS` are errors of recorded sweeps. `REPORTED` are those that users reported; `OTHERS` were written down before it was known what the
-checks say of them.
+`REPORTED` are those that users reported, `SWEEPS` those of recorded sweeps. `OTHERS` were written
+down before it was known what the checks say of them.
 """
 
 from __future__ import annotations

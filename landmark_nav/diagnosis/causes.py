@@ -165,6 +165,8 @@ def _scales(motion: Motion) -> Iterator[Cause]:
     ):
         if np.abs(factor).max(initial=0.0) < 1e-6:
             continue
+        if stream == IMAGES and motion.odometry is None:
+            continue  # the pan's scale says the same
         least = float((factor @ (turns - rest)) / (factor @ factor))
         # Units as far off as ticks show in the extents alone.
         ratio = float(np.median(np.abs(turns - rest)) / max(np.median(np.abs(factor)), 1e-12))
