@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 import json
 from pathlib import Path
 
-from landmark_nav.diagnosis import diagnose, Diagnosis, table, worst
+from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, table, worst
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
@@ -42,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
         room = Room(walls) if walls else None
     bag = Bag(args.bag)
     found = diagnose(bag, mount, room)
+    if room is not None and room.papers:
+        found = replace(found, findings=(*found.findings, *check_papers(bag, mount, room)))
     if args.json:
         report = {
             'schema': 1,

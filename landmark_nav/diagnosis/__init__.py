@@ -2,6 +2,7 @@
 
 from landmark_nav.diagnosis.doctor import Delays, diagnose, Diagnosis, QUICK, THOROUGH
 from landmark_nav.diagnosis.findings import Finding, table, worst
+from landmark_nav.diagnosis.papers import check_papers
 
 __all__ = [
     'QUICK',
@@ -9,6 +10,7 @@ __all__ = [
     'Delays',
     'Diagnosis',
     'Finding',
+    'check_papers',
     'diagnose',
     'table',
     'worst',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,13 @@ from landmark_nav.diagnosis.sources import two_sources
 from landmark_nav.diagnosis.stamps import check_stamps, clock_hints, in_step, longest_part
 from landmark_nav.diagnosis.streams import read_joints, read_stream, Stream, unwrapped
 from landmark_nav.diagnosis.units import check_speed, check_twist
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.sieve import naming
+from landmark_nav.storage.bags.timelines import logged_joints
 
 __all__ = ['QUICK', 'THOROUGH', 'Delays', 'Diagnosis', 'diagnose']
 
@@ -107,6 +110,8 @@ def diagnose(
         The bag cannot be read at all.
 
     """
+    # Whoever reads it then says what cannot be used.
+    bag = bag.silent()
     found: list[Finding] = []
     delays = Delays()
     images = _first(bag, _IMAGES)
@@ -136,8 +141,6 @@ class _Drive:
 
     def __init__(self, bag: Bag, images: str, mount: PanTiltMount, room: Room | None) -> None:
         self._bag, self._images, self._mount, self._room = bag, images, mount, room
-        joints = bag.find('joint_states')
-        self._joints = read_joints(bag, joints) if joints else {}
         odometry = bag.find('odom')
         self._odometry = read_stream(bag, ODOMETRY, odometry, _odometry) if odometry else None
 
@@ -172,17 +175,27 @@ class _Drive:
             return found, Delays(), True
         return self._against_images(looks, pan, odometry, found)
 
+    @cached_property
+    def _joints(self) -> dict[str, Stream]:
+        """All joints by their names."""
+        topic = self._bag.find('joint_states')
+        return read_joints(self._bag, topic) if topic else {}
+
     def _pan(self) -> tuple[Stream | None, list[Finding]]:
-        """Stream of the pan joint, and what there is to say of the names of joints."""
-        name, there = self._mount.pan_joint, ', '.join(self._joints) or 'no joint'
-        if name in self._joints:
-            return self._joints[name], [Finding('joint names', 'ok', there[:90])]
-        if not self._joints:
-            return None, [
-                Finding('joint_states', 'error', 'there are none', 'record joint_states')
-            ]
-        advice = f'set pan_joint in robot.yaml to the joint that turns the camera, not {name}'
-        return None, [Finding('joint names', 'error', f'there are {there[:90]}', advice)]
+        """Stream of the pan as it is read from the bag, and what there is to say of joints."""
+        names, name = ', '.join(self._joints)[:90], self._mount.pan_joint
+        try:
+            pan = _pan_stream(self._bag, self._mount)
+        except LandmarkNavError as error:
+            if name in self._joints:
+                # Readers refuse what is no pan; what it is instead is to be found.
+                return self._joints[name], []
+            if names:
+                advice = f'set pan_joint in robot.yaml to what turns the camera, not {name}'
+                return None, [Finding('joint names', 'error', f'there are {names}', advice)]
+            said = str(error).removeprefix(f'{self._bag.path}: ')
+            return None, [Finding('joint names', 'error', said, '', {}, when_read=True)]
+        return pan, [Finding('joint names', 'ok', names or name)]
 
     def _against_images(
         self, looks: Looks, pan: Stream, odometry: Stream | None, found: list[Finding]
@@ -324,9 +337,8 @@ class _Sweeps:
                     yield sample.stamp_ns, sample.pan_rad
 
     def _jointed(self) -> Iterator[tuple[int, float]]:
-        topic = self._bag.find('joint_states')
-        pan = read_joints(self._bag, topic).get(self._mount.pan_joint) if topic else None
-        if pan is not None:
+        if self._bag.find('joint_states'):
+            pan = _pan_stream(self._bag, self._mount)
             yield from zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True)
 
 
@@ -335,6 +347,19 @@ def _learned(finding: Finding) -> Finding:
     scale = abs(finding.values.get('scale', np.inf))
     calibrated = finding.name != 'pan sign' and 1.0 / _CALIBRATED < scale < _CALIBRATED
     return replace(finding, level='warning') if calibrated else finding
+
+
+def _pan_stream(bag: Bag, mount: PanTiltMount) -> Stream:
+    """Pan (n, 1) of a bag, wherever it is."""
+    logged, _ = logged_joints(bag, mount)
+    return Stream(
+        JOINTS,
+        bag.find('joint_states') or '',
+        np.array([sample.stamp_ns for _, sample in logged], dtype=np.int64),
+        np.array([log_ns for log_ns, _ in logged], dtype=np.int64),
+        np.array([sample.pan_rad for _, sample in logged])[:, None],
+        origin_ns=bag.start_ns,
+    )
 
 
 def _odometry(message: Any) -> FloatArray:

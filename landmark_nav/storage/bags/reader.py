@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
+from copy import copy
 from functools import cached_property
 import heapq
 import logging
@@ -125,6 +126,12 @@ class Bag:
         self.start_ns = min((file.first_ns for file in filled), default=0)
         self.duration_s = 1e-9 * (max((f.last_ns for f in filled), default=0) - self.start_ns)
         self.complete = all(file.complete for file in self._files)
+
+    def silent(self) -> Bag:
+        """Return the same bag, which warns nobody: for who looks before it is read."""
+        other = copy(self)
+        other.warn = lambda _: None
+        return other
 
     def find(self, name: str) -> str | None:
         """

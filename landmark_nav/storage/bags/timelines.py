@@ -17,7 +17,7 @@ from landmark_nav.storage.bags.reader import Bag, BagMessage
 from landmark_nav.storage.bags.sieve import Sieve
 from landmark_nav.types import JointSample, Refusal
 
-__all__ = ['CameraInfos', 'JointHistory', 'JointLog']
+__all__ = ['CameraInfos', 'JointHistory', 'JointLog', 'logged_joints']
 
 # Pan between two joint states is known if they are this close.
 _MAX_JOINT_GAP_NS = 500_000_000
@@ -130,7 +130,7 @@ class JointHistory:
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:
         """Read all angles of a bag of one clock; see `JointLog.read`."""
-        logged, tilts = _logged_joints(bag, mount)
+        logged, tilts = logged_joints(bag, mount)
         return cls((sample for _, sample in logged), (told for _, told in tilts))
 
 
@@ -183,10 +183,10 @@ class JointLog:
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointLog:
         """Read all angles of a bag; `LandmarkNavError` if it has none for `mount`."""
-        return cls(*_logged_joints(bag, mount))
+        return cls(*logged_joints(bag, mount))
 
 
-def _logged_joints(
+def logged_joints(
     bag: Bag, mount: PanTiltMount
 ) -> tuple[list[tuple[int, JointSample]], list[tuple[int, tuple[int, float]]]]:
     """Angles of a bag, and tilts that are told by themselves; when they were recorded."""
