@@ -29,6 +29,9 @@ _DRIFTS = np.arange(-0.1, 0.1001, 0.0025)
 _NEAR_S, _NEAR_STEP_S, _FAR_S, _FAR_STEP_S = 3.0, 0.02, 120.0, 0.05
 # A drift that comes to less over a recording is none.
 _LEAST_DRIFT_S = 0.05
+_CLOCKS = ('clock', 'drift', 'step')
+# A clock that is known to this is worth a correction.
+_POLISH_S = 0.02
 # So many pairs are enough for a first search.
 _PAIRS = 160
 _FIRST_NOISE_RAD = 0.01
@@ -119,21 +122,38 @@ def verdict(
     if best.score < none.score + _CERTAIN or not linear(best.motion).quiet:
         best = none
     alike = [c for c in found if c is not best and c.score > best.score - _ALIKE]
-    rivals = [] if best is none else [c for c in alike if _differs(c, best)]
+    best = _polished(best)
+    rivals = [] if best.kind == 'none' else [c for c in alike if _differs(c, best)]
     return Verdict(best, tuple(rivals), linear(best.motion).quiet)
 
 
 def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
     """By how much the odometry of a motion is stamped late, seconds, to explain the images."""
     (first,) = _first_clocks(motion, ODOMETRY, list(hints), drifts=False)
-    return _refined(motion, ODOMETRY, first, drift=False).value
+    return _polished(_refined(motion, ODOMETRY, first, drift=False)).value
 
 
 def _differs(one: Cause, other: Cause) -> bool:
-    """Whether two causes are other faults: a drift of nothing is a clock."""
-    if one.stream != other.stream:
-        return one.kind != 'none'
-    return {one.kind, other.kind} not in ({'clock', 'drift'}, {one.kind})
+    """Whether two causes are other faults; those of one clock are not."""
+    if one.kind == 'none':
+        return False
+    return (one.stream, one.kind in _CLOCKS) != (other.stream, other.kind in _CLOCKS)
+
+
+def _polished(cause: Cause) -> Cause:
+    """An offset of a clock, estimated together with small errors of scale."""
+    by_odometry = cause.stream == ODOMETRY
+    sign = -1.0 if cause.stream == IMAGES else 1.0
+    for _ in range(2):
+        slopes = linear(cause.motion)
+        more = slopes.odometry_clock_s if by_odometry else slopes.pan_clock_s
+        if cause.kind != 'clock' or more.sigma > _POLISH_S:
+            break
+        clock = cause.motion.odometry_clock if by_odometry else cause.motion.pan_clock
+        motion = _with_clock(cause.motion, cause.stream, clock.later(more.value))
+        value = cause.value + sign * more.value
+        cause = replace(cause, motion=motion, left=explained(motion), value=value, offset_s=value)
+    return cause
 
 
 def _cause(

@@ -255,6 +255,11 @@ class _Drive:
         truth = read_stream(self._bag, 'ground_truth', topic, _odometry) if topic else None
         if truth is None or len(truth) < 2:
             return []
+        # Of the same part of the recording as the images.
+        first, last = images.logged_ns[[0, -1]]
+        truth = truth.only((truth.logged_ns >= first) & (truth.logged_ns <= last))
+        if len(truth) < 2:
+            return []
         values = truth.values[:, :3].copy()
         values[:, 2] = np.unwrap(values[:, 2])
         track = Track.of(truth.seconds, values)
@@ -411,8 +416,8 @@ def _one_source(
 def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
     """Frames that odometry and images name."""
     said = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
-    children = {frame.partition(' -> ')[2].lstrip('/') for frame in odometry.frames} - {''}
-    bases = {mount.base_frame, 'base_footprint', 'base_link'}
+    children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
+    bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
     if len(odometry.frames) > 1:
         advice = 'odom names several frames: two nodes may publish it'
     elif children - bases:

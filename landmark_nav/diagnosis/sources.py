@@ -43,8 +43,9 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
         Which columns are angles.
 
     """
-    order = np.argsort(stream.seconds, kind='stable')
-    times, values = stream.seconds[order], stream.values[order]
+    # As they arrive: stamps may go back.
+    order = np.argsort(stream.logged, kind='stable')
+    times, values = stream.logged[order], stream.values[order]
     is_angle = np.isin(np.arange(values.shape[1]), angles)
     speed = np.where(is_angle, _FASTEST_RAD_S, _FASTEST_M_S)
     tolerance = np.where(is_angle, _TOLERANCE_RAD, _TOLERANCE_M)

@@ -25,12 +25,13 @@ class _Need(NamedTuple):
 _NEEDS = {
     'images': _Need(1.0, 2.0, 'the camera'),
     'joint_states': _Need(10.0, 0.5, 'the driver of the joints'),
-    'odom': _Need(5.0, 0.5, 'the odometry'),
+    'odom': _Need(5.0, 1.5, 'the odometry'),
 }
 # Stamps that go back by more are a clock that was set back.
 _SET_BACK_S = 0.5
 # Of the lag between stamp and recording, what is farther from its line has another clock.
 _OUT_OF_STEP_S = 0.5
+_STEADY = 0.8
 # Jitter of stamps that matters while a camera turns at 1 rad/s.
 _SHAKEN_S = 0.01
 # What is more often than this out of order was sent so.
@@ -38,10 +39,15 @@ _OFTEN = 0.01
 
 
 class LogClock(NamedTuple):
-    """Stamps against times of recording: offset at the start, s, and drift as a share."""
+    """
+    Stamps against times of recording: offset at the start, s, and drift as a share.
+
+    `steady` says whether most messages lie on that line.
+    """
 
     offset_s: float
     drift: float
+    steady: bool
 
 
 def check_stamps(stream: Stream) -> list[Finding]:
@@ -159,7 +165,10 @@ def log_clock(stream: Stream) -> LogClock:
     apart = float(np.median(stream.logged[-third:]) - np.median(stream.logged[:third]))
     rise = float(np.median(lag[-third:]) - np.median(lag[:third]))
     drift = rise / apart if apart > 0.0 else 0.0
-    return LogClock(float(np.median(lag - drift * stream.logged)), drift)
+    rest = lag - drift * stream.logged
+    offset = float(np.median(rest))
+    steady = bool(np.mean(np.abs(rest - offset) < _OUT_OF_STEP_S) > _STEADY)
+    return LogClock(offset, drift, steady)
 
 
 def in_step(stream: Stream) -> Stream:
@@ -198,7 +207,9 @@ def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[
     for name, stream in others.items():
         by_log = log_clock(stream)
         drift = (1.0 + by_log.drift) / max(1.0 + by_images.drift, 1e-9) - 1.0
-        offset, start = by_log.offset_s - by_images.offset_s, float(stream.seconds[0]) - begin
+        known = by_log.steady and by_images.steady
+        offset = by_log.offset_s - by_images.offset_s if known else 0.0
+        start = float(stream.seconds[0]) - begin
         longer = float(np.ptp(stream.seconds)) / extent - 1.0 if extent > 0.0 else 0.0
         hints[name] = [
             Clock(offset),

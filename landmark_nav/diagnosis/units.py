@@ -17,6 +17,7 @@ _FAST_M_S, _FASTEST_M_S = 3.0, 10.0
 _STEP_S = 0.2
 _LEAST_MOTION_M, _LEAST_MOTION_RAD = 0.3, 0.3
 _ALIKE = 1.25
+_USUAL = 0.98
 _UNITS = {'centimetres': 100.0, 'millimetres': 1000.0, 'inches': 39.37, 'feet': 3.281}
 
 
@@ -69,7 +70,9 @@ def check_twist(stream: Stream) -> list[Finding]:
         ('turn', turned, 4, _LEAST_MOTION_RAD),
     ):
         by_twist = 0.5 * (values[1:, column] + values[:-1, column]) * steps
-        pose, twist = by_pose[good], by_twist[good]
+        # An odometry that jumps once is another matter.
+        usual = good & (np.abs(by_pose) <= np.quantile(np.abs(by_pose[good]), _USUAL))
+        pose, twist = by_pose[usual], by_twist[usual]
         if max(np.abs(pose).sum(), np.abs(twist).sum()) < least:
             continue
         size = float(np.abs(pose).sum() / max(np.abs(twist).sum(), 1e-9))
