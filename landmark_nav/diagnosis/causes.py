@@ -32,6 +32,8 @@ _LEAST_DRIFT_S = 0.05
 _CLOCKS = ('clock', 'drift', 'step')
 # A clock that is known to this is worth a correction.
 _POLISH_S = 0.02
+# A clock is told by what was recorded at the time of the images.
+_LEAST_COVERED = 0.3
 # So many pairs are enough for a first search.
 _PAIRS = 160
 _FIRST_NOISE_RAD = 0.01
@@ -328,6 +330,19 @@ def _step(motion: Motion, stream: str) -> Cause:
     return _cause(stream, 'step', _with_clock(motion, stream, found), 2, value, offset_s=moment)
 
 
+def _covered(motion: Motion) -> float:
+    """Share of the pairs in whose time there are both joints and odometry."""
+    inside = np.ones(len(motion), dtype=np.bool_)
+    for track, clock in (
+        (motion.pan, motion.pan_clock),
+        (motion.odometry, motion.odometry_clock),
+    ):
+        if track is not None:
+            inside &= clock.at(motion.before_s) > track.seconds[0] - _NEAR_STEP_S
+            inside &= clock.at(motion.after_s) < track.seconds[-1] + _NEAR_STEP_S
+    return float(np.mean(inside))
+
+
 def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause:
     """The likeliest clock near one."""
 
@@ -362,10 +377,13 @@ def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause
         if abs(clock.drift) * span < _LEAST_DRIFT_S:
             kind, value = 'clock', clock.offset_s
     sign = -1.0 if stream == IMAGES else 1.0
+    mended = _with_clock(motion, stream, clock)
+    if _covered(mended) < _LEAST_COVERED:
+        return _cause(stream, 'none', motion, 2)  # a clock by which nothing was recorded
     return _cause(
         stream,
         kind,
-        _with_clock(motion, stream, clock),
+        mended,
         2 if drift else 1,
         sign * value,
         offset_s=sign * clock.offset_s,

@@ -46,6 +46,8 @@ _BY_LOG_S = 0.5
 _CALIBRATED = 1.2
 # Delays are not known better from how images turn.
 _LEAST_SIGMA_S = 1e-3
+# Images that turn less, while the pan turns more, in most pairs, are one image.
+_STILL_RAD, _TURNING_RAD, _MOST = 1e-3, 0.03, 0.9
 # Share of the images at whose time there is ground truth.
 _ENOUGH = 0.8
 # A clock that motion knows to this needs no times of recording.
@@ -218,6 +220,8 @@ class _Drive:
             said = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
             found.append(Finding('image motion', 'ok', said))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
+        if (still := _still(motion)) is not None:
+            return [*found, still], Delays(), False
         slopes = linear(motion)
         if slopes.fits:
             found += motion_findings(motion, slopes, self._room)
@@ -451,6 +455,19 @@ def _clocks_by_log(
     if len(off) == len(known) and np.ptp(lates) < _BY_LOG_S:
         return [clock_finding(IMAGES, -float(np.mean(lates)), how, corrected=False)]
     return [clock_finding(name, late, how, corrected=False) for name, late in off.items()]
+
+
+def _still(motion: Motion) -> Finding | None:
+    """Images that do not turn though the pan does; None where they do."""
+    panned = np.abs(motion.panned()) > _TURNING_RAD
+    if panned.sum() < _LEAST_PAIRS or np.mean(np.abs(motion.turns_rad) < _STILL_RAD) < _MOST:
+        return None
+    return Finding(
+        'images motion',
+        'error',
+        'images stay the same while joint_states turn',
+        'the camera repeats an image, or the pan does not move: look at both drivers',
+    )
 
 
 def _covered(motion: Motion, track: Track | None) -> float:
