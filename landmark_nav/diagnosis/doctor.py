@@ -113,7 +113,8 @@ def diagnose(
 
     """
     # Whoever reads it then says what cannot be used.
-    bag = bag.silent()
+    said: dict[str, None] = {}
+    bag = bag.warning_to(lambda text: said.update({text: None}))
     found: list[Finding] = []
     delays = Delays()
     images = _first(bag, _IMAGES)
@@ -131,6 +132,9 @@ def diagnose(
         found += _Sweeps(bag, sweeps, mount).findings(most_images)
     if not found:
         bag.require(*_IMAGES, *_SWEEP_IMAGES)
+    for text in said:
+        line = text.replace(f'{bag.path}: ', '')
+        found.append(Finding('reading', 'warning', line, when_read=True))
     return Diagnosis(tuple(found), delays)
 
 

@@ -127,10 +127,10 @@ class Bag:
         self.duration_s = 1e-9 * (max((f.last_ns for f in filled), default=0) - self.start_ns)
         self.complete = all(file.complete for file in self._files)
 
-    def silent(self) -> Bag:
-        """Return the same bag, which warns nobody: for who looks before it is read."""
+    def warning_to(self, on_warning: Callable[[str], None]) -> Bag:
+        """Return the same bag, which warns somebody else: for who looks before it is read."""
         other = copy(self)
-        other.warn = lambda _: None
+        other.warn = on_warning
         return other
 
     def find(self, name: str) -> str | None:
