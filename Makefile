@@ -94,9 +94,9 @@ papers: install
 bad-sweeps: install
 	$(BIN)/python test/bad_sweeps_check.py
 
-# A drive with its pictures spoiled: blur, noise, darkness. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
+# A drive with errors in its streams and images; bags/ or, all five given, DRIVE, MAP, ROBOT, ROOM; START "X Y THETA".
 spoiled: install
-	$(BIN)/python test/spoiled_check.py $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
+	$(BIN)/python test/spoiled_check.py $(if $(DRIVE),$(DRIVE) --map $(MAP) --robot $(ROBOT) --room $(ROOM) --start $(START))
 
 # A drive with faults of odometry, joints, camera and clock. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
 faults: install

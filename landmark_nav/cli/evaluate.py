@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
+from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
 from landmark_nav.cli.run_summary import run_summary
+from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
@@ -126,33 +128,43 @@ def run(args: argparse.Namespace) -> int:
     if args.config:
         config = load_config(args.config, config)
 
+    room = Room(landmarks.walls) if landmarks.walls else None
+    diagnosis = diagnose(bag, mount, room, QUICK)
+    refuse_errors(bag, diagnosis)
+    late = diagnosis.delays
+    # What was measured is not known exactly.
+    sigma_s = max(late.pan_sigma_s, config.fusion.delay_sigma_s)
+    config = replace(config, fusion=replace(config.fusion, delay_sigma_s=sigma_s))
+
     def localized(joint_delay_s: float, fusion: FusionConfig) -> Replay:
-        events = progress(sensor_events(bag, mount, joint_delay_s), 'localizing', total)
+        delays = (joint_delay_s, late.images_s, late.odometry_s)
+        events = progress(sensor_events(bag, mount, *delays), 'localizing', total)
         known = replace(config, fusion=fusion)
         return replay(events, landmarks, mount, known, start, covariance)
 
-    done = localized(0.0, config.fusion)
+    done = localized(late.joints_s, config.fusion)
     learned = replace(config, odometry=done.odometry_noise)
     offsets = camera_offsets(done, landmarks, mount, learned)
-    delay_s = 0.0
-    if offsets.delay_matters:
-        # What was measured is not known exactly.
+    again = offsets.delay_matters or late.joints_s != 0.0
+    offsets = replace(offsets, delay_s=late.joints_s + offsets.delay_s)
+    delay_s = late.joints_s
+    if again:
         sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
         fusion = replace(config.fusion, delay_sigma_s=sigma_s)
         corrected = localized(offsets.delay_s, fusion)
-        late = (
+        said = (
             f'{bag.path}: joint_states are stamped {1e3 * offsets.delay_s:.1f} ms late (sigma '
             f'{1e3 * offsets.delay_sigma_s:.1f} ms)'
         )
         if corrected.tracking.sum() >= done.tracking.sum():
             done, delay_s = corrected, offsets.delay_s
             bag.warn(
-                f'{late}: taken into account; on the robot set joint_delay_s of '
+                f'{said}: taken into account; on the robot set joint_delay_s of '
                 f'triangulation_localizer to {delay_s:.4f}'
             )
         else:
             # Put right all the time, fewer poses are sure.
-            bag.warn(f'{late} in the end, and not all the time: look at their clock')
+            bag.warn(f'{said} in the end, and not all the time: look at their clock')
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     check_truth_frame(bag, landmarks.frame_id)
@@ -166,6 +178,7 @@ def run(args: argparse.Namespace) -> int:
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report(done, errors, landmarks, mount, learned)
     report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
+    report['checks'] = [finding.report() for finding in diagnosis.findings]
     smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)

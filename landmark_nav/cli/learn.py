@@ -13,9 +13,11 @@ import time
 from typing import Any
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
+from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
+from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
@@ -84,6 +86,8 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(args.config, _Stages()) if args.config else _Stages()
     bag = open_bag(args.bag, args)
     log = StageLog()
+    with log.measure('checks'):
+        refuse_errors(bag, diagnose(bag, mount, room, QUICK))
     with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
         panoramas, frames = _panoramas(bag, room, mount, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)

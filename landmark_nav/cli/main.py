@@ -31,6 +31,7 @@ __all__ = ['main']
 COMMANDS = {
     'demo': ('demo', 'learn, drive and localize with a simulated robot (ROS)'),
     'learn': ('learn', 'make a map out of a bag of sweeps'),
+    'check': ('check', 'say what is wrong with a recording'),
     'evaluate': ('evaluate', 'run a drive bag through the localizer and measure its errors'),
     'panorama': ('panorama', 'make a panorama out of a sweep'),
     'plan': ('plan', 'propose where to take panoramas'),

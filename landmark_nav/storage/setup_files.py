@@ -34,8 +34,8 @@ _MAX_WALLS, _MAX_PAPERS = 1000, 100
 # What is longer or higher, or farther from the base, is told in another unit.
 _MAX_WALL_M, _MAX_HEIGHT_M, _MAX_MOUNT_M = 1000.0, 50.0, 10.0
 
-# Angles beyond a full turn were written in degrees.
-_FULL_TURN_RAD = 6.2832
+# Angles beyond half a turn, with some digits cut off, were written in degrees.
+_HALF_TURN_RAD = 3.15
 
 # A pan that errs more tells nothing.
 _LARGEST_SIGMA_RAD = 0.1
@@ -213,9 +213,10 @@ def load_camera(path: Path | str) -> CameraModel:
 
 def _angles(mapping: Any, key: str, shape: tuple[int, ...], where: str) -> Any:
     angles = array_field(mapping, key, shape, where)
-    if np.any(np.abs(angles) > _FULL_TURN_RAD):
+    if np.any(np.abs(angles) > _HALF_TURN_RAD):
         raise LandmarkNavError(
-            f'{where}: {key} is {shown(mapping[key])}, more than a full turn: give it in radians'
+            f'{where}: {key} is {shown(mapping[key])}, more than half a turn: '
+            'give radians within +-pi'
         )
     return tuple(angles.tolist()) if shape else float(angles)
 

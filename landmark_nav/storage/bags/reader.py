@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from copy import copy
 from functools import cached_property
 import heapq
 from itertools import islice
@@ -176,6 +177,13 @@ class Bag:
         if text not in self._said:
             self._said.add(text)
             self.warn(f'{self.path}: {text}')
+
+    def warning_to(self, on_warning: Callable[[str], None]) -> Bag:
+        """Return the same bag, which warns somebody else: for who looks before it is read."""
+        other = copy(self)
+        other.warn = on_warning
+        other._said = set()
+        return other
 
     def find(self, name: str) -> str | None:
         """

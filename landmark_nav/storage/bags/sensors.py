@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -27,16 +28,21 @@ _PICTURES = ('camera/image_raw', 'camera/image_raw/compressed')
 
 
 def sensor_events(
-    bag: Bag, mount: PanTiltMount, joint_delay_s: float = 0.0
+    bag: Bag,
+    mount: PanTiltMount,
+    joint_delay_s: float = 0.0,
+    image_delay_s: float = 0.0,
+    odometry_delay_s: float = 0.0,
 ) -> Iterator[SensorEvent]:
     """
     What a drive's bag holds, in the order it was recorded.
 
     Of one moment the pictures come last, as nodes wait for what belongs to them. They are grey,
-    with pan and tilt interpolated at their stamps; those of joint states are late by
-    `joint_delay_s`. Ground truth, if there is any, comes as `PoseEstimate`. What cannot be used,
-    such as a value that is not a number, is left out and told through ``bag.warn``. A bag
-    without pictures may bring ``detections`` instead, of this package or another sensor.
+    with pan and tilt interpolated at their stamps. Stamps of joint states, images and odometry
+    that are late by a known delay are put right by it. Ground truth, if there is any, comes as
+    `PoseEstimate`. What cannot be used, such as a value that is not a number, is left out and
+    said through ``bag.warn``. A bag without pictures may bring ``detections`` instead, of this
+    package or another sensor.
 
     Raises
     ------
@@ -52,11 +58,13 @@ def sensor_events(
     cameras = CameraInfos.read(bag, 'camera/camera_info')
     joints = JointLog.read(bag, mount)
     truth = bag.find('ground_truth/odom')
-    delay_ns = round(joint_delay_s * 1e9)
+    late_joints, late_image, late_odometry = (
+        round(delay_s * 1e9) for delay_s in (joint_delay_s, image_delay_s, odometry_delay_s)
+    )
     depth = decode.BitDepth()
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
-        images: lambda entry: _frame(bag, entry, cameras, joints, delay_ns, depth),
-        odometry: lambda entry: decode.odometry(entry.message),
+        images: lambda entry: _frame(bag, entry, cameras, joints, late_joints, late_image, depth),
+        odometry: lambda entry: _earlier(decode.odometry(entry.message), late_odometry),
     }
     if truth is not None:
         decoders[truth] = truth_decoder(bag, truth)
@@ -109,17 +117,23 @@ def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
     yield from _usable(bag, once(bag.messages(decoders)), decoders, {})
 
 
+def _earlier(sample: OdometrySample, late_ns: int) -> OdometrySample:
+    return replace(sample, stamp_ns=sample.stamp_ns - late_ns) if late_ns else sample
+
+
 def _frame(
     bag: Bag,
     entry: BagMessage,
     cameras: CameraInfos,
     joints: JointLog,
-    delay_ns: int,
+    late_joints_ns: int,
+    late_image_ns: int,
     depth: decode.BitDepth,
 ) -> CameraFrame:
-    stamp = decode.stamp_ns(entry.message.header)
-    pixels, camera = decode.camera_image(entry.message, cameras.at(stamp), True, depth)
-    sample = joints.at(stamp + delay_ns, entry.stamp_ns)
+    stamped = decode.stamp_ns(entry.message.header)
+    stamp = stamped - late_image_ns
+    pixels, camera = decode.camera_image(entry.message, cameras.at(stamped), True, depth)
+    sample = joints.at(stamp + late_joints_ns, entry.stamp_ns)
     if isinstance(sample, Refusal):
         raise LandmarkNavError(
             f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it '

@@ -19,7 +19,7 @@ from landmark_nav.storage.bags.sieve import Sieve
 from landmark_nav.storage.bags.transforms import joints_of_transforms
 from landmark_nav.types import JointSample, Refusal
 
-__all__ = ['CameraInfos', 'JointHistory', 'JointLog']
+__all__ = ['CameraInfos', 'JointHistory', 'JointLog', 'logged_joints']
 
 # Pan between two joint states is known if they are this close.
 _MAX_JOINT_GAP_NS = 500_000_000
@@ -132,7 +132,7 @@ class JointHistory:
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:
         """Read all angles of a bag of one clock; see `JointLog.read`."""
-        logged, tilts = _logged_joints(bag, mount)
+        logged, tilts = logged_joints(bag, mount)
         return cls((sample for _, sample in logged), (told for _, told in tilts))
 
 
@@ -185,15 +185,15 @@ class JointLog:
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointLog:
         """Read all angles of a bag; `LandmarkNavError` if it has none for `mount`."""
-        return cls(*_logged_joints(bag, mount))
+        return cls(*logged_joints(bag, mount))
 
 
 # When each was recorded: angles, and the stamps and tilts of a tilt joint with its own driver.
 _Logged = tuple[list[tuple[int, JointSample]], list[tuple[int, tuple[int, float]]]]
 
 
-def _logged_joints(bag: Bag, mount: PanTiltMount) -> _Logged:
-    """Angles of a bag: of the topic whose messages hold the pan joint, else of ``/tf``."""
+def logged_joints(bag: Bag, mount: PanTiltMount) -> _Logged:
+    """Angles of a bag and when each was recorded: of joint states, else of ``/tf``."""
     _, of_frame, frame = bag.given('joint_states').partition(':')
     found: dict[str, _Logged] = {}
     missing = ''

@@ -1,0 +1,80 @@
+"""`landmark-nav check`: what is wrong with a recording, before anything is made of it."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+import json
+from pathlib import Path
+
+from landmark_nav.cli.bags import add_topic_argument, open_bag
+from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, table, worst
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.whole import check_writable, write_whole
+
+__all__ = ['add_arguments', 'refuse_errors', 'run']
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Check the streams of a bag: rates, gaps, clocks, encodings, frames, lens; signs, units '
+        'and delays of pan and odometry against how the images themselves turn. Exit status: 0 '
+        'without errors, 1 with.'
+    )
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
+    add_topic_argument(parser)
+    parser.add_argument('--room', metavar='F', help='room.yaml: walls and papers')
+    parser.add_argument('--robot', metavar='F', help='robot.yaml: how the camera is mounted')
+    parser.add_argument('--map', metavar='MAP', help='map folder: its walls, if no room is given')
+    parser.add_argument('--json', metavar='F', type=Path, help='write what was found to F')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check and print a table."""
+    check_writable(args.json)
+    mount = load_robot(args.robot) if args.robot else PanTiltMount()
+    room = load_room(args.room) if args.room else None
+    if args.map and room is None:
+        walls = load_map(args.map).walls
+        room = Room(walls) if walls else None
+    bag = open_bag(args.bag, args)
+    found = diagnose(bag, mount, room)
+    if room is not None and room.papers:
+        found = replace(found, findings=(*found.findings, *check_papers(bag, mount, room)))
+    if args.json:
+        report = {
+            'schema': 1,
+            'bag': str(bag.path),
+            'status': worst(found.findings),
+            'checks': [finding.report() for finding in found.findings],
+        }
+        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+    print('\n'.join(table(found.findings)))
+    print(f'{len(found.errors)} errors, {len(found.warnings)} warnings')
+    return int(bool(found.errors))
+
+
+def refuse_errors(bag: Bag, found: Diagnosis) -> None:
+    """
+    Pass warnings on, a line each; refuse errors in one line.
+
+    Raises
+    ------
+    LandmarkNavError
+        There is an error.
+
+    """
+    for finding in found.warnings:
+        if not finding.when_read:
+            bag.warn(f'{bag.path}: {finding.line()}')
+    errors = [finding for finding in found.errors if not finding.when_read]
+    if errors:
+        first, *more = errors
+        others = f' (and {len(more)} more: landmark-nav check)' if more else ''
+        raise LandmarkNavError(f'{bag.path}: {first.line()}{others}')

@@ -1,0 +1,17 @@
+"""What is wrong with a recording: its streams against each other and against its images."""
+
+from landmark_nav.diagnosis.doctor import Delays, diagnose, Diagnosis, QUICK, THOROUGH
+from landmark_nav.diagnosis.findings import Finding, table, worst
+from landmark_nav.diagnosis.papers import check_papers
+
+__all__ = [
+    'QUICK',
+    'THOROUGH',
+    'Delays',
+    'Diagnosis',
+    'Finding',
+    'check_papers',
+    'diagnose',
+    'table',
+    'worst',
+]

@@ -1,0 +1,321 @@
+"""What was found of motion, in words: a fault, its size, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.diagnosis.causes import Cause, IMAGES, JOINTS, ODOMETRY, Verdict
+from landmark_nav.diagnosis.findings import Finding, Level
+from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
+from landmark_nav.diagnosis.units import nearness_of_room, unit_of
+from landmark_nav.geometry.walls import Room
+
+__all__ = ['CORRECTED_S', 'cause_findings', 'clock_finding', 'motion_findings']
+
+# Delays up to this are corrected: over it, what joints did is not known well enough.
+CORRECTED_S = 0.3
+# Scales that are off by more cannot be localized with.
+_PAN_OFF, _YAW_OFF = 0.1, 0.3
+# Mean inverse distance of what a camera sees, 1/m: farther and nearer is another unit.
+_FAR, _NEAR = 1.0 / 40.0, 3.0
+# The parallax of a known room is within this factor of its walls'; 0.3 m of furniture.
+_OF_ROOM = 2.2
+_HEADING_WARN_RAD, _HEADING_ERROR_RAD = np.radians(8.0), np.radians(20.0)
+# Clocks this far apart are not of one kind.
+_WALL_TIME_S = 1e6
+
+_OTHERS = {
+    IMAGES: 'joint_states and odom',
+    JOINTS: 'images',
+    ODOMETRY: 'images',
+}
+
+
+def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool = True) -> Finding:
+    """Say that the clock of a stream is off by so many seconds."""
+    side = 'late' if late_s > 0.0 else 'early'
+    against = _OTHERS[stream]
+    said = f'stamped {seconds_text(abs(late_s))} {side} against {against}{how}'
+    values = {'late_s': late_s}
+    if corrected and abs(late_s) <= CORRECTED_S:
+        advice = 'corrected here; on the robot stamp at the time of measurement'
+        # Its own line of `evaluate` is more accurate.
+        by_map = stream == JOINTS
+        if by_map:
+            advice = f'corrected here; on the robot set joint_delay_s to {late_s:.3f}'
+        return Finding(f'{stream} clock', 'warning', said, advice, values, by_map)
+    advice = (
+        'wall time beside simulated time: set use_sim_time alike everywhere'
+        if abs(late_s) > _WALL_TIME_S
+        else 'stamp all streams by one clock (chrony), at the time of measurement'
+    )
+    return Finding(f'{stream} clock', 'error', said, advice, values)
+
+
+def seconds_text(seconds: float) -> str:
+    """A time as people write it."""
+    if seconds < 1.0:
+        return f'{1e3 * seconds:.0f} ms'
+    return f'{seconds:.2f} s' if seconds < 1e5 else f'{seconds:.6g} s'
+
+
+def cause_findings(judged: Verdict) -> list[Finding]:
+    """The fault that explains what does not fit; and what could be it as well."""
+    cause = judged.cause
+    if cause.kind == 'none':
+        if judged.fits:
+            return []
+        noise = np.degrees(cause.left.noise_rad)
+        return [
+            Finding(
+                'image motion',
+                'warning',
+                f'no single fault explains how the images turn ({noise:.1f} deg are left)',
+                'undecided: look at joint_states, odom and images; more than one may be off',
+                {'noise_rad': cause.left.noise_rad},
+            )
+        ]
+    finding = _named(cause)
+    if judged.rivals:
+        also = ', '.join(sorted({_short(rival) for rival in judged.rivals}))
+        finding = replace(finding, measured=f'{finding.measured} (or {also}: undecided)')
+    return [finding]
+
+
+def _short(cause: Cause) -> str:
+    what = {'clock': 'clock', 'drift': 'clock', 'step': 'clock', 'scale': 'scale'}.get(
+        cause.kind, cause.kind
+    )
+    return f'{cause.stream} {what}'
+
+
+def _named(cause: Cause) -> Finding:
+    stream, value = cause.stream, cause.value
+    if cause.kind == 'clock':
+        return clock_finding(stream, value)
+    if cause.kind == 'drift':
+        fast = 'fast' if value > 0.0 else 'slow'
+        at = f', {seconds_text(abs(cause.offset_s))} off at the start'
+        share = 100.0 * abs(value)
+        said = f'{share:.1f} %' if share < 1e3 else f'{1.0 + value:.4g} times'
+        return Finding(
+            f'{stream} clock',
+            'error',
+            f'runs {said} {fast} against {_OTHERS[stream]}{at if abs(cause.offset_s) > 1 else ""}',
+            'its stamps drift: stamp by the clock of the host, disciplined by chrony',
+            {'drift': value, 'offset_s': cause.offset_s},
+        )
+    if cause.kind == 'step':
+        side = 'ahead' if value > 0.0 else 'back'
+        return Finding(
+            f'{stream} clock',
+            'error' if abs(value) > CORRECTED_S else 'warning',
+            f'steps {side} by {seconds_text(abs(value))} at {cause.offset_s:.1f} s',
+            'discipline the clock of its host before driving (chrony)',
+            {'step_s': value, 'at_s': cause.offset_s},
+        )
+    if cause.kind == 'joint':
+        return Finding(
+            'joint names',
+            'error',
+            f'joint {cause.name} turns as the camera does, pan_joint does not',
+            f'set pan_joint: {cause.name} in robot.yaml',
+            {'pan_joint': cause.name},
+        )
+    if cause.kind == 'twist':
+        return Finding(
+            'odom yaw',
+            'error',
+            'its pose does not turn as the camera does, its twist does',
+            'publish the pose that the twist sums up to',
+        )
+    return {JOINTS: _pan_scale, ODOMETRY: _yaw_scale, IMAGES: _image_scale}[stream](value)
+
+
+def _pan_scale(mends: float) -> Finding:
+    """Of the factor that takes the pan to the turn of the images."""
+    said = 1.0 / mends if abs(mends) > 1e-9 else np.inf
+    values = {'scale': said}
+    name = 'pan scale'
+    if abs(mends + 1.0) < 0.15:
+        return Finding(
+            'pan sign',
+            'error',
+            'the images turn against the pan: its sign is reversed',
+            'positive is left: negate the pan, turn pan_axis rpy, or unmirror the images',
+            values,
+        )
+    if abs(abs(mends) * 180.0 / np.pi - 1.0) < 0.15:
+        return Finding(
+            name,
+            'error',
+            f'the pan moves {said:.1f} times as far as the images turn: degrees',
+            'publish joint_states in radians',
+            values,
+        )
+    if abs(mends) < 1e-4:
+        return Finding(
+            'pan scale',
+            'error',
+            'the images do not turn with the pan',
+            'check pan_joint in robot.yaml and the driver of the joints',
+            values,
+        )
+    off = abs(said - 1.0)
+    level: Level = 'error' if off > _PAN_OFF else 'warning'
+    return Finding(
+        name,
+        level,
+        f'the pan moves {said:.3g} times as far as the images turn',
+        'check the gear or unit of the pan; else the focal length in camera_info',
+        values,
+    )
+
+
+def _yaw_scale(mends: float) -> Finding:
+    said = 1.0 / mends if abs(mends) > 1e-9 else np.inf
+    values = {'scale': said}
+    if abs(mends + 1.0) < 0.35:
+        return Finding(
+            'odom yaw',
+            'error',
+            'the images turn against its yaw: the sign of the yaw is reversed',
+            'yaw is counter-clockwise: check the sides and signs of the wheels',
+            values,
+        )
+    if abs(mends) < 0.05 or abs(mends) > 20.0:
+        return Finding(
+            'odom yaw',
+            'error',
+            f'turns {said:.3g} times as far as the images',
+            'the yaw does not follow the robot: publish the integrated heading in radians',
+            values,
+        )
+    level: Level = 'error' if abs(said - 1.0) > _YAW_OFF else 'warning'
+    return Finding(
+        'odom yaw',
+        level,
+        f'turns {said:.3g} times as far as the images',
+        'check the track width of the wheels, and the unit of the heading',
+        values,
+    )
+
+
+def _image_scale(seen: float) -> Finding:
+    """Of images that turn `seen` times as far as joints and odometry say."""
+    if abs(seen + 1.0) < 0.2:
+        return Finding(
+            'images sign',
+            'error',
+            'turn against both pan and odometry: mirrored or upside down',
+            'do not flip images; for a camera upside down set camera_roll: 3.1416',
+            {'scale': seen},
+        )
+    off = 100.0 * (1.0 / seen - 1.0)
+    side = 'long' if off > 0 else 'short'
+    return Finding(
+        'camera lens',
+        'error' if abs(off) > 10.0 else 'warning',
+        f'the focal length in camera_info is {abs(off):.0f} % too {side}',
+        'calibrate the camera at the size and zoom that are published',
+        {'scale': seen},
+    )
+
+
+def motion_findings(motion: Motion, slopes: Linear, room: Room | None) -> list[Finding]:
+    """Scales, clocks, unit of the odometry and heading of the camera, as the images show them."""
+    found = [
+        _small('pan scale', slopes.pan_scale, 0.05, 'check the gear of the pan'),
+        _small('odom yaw', slopes.yaw_scale, 0.1, 'check the track width of the wheels'),
+        _clock(JOINTS, slopes.pan_clock_s),
+        _clock(ODOMETRY, slopes.odometry_clock_s),
+    ]
+    if motion.odometry is None:
+        found = found[::2]
+    return [*found, *_parallax(slopes, room)]
+
+
+def _small(name: str, error: Estimate, known: float, advice: str) -> Finding:
+    values = {'scale': 1.0 + error.value, 'sigma': error.sigma}
+    if error.sigma > known:
+        return Finding(name, 'ok', 'not judged: it hardly moves')
+    said = f'{1.0 + error.value:.3f} of the images (sigma {error.sigma:.3f})'
+    warn = PAN_WARN if name == 'pan scale' else YAW_WARN
+    if error.beyond(warn, known):
+        return Finding(name, 'warning', said, advice, values)
+    return Finding(name, 'ok', said, '', values)
+
+
+PAN_WARN, YAW_WARN = 0.03, 0.15
+
+
+def _clock(stream: str, late: Estimate) -> Finding:
+    if late.sigma > 0.1:
+        return Finding(f'{stream} clock', 'ok', 'not judged by motion: it hardly moves')
+    said = f'{1e3 * late.value:+.0f} ms against the images (sigma {1e3 * late.sigma:.0f} ms)'
+    values = {'late_s': late.value, 'sigma_s': late.sigma}
+    if late.beyond(0.05, 0.1):
+        return Finding(
+            f'{stream} clock', 'warning', said, 'stamp at the time of measurement', values
+        )
+    return Finding(f'{stream} clock', 'ok', said, '', values)
+
+
+def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
+    """Unit and direction of the odometry, heading of the camera: by what passes sideways."""
+    size = float(np.hypot(slopes.nearness.value, slopes.sideways.value))
+    sigma = max(slopes.nearness.sigma, slopes.sideways.sigma)
+    expected = nearness_of_room(room) if room is not None else float('nan')
+    low, high = (_FAR, _NEAR) if np.isnan(expected) else (expected / _OF_ROOM, expected * _OF_ROOM)
+    usual = 0.3 if np.isnan(expected) else expected
+    if not np.isfinite(sigma) or size < 1e-9:
+        return []
+    found = []
+    values = {'nearness_per_m': size, 'sigma_per_m': sigma}
+    if size + 4.0 * sigma < low:
+        unit = unit_of(usual / size)
+        like = f', as if in {unit}' if unit else ''
+        found.append(
+            Finding(
+                'odom unit',
+                'error',
+                f'moves {usual / size:.3g} times as far as the images show{like}',
+                'publish odom in metres',
+                values,
+            )
+        )
+    elif size - 4.0 * sigma > high:
+        found.append(
+            Finding(
+                'odom unit',
+                'error',
+                f'moves {usual / size:.2g} times as far as the images show',
+                'publish odom in metres; check the radius of the wheels',
+                values,
+            )
+        )
+    elif size > 4.0 * sigma:
+        found.append(
+            Finding('odom unit', 'ok', f'what is seen is {1.0 / size:.1f} m away', '', values)
+        )
+    if size < 6.0 * sigma:
+        return found
+    turned = float(np.arctan2(-slopes.sideways.value, slopes.nearness.value))
+    spread = sigma / size
+    values = {'heading_rad': turned, 'sigma_rad': spread}
+    said = f'looks {abs(np.degrees(turned)):.0f} deg to the {"left" if turned > 0 else "right"}'
+    said += f' of where pan and mount say (sigma {np.degrees(spread):.0f} deg)'
+    if abs(turned) - 4.0 * spread > np.radians(140.0):
+        advice = 'odometry drives backwards, or pan_axis rpy is half a turn off'
+        found.append(Finding('camera heading', 'error', said, advice, values))
+    elif abs(turned) - 3.0 * spread > _HEADING_ERROR_RAD:
+        advice = 'mend pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
+        found.append(Finding('camera heading', 'error', said, advice, values))
+    elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD:
+        advice = 'check pan_axis rpy (radians) in robot.yaml and the zero of the pan'
+        found.append(Finding('camera heading', 'warning', said, advice, values))
+    else:
+        found.append(Finding('camera heading', 'ok', said, '', values))
+    return found

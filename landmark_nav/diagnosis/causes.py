@@ -1,0 +1,390 @@
+"""
+Which single fault explains what does not fit: the one whose removal makes everything else fit.
+
+Each candidate takes one fault out of the streams, with the value that fits best. Candidates are
+compared by their likelihood less what their free parameters cost (Schwarz, Annals of Statistics
+6(2), 1978).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from landmark_nav.arrays import FloatArray
+from landmark_nav.diagnosis.motion import Clock, explained, Fit, fit, linear, Motion, Track
+
+__all__ = ['IMAGES', 'JOINTS', 'ODOMETRY', 'Cause', 'Verdict', 'late_odometry', 'verdict']
+
+# Likelihoods this near are alike, and this far above none a fault is one.
+_ALIKE, _CERTAIN = 5.0, 12.0
+# Scales that are tried: reversed, geared, degrees, ticks, none.
+_SCALES = (-1.0, 0.5, 2.0, -0.5, -2.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi, 0.0)
+_LENS = 3.0
+_DRIFTS = np.arange(-0.1, 0.1001, 0.0025)
+# Clocks are searched near and far with these steps.
+_NEAR_S, _NEAR_STEP_S, _FAR_S, _FAR_STEP_S = 3.0, 0.02, 120.0, 0.05
+# A drift that comes to less over a recording is none.
+_LEAST_DRIFT_S = 0.05
+_CLOCKS = ('clock', 'drift', 'step')
+# A clock that is known to this is worth a correction.
+_POLISH_S = 0.02
+# A clock is told by what was recorded at the time of the images.
+_LEAST_COVERED = 0.3
+# So many pairs are enough for a first search.
+_PAIRS = 160
+_FIRST_NOISE_RAD = 0.01
+
+IMAGES, JOINTS, ODOMETRY = 'images', 'joint_states', 'odom'
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """
+    A fault, and the motion without it.
+
+    Parameters
+    ----------
+    stream : str
+        Whose fault: ``images``, ``joint_states`` or ``odom``.
+    kind : str
+        ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint`` or ``twist``.
+    motion : Motion
+        Without the fault.
+    left : Fit
+        What is left then.
+    score : float
+        Log-likelihood less the cost of its parameters.
+    value : float
+        Scale; seconds by which the clock is ahead of the others; drift as a share; step, s.
+    name : str
+        Of the joint, where that is the fault.
+    offset_s : float
+        Offset of a clock that drifts; moment of a step.
+
+    """
+
+    stream: str
+    kind: str
+    motion: Motion
+    left: Fit = field(repr=False)
+    score: float
+    value: float = 0.0
+    name: str = ''
+    offset_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """
+    What was found.
+
+    `cause` is the likeliest, of kind ``none`` where all fits; `rivals` explain it as well;
+    `fits` says whether what is left is noise, as it is with any fault that is named.
+    """
+
+    cause: Cause
+    rivals: tuple[Cause, ...]
+    fits: bool
+
+
+def verdict(
+    motion: Motion,
+    joints: Mapping[str, Track] | None = None,
+    by_twist: Track | None = None,
+    clocks: Mapping[str, Iterable[Clock]] | None = None,
+) -> Verdict:
+    """
+    Name the fault that explains most.
+
+    Parameters
+    ----------
+    motion : Motion
+        As the streams tell it.
+    joints : mapping of str to Track
+        Other joints that could be the pan, by name.
+    by_twist : Track, optional
+        Odometry summed up from its speeds.
+    clocks : mapping of str to iterable of Clock
+        Clocks of streams that stamps and times of recording suggest, to begin the search at.
+
+    """
+    none = _cause(IMAGES, 'none', motion, 0)
+    found = [none]
+    for name, track in (joints or {}).items():
+        found.append(_cause(JOINTS, 'joint', replace(motion, pan=track), 1, name=name))
+    if by_twist is not None:
+        found.append(_cause(ODOMETRY, 'twist', replace(motion, odometry=by_twist), 1))
+    found += _scales(motion)
+    found += _clocks(motion, clocks or {})
+    best = max(found, key=lambda cause: cause.score)
+    if best.score < none.score + _CERTAIN or not linear(best.motion).quiet:
+        best = none
+    alike = [c for c in found if c is not best and c.score > best.score - _ALIKE]
+    best = _polished(best)
+    rivals = [] if best.kind == 'none' else [c for c in alike if _differs(c, best)]
+    return Verdict(best, tuple(rivals), linear(best.motion).quiet)
+
+
+def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
+    """By how much the odometry of a motion is stamped late, seconds, to explain the images."""
+    (first,) = _first_clocks(motion, ODOMETRY, list(hints), drifts=False)
+    return _polished(_refined(motion, ODOMETRY, first, drift=False)).value
+
+
+def _differs(one: Cause, other: Cause) -> bool:
+    """Whether two causes are other faults; those of one clock are not."""
+    if one.kind == 'none':
+        return False
+    return (one.stream, one.kind in _CLOCKS) != (other.stream, other.kind in _CLOCKS)
+
+
+def _polished(cause: Cause) -> Cause:
+    """An offset of a clock, estimated together with small errors of scale."""
+    by_odometry = cause.stream == ODOMETRY
+    sign = -1.0 if cause.stream == IMAGES else 1.0
+    for _ in range(2):
+        slopes = linear(cause.motion)
+        more = slopes.odometry_clock_s if by_odometry else slopes.pan_clock_s
+        if cause.kind != 'clock' or more.sigma > _POLISH_S:
+            break
+        clock = cause.motion.odometry_clock if by_odometry else cause.motion.pan_clock
+        motion = _with_clock(cause.motion, cause.stream, clock.later(more.value))
+        value = cause.value + sign * more.value
+        cause = replace(cause, motion=motion, left=explained(motion), value=value, offset_s=value)
+    return cause
+
+
+def _cause(
+    stream: str,
+    kind: str,
+    motion: Motion,
+    parameters: int,
+    value: float = 0.0,
+    name: str = '',
+    offset_s: float = 0.0,
+) -> Cause:
+    left = explained(motion)
+    score = left.log_likelihood - 0.5 * parameters * np.log(max(len(motion), 2))
+    return Cause(stream, kind, motion, left, float(score), value, name, offset_s)
+
+
+def _misfit(residuals: FloatArray) -> FloatArray:
+    """Robust sum over the last axis."""
+    return np.asarray(np.log1p((residuals / _FIRST_NOISE_RAD) ** 2).sum(-1))
+
+
+def _scales(motion: Motion) -> Iterator[Cause]:
+    """Wrong scales and signs of pan, of yaw, and of both, which is the lens."""
+    panned, yawed, turns = motion.panned(), motion.yawed(), motion.turns_rad
+    for stream, factor, rest in (
+        (JOINTS, panned, yawed),
+        (ODOMETRY, yawed, panned),
+        (IMAGES, panned + yawed, np.zeros_like(turns)),
+    ):
+        if np.abs(factor).max(initial=0.0) < 1e-6:
+            continue
+        if stream == IMAGES and motion.odometry is None:
+            continue  # the pan's scale says the same
+        least = float((factor @ (turns - rest)) / (factor @ factor))
+        # Units as far off as ticks show in the extents alone.
+        ratio = float(np.median(np.abs(turns - rest)) / max(np.median(np.abs(factor)), 1e-12))
+        tried = np.array([*_SCALES, least, ratio, -ratio])
+        first = tried[np.argmin(_misfit(turns - rest - tried[:, None] * factor))]
+        parallax = motion.parallax()
+        scale = float(first)
+        for _ in range(3):
+            near = fit(turns - rest - scale * factor, np.column_stack([factor, parallax]))
+            scale += float(near.values[0])
+        if stream == IMAGES:
+            # Another lens, or a mirror; what is farther off is not the camera's.
+            if 1.0 / _LENS < abs(scale) < _LENS:
+                cause = _cause(stream, 'scale', replace(motion, turns_rad=turns / scale), 1, scale)
+                # In units of the measured turns, as for all others.
+                yield replace(cause, score=cause.score - len(motion) * float(np.log(abs(scale))))
+        elif stream == JOINTS:
+            changed = replace(motion, pan_scale=motion.pan_scale * scale)
+            yield _cause(stream, 'scale', changed, 1, scale)
+        else:
+            changed = replace(motion, yaw_scale=motion.yaw_scale * scale)
+            yield _cause(stream, 'scale', changed, 1, scale)
+            if scale < 0.0 and motion.odometry is not None:
+                # Of a path that was summed up with the reversed yaw, the sides are exchanged too.
+                mirrored = motion.odometry.values * [1.0, -1.0, -1.0]
+                track = Track(motion.odometry.seconds, mirrored)
+                yield _cause(
+                    stream, 'scale', replace(changed, odometry=track, yaw_scale=-scale), 1, scale
+                )
+
+
+def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:
+    if stream == JOINTS:
+        return replace(motion, pan_clock=clock)
+    if stream == ODOMETRY:
+        return replace(motion, odometry_clock=clock)
+    return replace(motion, pan_clock=clock, odometry_clock=clock)
+
+
+def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Cause]:
+    few = motion
+    if len(motion) > _PAIRS:
+        chosen = np.zeros(len(motion), dtype=np.bool_)
+        chosen[np.linspace(0, len(motion) - 1, _PAIRS).astype(np.intp)] = True
+        few = replace(
+            motion,
+            before_s=motion.before_s[chosen],
+            after_s=motion.after_s[chosen],
+            turns_rad=motion.turns_rad[chosen],
+        )
+    for stream in (JOINTS, ODOMETRY, IMAGES):
+        if motion.odometry is None and stream != JOINTS:
+            continue
+        hinted = list(hints.get(stream, ()))
+        for clock in _first_clocks(few, stream, hinted, drifts=False):
+            yield _refined(motion, stream, clock, drift=False)
+        for clock in _first_clocks(few, stream, hinted, drifts=True):
+            yield _refined(motion, stream, clock, drift=True)
+        yield _step(motion, stream)
+
+
+def _first_clocks(
+    motion: Motion, stream: str, hinted: list[Clock], *, drifts: bool
+) -> list[Clock]:
+    """The best clock of each region of a coarse search."""
+    begin, end = float(motion.before_s.min()), float(motion.after_s.max())
+    reach = min(end - begin, _FAR_S)
+    near = np.arange(-_NEAR_S, _NEAR_S, _NEAR_STEP_S)
+    if not drifts:
+        far = np.arange(-reach, reach, _FAR_STEP_S)
+        grids = [(Clock(h.offset_s), near) for h in hinted]
+        grids += [(Clock(), near), (Clock(), far)]
+        if hinted:
+            grids.append((Clock(hinted[0].offset_s, 0.0, 0.0), far))
+        found = [_best_offset(motion, stream, base, grid) for base, grid in grids]
+        return [min(found, key=lambda pair: pair[0])[1]]
+    found = []
+    few = near[:: max(1, len(near) // 40)]
+    for base in [*(h for h in hinted if h.drift), *(Clock(0.0, d, begin) for d in _DRIFTS)]:
+        for start in {base.offset_s, *(h.offset_s for h in hinted)}:
+            clock = Clock(start, base.drift, base.anchor_s)
+            found.append(_best_offset(motion, stream, clock, few))
+    return [min(found, key=lambda pair: pair[0])[1]]
+
+
+def _best_offset(
+    motion: Motion, stream: str, base: Clock, grid: FloatArray
+) -> tuple[float, Clock]:
+    """Misfit and clock of the best offset of a grid, on top of a clock."""
+    misfit = _misfit(_left(motion, stream, base, grid))
+    # Of offsets that are as good, the least.
+    best = int(np.argmin(misfit + 1e-6 * np.abs(grid)))
+    return float(misfit[best]), base.later(float(grid[best]))
+
+
+def _left(motion: Motion, stream: str, base: Clock, grid: FloatArray) -> FloatArray:
+    """What is left of each turn, (m, n), with offsets (m,) on top of a clock."""
+    pan, yaw = motion.panned(), motion.yawed()
+    pairs = np.stack([motion.before_s, motion.after_s])
+    moved = base.at(pairs) + grid[:, None, None]
+    if stream in (JOINTS, IMAGES):
+        turned = motion.pan.at(moved)[..., 0]
+        pan = motion.pan_scale * (turned[:, 1] - turned[:, 0])
+    if stream in (ODOMETRY, IMAGES) and motion.odometry is not None:
+        heading = Track(motion.odometry.seconds, motion.odometry.values[:, 2:])
+        turned = heading.at(moved)[..., 0]
+        yaw = motion.yaw_scale * (turned[:, 1] - turned[:, 0])
+    return np.asarray(motion.turns_rad - pan - yaw)
+
+
+def _step(motion: Motion, stream: str) -> Cause:
+    """The likeliest clock that is right up to a moment, or from one on, and off by a step else."""
+    grid = np.arange(-_NEAR_S, _NEAR_S, _NEAR_STEP_S)
+    order = np.argsort(motion.before_s)
+    each = np.log1p((_left(motion, stream, Clock(), grid) / _FIRST_NOISE_RAD) ** 2)[:, order]
+    right = each[np.abs(grid).argmin()]
+    # Sums over the pairs before each, and from it on.
+    off_before = np.cumsum(each, axis=1) - each
+    off_after = each.sum(1)[:, None] - off_before
+    right_before = np.cumsum(right) - right
+    right_after = right.sum() - right_before
+    becomes, was = right_before + off_after, off_before + right_after
+    late = becomes.min() < was.min()
+    offset, at = np.unravel_index(int((becomes if late else was).argmin()), becomes.shape)
+    moment = float(motion.before_s[order][at])
+
+    def clock(step_s: float) -> Clock:
+        return Clock(0.0 if late else step_s, 0.0, 0.0, step_s if late else -step_s, moment)
+
+    best = minimize_scalar(
+        lambda step_s: -explained(_with_clock(motion, stream, clock(step_s))).log_likelihood,
+        bounds=(grid[offset] - 2.0 * _NEAR_STEP_S, grid[offset] + 2.0 * _NEAR_STEP_S),
+        method='bounded',
+        options={'xatol': 1e-4},
+    )
+    sign = -1.0 if stream == IMAGES else 1.0
+    found = clock(float(best.x))
+    value = sign * found.step_s
+    return _cause(stream, 'step', _with_clock(motion, stream, found), 2, value, offset_s=moment)
+
+
+def _covered(motion: Motion) -> float:
+    """Share of the pairs in whose time there are both joints and odometry."""
+    inside = np.ones(len(motion), dtype=np.bool_)
+    for track, clock in (
+        (motion.pan, motion.pan_clock),
+        (motion.odometry, motion.odometry_clock),
+    ):
+        if track is not None:
+            inside &= clock.at(motion.before_s) > track.seconds[0] - _NEAR_STEP_S
+            inside &= clock.at(motion.after_s) < track.seconds[-1] + _NEAR_STEP_S
+    return float(np.mean(inside))
+
+
+def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause:
+    """The likeliest clock near one."""
+
+    def badness(clock: Clock) -> float:
+        return -explained(_with_clock(motion, stream, clock)).log_likelihood
+
+    if not drift:
+        step = 2.0 * _FAR_STEP_S
+        best = minimize_scalar(
+            lambda later: badness(first.later(float(later))),
+            bounds=(-step, step),
+            method='bounded',
+            options={'xatol': 1e-4},
+        )
+        clock = first.later(float(best.x))
+        kind, value = 'clock', clock.offset_s
+    else:
+        span = max(float(np.ptp(motion.before_s)), 1.0)
+        best = minimize(
+            lambda p: badness(replace(first.later(float(p[0])), drift=float(p[1]))),
+            [0.0, first.drift],
+            method='Nelder-Mead',
+            options={
+                'initial_simplex': np.array([0.0, first.drift])
+                + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]]),
+                'xatol': 1e-4,
+                'maxfev': 120,
+            },
+        )
+        clock = replace(first.later(float(best.x[0])), drift=float(best.x[1]))
+        kind, value = 'drift', clock.drift
+        if abs(clock.drift) * span < _LEAST_DRIFT_S:
+            kind, value = 'clock', clock.offset_s
+    sign = -1.0 if stream == IMAGES else 1.0
+    mended = _with_clock(motion, stream, clock)
+    if _covered(mended) < _LEAST_COVERED:
+        return _cause(stream, 'none', motion, 2)  # a clock by which nothing was recorded
+    return _cause(
+        stream,
+        kind,
+        mended,
+        2 if drift else 1,
+        sign * value,
+        offset_s=sign * clock.offset_s,
+    )

@@ -1,0 +1,482 @@
+"""All checks of a bag: each stream by itself, then all of them against the images' own motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.arrays import FloatArray, IndexArray
+from landmark_nav.diagnosis.advice import (
+    cause_findings,
+    clock_finding,
+    CORRECTED_S,
+    motion_findings,
+)
+from landmark_nav.diagnosis.causes import IMAGES, JOINTS, late_odometry, ODOMETRY, verdict
+from landmark_nav.diagnosis.findings import Finding
+from landmark_nav.diagnosis.looks import look, Looks
+from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
+from landmark_nav.diagnosis.sources import two_sources
+from landmark_nav.diagnosis.stamps import check_stamps, clock_hints, in_step, longest_part
+from landmark_nav.diagnosis.streams import read_joints, read_stream, Stream, unwrapped
+from landmark_nav.diagnosis.units import check_speed, check_twist
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags.sieve import naming
+from landmark_nav.storage.bags.timelines import logged_joints
+
+__all__ = ['QUICK', 'THOROUGH', 'Delays', 'Diagnosis', 'diagnose']
+
+# Images that are decoded: at the start of `learn` and `evaluate`, and where that shows a fault.
+QUICK, THOROUGH = 60, 600
+# Fewer pairs of images tell nothing of motion.
+_LEAST_PAIRS = 12
+# Less of the images than this lies in the time of a stream that has another clock.
+_COVERED = 0.1
+# Without motion, times of recording tell clocks apart to about this.
+_BY_LOG_S = 0.5
+# Scale of focal length or pan that calibration finds in a sweep.
+_CALIBRATED = 1.2
+# Delays are not known better from how images turn.
+_LEAST_SIGMA_S = 1e-3
+# Images that turn less, while the pan turns more, in most pairs, are one image.
+_STILL_RAD, _TURNING_RAD, _MOST = 1e-3, 0.03, 0.9
+# Share of the images at whose time there is ground truth.
+_ENOUGH = 0.8
+# A clock that motion knows to this needs no times of recording.
+_KNOWN_S = 0.1
+
+_IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
+_SWEEP_IMAGES = ('sweep/image', 'sweep/image/compressed')
+
+
+@dataclass(frozen=True)
+class Delays:
+    """
+    By how much streams are stamped late, seconds, where that is to be taken off.
+
+    `pan_sigma_s` is the sigma of what the first two do to the pan of an image.
+    """
+
+    images_s: float = 0.0
+    joints_s: float = 0.0
+    odometry_s: float = 0.0
+    pan_sigma_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found, and the delays that can be corrected."""
+
+    findings: tuple[Finding, ...]
+    delays: Delays = Delays()
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """What cannot be localized or learned with."""
+        return tuple(finding for finding in self.findings if finding.level == 'error')
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What costs accuracy, or may."""
+        return tuple(finding for finding in self.findings if finding.level == 'warning')
+
+
+def diagnose(
+    bag: Bag, mount: PanTiltMount, room: Room | None = None, most_images: int = THOROUGH
+) -> Diagnosis:
+    """
+    Check the streams of a bag of a drive, or of sweeps.
+
+    Parameters
+    ----------
+    bag : Bag
+        What was recorded.
+    mount : PanTiltMount
+        Names of the joints, and where the camera sits.
+    room : Room, optional
+        Its size tells the unit of the odometry better.
+    most_images : int
+        So many images are decoded at most; more, where these show a fault.
+
+    Raises
+    ------
+    LandmarkNavError
+        The bag cannot be read at all.
+
+    """
+    # Whoever reads it then says what cannot be used.
+    said: dict[str, None] = {}
+    bag = bag.warning_to(lambda text: said.update({text: None}))
+    found: list[Finding] = []
+    delays = Delays()
+    images = _first(bag, _IMAGES)
+    sweeps = _first(bag, _SWEEP_IMAGES)
+    if images:
+        diagnosis = _Drive(bag, images, mount, room).diagnosis(most_images)
+        found += diagnosis.findings
+        delays = diagnosis.delays
+    elif bag.find('detections'):
+        for name in ('detections', 'odom'):
+            topic = bag.find(name)
+            if topic:
+                found += check_stamps(read_stream(bag, name, topic))
+    if sweeps:
+        found += _Sweeps(bag, sweeps, mount).findings(most_images)
+    if not found:
+        bag.require(*_IMAGES, *_SWEEP_IMAGES)
+    for text in said:
+        line = text.replace(f'{bag.path}: ', '')
+        found.append(Finding('reading', 'warning', line, when_read=True))
+    return Diagnosis(tuple(found), delays)
+
+
+def _first(bag: Bag, names: Iterable[str]) -> str | None:
+    return next((topic for name in names if (topic := bag.find(name))), None)
+
+
+class _Drive:
+    """Checks of the streams of a drive."""
+
+    def __init__(self, bag: Bag, images: str, mount: PanTiltMount, room: Room | None) -> None:
+        self._bag, self._images, self._mount, self._room = bag, images, mount, room
+        odometry = bag.find('odom')
+        self._odometry = read_stream(bag, ODOMETRY, odometry, _odometry) if odometry else None
+
+    def diagnosis(self, most_images: int) -> Diagnosis:
+        looks = look(self._bag, self._images, ('camera/camera_info',), self._mount, most_images)
+        found, delays, healthy = self._judged(looks)
+        if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
+            looks = look(self._bag, self._images, ('camera/camera_info',), self._mount, THOROUGH)
+            found, delays, _ = self._judged(looks)
+        return Diagnosis(tuple(found), delays)
+
+    def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
+        """Findings, delays, and whether joints and odometry explain what the images show."""
+        found = [*check_stamps(looks.stream), *looks.findings]
+        pan, by_names = self._pan()
+        found += by_names
+        odometry = self._odometry
+        if pan is not None:
+            pan, sources = _one_source(pan, (0,), 1)
+            found += [*check_stamps(pan), *sources]
+        if odometry is None:
+            found.append(Finding('odom', 'error', 'there is no odom', 'record odom'))
+        else:
+            odometry, second = _one_source(odometry, (2,), 3)
+            found += [*check_stamps(odometry), *second]
+            if len(odometry) > 1:
+                found += [check_speed(odometry), *check_twist(odometry)]
+            found += _frames(odometry, looks.stream, self._mount)
+        if pan is None or len(pan) < 2 or len(looks.stream) < 2:
+            return found, Delays(), True
+        if _unstamped(looks.stream) or _unstamped(pan) or (odometry and _unstamped(odometry)):
+            return found, Delays(), True
+        return self._against_images(looks, pan, odometry, found)
+
+    @cached_property
+    def _joints(self) -> dict[str, Stream]:
+        """All joints by their names."""
+        topic = self._bag.find('joint_states')
+        return read_joints(self._bag, topic) if topic else {}
+
+    def _pan(self) -> tuple[Stream | None, list[Finding]]:
+        """Stream of the pan as it is read from the bag, and what there is to say of joints."""
+        names, name = ', '.join(self._joints)[:90], self._mount.pan_joint
+        try:
+            pan = _pan_stream(self._bag, self._mount)
+        except LandmarkNavError as error:
+            if name in self._joints:
+                # Readers refuse what is no pan; what it is instead is to be found.
+                return self._joints[name], []
+            if names:
+                advice = f'set pan_joint in robot.yaml to what turns the camera, not {name}'
+                return None, [Finding('joint names', 'error', f'there are {names}', advice)]
+            said = str(error).removeprefix(f'{self._bag.path}: ')
+            return None, [Finding('joint names', 'error', said, '', {}, when_read=True)]
+        return pan, [Finding('joint names', 'ok', names or name)]
+
+    def _against_images(
+        self, looks: Looks, pan: Stream, odometry: Stream | None, found: list[Finding]
+    ) -> tuple[list[Finding], Delays, bool]:
+        first, last = longest_part(looks.stream)
+        streams = [
+            in_step(stream.only((stream.logged_ns >= first) & (stream.logged_ns <= last)))
+            for stream in (pan, odometry)
+            if stream is not None
+        ]
+        logged = looks.stream.logged_ns
+        images = looks.stream.only((logged >= first) & (logged <= last))
+        if any(len(stream) < 2 for stream in (images, *streams)):
+            return found, Delays(), True
+        by_name = dict(zip((JOINTS, ODOMETRY), streams, strict=False))
+        hints = clock_hints(images, by_name)
+        inside = ((logged >= first) & (logged <= last))[looks.pairs].all(1)
+        motion = self._motion(looks, looks.pairs[inside], streams)
+        if len(motion) < _LEAST_PAIRS:
+            said = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
+            found.append(Finding('image motion', 'ok', said))
+            return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
+        if (still := _still(motion)) is not None:
+            return [*found, still], Delays(), False
+        slopes = linear(motion)
+        if slopes.fits:
+            found += motion_findings(motion, slopes, self._room)
+            found += _clocks_by_log(motion, hints, slopes)
+            return [*found, *self._truth(images, motion, Clock())], Delays(), True
+        others = {
+            name: Track.of(stream.seconds, self._mount.pan_sense * _angles(stream))
+            for name, stream in self._joints.items()
+            if name != self._mount.pan_joint and len(stream) > 1
+        }
+        twist = _by_twist(streams[1]) if len(streams) > 1 else None
+        judged = verdict(motion, others, twist, hints)
+        cause = judged.cause
+        found += cause_findings(judged)
+        slopes = linear(cause.motion)
+        if slopes.quiet:
+            found += motion_findings(cause.motion, slopes, self._room)
+            right = cause.motion.pan_clock if cause.stream == IMAGES else Clock()
+            found += self._truth(images, cause.motion, right)
+        if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
+            # What follows from a wrong heading is no fault of its own.
+            follows = ('odom twist', 'camera heading', 'odom unit')
+            found = [finding for finding in found if not finding.name.startswith(follows)]
+        if cause.kind == 'none':
+            found += _clocks_by_log(motion, hints, slopes)
+        late = cause.value if cause.kind == 'clock' and abs(cause.value) <= CORRECTED_S else 0.0
+        by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
+        sigma = max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S)
+        pan_sigma_s = sigma if late and cause.stream != ODOMETRY else 0.0
+        return found, Delays(**{by_stream[cause.stream]: late}, pan_sigma_s=pan_sigma_s), False
+
+    def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
+        """The clock of the ground truth, which serves figures alone, against one that is right."""
+        topic = self._bag.find('ground_truth/odom')
+        truth = read_stream(self._bag, 'ground_truth', topic, _odometry) if topic else None
+        if truth is None or len(truth) < 2:
+            return []
+        # Of the same part of the recording as the images.
+        first, last = images.logged_ns[[0, -1]]
+        truth = truth.only((truth.logged_ns >= first) & (truth.logged_ns <= last))
+        if len(truth) < 2:
+            return []
+        values = truth.values[:, :3].copy()
+        values[:, 2] = np.unwrap(values[:, 2])
+        track = Track.of(truth.seconds, values)
+        known = replace(motion, odometry=track, odometry_clock=clock, yaw_scale=1.0)
+        slopes = linear(known)
+        seconds = track.seconds - clock.offset_s
+        if _covered(
+            known, replace(track, seconds=seconds)
+        ) > _ENOUGH and not slopes.odometry_clock_s.beyond(0.05, _KNOWN_S):
+            return []
+        hints = clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
+        late = hints[0].offset_s or hints[1].offset_s
+        if slopes.odometry_clock_s.sigma < np.inf or abs(late) > _BY_LOG_S:
+            late = late_odometry(known, hints) - clock.offset_s
+        said = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
+        advice = 'errors are measured against it: stamp it by the clock of the robot'
+        return [Finding('ground_truth clock', 'warning', said, advice, {'late_s': late})]
+
+    def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
+        seconds = looks.stream.seconds
+        turns = np.array([looks.turn(int(first), int(second)) for first, second in pairs])
+        before, after = seconds[pairs[:, 0]], seconds[pairs[:, 1]]
+        good = np.isfinite(turns) & (after > before)
+        odometry = None
+        if len(streams) > 1:
+            values = streams[1].values[:, :3].copy()
+            values[:, 2] = np.unwrap(values[:, 2])
+            odometry = Track.of(streams[1].seconds, values)
+        return Motion(
+            before[good],
+            after[good],
+            turns[good],
+            Track.of(streams[0].seconds, self._mount.pan_sense * _angles(streams[0])),
+            odometry,
+            (self._mount.axis_xyz[0], self._mount.axis_xyz[1]),
+            float(self._mount.azimuth_base_rad(0.0)),
+        )
+
+
+class _Sweeps:
+    """Checks of the streams of sweeps."""
+
+    def __init__(self, bag: Bag, images: str, mount: PanTiltMount) -> None:
+        self._bag, self._images, self._mount = bag, images, mount
+
+    def findings(self, most_images: int) -> list[Finding]:
+        infos = ('sweep/camera_info', 'camera/camera_info')
+        looks = look(self._bag, self._images, infos, self._mount, most_images)
+        stream = replace(looks.stream, name='sweep images')
+        found = [*check_stamps(stream), *looks.findings]
+        motion = self._motion(looks)
+        if motion is None or len(motion) < _LEAST_PAIRS:
+            return found
+        slopes = linear(motion)
+        if not slopes.fits:
+            judged = verdict(motion)
+            found += [_learned(finding) for finding in cause_findings(judged)]
+            slopes = linear(judged.cause.motion)
+        return [*found, *motion_findings(motion, slopes, None)[:1]]
+
+    def _motion(self, looks: Looks) -> Motion | None:
+        samples = [*self._planned()] or [*self._jointed()]
+        if len(samples) < 2:
+            return None
+        stamps, pans = np.array(sorted(samples)).T
+        seconds = 1e-9 * (stamps - self._bag.start_ns)
+        first, second = looks.stream.seconds[looks.pairs].T
+        turns = np.array([looks.turn(int(a), int(b)) for a, b in looks.pairs])
+        good = np.isfinite(turns) & (second > first)
+        # From sweep to sweep the robot moved.
+        good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good
+        pan = Track.of(seconds, self._mount.pan_sense * unwrapped(pans)[:, None])
+        return Motion(first[good], second[good], turns[good], pan, None)
+
+    def _planned(self) -> Iterator[tuple[int, float]]:
+        topic = self._bag.find('sweep/trajectory')
+        for entry in self._bag.messages([topic]) if topic else ():
+            with naming(self._bag, topic or ''):
+                for sample in decode.sweep_trajectory(entry.message, self._mount):
+                    yield sample.stamp_ns, sample.pan_rad
+
+    def _jointed(self) -> Iterator[tuple[int, float]]:
+        if self._bag.find('joint_states'):
+            pan = _pan_stream(self._bag, self._mount)
+            yield from zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True)
+
+
+def _learned(finding: Finding) -> Finding:
+    """What learning calibrates itself is no error of a sweep."""
+    scale = abs(finding.values.get('scale', np.inf))
+    calibrated = finding.name != 'pan sign' and 1.0 / _CALIBRATED < scale < _CALIBRATED
+    return replace(finding, level='warning') if calibrated else finding
+
+
+def _pan_stream(bag: Bag, mount: PanTiltMount) -> Stream:
+    """Pan (n, 1) of a bag, wherever it is."""
+    logged, _ = logged_joints(bag, mount)
+    return Stream(
+        JOINTS,
+        bag.find('joint_states') or '',
+        np.array([sample.stamp_ns for _, sample in logged], dtype=np.int64),
+        np.array([log_ns for log_ns, _ in logged], dtype=np.int64),
+        np.array([sample.pan_rad for _, sample in logged])[:, None],
+        origin_ns=bag.start_ns,
+    )
+
+
+def _odometry(message: Any) -> FloatArray:
+    """x, y, yaw, forward speed and yaw rate of a message."""
+    sample = decode.odometry(message)
+    return np.array([*sample.pose_odom_base, sample.linear_m_s, sample.angular_rad_s])
+
+
+def _angles(stream: Stream) -> FloatArray:
+    return unwrapped(stream.values[:, 0])[:, None]
+
+
+def _unstamped(stream: Stream) -> bool:
+    return not stream.stamps_ns.any()
+
+
+def _by_twist(stream: Stream) -> Track:
+    """Odometry summed up from its speeds, (n, 3)."""
+    order = np.argsort(stream.seconds, kind='stable')
+    times, values = stream.seconds[order], stream.values[order]
+    steps = np.clip(np.diff(times, prepend=times[0]), 0.0, 1.0)
+    yaw = np.cumsum(values[:, 4] * steps)
+    x, y = np.cumsum(values[:, 3] * steps * [np.cos(yaw), np.sin(yaw)], axis=1)
+    return Track.of(times, np.stack([x, y, yaw], -1))
+
+
+def _one_source(
+    stream: Stream, angles: tuple[int, ...], columns: int
+) -> tuple[Stream, list[Finding]]:
+    """The main source of a stream, and what there is to say of a second one."""
+    split = two_sources(replace(stream, values=stream.values[:, :columns]), angles)
+    if split is None:
+        return stream, []
+    main, second = split
+    # Of two, one that stands is not the robot's.
+    if main.stands and not second.stands:
+        main, second = second, main
+    does = 'stands still' if second.stands else 'moves otherwise'
+    found = Finding(
+        f'{stream.name} sources',
+        'error',
+        f'two sources in turns: {main.rate_hz:.0f} Hz, and {second.rate_hz:.0f} Hz that {does}',
+        f'two nodes publish {stream.topic}: stop one or remap it (ros2 topic info -v)',
+        {'rates_hz': [main.rate_hz, second.rate_hz], 'messages': int(second.keep.sum())},
+    )
+    return stream.only(main.keep), [found]
+
+
+def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
+    """Frames that odometry and images name."""
+    said = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
+    children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
+    bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
+    if len(odometry.frames) > 1:
+        advice = 'odom names several frames: two nodes may publish it'
+    elif children - bases:
+        advice = f'odom should be about {mount.base_frame} (base_frame in robot.yaml)'
+    else:
+        return [Finding('frames', 'ok', said)]
+    return [Finding('frames', 'warning', said, advice)]
+
+
+def _clocks_by_log(
+    motion: Motion, hints: Mapping[str, Sequence[Clock]], slopes: Linear | None
+) -> list[Finding]:
+    """Clocks by times of recording, where motion does not tell them."""
+    known = {
+        JOINTS: slopes is not None and slopes.quiet and slopes.pan_clock_s.sigma < _KNOWN_S,
+        ODOMETRY: slopes is not None and slopes.quiet and slopes.odometry_clock_s.sigma < _KNOWN_S,
+    }
+    off = {
+        name: clocks[0].offset_s if abs(clocks[0].offset_s) > _BY_LOG_S else clocks[1].offset_s
+        for name, clocks in hints.items()
+        if name != IMAGES and not known[name]
+    }
+    off = {
+        name: late
+        for name, late in off.items()
+        if abs(hints[name][0].offset_s) > _BY_LOG_S
+        or _covered(motion, motion.pan if name == JOINTS else motion.odometry) < _COVERED
+    }
+    how = ' by times of recording'
+    lates = list(off.values())
+    if len(off) == len(known) and np.ptp(lates) < _BY_LOG_S:
+        return [clock_finding(IMAGES, -float(np.mean(lates)), how, corrected=False)]
+    return [clock_finding(name, late, how, corrected=False) for name, late in off.items()]
+
+
+def _still(motion: Motion) -> Finding | None:
+    """Images that do not turn though the pan does; None where they do."""
+    panned = np.abs(motion.panned()) > _TURNING_RAD
+    if panned.sum() < _LEAST_PAIRS or np.mean(np.abs(motion.turns_rad) < _STILL_RAD) < _MOST:
+        return None
+    return Finding(
+        'images motion',
+        'error',
+        'images stay the same while joint_states turn',
+        'the camera repeats an image, or the pan does not move: look at both drivers',
+    )
+
+
+def _covered(motion: Motion, track: Track | None) -> float:
+    """Share of the images that lie in the time of a track."""
+    if track is None or not len(motion):
+        return 1.0
+    inside = (motion.before_s >= track.seconds[0]) & (motion.after_s <= track.seconds[-1])
+    return float(np.mean(inside))

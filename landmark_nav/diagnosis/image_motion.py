@@ -1,0 +1,125 @@
+"""
+Rotation of the camera about the vertical, from consecutive images alone.
+
+Images are reduced to a strip of azimuth by slope, where a turn of the camera is a shift along
+azimuth; normalised cross-correlation finds it. Neither joints nor odometry take part.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy import fft
+
+from landmark_nav.arrays import FloatArray, ImageArray
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+
+__all__ = ['StripView', 'turn_between']
+
+_COLUMNS, _ROWS = 128, 48
+# Contrast is evened out over parts of a strip; below this, grey levels a column, it is none.
+_CONTRAST, _LEAST_CONTRAST = (41, 41), 6.0
+# Two images that share less of their width are not compared.
+_LEAST_OVERLAP = 0.25
+# Energy of a pixel whose contrast is of the fixed pattern of a camera, beside 1 of texture.
+_BLANK = 0.1
+# A peak of the correlation below this is chance.
+_LEAST_SCORE = 0.4
+
+# Spectrum of each row, and energy of the columns up to each.
+Strip = tuple[npt.NDArray[np.complexfloating], FloatArray]
+
+
+class StripView:
+    """
+    The strip of azimuth by slope that a camera sees, as seen at pan 0.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Its lens.
+    mount : PanTiltMount
+        How it is mounted: tilt and roll matter here.
+    tilt_rad : float
+        Usual tilt of the joints.
+
+    """
+
+    def __init__(self, camera: CameraModel, mount: PanTiltMount, tilt_rad: float = 0.0) -> None:
+        upright = PanTiltMount(
+            axis_rpy=mount.axis_rpy, camera_roll_rad=mount.camera_roll_rad
+        ).camera_pose_base(0.0, tilt_rad)[0]
+        ahead = upright[:, 2]
+        turn = np.arctan2(ahead[1], ahead[0])
+        c, s = np.cos(turn), np.sin(turn)
+        upright = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ upright
+        u = np.linspace(0.0, camera.width - 1.0, 33)
+        v = np.linspace(0.0, camera.height - 1.0, 33)
+        inside = camera.unproject(np.stack(np.meshgrid(u, v), -1)) @ upright.T
+        azimuth = np.arctan2(inside[..., 1], inside[..., 0])
+        slope = inside[..., 2] / np.hypot(inside[..., 0], inside[..., 1])
+        # The largest rectangle about the middle of the image that all of its border encloses.
+        middle = (float(azimuth[16, 16]), float(slope[16, 16]))
+        sides, rims = azimuth[:, [0, -1]] - middle[0], slope[[0, -1]] - middle[1]
+        least, most = (
+            sides[:, sides.mean(0).argmin()].max(),
+            sides[:, sides.mean(0).argmax()].min(),
+        )
+        low, high = rims[rims.mean(1).argmin()].max(), rims[rims.mean(1).argmax()].min()
+        azimuths = np.linspace(least, most, _COLUMNS) + middle[0]
+        slopes = np.linspace(high, low, _ROWS) + middle[1]
+        self.step_rad = float(azimuths[1] - azimuths[0])
+        self.width_rad = float(most - least)
+        grid, rise = np.meshgrid(azimuths, slopes)
+        rays = np.stack([np.cos(grid), np.sin(grid), rise], -1) @ upright
+        self._reduction = max(1, camera.width // (2 * _COLUMNS))
+        pixels = (camera.project(rays) + 0.5) / self._reduction - 0.5
+        self._pixels = pixels.astype(np.float32)
+
+    def strip(self, image: ImageArray) -> Strip:
+        """Spectrum of the strip of a grey image (height, width)."""
+        if self._reduction > 1:
+            size = (image.shape[1] // self._reduction, image.shape[0] // self._reduction)
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+        along, down = self._pixels[..., 0], self._pixels[..., 1]
+        strip = cv2.remap(image, along, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = np.asarray(strip, dtype=np.float32)
+        # What runs along azimuth does not tell of turns.
+        seen = np.asarray(cv2.Sobel(seen, cv2.CV_32F, 1, 0, ksize=3, scale=0.125))
+        seen /= np.maximum(np.sqrt(cv2.blur(seen * seen, _CONTRAST)), _LEAST_CONTRAST)
+        energy = np.concatenate([[0.0], np.cumsum((seen * seen).sum(0))])
+        return fft.rfft(seen, 2 * _COLUMNS, axis=1), energy
+
+    def turn(self, first: Strip, second: Strip) -> tuple[float, float]:
+        """As `turn_between`, of two strips of this view."""
+        return turn_between(first, second, self.step_rad)
+
+
+def turn_between(first: Strip, second: Strip, step_rad: float) -> tuple[float, float]:
+    """
+    Turn of the camera from one strip to another, rad, counter-clockwise, and its score.
+
+    The score is the normalised cross-correlation of what both see; the turn is NaN where that is
+    too little, or not alike.
+    """
+    shifts = np.arange(-_COLUMNS, _COLUMNS)
+    product = fft.irfft((first[0] * np.conj(second[0])).sum(0), 2 * _COLUMNS)
+    product = np.roll(product, _COLUMNS)
+    low, high = np.maximum(shifts, 0), np.minimum(_COLUMNS + shifts, _COLUMNS)
+    shared = high - low >= _LEAST_OVERLAP * _COLUMNS
+    width = high - low
+    # A wall without texture shows the grid of JPEG and dirt on the lens, which do not turn.
+    blank = _BLANK * _ROWS * width
+    energy = (first[1][high] - first[1][low] + blank) * (
+        second[1][high - shifts] - second[1][low - shifts] + blank
+    )
+    score = np.where(shared, product / np.sqrt(np.maximum(energy, 1e-9)), -1.0)
+    best = int(np.argmax(score))
+    peak = float(score[best])
+    if peak < _LEAST_SCORE or not (shared[best - 1] and shared[(best + 1) % len(shared)]):
+        return float('nan'), peak
+    before, after = score[best - 1], score[best + 1]
+    bend = before - 2.0 * peak + after
+    part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return float((shifts[best] + part) * step_rad), peak

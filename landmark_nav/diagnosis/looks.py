@@ -1,0 +1,183 @@
+"""The images of a bag: their stamps, encodings and lens, and how the camera turned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.arrays import IndexArray
+from landmark_nav.diagnosis.findings import Finding
+from landmark_nav.diagnosis.image_motion import Strip, StripView
+from landmark_nav.diagnosis.streams import Stream
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag, BagMessage
+from landmark_nav.storage.bags.timelines import CameraInfos
+
+__all__ = ['Looks', 'look']
+
+# Images are compared in runs of so many, spread over the recording.
+_RUN = 12
+# A lens that sees less or more is mistaken, or cannot be used here.
+_LEAST_FOV_DEG, _MOST_FOV_DEG = 8.0, 200.0
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """
+    Images of a bag.
+
+    Parameters
+    ----------
+    stream : Stream
+        Their stamps; no values.
+    pairs : ndarray of int, shape (n, 2)
+        Images next to each other that were both decoded.
+    findings : tuple of Finding
+        Encoding, size and lens.
+    strips : dict
+        What was seen in the images that were decoded, by their index.
+    view : StripView or None
+        How; None where no image could be used.
+
+    """
+
+    stream: Stream
+    pairs: IndexArray
+    findings: tuple[Finding, ...]
+    strips: dict[int, Strip]
+    view: StripView | None
+
+    def turn(self, first: int, second: int) -> float:
+        """Turn of the camera between two images, rad; NaN where it is not known."""
+        if self.view is None or first not in self.strips or second not in self.strips:
+            return float('nan')
+        return self.view.turn(self.strips[first], self.strips[second])[0]
+
+
+def look(
+    bag: Bag, topic: str, infos: tuple[str, ...], mount: PanTiltMount, most_images: int
+) -> Looks:
+    """
+    Look through images.
+
+    Parameters
+    ----------
+    bag : Bag
+        Where they are.
+    topic : str
+        Their topic in the bag.
+    infos : tuple of str
+        Contract's names of the topics that may hold their calibration.
+    mount : PanTiltMount
+        How the camera is mounted.
+    most_images : int
+        So many are decoded at most.
+
+    """
+    chosen = _chosen(bag.counts[topic], most_images)
+    stamps: list[int] = []
+    logged: list[int] = []
+    frames: dict[str, None] = {}
+    failed: list[str] = []
+    kinds: dict[str, None] = {}
+    strips: dict[int, Strip] = {}
+    view: StripView | None = None
+    camera: CameraModel | None = None
+    cameras: CameraInfos | None = None
+    unstamped = 0
+    for index, entry in enumerate(bag.messages([topic])):
+        stamps.append(decode.stamp_ns(entry.message.header))
+        logged.append(entry.stamp_ns)
+        unstamped += entry.header_ns == 0
+        frames[str(entry.message.header.frame_id)] = None
+        if index not in chosen:
+            continue
+        try:
+            if cameras is None:
+                cameras = CameraInfos.read(bag, *infos)
+            image, seen_by = decode.camera_image(entry.message, cameras.at(stamps[-1]), True)
+            if view is None:
+                camera = seen_by
+                view = StripView(camera, mount)
+            kinds[f'{_kind(entry)} {image.shape[1]} x {image.shape[0]}'] = None
+            strips[index] = view.strip(image)
+        except LandmarkNavError as error:
+            failed.append(str(error).removeprefix(f'{bag.path}: '))
+    pairs = [(k, k + 1) for k in strips if k + 1 in strips]
+    stream = Stream(
+        'images',
+        topic,
+        np.array(stamps, dtype=np.int64),
+        np.array(logged, dtype=np.int64),
+        np.empty((len(stamps), 0)),
+        tuple(frames),
+        origin_ns=bag.start_ns,
+        unstamped=unstamped,
+    )
+    findings = (*_encoding(failed, kinds, len(chosen)), *_lens(camera))
+    return Looks(stream, np.array(pairs, dtype=np.intp).reshape(-1, 2), findings, strips, view)
+
+
+def _chosen(count: int, most: int) -> set[int]:
+    """Which of `count` images are decoded: all, or runs of them."""
+    if count <= most:
+        return set(range(count))
+    runs = max(most // _RUN, 1)
+    begins = np.linspace(0, count - _RUN, runs).astype(np.intp)
+    return {int(begin) + k for begin in begins for k in range(_RUN)}
+
+
+def _kind(entry: BagMessage) -> str:
+    """Encoding of an image, as its message names it."""
+    name = getattr(entry.message, 'encoding', None) or getattr(entry.message, 'format', '')
+    return str(name)[:40] or 'unnamed'
+
+
+def _encoding(failed: list[str], kinds: Iterable[str], tried: int) -> Iterable[Finding]:
+    named = ', '.join(list(kinds)[:3])
+    if failed:
+        level = 'error' if len(failed) == tried else 'warning'
+        yield Finding(
+            'images encoding',
+            level,  # type: ignore[arg-type]
+            f'{len(failed)} of {tried} cannot be used',
+            failed[0][:110],
+            {'failed': len(failed), 'tried': tried},
+            when_read=True,
+        )
+    elif named:
+        yield Finding('images encoding', 'ok', named)
+
+
+def _lens(camera: CameraModel | None) -> Iterable[Finding]:
+    if camera is None:
+        return
+    u = np.array([0.0, camera.width - 1.0])
+    edge = camera.unproject(np.stack([u, np.full(2, camera.cy)], -1))[:, 0]
+    field = float(np.degrees(np.ptp(np.arctan(edge))))
+    said = f'{field:.0f} deg wide, f {camera.fx:.0f} px, {camera.model}'
+    values = {'field_of_view_deg': field, 'fx_px': camera.fx}
+    if not np.isfinite(field) or not _LEAST_FOV_DEG < field < _MOST_FOV_DEG:
+        advice = 'calibrate the camera: no lens that localization takes sees so much'
+        yield Finding('camera lens', 'error', said, advice, values)
+        return
+    rays = camera.unproject(
+        np.stack(np.meshgrid(np.linspace(0.0, camera.width - 1.0, 21), [0.0, camera.cy]), -1)
+    )
+    back = camera.project(rays)
+    folds = not np.isfinite(rays).all() or (np.diff(rays[..., 0], axis=1) <= 0.0).any()
+    off = float(np.nanmax(np.abs(back[..., 0] - np.linspace(0.0, camera.width - 1.0, 21))))
+    if folds or off > 1.0:
+        yield Finding(
+            'camera lens',
+            'error',
+            f'{said}: its distortion folds back inside the image',
+            'calibrate it again with points up to the corners of the image',
+            values,
+        )
+        return
+    yield Finding('camera lens', 'ok', said, '', values)

@@ -1,0 +1,283 @@
+"""
+What turns the camera: pan and odometry against the images' own motion.
+
+From one image to the next the camera turns by
+
+    turn = pan scale * pan sense * (pan after - pan before)
+         + yaw scale * (yaw after - yaw before)
+         + nearness * (displacement to the left of the view, by odometry)
+         + sideways * (displacement along the view)
+
+and both scales are 1 where all is well. `nearness` is the mean inverse distance of what is seen;
+`sideways` is 0 unless the camera is turned on the robot. The noise is Student's t: images are
+mistaken now and then (Lange, Little, Taylor, J. Am. Stat. Assoc. 84, 1989).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.arrays import FloatArray
+
+__all__ = ['Clock', 'Estimate', 'Fit', 'Linear', 'Motion', 'Track', 'explained', 'fit', 'linear']
+
+_FREEDOM = 3.0
+_ITERATIONS = 25
+# More is no noise of images; nor is it where more of them than this are as far off.
+NOISE_RAD = 0.02
+_FAR_SIGMAS, _MOST_AWAY = 5.0, 0.15
+# Errors up to these are within what localization estimates.
+PAN_SCALE, YAW_SCALE, PAN_CLOCK_S, YAW_CLOCK_S = 0.03, 0.12, 0.01, 0.03
+_STEP_S = 0.05
+# Turns between images are not measured better, whatever agrees.
+_LEAST_SIGMA_RAD = 1e-3
+
+
+@dataclass(frozen=True)
+class Clock:
+    """
+    A clock against that of the images.
+
+    A stream stamped by it shows at `seconds` what happened at that time less `offset_s`, and it
+    runs faster by `drift` from `anchor_s` on. At `step_at_s` it is set ahead by `step_s`.
+    """
+
+    offset_s: float = 0.0
+    drift: float = 0.0
+    anchor_s: float = 0.0
+    step_s: float = 0.0
+    step_at_s: float = 0.0
+
+    def at(self, seconds: FloatArray) -> FloatArray:
+        """Its times, at times of the images' clock."""
+        ahead = self.offset_s + self.drift * (seconds - self.anchor_s)
+        return seconds + ahead + self.step_s * (seconds >= self.step_at_s)
+
+    def later(self, seconds: float) -> Clock:
+        """Return the clock that is ahead by so much more."""
+        return replace(self, offset_s=self.offset_s + seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Values (n, k) at ascending times (n,); beyond them they stay, as nothing is known."""
+
+    seconds: FloatArray
+    values: FloatArray
+
+    @classmethod
+    def of(cls, seconds: FloatArray, values: FloatArray) -> Track:
+        """Sort by time; of several at one time the last counts."""
+        order = np.argsort(seconds, kind='stable')
+        times, values = seconds[order], values[order]
+        last = np.append(np.diff(times) > 0.0, True)
+        return cls(times[last], values[last])
+
+    def at(self, seconds: npt.ArrayLike) -> FloatArray:
+        """Values (..., k) at times (...)."""
+        times = np.asarray(seconds, dtype=np.float64)
+        columns = [np.interp(times, self.seconds, column) for column in self.values.T]
+        return np.stack(columns, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """
+    Turns between images, and what joints and odometry say of them.
+
+    Parameters
+    ----------
+    before_s, after_s : ndarray, shape (n,)
+        Times of the first and second image of each pair.
+    turns_rad : ndarray, shape (n,)
+        Measured turn of the camera, counter-clockwise.
+    pan : Track
+        Pan (n, 1), unwrapped, times the sense of the mount.
+    odometry : Track or None
+        x, y in metres and unwrapped yaw in radians, (n, 3).
+    axis_xy : tuple of float
+        Pan axis in ``base_link``.
+    ahead_rad : float
+        Azimuth in ``base_link`` of pan 0.
+    pan_clock, odometry_clock : Clock
+        Of these streams.
+
+    """
+
+    before_s: FloatArray
+    after_s: FloatArray
+    turns_rad: FloatArray
+    pan: Track
+    odometry: Track | None
+    axis_xy: tuple[float, float] = (0.0, 0.0)
+    ahead_rad: float = 0.0
+    pan_clock: Clock = field(default_factory=Clock)
+    odometry_clock: Clock = field(default_factory=Clock)
+    pan_scale: float = 1.0
+    yaw_scale: float = 1.0
+
+    def __len__(self) -> int:
+        """How many pairs."""
+        return len(self.turns_rad)
+
+    def panned(self) -> FloatArray:
+        """Turns by the joints, (n,)."""
+        times = self.pan_clock.at(np.stack([self.before_s, self.after_s]))
+        before, after = self.pan.at(times)[..., 0]
+        return np.asarray(self.pan_scale * (after - before))
+
+    def yawed(self) -> FloatArray:
+        """Turns by the odometry, (n,)."""
+        if self.odometry is None:
+            return np.zeros(len(self))
+        before, after = self.odometry.at(self._odometry_times())[..., 2]
+        return np.asarray(self.yaw_scale * (after - before))
+
+    def parallax(self) -> FloatArray:
+        """
+        Columns of `nearness` and `sideways`, (n, 2): displacement of the pan axis.
+
+        To the left of the view, and along it; by odometry, metres.
+        """
+        if self.odometry is None:
+            return np.zeros((len(self), 2))
+        before, after = self.odometry.at(self._odometry_times())
+        headings = self.yaw_scale * np.stack([before[:, 2], after[:, 2]])
+        c, s = np.cos(headings), np.sin(headings)
+        x, y = self.axis_xy
+        moved_x, moved_y = np.diff([c * x - s * y, s * x + c * y], axis=1)[:, 0]
+        moved_x, moved_y = (
+            moved_x + after[:, 0] - before[:, 0],
+            moved_y + after[:, 1] - before[:, 1],
+        )
+        middle = 0.5 * (self.before_s + self.after_s)
+        pan = self.pan_scale * self.pan.at(self.pan_clock.at(middle))[:, 0]
+        look = headings.mean(0) + self.ahead_rad + pan
+        c, s = np.cos(look), np.sin(look)
+        return np.stack([c * moved_y - s * moved_x, c * moved_x + s * moved_y], -1)
+
+    def _odometry_times(self) -> FloatArray:
+        return self.odometry_clock.at(np.stack([self.before_s, self.after_s]))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Coefficients (k,), their sigmas, the noise and the log-likelihood of a regression."""
+
+    values: FloatArray
+    sigmas: FloatArray
+    noise_rad: float
+    log_likelihood: float
+    residuals_rad: FloatArray
+
+    @property
+    def quiet(self) -> bool:
+        """Whether what is left is noise."""
+        away = np.abs(self.residuals_rad) > max(NOISE_RAD, _FAR_SIGMAS * self.noise_rad)
+        return self.noise_rad < NOISE_RAD and bool(np.mean(away) < _MOST_AWAY)
+
+
+def fit(turns: FloatArray, columns: FloatArray) -> Fit:
+    """
+    Regress turns (n,) on columns (n, k) with noise of Student's t of unknown scale.
+
+    Expectation maximisation; a column of zeros gets the coefficient 0 and an infinite sigma.
+    """
+    n, k = columns.shape
+    seen = np.abs(columns).max(0, initial=0.0) > 1e-9
+    used = columns[:, seen]
+    values = np.zeros(used.shape[1])
+    residuals = turns
+    scale = max(float(np.median(np.abs(turns))), _LEAST_SIGMA_RAD)
+    information = np.zeros((used.shape[1], used.shape[1]))
+    for _ in range(_ITERATIONS):
+        weights = (_FREEDOM + 1.0) / (_FREEDOM + (residuals / scale) ** 2)
+        if used.shape[1]:
+            information = used.T @ (weights[:, None] * used)
+            ridge = 1e-9 * np.diag(np.diag(information) + 1e-12)
+            values = np.linalg.solve(information + ridge, used.T @ (weights * turns))
+            residuals = turns - used @ values
+        new = max(float(np.sqrt(np.mean(weights * residuals**2))), _LEAST_SIGMA_RAD)
+        if abs(new - scale) < 1e-6 * scale:
+            scale = new
+            break
+        scale = new
+    all_values, sigmas = np.zeros(k), np.full(k, np.inf)
+    all_values[seen] = values
+    if used.shape[1]:
+        spread = np.linalg.pinv(information, hermitian=True)
+        sigmas[seen] = scale * np.sqrt(np.maximum(np.diag(spread), 0.0))
+    likelihood = -n * np.log(scale) - 0.5 * (_FREEDOM + 1.0) * float(
+        np.sum(np.log1p((residuals / scale) ** 2 / _FREEDOM))
+    )
+    return Fit(all_values, sigmas, scale, likelihood, residuals)
+
+
+def explained(motion: Motion) -> Fit:
+    """How well joints and odometry explain the turns as they are: only the parallax is free."""
+    return fit(motion.turns_rad - motion.panned() - motion.yawed(), motion.parallax())
+
+
+class Estimate(NamedTuple):
+    """A value and its sigma, which is infinite where nothing tells."""
+
+    value: float
+    sigma: float
+
+    def beyond(self, least: float, known: float) -> bool:
+        """Whether it is more than `least` from 0, with 3 sigma, and known to `known`."""
+        return self.sigma < known and abs(self.value) - 3.0 * self.sigma > least
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """
+    Small errors of scales and clocks, all at once, about what a motion assumes.
+
+    `pan_scale` and `yaw_scale` are errors as shares, `pan_clock_s` and `odometry_clock_s` by how
+    much stamps are late, `nearness` in 1/m, `sideways` as in the module's equation; `noise_rad`
+    is what is left, and `moving_rad` the usual turn.
+    """
+
+    pan_scale: Estimate
+    yaw_scale: Estimate
+    pan_clock_s: Estimate
+    odometry_clock_s: Estimate
+    nearness: Estimate
+    sideways: Estimate
+    quiet: bool
+
+    @property
+    def fits(self) -> bool:
+        """Whether joints and odometry explain the images without any fault."""
+        return self.quiet and not (
+            self.pan_scale.beyond(PAN_SCALE, 0.1)
+            or self.yaw_scale.beyond(YAW_SCALE, 0.2)
+            or self.pan_clock_s.beyond(PAN_CLOCK_S, 0.1)
+            or self.odometry_clock_s.beyond(YAW_CLOCK_S, 0.1)
+        )
+
+
+def linear(motion: Motion) -> Linear:
+    """Estimate small errors; what nothing tells has a sigma without end."""
+    panned, yawed = motion.panned(), motion.yawed()
+
+    def rate(move: str) -> FloatArray:
+        moved = []
+        for step in (-_STEP_S, _STEP_S):
+            clock = getattr(motion, f'{move}_clock')
+            changed = replace(
+                motion, **{f'{move}_clock': replace(clock, offset_s=clock.offset_s + step)}
+            )
+            moved.append(changed.panned() if move == 'pan' else changed.yawed())
+        return np.asarray((moved[1] - moved[0]) / (2.0 * _STEP_S))
+
+    columns = [panned, yawed, rate('pan'), rate('odometry'), *motion.parallax().T]
+    found = fit(motion.turns_rad - panned - yawed, np.stack(columns, -1))
+    pairs = zip(found.values.tolist(), found.sigmas.tolist(), strict=True)
+    pan, yaw, pan_clock, yaw_clock, nearness, sideways = (Estimate(*pair) for pair in pairs)
+    return Linear(pan, yaw, pan_clock, yaw_clock, nearness, sideways, found.quiet)

@@ -1,0 +1,219 @@
+"""Stamps of a stream: rate, gaps, order, and its clock against its time of recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.diagnosis.findings import Finding, Level
+from landmark_nav.diagnosis.motion import Clock
+from landmark_nav.diagnosis.streams import Stream
+
+__all__ = ['LogClock', 'check_stamps', 'clock_hints', 'in_step', 'log_clock', 'longest_part']
+
+
+class _Need(NamedTuple):
+    """Least rate, Hz, and longest gap, s, that localization takes without loss."""
+
+    rate_hz: float
+    gap_s: float
+    what: str
+
+
+_NEEDS = {
+    'images': _Need(1.0, 2.0, 'the camera'),
+    'joint_states': _Need(10.0, 0.5, 'the driver of the joints'),
+    'odom': _Need(5.0, 1.5, 'the odometry'),
+}
+# Stamps that go back by more are a clock that was set back.
+_SET_BACK_S = 0.5
+# Of the lag between stamp and recording, what is farther from its line has another clock.
+_OUT_OF_STEP_S = 0.5
+_STEADY = 0.8
+# Jitter of stamps that matters while a camera turns at 1 rad/s.
+_SHAKEN_S = 0.01
+# What is more often than this out of order was sent so.
+_OFTEN = 0.01
+
+
+class LogClock(NamedTuple):
+    """
+    Stamps against times of recording: offset at the start, s, and drift as a share.
+
+    `steady` says whether most messages lie on that line.
+    """
+
+    offset_s: float
+    drift: float
+    steady: bool
+
+
+def check_stamps(stream: Stream) -> list[Finding]:
+    """Rate, gaps, order, duplicates and zeros of the stamps of one stream."""
+    name, n = stream.name, len(stream)
+    need = _NEEDS.get(name)
+    if stream.refused:
+        level: Level = 'warning' if n else 'error'
+        yielded = [
+            Finding(
+                f'{name} values',
+                level,
+                f'{stream.refused} of {n + stream.refused} messages cannot be used',
+                stream.why[:90],
+                {'refused': stream.refused, 'messages': n + stream.refused},
+                when_read=True,
+            )
+        ]
+    else:
+        yielded = []
+    if n < 2:
+        return [*yielded, Finding(f'{name} rate', 'warning', f'{n} messages', 'record more')]
+    if zeros := stream.unstamped:
+        everywhere = 'all' if zeros == n else f'{zeros} of {n}'
+        publisher = need.what if need else 'the publisher'
+        yielded.append(
+            Finding(
+                f'{name} stamps',
+                'warning',
+                f'{everywhere} stamps are 0: the time of recording is used',
+                f'{publisher} must stamp {name} (header.stamp)',
+                {'zeros': zeros, 'messages': n},
+            )
+        )
+    steps = np.diff(stream.seconds)
+    period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    rate = 1.0 / period if period else 0.0
+    yielded.append(_rate(name, need, rate, n))
+    longest = float(steps.max(initial=0.0))
+    if need and longest > max(need.gap_s, 5.0 * period):
+        at = float(stream.seconds[int(steps.argmax())] - stream.seconds[0])
+        yielded.append(
+            Finding(
+                f'{name} gaps',
+                'warning',
+                f'none for {longest:.2f} s at {at:.1f} s',
+                f'localization takes {need.gap_s:g} s: look at {need.what} and the recorder',
+                {'longest_s': longest, 'at_s': at},
+            )
+        )
+    yielded += _jitter(stream, need.what if need else 'the publisher')
+    same, back = int((steps == 0.0).sum()), int((steps < 0.0).sum())
+    if same or back:
+        yielded.append(_order(name, stream, same, back, float(-steps.min())))
+    return yielded
+
+
+def _rate(name: str, need: _Need | None, rate_hz: float, messages: int) -> Finding:
+    slow = need is not None and rate_hz < 0.95 * need.rate_hz
+    return Finding(
+        f'{name} rate',
+        'warning' if slow else 'ok',
+        f'{rate_hz:.1f} Hz, {messages} messages',
+        f'publish {name} at {need.rate_hz:g} Hz at least' if slow and need else '',
+        {'rate_hz': rate_hz, 'messages': messages},
+    )
+
+
+def _jitter(stream: Stream, what: str) -> list[Finding]:
+    """Stamps that are shaken while messages arrive evenly."""
+    lag = np.diff(stream.seconds - stream.logged)
+    arrival = np.diff(stream.logged)
+    shaken = float(1.4826 * np.median(np.abs(lag - np.median(lag))))
+    uneven = float(1.4826 * np.median(np.abs(arrival - np.median(arrival))))
+    if shaken < _SHAKEN_S or uneven > 0.5 * shaken:
+        return []
+    return [
+        Finding(
+            f'{stream.name} jitter',
+            'warning',
+            f'stamps are shaken by {1e3 * shaken:.0f} ms, messages arrive within '
+            f'{1e3 * uneven:.0f} ms',
+            f'{what} must stamp {stream.name} at the time of measurement',
+            {'stamps_s': shaken, 'arrival_s': uneven},
+        )
+    ]
+
+
+def _order(name: str, stream: Stream, same: int, back: int, furthest_s: float) -> Finding:
+    values = {'duplicates': same, 'backward': back, 'backward_s': max(furthest_s, 0.0)}
+    if back and furthest_s > _SET_BACK_S:
+        return Finding(
+            f'{name} order',
+            'warning',
+            f'stamps go back {back} times, by {furthest_s:.1f} s at most',
+            'its clock was set back, or two sources send: one clock, one source',
+            values,
+        )
+    many = same + back > _OFTEN * len(stream)
+    return Finding(
+        f'{name} order',
+        'warning' if many else 'ok',
+        f'{same} stamps come twice, {back} out of order',
+        'each message needs the time of its measurement' if many else '',
+        values,
+    )
+
+
+def log_clock(stream: Stream) -> LogClock:
+    """Robust line of stamps over times of recording (after Theil and Sen)."""
+    lag = stream.seconds - stream.logged
+    third = max(len(lag) // 3, 1)
+    apart = float(np.median(stream.logged[-third:]) - np.median(stream.logged[:third]))
+    rise = float(np.median(lag[-third:]) - np.median(lag[:third]))
+    drift = rise / apart if apart > 0.0 else 0.0
+    rest = lag - drift * stream.logged
+    offset = float(np.median(rest))
+    steady = bool(np.mean(np.abs(rest - offset) < _OUT_OF_STEP_S) > _STEADY)
+    return LogClock(offset, drift, steady)
+
+
+def in_step(stream: Stream) -> Stream:
+    """The messages whose stamps follow the clock that most of them follow."""
+    clock = log_clock(stream)
+    away = np.abs(stream.seconds - stream.logged * (1.0 + clock.drift) - clock.offset_s)
+    keep = away < max(_OUT_OF_STEP_S, 6.0 * float(np.median(away)))
+    return stream if keep.all() else stream.only(keep)
+
+
+def longest_part(images: Stream) -> tuple[int, int]:
+    """First and last time of recording, ns, between which the images' clock was not set back."""
+    back = np.flatnonzero(np.diff(images.seconds) < -_SET_BACK_S) + 1
+    begins = [int(images.logged_ns[0]), *images.logged_ns[back].tolist()]
+    ends = [*(begin - 1 for begin in begins[1:]), np.iinfo(np.int64).max]
+    if len(begins) == 1:
+        return 0, ends[0]
+    return max(
+        zip(begins, ends, strict=True), key=lambda p: min(p[1], images.logged_ns[-1]) - p[0]
+    )
+
+
+def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[Clock]]:
+    """
+    Clocks that stamps and times of recording suggest, to begin a search at.
+
+    Returns
+    -------
+    dict
+        For each stream; for the images all of them, as it may be theirs that is off.
+
+    """
+    begin, by_images = float(images.seconds[0]), log_clock(images)
+    extent = float(np.ptp(images.seconds))
+    hints: dict[str, list[Clock]] = {}
+    for name, stream in others.items():
+        by_log = log_clock(stream)
+        drift = (1.0 + by_log.drift) / max(1.0 + by_images.drift, 1e-9) - 1.0
+        known = by_log.steady and by_images.steady
+        offset = by_log.offset_s - by_images.offset_s if known else 0.0
+        start = float(stream.seconds[0]) - begin
+        longer = float(np.ptp(stream.seconds)) / extent - 1.0 if extent > 0.0 else 0.0
+        hints[name] = [
+            Clock(offset),
+            Clock(start),
+            Clock(offset, drift, by_images.offset_s),
+            Clock(start, longer, begin),
+        ]
+    hints['images'] = [clock for clocks in hints.values() for clock in clocks]
+    return hints

@@ -1,0 +1,324 @@
+"""
+Errors of whole streams, put into a recorded drive, and the cause that should be named.
+
+`REPORTED` are those that users reported, `SWEEPS` those of recorded sweeps. `OTHERS` were written
+down before it was known what the checks say of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import copy
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from faults import CAMERA, Change, INFO, JOINTS, later, NS, ODOMETRY, pictured
+import numpy as np
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag, BagWriter
+from landmark_nav.storage.bags.topics import relative_name
+
+__all__ = ['OTHERS', 'REPORTED', 'SWEEPS', 'StreamError', 'write_drive']
+
+TRUTH = 'ground_truth/odom'
+# Message, and how often it was sent before.
+Altered = Callable[[Any, int], Any]
+
+
+@dataclass(frozen=True)
+class StreamError:
+    """
+    An error of a stream.
+
+    Parameters
+    ----------
+    topics : tuple of str
+        Whose messages `change` alters; it returns a message, a list of them, or None.
+    names : str
+        Start of the name of the finding that names the cause.
+    says : str
+        What that finding says, a regular expression.
+    recorded : bool
+        Whether the recorder's clock is off with the stamps.
+    robot : callable, optional
+        What becomes of robot.yaml.
+
+    """
+
+    topics: tuple[str, ...]
+    change: Altered
+    names: str
+    says: str = ''
+    recorded: bool = False
+    robot: Callable[[PanTiltMount], PanTiltMount] | None = None
+
+
+def _always(change: Change) -> Altered:
+    return lambda message, _: change(message)
+
+
+def _stamped(message: Any, stamp_ns: int) -> Any:
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS)
+    return message
+
+
+def drifting(share: float) -> Altered:
+    first: list[int] = []
+
+    def change(message: Any, _: int) -> Any:
+        stamp = decode.stamp_ns(message.header)
+        first.append(stamp)
+        return _stamped(message, first[0] + round((stamp - first[0]) * (1.0 + share)))
+
+    return change
+
+
+def times(scale: float, joint: str = 'pan_joint') -> Altered:
+    def change(message: Any, _: int) -> Any:
+        index = list(message.name).index(joint)
+        message.position = np.array(message.position)
+        message.position[index] *= scale
+        return message
+
+    return change
+
+
+def swept(scale: float) -> Altered:
+    """Pans of a trajectory, scaled."""
+
+    def change(message: Any, _: int) -> Any:
+        for point in message.points:
+            point.positions = np.array(point.positions) * [
+                scale,
+                *[1.0] * (len(message.joint_names) - 1),
+            ]
+        return message
+
+    return change
+
+
+def driven(x: float = 1.0, y: float = 1.0, yaw: float = 1.0, twist: float = 1.0) -> Altered:
+    """Odometry with its numbers scaled; the twist goes with the pose, times `twist`."""
+
+    turned: list[float] = []
+
+    def change(message: Any, _: int) -> Any:
+        at, q = message.pose.pose.position, message.pose.pose.orientation
+        turned.append(decode.odometry(message).pose_odom_base[2])
+        turned[:] = np.unwrap(turned[-2:]).tolist()
+        heading = yaw * turned[-1]
+        at.x, at.y = at.x * x, at.y * y
+        q.z, q.w = float(np.sin(0.5 * heading)), float(np.cos(0.5 * heading))
+        message.twist.twist.linear.x *= abs(x) * twist
+        message.twist.twist.angular.z *= yaw * twist
+        return message
+
+    return change
+
+
+def with_second(every: int, make: Callable[[Any], Any]) -> Altered:
+    """Another source sends after each `every`-th message, half a period later."""
+
+    def change(message: Any, count: int) -> Any:
+        if count % every:
+            return message
+        other = make(copy.deepcopy(message))
+        return [message, _stamped(other, decode.stamp_ns(other.header) + 7_000_000)]
+
+    return change
+
+
+def _zeros(message: Any) -> Any:
+    message.position = np.zeros(len(message.position))
+    return message
+
+
+def _elsewhere(message: Any) -> Any:
+    """Odometry that stands at its origin."""
+    message.pose.pose.position.x = message.pose.pose.position.y = 0.0
+    message.pose.pose.orientation.z, message.pose.pose.orientation.w = 0.0, 1.0
+    message.twist.twist.linear.x = message.twist.twist.angular.z = 0.0
+    return message
+
+
+def swapped_names(message: Any) -> Any:
+    message.name = list(message.name)[::-1]
+    return message
+
+
+def rarely(every: int) -> Altered:
+    return lambda message, count: None if count % every else message
+
+
+def focus(scale: float) -> Change:
+    def change(message: Any) -> Any:
+        message.k = np.array(message.k) * [scale, 1, 1, 1, scale, 1, 1, 1, 1]
+        return message
+
+    return change
+
+
+def frozen_pose() -> Altered:
+    first: list[Any] = []
+
+    def change(message: Any, _: int) -> Any:
+        first.append(copy.deepcopy(message.pose))
+        message.pose = copy.deepcopy(first[0])
+        return message
+
+    return change
+
+
+def shaken(spread_s: float) -> Altered:
+    rng = np.random.default_rng(3)
+
+    def change(message: Any, _: int) -> Any:
+        return later(float(rng.uniform(-spread_s, spread_s)))(message)
+
+    return change
+
+
+def gone(first: int, last: int) -> Altered:
+    return lambda message, count: None if first <= count < last else message
+
+
+def whole_seconds(message: Any) -> Any:
+    message.header.stamp.nanosec = 0
+    return message
+
+
+def added(angle_rad: float) -> Altered:
+    def change(message: Any, _: int) -> Any:
+        message.position = np.array(message.position)
+        message.position[list(message.name).index('pan_joint')] += angle_rad
+        return message
+
+    return change
+
+
+def no_stamp(message: Any) -> Any:
+    return _stamped(message, 0)
+
+
+def renamed(name: str) -> Callable[[PanTiltMount], PanTiltMount]:
+    return lambda mount: replace(mount, pan_joint=name)
+
+
+def same(message: Any) -> Any:
+    return message
+
+
+PICTURES = (CAMERA, INFO)
+_SAME = _always(same)
+
+REPORTED = {
+    'odom +1 s': StreamError(
+        (ODOMETRY,), _always(later(1.0)), 'odom clock', '(1.0. s|0.9. s|9.. ms)'
+    ),
+    'odom +5 s': StreamError((ODOMETRY,), _always(later(5.0)), 'odom clock', '(5.0|4.9)'),
+    'odom -60 s': StreamError((ODOMETRY,), _always(later(-60.0)), 'odom clock', '(60.0|59.9)'),
+    'odom -4990 s': StreamError(
+        (ODOMETRY,), _always(later(-4990.0)), 'odom clock', '(4990|4989.9)'
+    ),
+    'odom +1 s, recorded so': StreamError(
+        (ODOMETRY,), _always(later(1.0)), 'odom clock', '(1.0. s|0.9. s|9.. ms)', recorded=True
+    ),
+    'odom +5 s, recorded so': StreamError(
+        (ODOMETRY,), _always(later(5.0)), 'odom clock', '(5.0|4.9)', recorded=True
+    ),
+    'odom -60 s, recorded so': StreamError(
+        (ODOMETRY,), _always(later(-60.0)), 'odom clock', '(60.0|59.9)', recorded=True
+    ),
+    'odom clock 5 % fast': StreamError((ODOMETRY,), drifting(0.05), 'odom clock', '% fast'),
+    'odom +1.7e9 s': StreamError((ODOMETRY,), _always(later(1.7e9)), 'odom clock', '1.7e.09'),
+    'odom stamps all 0': StreamError((ODOMETRY,), _always(no_stamp), 'odom stamps', '0'),
+    'joint_states +5 s': StreamError(
+        (JOINTS,), _always(later(5.0)), 'joint_states clock', '(5.0|4.9)'
+    ),
+    'pan reversed': StreamError((JOINTS,), times(-1.0), 'pan sign', 'reversed'),
+    'pan in degrees': StreamError((JOINTS,), times(57.29578), 'pan scale', 'degrees'),
+    'yaw reversed': StreamError((ODOMETRY,), driven(yaw=-1.0), 'odom yaw', 'reversed'),
+    'yaw reversed, mirrored path': StreamError(
+        (ODOMETRY,), driven(y=-1.0, yaw=-1.0), 'odom yaw', 'reversed'
+    ),
+    'odom in cm': StreamError((ODOMETRY,), driven(100.0, 100.0), 'odom', 'centimetres'),
+    'zeros between joint_states': StreamError(
+        (JOINTS,), with_second(5, _zeros), 'joint_states sources', 'two sources'
+    ),
+    'images 100 ms late': StreamError((CAMERA,), _always(later(0.1)), 'images clock', 'late'),
+    'pan_joint of another name': StreamError(
+        (), _SAME, 'joint names', 'pan_joint', robot=renamed('head_pan_joint')
+    ),
+    'rpy of 5 degrees as radians': StreamError(
+        (), _SAME, 'camera heading', '', robot=lambda m: replace(m, axis_rpy=(0.0, 0.0, 5.0))
+    ),
+    'truth +30 s': StreamError(
+        (TRUTH,), _always(later(30.0)), 'ground_truth clock', '(30.0|29.9)'
+    ),
+}
+
+OTHERS = {
+    'images mirrored': StreamError(
+        (CAMERA,), _always(pictured(lambda i: np.ascontiguousarray(i[:, ::-1]))), 'images sign'
+    ),
+    'images upside down': StreamError(
+        (CAMERA,), _always(pictured(lambda i: np.ascontiguousarray(i[::-1, ::-1]))), 'images sign'
+    ),
+    'focal length 20 % long': StreamError((INFO,), _always(focus(1.2)), 'camera lens', 'long'),
+    'zero of the pan off by 0.4 rad': StreamError((JOINTS,), added(0.4), 'camera heading'),
+    'odom drives backwards': StreamError(
+        (ODOMETRY,), driven(-1.0, -1.0), 'camera heading', 'backwards'
+    ),
+    'odom in mm': StreamError((ODOMETRY,), driven(1000.0, 1000.0), 'odom', 'millimetres'),
+    'odom in feet': StreamError((ODOMETRY,), driven(3.28, 3.28), 'odom unit'),
+    'odom turns half': StreamError((ODOMETRY,), driven(yaw=0.5), 'odom yaw', '0.5|0.49'),
+    'pan geared 2 to 1': StreamError((JOINTS,), times(2.0), 'pan scale', '2'),
+    'pan in ticks of a motor': StreamError((JOINTS,), times(651.9), 'pan scale'),
+    'joint_states at 2 Hz': StreamError((JOINTS,), rarely(10), 'joint_states rate', '2.0 Hz'),
+    'images clock 2 % slow': StreamError(PICTURES, drifting(-0.02), 'images clock', '% slow'),
+    'joint_states clock 3 % fast': StreamError(
+        (JOINTS,), drifting(0.03), 'joint_states clock', '% fast'
+    ),
+    'images +10 s': StreamError(PICTURES, _always(later(10.0)), 'images clock', '(10.0|9.9)'),
+    'second odometry that stands': StreamError(
+        (ODOMETRY,), with_second(2, _elsewhere), 'odom sources', 'two sources'
+    ),
+    'pan and tilt exchanged': StreamError(
+        (JOINTS,), _always(swapped_names), 'joint names', 'tilt_joint'
+    ),
+    'joint stamps of whole seconds': StreamError(
+        (JOINTS,), _always(whole_seconds), 'joint_states', 'twice'
+    ),
+    'odom pose frozen': StreamError((ODOMETRY,), frozen_pose(), 'odom', 'pose'),
+    'image stamps shaken by 80 ms': StreamError((CAMERA,), shaken(0.08), 'images', ''),
+    'no odom for 5 s': StreamError((ODOMETRY,), gone(100, 200), 'odom gaps', ''),
+}
+
+
+SWEEPS = {
+    'pan reversed': StreamError(('sweep/trajectory',), swept(-1.0), 'pan sign', 'reversed'),
+    'pan in degrees': StreamError(('sweep/trajectory',), swept(57.29578), 'pan scale', 'degrees'),
+}
+
+
+def write_drive(bag: Bag, path: Path, error: StreamError) -> Path:
+    """Write a drive, or sweeps, with an error in it."""
+    out: list[tuple[str, Any, int]] = []
+    counts: dict[str, int] = {}
+    for entry in bag.messages():
+        topic, message, logged = relative_name(entry.topic), entry.message, entry.stamp_ns
+        if topic in error.topics:
+            stamp = decode.stamp_ns(message.header)
+            counts[topic] = counts.get(topic, -1) + 1
+            message = error.change(message, counts[topic])
+            if error.recorded and message is not None:
+                logged += decode.stamp_ns(message.header) - stamp
+        messages = message if isinstance(message, list) else [message]
+        out += [(topic, m, logged + k) for k, m in enumerate(messages) if m is not None]
+    with BagWriter(path) as written:
+        for topic, message, logged in sorted(out, key=lambda sent: sent[2]):
+            written.write(topic, message, logged)
+    return path

@@ -1,0 +1,304 @@
+"""The doctor: known errors of motion are recovered, and the cause is named in a recorded drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+import json
+from pathlib import Path
+import re
+
+import cv2
+import numpy as np
+import pytest
+from stream_errors import OTHERS, REPORTED, SWEEPS, write_drive
+
+from landmark_nav.cli.check import refuse_errors
+from landmark_nav.cli.main import main
+from landmark_nav.diagnosis import diagnose, QUICK
+from landmark_nav.diagnosis.causes import IMAGES, JOINTS, ODOMETRY, verdict
+from landmark_nav.diagnosis.image_motion import StripView
+from landmark_nav.diagnosis.motion import Clock, fit, linear, Motion, Track
+from landmark_nav.diagnosis.sources import two_sources
+from landmark_nav.diagnosis.streams import Stream, unwrapped
+from landmark_nav.diagnosis.units import nearness_of_room
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.types import FloatArray
+
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
+CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
+
+
+@pytest.fixture(scope='module')
+def drive() -> Motion:
+    """A robot that turns and pans for 30 s, things 3 m away, noise of 2 mrad."""
+    rng = np.random.default_rng(5)
+    seconds = np.arange(-1.0, 32.0, 0.05)
+    yaw = 0.8 * np.sin(0.31 * seconds) + 0.3 * np.sin(1.1 * seconds + 1.0)
+    speed = 0.3 + 0.1 * np.sin(0.7 * seconds)
+    x, y = np.cumsum(0.05 * speed * [np.cos(yaw), np.sin(yaw)], axis=1)
+    pan = np.sin(0.9 * seconds) + 0.5 * np.sin(2.3 * seconds)
+    before = np.arange(0.0, 30.0, 0.2)
+    motion = Motion(
+        before,
+        before + 0.2,
+        np.zeros(len(before)),
+        Track(seconds, pan[:, None]),
+        Track(seconds, np.stack([x, y, yaw], -1)),
+        (0.1, 0.0),
+    )
+    turns = motion.panned() + motion.yawed() + motion.parallax() @ [1.0 / 3.0, 0.0]
+    return replace(motion, turns_rad=turns + rng.normal(0.0, 0.002, len(turns)))
+
+
+def track(motion: Motion, stream: str, change: Callable[[Track], Track]) -> Motion:
+    """The motion with another track of a stream."""
+    if stream == JOINTS:
+        return replace(motion, pan=change(motion.pan))
+    assert motion.odometry is not None
+    return replace(motion, odometry=change(motion.odometry))
+
+
+def test_without_a_fault_nothing_is_named(drive: Motion) -> None:
+    found = linear(drive)
+    assert found.fits
+    assert found.nearness.value == pytest.approx(1.0 / 3.0, abs=4.0 * found.nearness.sigma)
+    for estimate in (found.pan_scale, found.yaw_scale, found.pan_clock_s, found.odometry_clock_s):
+        assert abs(estimate.value) < 4.0 * estimate.sigma
+    judged = verdict(drive)
+    assert judged.cause.kind == 'none'
+    assert judged.fits
+
+
+@pytest.mark.parametrize('late_s', [-47.0, 0.06, 1.7e9])
+@pytest.mark.parametrize('stream', [JOINTS, ODOMETRY])
+def test_a_clock_that_is_off_is_measured(drive: Motion, stream: str, late_s: float) -> None:
+    late = track(drive, stream, lambda t: replace(t, seconds=t.seconds + late_s))
+    judged = verdict(late, clocks={stream: [Clock(late_s + 0.4)]})
+    assert (judged.cause.stream, judged.cause.kind) == (stream, 'clock')
+    assert judged.cause.value == pytest.approx(late_s, abs=0.02)
+
+
+@pytest.mark.parametrize('late_s', [0.25, -2.0])
+def test_images_that_are_late_are_told_from_all_others_that_are_early(
+    drive: Motion, late_s: float
+) -> None:
+    late = replace(drive, before_s=drive.before_s + late_s, after_s=drive.after_s + late_s)
+    judged = verdict(late)
+    assert (judged.cause.stream, judged.cause.kind) == (IMAGES, 'clock')
+    assert judged.cause.value == pytest.approx(late_s, abs=0.01)
+
+
+@pytest.mark.parametrize('stream', [JOINTS, ODOMETRY])
+def test_a_clock_that_drifts_is_measured(drive: Motion, stream: str) -> None:
+    fast = track(drive, stream, lambda t: replace(t, seconds=1.04 * t.seconds))
+    judged = verdict(fast)
+    assert (judged.cause.stream, judged.cause.kind) == (stream, 'drift')
+    assert judged.cause.value == pytest.approx(0.04, abs=0.003)
+
+
+def test_a_clock_that_steps_is_told_from_one_that_drifts(drive: Motion) -> None:
+    def stepped(t: Track) -> Track:
+        return replace(t, seconds=t.seconds + 0.4 * (t.seconds > 12.0))
+
+    judged = verdict(track(drive, JOINTS, stepped))
+    assert (judged.cause.stream, judged.cause.kind) == (JOINTS, 'step')
+    assert judged.cause.value == pytest.approx(0.4, abs=0.01)
+    assert judged.cause.offset_s == pytest.approx(12.0, abs=0.4)
+
+
+@pytest.mark.parametrize('scale', [-1.0, 57.29578, 2.0, 652.0])
+def test_a_pan_of_another_scale_is_measured(drive: Motion, scale: float) -> None:
+    judged = verdict(track(drive, JOINTS, lambda t: replace(t, values=scale * t.values)))
+    assert (judged.cause.stream, judged.cause.kind) == (JOINTS, 'scale')
+    assert judged.cause.value == pytest.approx(1.0 / scale, rel=0.02)
+
+
+@pytest.mark.parametrize('scale', [-1.0, 0.5])
+def test_a_yaw_of_another_scale_is_measured(drive: Motion, scale: float) -> None:
+    turned = track(drive, ODOMETRY, lambda t: replace(t, values=t.values * [1.0, 1.0, scale]))
+    judged = verdict(turned)
+    assert (judged.cause.stream, judged.cause.kind) == (ODOMETRY, 'scale')
+    assert judged.cause.value == pytest.approx(1.0 / scale, rel=0.05)
+
+
+def test_a_lens_is_told_from_a_pan_by_the_odometry(drive: Motion) -> None:
+    judged = verdict(replace(drive, turns_rad=0.8 * drive.turns_rad))
+    assert (judged.cause.stream, judged.cause.kind) == (IMAGES, 'scale')
+    assert judged.cause.value == pytest.approx(0.8, abs=0.01)
+
+
+def test_what_no_single_fault_explains_is_undecided(drive: Motion) -> None:
+    rng = np.random.default_rng(1)
+    judged = verdict(replace(drive, turns_rad=rng.normal(0.0, 0.2, len(drive))))
+    assert judged.cause.kind == 'none'
+    assert not judged.fits
+
+
+def test_regression_withstands_mistaken_images() -> None:
+    rng = np.random.default_rng(2)
+    columns = rng.normal(size=(120, 2))
+    turns = columns @ [0.7, -1.3] + rng.normal(0.0, 0.003, 120)
+    turns[::8] += rng.uniform(-1.0, 1.0, 15)
+    found = fit(turns, np.column_stack([columns, np.zeros(120)]))
+    assert np.abs(found.values[:2] - [0.7, -1.3]).max() < 4.0 * found.sigmas[:2].max() < 0.01
+    assert found.values[2] == 0.0
+    assert found.sigmas[2] == np.inf
+
+
+@pytest.mark.parametrize('roll_rad', [0.0, np.pi])
+@pytest.mark.parametrize('turn_rad', [-0.31, 0.0, 0.123])
+def test_turns_are_read_off_images(turn_rad: float, roll_rad: float) -> None:
+    rng = np.random.default_rng(4)
+    wall = cv2.GaussianBlur(rng.normal(128.0, 80.0, (700, 1800)), (0, 0), 3.0) * 4.0 - 380.0
+    mount = PanTiltMount(camera_roll_rad=roll_rad)
+    pixels = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), -1)
+    view, strips = StripView(CAMERA, mount), []
+    for pan in (0.2, 0.2 + turn_rad):
+        rays = CAMERA.unproject(pixels) @ mount.camera_pose_base(pan)[0].T
+        azimuth = np.arctan2(rays[..., 1], rays[..., 0])
+        slope = rays[..., 2] / np.hypot(rays[..., 0], rays[..., 1])
+        seen = cv2.remap(
+            wall,
+            (900.0 - 500.0 * azimuth).astype(np.float32),
+            (350.0 - 500.0 * slope).astype(np.float32),
+            cv2.INTER_LINEAR,
+        )
+        strips.append(view.strip(np.clip(seen, 0.0, 255.0).astype(np.uint8)))
+    turn, score = view.turn(*strips)
+    assert turn == pytest.approx(turn_rad, abs=0.002)
+    assert score > 0.6
+
+
+def test_blank_images_tell_nothing() -> None:
+    view, rng = StripView(CAMERA, PanTiltMount()), np.random.default_rng(0)
+    blank = [view.strip(rng.integers(120, 123, (240, 320), dtype=np.uint8)) for _ in range(2)]
+    assert np.isnan(view.turn(*blank)[0])
+
+
+def stream(seconds: FloatArray, values: FloatArray) -> Stream:
+    stamps = np.rint(1e9 * seconds).astype(np.int64)
+    return Stream('joint_states', '/joint_states', stamps, stamps, values[:, None])
+
+
+def test_two_sources_are_told_apart() -> None:
+    fast, slow = np.arange(0.0, 10.0, 0.02), np.arange(0.007, 10.0, 0.1)
+    moving = stream(fast, 1.2 * np.sin(fast))
+    assert two_sources(moving, (0,)) is None
+    seconds = np.concatenate([fast, slow])
+    values = np.concatenate([1.2 * np.sin(fast), np.zeros(len(slow))])
+    order = np.argsort(seconds)
+    found = two_sources(stream(seconds[order], values[order]), (0,))
+    assert found is not None
+    assert found[1].stands
+    assert found[1].rate_hz == pytest.approx(10.0, abs=0.5)
+    kept = seconds[order][found[0].keep]
+    assert len(kept) == pytest.approx(len(fast), abs=5)
+
+
+def test_a_joint_that_wraps_is_unwrapped_in_degrees_too() -> None:
+    turning = np.linspace(0.0, 9.0, 200)
+    radians = np.angle(np.exp(1j * turning))
+    assert np.diff(unwrapped(radians)) == pytest.approx(np.diff(turning))
+    assert np.diff(unwrapped(np.degrees(radians))) == pytest.approx(np.degrees(np.diff(turning)))
+
+
+def test_nearness_of_a_round_room() -> None:
+    corners = 4.0 * np.stack([np.cos(k := np.linspace(0, 2 * np.pi, 24)), np.sin(k)], -1)
+    walls = [
+        Wall(str(i), tuple(a), tuple(b), 2.5)
+        for i, (a, b) in enumerate(zip(corners[:-1], [*corners[1:-1], corners[0]], strict=True))
+    ]
+    # A quarter in its middle, and more near a wall.
+    assert 0.25 < nearness_of_room(Room(tuple(walls))) < 0.45
+
+
+NAMED = {**REPORTED, **OTHERS}
+SOME = (
+    *('odom +5 s, recorded so', 'odom clock 5 % fast', 'yaw reversed'),
+    *('odom in cm', 'zeros between joint_states', 'images 100 ms late', 'truth +30 s'),
+    *('pan and tilt exchanged', 'focal length 20 % long'),
+)
+
+
+@pytest.mark.parametrize('name', SOME)
+def test_the_cause_is_named_in_a_recorded_drive(name: str, tmp_path: Path) -> None:
+    error = NAMED[name]
+    bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
+    mount, room = load_robot(BAGS / 'robot.yaml'), load_room(BAGS / 'room.yaml')
+    found = diagnose(bag, mount, room)
+    wrong = [*found.errors, *found.warnings]
+    assert any(f.name.startswith(error.names) and re.search(error.says, f.line()) for f in wrong)
+    assert len(wrong) <= 3, 'what follows from a fault is no fault of its own'
+
+
+@pytest.mark.parametrize('recording', ['drive', 'learn'])
+def test_a_good_recording_passes(
+    recording: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = ['--robot', str(BAGS / 'robot.yaml'), '--room', str(BAGS / 'room.yaml')]
+    out = tmp_path / 'check.json'
+    assert main(['check', str(BAGS / recording), *files, '--json', str(out)]) == 0
+    report = json.loads(out.read_text())
+    assert report['status'] == 'ok'
+    names = [check['name'] for check in report['checks']]
+    assert len(set(names)) == len(names)
+    assert all(name in capsys.readouterr().out for name in names[:1])
+
+
+def test_errors_are_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', REPORTED['odom +5 s'])
+    mount = load_robot(BAGS / 'robot.yaml')
+    assert main(['check', str(bag), '--robot', str(BAGS / 'robot.yaml')]) == 1
+    assert '5.0' in capsys.readouterr().out
+    with pytest.raises(LandmarkNavError, match=r'odom clock: stamped 5\.0') as refused:
+        refuse_errors(Bag(bag), diagnose(Bag(bag), mount, most_images=QUICK))
+    assert '\n' not in str(refused.value)
+
+
+@pytest.mark.parametrize('name', SWEEPS)
+def test_learning_refuses_what_it_cannot_calibrate(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_drive(Bag(BAGS / 'learn'), tmp_path / 'learn', SWEEPS[name])
+    files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml')]
+    assert main(['learn', str(bag), *files, '--out', str(tmp_path / 'map')]) == 1
+    said = capsys.readouterr().err
+    assert SWEEPS[name].names in said
+    assert SWEEPS[name].says in said
+    assert not (tmp_path / 'map').exists()
+
+
+def test_degrees_as_the_mount_of_a_camera_are_refused(tmp_path: Path) -> None:
+    robot = tmp_path / 'robot.yaml'
+    robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.0]\n  rpy: [0, 0, 5]\n')
+    assert main(['check', str(BAGS / 'drive'), '--robot', str(robot)]) == 1
+
+
+def test_a_bag_without_images_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    error = replace(REPORTED['odom +1 s'], topics=('camera/image_raw/compressed',))
+    error = replace(error, change=lambda message, count: None)
+    bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error)
+    assert main(['check', str(bag)]) == 1
+    assert 'camera/image_raw' in capsys.readouterr().err
+
+
+def test_damaged_messages_are_counted(tmp_path: Path) -> None:
+    def broken(message: object, count: int) -> object:
+        if count % 2:
+            message.position = np.full(2, np.nan)  # type: ignore[attr-defined]
+        return message
+
+    error = replace(REPORTED['joint_states +5 s'], change=broken)
+    bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
+    found = diagnose(bag, load_robot(BAGS / 'robot.yaml'))
+    assert 'reading' in [finding.name for finding in found.warnings]
+    assert not found.errors
