@@ -216,7 +216,7 @@ def _angles(mapping: Any, key: str, shape: tuple[int, ...], where: str) -> Any:
     if np.any(np.abs(angles) > _HALF_TURN_RAD):
         raise LandmarkNavError(
             f'{where}: {key} is {shown(mapping[key])}, more than half a turn: '
-            'give radians within +-pi'
+            'give it in radians, within +-pi'
         )
     return tuple(angles.tolist()) if shape else float(angles)
 
