@@ -36,7 +36,12 @@ from landmark_nav.learning.reference_area.refusals import (
     WRONG_PRIOR,
     wrong_prior,
 )
-from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
+from landmark_nav.learning.reference_area.search import (
+    find_places,
+    LEAST_PAPERS,
+    PaperPlace,
+    papers_in_view,
+)
 from landmark_nav.types import FloatArray, Sweep
 
 __all__ = [
@@ -47,8 +52,6 @@ __all__ = [
     'optical_height',
 ]
 
-# Papers that it takes; with two there is no telling whether one hangs elsewhere.
-LEAST_PAPERS = 3
 # What is seen of all of them together, in whole papers.
 _LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0
