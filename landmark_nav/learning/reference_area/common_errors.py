@@ -16,8 +16,7 @@ from scipy.linalg import block_diag, eigh
 
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
-from landmark_nav.learning.reference_area.location import LEAST_PAPERS
-from landmark_nav.learning.reference_area.search import papers_in_view
+from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['joined', 'joint_covariance', 'pose_errors']

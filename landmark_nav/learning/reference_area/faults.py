@@ -31,7 +31,14 @@ from landmark_nav.learning.reference_area.search import (
 )
 from landmark_nav.types import FloatArray
 
-__all__ = ['PaperFault', 'PaperFaults', 'PaperView', 'paper_faults', 'view_papers']
+__all__ = [
+    'PaperFault',
+    'PaperFaults',
+    'PaperRecord',
+    'PaperView',
+    'paper_faults',
+    'view_papers',
+]
 
 # x, y, heading, roll and pitch of the pan axis of each view; then what all have in common: height
 # of the camera, size of all papers, focal length; then of each paper what `_OF_PAPER` names.
@@ -113,7 +120,17 @@ class PaperFaults:
 
     @property
     def text(self) -> str:
-        """What is wrong, and what to do."""
+        """What is wrong, and what to do, in one line; empty where all fits."""
+        if self.fits or self.faults:
+            return self.cause
+        return (
+            'the papers look otherwise than room.yaml gives them, by more than one error '
+            'explains: measure all of them again, and see that nobody hides them'
+        )
+
+    @property
+    def cause(self) -> str:
+        """The single fault, and what to do, in one line; empty where there is none."""
         if not self.faults:
             return ''
         said = ', or '.join(fault.text for fault in self.faults[:2])
@@ -168,7 +185,8 @@ def paper_faults(
     as_given = trial.solve(_Hypothesis(''))
     if as_given is None:
         # Not even two papers hang as given: another order of colours may explain it.
-        as_given = _Solution(_MISSING * len(views) * len(room.papers), 0.0, 0.0, 0)
+        nothing = np.zeros(0)
+        as_given = _Solution(_MISSING * len(views) * len(room.papers), nothing, nothing, 0)
     redundancy = max(as_given.redundancy, 1)
     bound = float(chdtri(redundancy, _FALSE_ALARM))
     if as_given.cost <= bound:
@@ -178,11 +196,7 @@ def paper_faults(
         solution = trial.solve(hypothesis)
         if solution is not None:
             gain = as_given.cost - solution.cost
-            text = _text(hypothesis, solution.value, solution.sigma, room)
-            fault = PaperFault(
-                hypothesis.kind, hypothesis.paper, solution.value, solution.sigma, gain, text
-            )
-            found.append((solution, fault))
+            found.append((solution, _fault(hypothesis, solution, gain, room)))
     found.sort(key=lambda pair: pair[0].cost)
     if not found or found[0][1].gain < _REAL_GAIN:
         return PaperFaults(found == [], as_given.cost, redundancy, ())
@@ -196,6 +210,42 @@ def paper_faults(
 _NOTHING = PaperFaults(True, 0.0, 0, ())
 
 
+class PaperRecord:
+    """
+    Papers as the last sweeps of one room showed them, to judge all of these together.
+
+    Parameters
+    ----------
+    room : Room
+        Its papers.
+    config : ReferenceAreaConfig
+        Standard deviations of what is given.
+
+    """
+
+    def __init__(self, room: Room, config: ReferenceAreaConfig) -> None:
+        self._room, self._config = room, config
+        self._views: list[PaperView] = []
+
+    def __len__(self) -> int:
+        """Return how many sweeps there are."""
+        return len(self._views)
+
+    def add(self, view: CylinderImage, eye_height_m: float) -> None:
+        """Remember what a panorama in the base frame shows, see `view_papers`."""
+        if len(self._room.papers) >= LEAST_PAPERS:
+            self._views.append(view_papers(view, self._room, eye_height_m))
+            del self._views[:-_MOST_VIEWS]
+
+    def faults(self) -> PaperFaults:
+        """What is wrong with the papers; the last sweep alone says it where others disagree."""
+        faults = paper_faults(self._views, self._room, self._config)
+        if faults.fits or faults.faults or len(self) < 2:
+            return faults
+        alone = paper_faults(self._views[-1:], self._room, self._config)
+        return alone if alone.faults else faults
+
+
 @dataclass(frozen=True, eq=False)
 class _Pick:
     """A rough pose (3,) of the pan axis, and which outline each paper is (papers,), -1: none."""
@@ -206,11 +256,11 @@ class _Pick:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Cost of a hypothesis in chi-square, and what its free value is."""
+    """Cost of a hypothesis in chi-square, and what its free values are, mean of the views'."""
 
     cost: float
-    value: float
-    sigma: float
+    values: FloatArray
+    sigmas: FloatArray
     redundancy: int
 
 
@@ -231,6 +281,11 @@ class _Hypothesis:
         if self.kind in _OF_PAPER:
             return [_VIEW * views + _COMMON + _PAPER * self.paper + _OF_PAPER.index(self.kind)]
         return []
+
+    @property
+    def width(self) -> int:
+        """How many values it has."""
+        return 2 if self.kind == 'lean' else 1
 
     @property
     def sigma(self) -> float:
@@ -320,10 +375,10 @@ class _Trial:
                 missing[hypothesis.paper] = False
             unseen += float(np.sum(missing))
         cost += _MISSING * unseen + _HIDDEN * views_without + _BY_FREEDOM * len(free)
-        strongest = max(free, key=lambda k: abs(state[k]), default=-1)
-        value = float(state[strongest]) if free else 0.0
-        sigma = float(np.sqrt(covariance[strongest, strongest])) if free else 0.0
-        return _Solution(cost, value, sigma, model.measured - 3 * len(views) - len(free))
+        values = np.mean(state[free].reshape(-1, hypothesis.width), axis=0)
+        sigmas = np.sqrt(np.diag(covariance)[free[: hypothesis.width]])
+        redundancy = model.measured - 3 * len(views) - len(free)
+        return _Solution(cost, values, sigmas, redundancy)
 
 
 def _picks(view: PaperView, room: Room) -> Iterator[_Pick]:
@@ -376,15 +431,14 @@ class _Model:
         self._views, self._papers = len(views), len(room.papers)
         self.size = _VIEW * len(views) + _COMMON + _PAPER * len(room.papers)
         chosen = [
-            (v, k, n)
-            for v, pick in enumerate(picks)
-            for k, n in enumerate(pick.outline)
-            if n >= 0
+            (v, k, n) for v, pick in enumerate(picks) for k, n in enumerate(pick.outline) if n >= 0
         ]
         self._view = np.array([v for v, _, _ in chosen], np.intp)
         self._paper = np.array([k for _, k, _ in chosen], np.intp)
         papers = [room.papers[k] for k in self._paper]
-        seen = [(views[v].outlines[p.color], n) for (v, _, n), p in zip(chosen, papers, strict=True)]
+        seen = [
+            (views[v].outlines[p.color], n) for (v, _, n), p in zip(chosen, papers, strict=True)
+        ]
         self._seen = np.array([[*found.azimuth_rad[n], *found.tangent[n]] for found, n in seen])
         self._sigma = _SCATTER * np.array([found.sigma[n] for found, n in seen])
         self.measured = self._seen.size
@@ -418,7 +472,9 @@ class _Model:
         rise, size, focal = (states[:, split + n, None] for n in range(_COMMON))
         own = states[:, split + _COMMON :].reshape(len(states), -1, _PAPER)[:, self._paper]
         along, up, off, wider, taller, larger = np.moveaxis(own, -1, 0)
-        middle = self._center[:, :2] + along[..., None] * self._along + off[..., None] * self._normal
+        middle = (
+            self._center[:, :2] + along[..., None] * self._along + off[..., None] * self._normal
+        )
         half = 0.5 * self._size[:, 0] * (1.0 + size + wider + larger)
         level = self._center[:, 2] + up - self._eye - rise
         cos, sin = np.cos(heading), np.sin(heading)
@@ -441,7 +497,9 @@ class _Model:
         scale = 1.0 + focal
         half_span = 0.5 * scale * wrap_rad(azimuth[1] - azimuth[0])
         center = azimuth[0] + half_span / scale
-        tangents = [scale * (tilted + sign * tall) / np.hypot(ahead, aside) for sign in (-1.0, 1.0)]
+        tangents = [
+            scale * (tilted + sign * tall) / np.hypot(ahead, aside) for sign in (-1.0, 1.0)
+        ]
         return np.stack([center - half_span, center + half_span, *tangents], -1)
 
 
@@ -455,31 +513,35 @@ def _blobs(found: PaperOutlines) -> PaperBlobs:
     )
 
 
-def _text(hypothesis: _Hypothesis, value: float, sigma: float, room: Room) -> str:
-    """A fault in words."""
-    kind, share, cm = hypothesis.kind, f'{100 * abs(value):.1f} %', 100 * abs(value)
-    length = f'{cm:.1f} +- {100 * sigma:.1f} cm'
-
-    def either(positive: str, negative: str) -> str:
-        return positive if value > 0.0 else negative
-
-    if kind in _WORDS:
-        positive, negative = _WORDS[kind]
-        amount = length if kind in _IN_METRES else share
-        if kind == 'lean':
-            amount = f'{np.degrees(abs(value)):.1f} deg'
-        text = either(positive, negative).format(amount)
-        if hypothesis.paper >= 0:
-            return f'the {room.papers[hypothesis.paper].color} paper {text} than room.yaml gives'
-        return text
-    if kind == 'swapped' and hypothesis.room is not None:
+def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room) -> PaperFault:
+    """A fault with its size and its words."""
+    kind, k = hypothesis.kind, hypothesis.paper
+    value, sigma = (
+        (float(array[np.argmax(np.abs(solution.values))]) if len(solution.values) else 0.0)
+        for array in (solution.values, solution.sigmas)
+    )
+    color = room.papers[k].color
+    if kind == 'lean':
+        roll, pitch = np.degrees(solution.values)
+        text = (
+            f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
+            'base from what robot.yaml gives'
+        )
+    elif kind == 'swapped' and hypothesis.room is not None:
         pairs = zip(hypothesis.room.papers, room.papers, strict=True)
-        changed = [f'{h.color} where {p.color} should hang' for h, p in pairs if h.color != p.color]
-        return f'the papers seem swapped, {", ".join(changed)}'
-    color = room.papers[hypothesis.paper].color
-    if kind == 'turned':
-        return f'width and height of the {color} paper seem exchanged in room.yaml'
-    return f'the {color} paper is hidden, or hangs far from where room.yaml gives it'
+        other = [f'{h.color} where {p.color} should hang' for h, p in pairs if h.color != p.color]
+        text = f'the papers seem swapped, {", ".join(other)}'
+    elif kind == 'turned':
+        text = f'width and height of the {color} paper seem exchanged in room.yaml'
+    elif kind == 'hidden':
+        text = f'the {color} paper is hidden, or hangs far from where room.yaml gives it'
+    else:
+        amount = f'{100.0 * abs(value):.1f} +- {100.0 * sigma:.1f}'
+        amount += ' cm' if kind in _IN_METRES else ' %'
+        text = _WORDS[kind][int(value < 0.0)].format(amount)
+        if k >= 0:
+            text = f'the {color} paper {text} than room.yaml gives'
+    return PaperFault(kind, k, value, sigma, gain, text)
 
 
 # What is said of faults with a value that is positive, and negative.
@@ -498,7 +560,6 @@ _WORDS = {
         'the camera is {} higher than robot.yaml gives',
         'the camera is {} lower than robot.yaml gives',
     ),
-    'lean': ('the pan axis leans by {} from what robot.yaml gives',) * 2,
     'focal': (
         'the focal length of camera_info is {} too small',
         'the focal length of camera_info is {} too large',

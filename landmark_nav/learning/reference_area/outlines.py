@@ -1,5 +1,5 @@
 """
-Outlines of coloured sheets in a panorama: where their four edges are seen, whatever room.yaml says.
+Outlines of coloured sheets in a panorama, wherever room.yaml says that papers hang.
 
 A sheet on a wall has two upright edges, which are columns of the panorama, and two level ones.
 What is measured here knows nothing of where papers should hang: it shows which of them does not.
@@ -7,10 +7,8 @@ What is measured here knows nothing of where papers should hang: it shows which 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from landmark_nav.geometry.cylinder import Cylinder
