@@ -26,6 +26,7 @@ from landmark_nav.learning.calibration import (
     SweepCalibration,
 )
 from landmark_nav.learning.calibration.lean import levelled
+from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
@@ -49,8 +50,8 @@ _LOG = logging.getLogger(__name__)
 _FAR_M = 50.0
 # Standard deviations of a given pose that no map can be learned with: metres, metres, radians.
 _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
-# What a covariance is off by as it is sent, and what no pose is better known than.
-_ROUNDING, _LEAST_VARIANCE = 1e-9, 1e-10
+# No pose is better known.
+_LEAST_VARIANCE = 1e-10
 # Calibrations that differ by less make one panorama.
 _SAME_PX = 0.2
 
@@ -222,20 +223,9 @@ def _place(
 
 def _given_covariance(known: PoseEstimate) -> FloatArray:
     """Covariance (3, 3) of the pose of a sweep that is given; an error if it is none."""
-    covariance = 0.5 * (known.covariance + known.covariance.T)
-    if not np.isfinite([*known.pose, *covariance.ravel()]).all():
-        raise LandmarkNavError('sweep/pose holds values that are not numbers: mend its publisher')
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    if (sigma > _MOST_SIGMA).any():
-        raise LandmarkNavError(
-            f'sweep/pose has a standard deviation of {sigma[:2].max():.3g} m and {sigma[2]:.3g} '
-            'rad, which no map can be learned from: give a better one, or none to use the papers'
-        )
-    if np.linalg.eigvalsh(covariance)[0] < -_ROUNDING * max(1.0, float(np.trace(covariance))):
-        raise LandmarkNavError(
-            f'sweep/pose has a covariance with a negative variance, '
-            f'{np.linalg.eigvalsh(covariance)[0]:.3g}: mend its publisher'
-        )
+    if not np.isfinite(known.pose).all():
+        raise LandmarkNavError('sweep/pose is not a number: mend its publisher')
+    covariance = checked_covariance(known.covariance, _MOST_SIGMA, 'sweep/pose')
     return np.asarray(covariance + _LEAST_VARIANCE * np.eye(3))
 
 

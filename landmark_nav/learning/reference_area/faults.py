@@ -67,6 +67,8 @@ _MISSING, _HIDDEN = 60.0, 30.0
 _SEARCH_M, _SEARCH_SHARE, _MOST_COST = 0.25, 0.15, 12.0
 # Places that are tried in each panorama; papers whose colours are tried in other orders; views.
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
+# How much higher than given the camera is tried.
+_RISES_M = (-0.3, -0.15, 0.15, 0.3)
 # For derivatives by differences.
 _STEP = 1e-6
 
@@ -199,7 +201,7 @@ def paper_faults(
             found.append((solution, _fault(hypothesis, solution, gain, room)))
     found.sort(key=lambda pair: pair[0].cost)
     if not found or found[0][1].gain < _REAL_GAIN:
-        return PaperFaults(found == [], as_given.cost, redundancy, ())
+        return PaperFaults(not found, as_given.cost, redundancy, ())
     best = found[0][0]
     if best.cost > _EXPLAINED * float(chdtri(max(best.redundancy, 1), _FALSE_ALARM)):
         return PaperFaults(False, as_given.cost, redundancy, ())
@@ -327,6 +329,11 @@ class _Trial:
         room, picks = hypothesis.room or self._room, self._picks
         if hypothesis.kind == 'swapped':
             picks = [list(_picks(view, room)) for view in self._views]
+        elif hypothesis.kind == 'camera_height':
+            picks = [
+                [*each, *(pick for rise in _RISES_M for pick in _picks(view, room, rise))]
+                for view, each in zip(self._views, picks, strict=True)
+            ]
         elif hypothesis.kind == 'hidden':
             k = hypothesis.paper
             picks = [
@@ -375,21 +382,23 @@ class _Trial:
                 missing[hypothesis.paper] = False
             unseen += float(np.sum(missing))
         cost += _MISSING * unseen + _HIDDEN * views_without + _BY_FREEDOM * len(free)
-        values = np.mean(state[free].reshape(-1, hypothesis.width), axis=0)
+        values = state[free]
+        if free:
+            values = values.reshape(-1, hypothesis.width).mean(axis=0)
         sigmas = np.sqrt(np.diag(covariance)[free[: hypothesis.width]])
         redundancy = model.measured - 3 * len(views) - len(free)
         return _Solution(cost, values, sigmas, redundancy)
 
 
-def _picks(view: PaperView, room: Room) -> Iterator[_Pick]:
-    """Where a panorama may have been taken: by all papers, and by all but one."""
+def _picks(view: PaperView, room: Room, rise_m: float = 0.0) -> Iterator[_Pick]:
+    """Where a panorama may have been taken: by all papers, and by all but one, if so high."""
     seen: set[tuple[int, ...]] = set()
     papers = room.papers
     blobs = [_blobs(view.outlines[paper.color]) for paper in papers]
     for left_out in (-1, *range(len(papers))):
         kept = [k for k in range(len(papers)) if k != left_out]
         fewer = replace(room, papers=tuple(papers[k] for k in kept))
-        places = find_places([blobs[k] for k in kept], fewer, view.eye_height_m)
+        places = find_places([blobs[k] for k in kept], fewer, view.eye_height_m + rise_m)
         for place in places[:_MOST_PLACES]:
             outline = np.full(len(papers), -1)
             outline[kept] = place.blob
@@ -517,7 +526,7 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
     """A fault with its size and its words."""
     kind, k = hypothesis.kind, hypothesis.paper
     value, sigma = (
-        (float(array[np.argmax(np.abs(solution.values))]) if len(solution.values) else 0.0)
+        float(array[np.argmax(np.abs(solution.values))]) if len(array) else 0.0
         for array in (solution.values, solution.sigmas)
     )
     color = room.papers[k].color
