@@ -208,7 +208,9 @@ class _PaperSearch:
             anywhere = replace(config, height_sigma_m=_ANY_HEIGHT_M)
             with suppress(LandmarkNavError):
                 high = locate_sweep(self._sweep, self._view, self._room, self._mount, anywhere)
-                return LandmarkNavError(wrong_height(high.height_m - self.height_m))
+                rise_m = high.height_m - self.height_m
+                if abs(rise_m) > WRONG_PRIOR * config.height_sigma_m:
+                    return LandmarkNavError(wrong_height(rise_m))
         why = why_not(self._blobs, places, fits, self._room, self.height_m, self._fits_at)
         unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
