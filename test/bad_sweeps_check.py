@@ -328,7 +328,7 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
             lie = given.hung(middle, up_m=0.01 * side * cm)
             yield f'{color} {cm} cm {word}', lie, f'{color} paper hangs .*{word}'
     other = colors[middle - 1]
-    yield f'two {other} papers', given.paper(middle, color=other), f'{other} paper .* looks'
+    yield f'two {other} papers', given.paper(middle, color=other), 'of another colour'
     swapped = given.paper(middle, color=other).paper(middle - 1, color=color)
     yield 'colours swapped', swapped, 'seem swapped'
     yield 'pan reversed', given.pans(lambda pan: -pan), 'sign of the pan is reversed'

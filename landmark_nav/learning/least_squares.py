@@ -104,7 +104,7 @@ def checked_covariance(covariance: FloatArray, most_sigma: FloatArray, what: str
     least = float(np.linalg.eigvalsh(even)[0])
     if least < -_ROUNDING * float(np.sum(np.abs(variance))):
         raise LandmarkNavError(f'{what} has a negative variance, {least:.3g}: mend its publisher')
-    return even
+    return np.asarray(even)
 
 
 class Damping:

@@ -54,8 +54,9 @@ _FOCAL_SIGMA, _OWN_SIZE_SIGMA = 1e-3, 5e-3
 _REAL_GAIN, _LEAD = 25.0, 9.0
 # What a value that is set free must gain at least (as in Schwarz' criterion).
 _BY_FREEDOM = 3.0
-# Chance that data without a fault miss by so much; with one they may by this many times it.
-_FALSE_ALARM, _EXPLAINED = 1e-4, 3.0
+# Chance that data without a fault miss by so much, and by what makes faults worth a trial; with a
+# fault they may miss by so many times the first.
+_FALSE_ALARM, _SUSPECT, _EXPLAINED = 1e-4, 0.05, 3.0
 # Outlines err by so much more than their sigmas say.
 _SCATTER = 1.3
 # Papers that locate a panorama.
@@ -191,7 +192,7 @@ def paper_faults(
         as_given = _Solution(_MISSING * len(views) * len(room.papers), nothing, nothing, 0)
     redundancy = max(as_given.redundancy, 1)
     bound = float(chdtri(redundancy, _FALSE_ALARM))
-    if as_given.cost <= bound:
+    if as_given.cost <= float(chdtri(redundancy, _SUSPECT)):
         return PaperFaults(True, as_given.cost, redundancy, ())
     found = []
     for hypothesis in _hypotheses(room):
@@ -201,7 +202,8 @@ def paper_faults(
             found.append((solution, _fault(hypothesis, solution, gain, room)))
     found.sort(key=lambda pair: pair[0].cost)
     if not found or found[0][1].gain < _REAL_GAIN:
-        return PaperFaults(not found, as_given.cost, redundancy, ())
+        fits = not found or as_given.cost <= bound
+        return PaperFaults(fits, as_given.cost, redundancy, ())
     best = found[0][0]
     if best.cost > _EXPLAINED * float(chdtri(max(best.redundancy, 1), _FALSE_ALARM)):
         return PaperFaults(False, as_given.cost, redundancy, ())
@@ -530,6 +532,9 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
         for array in (solution.values, solution.sigmas)
     )
     color = room.papers[k].color
+    if sum(paper.color == color for paper in room.papers) > 1:
+        x, y, _ = room.papers[k].center
+        color = f'{color} ({x:.2f}, {y:.2f})'
     if kind == 'lean':
         roll, pitch = np.degrees(solution.values)
         text = (
@@ -543,7 +548,9 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
     elif kind == 'turned':
         text = f'width and height of the {color} paper seem exchanged in room.yaml'
     elif kind == 'hidden':
-        text = f'the {color} paper is hidden, or hangs far from where room.yaml gives it'
+        text = (
+            f'the {color} paper is hidden, of another colour, or far from where room.yaml has it'
+        )
     else:
         amount = f'{100.0 * abs(value):.1f} +- {100.0 * sigma:.1f}'
         amount += ' cm' if kind in _IN_METRES else ' %'
