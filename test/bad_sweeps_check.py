@@ -6,12 +6,16 @@ learns from each pair of them. It exits with 1 if a map holds a landmark that li
 the truth than its covariance allows, if the covariances of a map are too small as a whole, or if
 something is refused for another reason than its own, or not even told.
 ``test/system/test_bad_sweeps.py`` runs some.
+
+``python test/bad_sweeps_check.py --errors FOLDER`` takes the recorded sweeps of a folder with
+``learn``, ``room.yaml`` and ``robot.yaml`` (``bags``), gives them with an error each, and prints
+what is said of it. It exits with 1 if a cause is not named.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -21,12 +25,14 @@ from pathlib import Path
 import re
 import sys
 import tempfile
+from unittest.mock import patch
 
 import cv2
 from landmark_truth import TrueWalls
 import numpy as np
 
 from landmark_nav.cli.main import main as landmark_nav
+from landmark_nav.evaluation.true_places import truth_of_bag
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.messages.factory import rosbag_factory
@@ -37,9 +43,10 @@ from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Lamp, Scene
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
-from landmark_nav.storage.bags import BagWriter
+from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.maps import load_map
-from landmark_nav.types import FloatArray
+from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate, Sweep
 
 # A landmark is wrong if it lies farther off than so many of its standard deviations, and this.
 MAX_SIGMAS, MAX_ERROR_M = 5.0, 0.03
@@ -243,13 +250,184 @@ def judge(case: Case, folder: Path, seed: int) -> tuple[bool, str]:
     return not wrong and nees < MAX_NEES and (case.few or many), told
 
 
+@dataclass(frozen=True)
+class Given:
+    """What learning is given: room, mount, sweeps."""
+
+    room: Room
+    mount: PanTiltMount
+    sweeps: tuple[Sweep, ...]
+
+    def paper(self, k: int, **changes: object) -> Given:
+        """The same with values of one paper changed."""
+        papers = list(self.room.papers)
+        papers[k] = replace(papers[k], **changes)  # type: ignore[arg-type]
+        return replace(self, room=replace(self.room, papers=tuple(papers)))
+
+    def hung(self, k: int, left_m: float = 0.0, up_m: float = 0.0, in_m: float = 0.0) -> Given:
+        """The same with a paper given elsewhere: left along its wall, up, into the room."""
+        paper = self.room.papers[k]
+        wall = self.room.walls[int(self.room.nearest_wall(np.array(paper.center[:2])))]
+        x, y = np.array(paper.center[:2]) + left_m * wall.along + in_m * wall.normal[:2]
+        return self.paper(k, center=(float(x), float(y), paper.center[2] + up_m))
+
+    def sized(self, k: int, scale: float) -> Given:
+        """The same with a paper given larger."""
+        paper = self.room.papers[k]
+        return self.paper(k, width=scale * paper.width, height=scale * paper.height)
+
+    def frames(self, change: Callable[[CameraFrame], CameraFrame]) -> Given:
+        """The same with all frames changed."""
+        return replace(
+            self,
+            sweeps=tuple(
+                replace(sweep, frames=tuple(change(frame) for frame in sweep.frames))
+                for sweep in self.sweeps
+            ),
+        )
+
+    def pans(self, change: Callable[[float], float]) -> Given:
+        """The same with other pan angles."""
+        return self.frames(lambda frame: replace(frame, pan_rad=float(change(frame.pan_rad))))
+
+    def focal(self, scale: float) -> Given:
+        """The same with another focal length."""
+        return self.frames(
+            lambda frame: replace(
+                frame,
+                camera=replace(
+                    frame.camera, fx=scale * frame.camera.fx, fy=scale * frame.camera.fy
+                ),
+            )
+        )
+
+    def posed(self, poses: Sequence[FloatArray], covariance: FloatArray) -> Given:
+        """The same with ``sweep/pose``."""
+        return replace(
+            self,
+            sweeps=tuple(
+                replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, pose, covariance))
+                for sweep, pose in zip(self.sweeps, poses, strict=True)
+            ),
+        )
+
+
+def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, Given, str]]:
+    """Names of errors, what is given with them, and what must be said; `poses` are true."""
+    papers = given.room.papers
+    colors = [paper.color for paper in papers]
+    middle = int(np.argsort([np.sum(np.square(p.center)) for p in papers])[len(papers) // 2])
+    color = colors[middle]
+    yield 'nothing', given, '^$'
+    for cm in (2, 5, 10, 20):
+        for side, word in ((1, 'right'), (-1, 'left')):
+            lie = given.hung(middle, left_m=0.01 * side * cm)
+            yield f'{color} {cm} cm along, to the {word}', lie, f'{color} paper hangs .*{word}'
+    for cm in (5, 10, 20):
+        for side, word in ((1, 'lower'), (-1, 'higher')):
+            lie = given.hung(middle, up_m=0.01 * side * cm)
+            yield f'{color} {cm} cm {word}', lie, f'{color} paper hangs .*{word}'
+    other = colors[middle - 1]
+    yield f'two {other} papers', given.paper(middle, color=other), 'of another colour'
+    swapped = given.paper(middle, color=other).paper(middle - 1, color=color)
+    yield 'colours swapped', swapped, 'seem swapped'
+    yield 'pan reversed', given.pans(lambda pan: -pan), 'sign of the pan is reversed'
+    yield 'K of half the image', given.focal(0.5), 'camera_info gives a focal length'
+    yield 'K of twice the image', given.focal(2.0), 'camera_info gives a focal length'
+    yield 'pan stays 0', given.pans(lambda pan: 0.0), 'pan does not turn'
+    yield 'pan of two values', given.pans(lambda pan: float(pan > 0.0)), 'pan does not turn'
+    yield 'pan within 5 deg', given.pans(lambda pan: pan / 72.0), 'pan does not turn'
+    usual = np.diag([0.01, 0.01, 0.005]) ** 2
+    for name, covariance, said in (
+        ('1e100', 1e100 * np.eye(3), 'sweep/pose has standard deviations'),
+        ('-1', -np.eye(3), 'sweep/pose has a negative variance'),
+        ('NaN', np.nan * np.eye(3), 'sweep/pose has a covariance that is not a number'),
+    ):
+        yield f'sweep/pose with covariance {name}', given.posed(poses, covariance), said
+    turned = replace(given.mount, axis_rpy=(0.0, 0.0, 5.0))
+    yield (
+        'rpy yaw 5, with sweep/pose',
+        replace(given.posed(poses, usual), mount=turned),
+        'yaw of pan_axis',
+    )
+    # Written down before any was tried.
+    paper = papers[0]
+    yield (
+        f'own: {colors[0]} turned',
+        given.paper(0, width=paper.height, height=paper.width),
+        f'width and height of the {colors[0]} paper',
+    )
+    yield (
+        f'own: {colors[-1]} as A3',
+        given.sized(-1 % len(papers), 1.414),
+        f'{colors[-1]} paper is',
+    )
+    yield f'own: {color} 8 cm into the room', given.hung(middle, in_m=0.08), f'{color} paper hangs'
+    larger = given
+    for k in range(len(papers)):
+        larger = larger.sized(k, 1.04)
+    yield 'own: all papers 4 % larger', larger, 'papers look .* smaller'
+    x, y, z = given.mount.axis_xyz
+    higher = replace(given, mount=replace(given.mount, axis_xyz=(x, y, z + 0.12)))
+    yield 'own: camera 12 cm higher', higher, 'camera is .* lower'
+    leaning = replace(given, mount=replace(given.mount, axis_rpy=(0.05, 0.0, 0.0)))
+    yield 'own: axis rolled by 3 deg', leaning, 'pan axis leans'
+    wall = given.room.walls[int(given.room.nearest_wall(np.array(paper.center[:2])))]
+    across = max(
+        given.room.raycast(
+            np.add(paper.center[:2], 0.01 * wall.normal[:2]),
+            np.arctan2(wall.normal[1], wall.normal[0]),
+        )[0],
+        0.0,
+    )
+    opposite = given.hung(0, in_m=float(across) + 0.01)
+    yield f'own: {colors[0]} on the opposite wall', opposite, f'{colors[0]} paper is hidden'
+    yield 'own: pan 1.3 times', given.pans(lambda pan: 1.3 * pan), 'times the pan that is reported'
+    yield 'own: focal length 5 % larger', given.focal(1.05), 'focal length'
+    still = given.sweeps[0].frames[0].image
+    yield (
+        'own: camera frozen',
+        given.frames(lambda frame: replace(frame, image=still)),
+        'images do not turn',
+    )
+
+
+def check_errors(folder: Path, only: str) -> int:
+    """Print what is said of each error, and count those that are not named."""
+    room, mount = load_room(folder / 'room.yaml'), load_robot(folder / 'robot.yaml')
+    bag = Bag(folder / 'learn')
+    given = Given(room, mount, tuple(read_sweeps(bag, mount)))
+    poses = truth_of_bag(bag).at([sweep.stamp_ns for sweep in given.sweeps])
+    missed = total = 0
+    for name, lie, expected in errors_of(given, poses):
+        if only not in name:
+            continue
+        with tempfile.TemporaryDirectory() as temporary:
+            told = Path(temporary)
+            (told / 'learn').symlink_to((folder / 'learn').resolve())
+            (told / 'room.yaml').write_text(room_document(lie.room), encoding='utf-8')
+            (told / 'robot.yaml').write_text(robot_document(lie.mount), encoding='utf-8')
+            with patch('landmark_nav.cli.learn.read_sweeps', lambda *_, of=lie: iter(of.sweeps)):
+                refusal, warned = learn(told)
+        said = ' '.join((refusal or warned).replace(str(told), '').split())
+        named = re.search(expected, said) is not None
+        missed, total = missed + (not named), total + 1
+        how = 'refused' if refusal else 'learned'
+        print(f'| {name} | {how} | {said or "-"} | {"yes" if named else "NO"} |', flush=True)
+    print(f'{total - missed} of {total} causes are named')
+    return missed
+
+
 def main() -> int:
     """Print a line a case."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seed', type=int, default=5100)
     parser.add_argument('--only', default='', help='cases whose name holds this')
+    parser.add_argument('--errors', type=Path, metavar='FOLDER', help='recorded sweeps to falsify')
     args = parser.parse_args()
     cv2.setNumThreads(1)
+    if args.errors:
+        return 1 if check_errors(args.errors, args.only) else 0
     bad = 0
     for case in cases(args.seed):
         if args.only not in case.name:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
 import json
+import logging
 from pathlib import Path
 import time
 from typing import Any
@@ -31,16 +33,22 @@ from landmark_nav.learning.pipeline import (
     panorama_from_sweep,
     PanoramaStages,
 )
+from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import record_papers
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
-from landmark_nav.types import Panorama
+from landmark_nav.types import Panorama, Sweep
 
 __all__ = ['add_arguments', 'run']
 
+_LOG = logging.getLogger(__name__)
+
+# Sweeps that are looked at beyond one that failed, to name the cause.
+_MORE_SWEEPS = 2
 # Stages of `learn_from_panoramas`, for the bar.
 _LEARNING_STAGES = 4
 
@@ -129,19 +137,35 @@ def _panoramas(
     total = bag.counts[trajectory] if trajectory else None
     panoramas: list[Panorama] = []
     frames: list[int] = []
+    papers = PaperRecord(room, config.reference_area)
     sweeps = progress(read_sweeps(bag, mount), 'panoramas', total)
     while True:
         with log.measure('reading'):
             sweep = next(sweeps, None)
         if sweep is None:
-            return panoramas, frames
+            break
         try:
-            panoramas.append(panorama_from_sweep(sweep, room, mount, config, log))
+            panoramas.append(panorama_from_sweep(sweep, room, mount, config, log, papers))
         except LandmarkNavError as error:
+            cause = _cause(papers, sweeps, mount)
+            which = f'sweep {len(frames) + 1} (of {sweep.stamp_ns * 1e-9:.1f} s)'
             raise LandmarkNavError(
-                f'{bag.path}: sweep {len(frames) + 1} (of {sweep.stamp_ns * 1e-9:.1f} s): {error}'
+                f'{bag.path}: {cause}' if cause else f'{bag.path}: {which}: {error}'
             ) from error
         frames.append(len(sweep.frames))
+    if doubt := papers.faults().text:
+        _LOG.warning('%s', doubt)
+    return panoramas, frames
+
+
+def _cause(papers: PaperRecord, sweeps: Iterator[Sweep], mount: PanTiltMount) -> str:
+    """What is wrong with papers that did not fit in one sweep, by those that follow as well."""
+    if not len(papers) or papers.faults().fits:
+        return ''
+    with suppress(LandmarkNavError):
+        for sweep in islice(sweeps, _MORE_SWEEPS):
+            record_papers(sweep, mount, papers)
+    return papers.faults().cause
 
 
 def _draw(result: LearningResult, room: Room, folder: Path) -> None:

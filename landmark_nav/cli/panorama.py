@@ -16,7 +16,7 @@ from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.coverage import unseen_arcs
 from landmark_nav.image_codec import encode_image
-from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
+from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig, check_turn
 from landmark_nav.learning.calibration.alignment import align_sweep
 from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
@@ -107,6 +107,7 @@ def run(args: argparse.Namespace) -> int:
     if pictures and args.number is not None:
         raise UsageError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
     sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args, mount)
+    check_turn(sweep, mount)
     quality = PanoramaQuality(0.0)
     if args.align and pictures:
         aligned = align_sweep(sweep, mount)

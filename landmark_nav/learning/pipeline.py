@@ -31,6 +31,7 @@ from landmark_nav.learning.adjustment.wall_fit import (
 )
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
+from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
@@ -55,6 +56,8 @@ __all__ = [
 
 _LOG = logging.getLogger(__name__)
 
+# Standard deviations of a panorama that no map can be learned with: metres and radians.
+_MOST_SIGMA = np.array([1.0, 1.0, 1.0, 0.3])
 # Three landmarks make one triplet, which is not in view from everywhere.
 _FEW = 3
 # So far from its wall a patch may be when stereo alone places it.
@@ -227,6 +230,10 @@ def _check(panoramas: Sequence[Panorama]) -> None:
             f'learning needs two panoramas from different places, not {len(panoramas)}: '
             'take another sweep 1 to 3 m away'
         )
+    for p in panoramas:
+        if not np.isfinite([*p.center_map, p.heading_rad]).all():
+            raise LandmarkNavError('panorama/pose is not a number: mend its publisher')
+        checked_covariance(p.covariance, _MOST_SIGMA, 'panorama/pose')
     centers = np.array([p.center_map[:2] for p in panoramas])
     spread = float(np.max(np.linalg.norm(centers[:, None] - centers[None], axis=-1)))
     if spread < 0.2:

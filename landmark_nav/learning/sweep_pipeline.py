@@ -21,10 +21,12 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration import (
     calibrate_sweep,
     CalibrationConfig,
+    check_turn,
     moved_px,
     SweepCalibration,
 )
 from landmark_nav.learning.calibration.lean import levelled
+from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
@@ -32,19 +34,24 @@ from landmark_nav.learning.reference_area import (
     check_agreement,
     locate_sweep,
     optical_height,
+    PaperRecord,
     ReferenceAreaConfig,
     SweepPlace,
 )
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
-from landmark_nav.types import FloatArray, Panorama, Sweep
+from landmark_nav.types import FloatArray, Panorama, PoseEstimate, Sweep
 
-__all__ = ['PanoramaStages', 'panorama_from_sweep', 'tenengrad']
+__all__ = ['PanoramaStages', 'panorama_from_sweep', 'record_papers', 'tenengrad']
 
 _LOG = logging.getLogger(__name__)
 
 # Walls farther away than this are as good as infinitely far.
 _FAR_M = 50.0
+# Standard deviations of a given pose that no map can be learned with: metres, metres, radians.
+_MOST_SIGMA = np.array([1.0, 1.0, 0.3])
+# No pose is better known.
+_LEAST_VARIANCE = 1e-10
 # Calibrations that differ by less make one panorama.
 _SAME_PX = 0.2
 
@@ -64,6 +71,7 @@ def panorama_from_sweep(
     mount: PanTiltMount,
     config: PanoramaStages,
     log: StageLog | None = None,
+    papers: PaperRecord | None = None,
 ) -> Panorama:
     """
     Make the panorama of a sweep and find where it was taken.
@@ -76,18 +84,26 @@ def panorama_from_sweep(
         Walls and reference papers.
     log : StageLog, optional
         Where times go.
+    papers : PaperRecord, optional
+        Papers in other sweeps of the room, which help to name what is wrong; this one is added.
 
     Raises
     ------
     LandmarkNavError
-        No frames, a camera that is mounted otherwise than told, or papers that don't give one
-        place.
+        No frames, a pan that does not turn as reported, a camera that is mounted otherwise than
+        given, or papers that do not give one place.
 
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
     log = log or StageLog()
+    papers = PaperRecord(room, config.reference_area) if papers is None else papers
     with log.measure('calibration'):
+        try:
+            check_turn(sweep, mount)
+        except LandmarkNavError as error:
+            why = why_overturned(sweep, room, mount, config.reference_area)
+            raise LandmarkNavError(why or str(error)) from error
         found = calibrate_sweep(sweep, mount, config.calibration)
     with log.measure('panorama'):
         photometry = Photometry.none(len(sweep.frames))
@@ -95,11 +111,12 @@ def panorama_from_sweep(
             photometry = measure_photometry(found.sweep, found.mount)
         view = _view(found, photometry, config)
     with log.measure('reference_area'):
+        papers.add(view, optical_height(found.sweep, found.mount))
         try:
             place = _place(view, found, room, config)
         except LandmarkNavError as error:
             why = why_overturned(sweep, room, mount, config.reference_area)
-            raise LandmarkNavError(why or str(error)) from error
+            raise LandmarkNavError(why or papers.faults().cause or str(error)) from error
     mount, lean = levelled(mount, place.lean_score, place.lean_information, config.calibration)
     with log.measure('calibration'):
         refined = calibrate_sweep(
@@ -128,6 +145,12 @@ def panorama_from_sweep(
             tenengrad(view), photometry.vignetting, photometry.gain_spread
         ),
     )
+
+
+def record_papers(sweep: Sweep, mount: PanTiltMount, papers: PaperRecord) -> None:
+    """Add what a sweep shows of the papers to a record, without finding its pose."""
+    view = synthesize_cylinder(sweep, mount, PanoramaConfig(blend='feather'))
+    papers.add(view, optical_height(sweep, mount))
 
 
 def tenengrad(view: CylinderImage) -> float:
@@ -184,7 +207,7 @@ def _place(
         return locate_sweep(found.sweep, view, room, found.mount, config.reference_area)
     covariance = np.zeros((4, 4))
     plane = np.ix_([0, 1, 3], [0, 1, 3])
-    covariance[plane] = known.covariance + 1e-10 * np.eye(3)
+    covariance[plane] = _given_covariance(known)
     check_agreement(
         known.pose,
         covariance[plane],
@@ -196,6 +219,14 @@ def _place(
     )
     covariance[2, 2] = config.reference_area.height_sigma_m**2
     return SweepPlace(known.pose, optical_height(found.sweep, found.mount), covariance)
+
+
+def _given_covariance(known: PoseEstimate) -> FloatArray:
+    """Covariance (3, 3) of the pose of a sweep that is given; an error if it is none."""
+    if not np.isfinite(known.pose).all():
+        raise LandmarkNavError('sweep/pose is not a number: mend its publisher')
+    covariance = checked_covariance(known.covariance, _MOST_SIGMA, 'sweep/pose')
+    return np.asarray(covariance + _LEAST_VARIANCE * np.eye(3))
 
 
 def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:

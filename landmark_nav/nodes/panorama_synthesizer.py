@@ -14,6 +14,7 @@ from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.sweep import assemble_sweep, missing_frames
 from landmark_nav.messages import decode, encode
 from landmark_nav.parameters import parameter
@@ -61,6 +62,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
         self._views: dict[int, tuple[ImageArray, CameraModel, int]] = {}
         self._depth = decode.BitDepth()
         self._pose: PoseEstimate | None = None
+        self._papers = PaperRecord(self._room, self._config.reference_area)
         self._health = Health(Level.OK, 'waiting for a sweep')
         # The next sweep may come in the other form.
         self.listen('sweep/image', self._on_image)
@@ -103,7 +105,10 @@ class PanoramaSynthesizerNode(LandmarkNode):
         try:
             start = time.monotonic()
             sweep = self._sweep(message)
-            view = panorama_from_sweep(sweep, self._room, self._mount, self._config)
+            view = panorama_from_sweep(
+                sweep, self._room, self._mount, self._config, papers=self._papers
+            )
+            doubt = self._papers.faults().text
         except LandmarkNavError as error:
             self._health = Health(Level.LOST, str(error))
             self.get_logger().error(one_line(f'no panorama: {error}'))
@@ -120,9 +125,11 @@ class PanoramaSynthesizerNode(LandmarkNode):
             [frame.pan_rad for frame in sweep.frames], sweep.frames[0].camera.half_fov_rad
         )
         place = f'panorama at ({x:.3f}, {y:.3f}) m, {heading:.2f} deg'
+        if doubt:
+            self.get_logger().warning(doubt)
         self._health = Health(
-            Level.OK,
-            f'{place}; {lacks}' if lacks else place,
+            Level.DEGRADED if doubt else Level.OK,
+            '; '.join(filter(None, [place, lacks, doubt])),
             {
                 'sigma_m': np.hypot(*sigma[:2]),
                 'sigma_deg': np.degrees(sigma[2]),

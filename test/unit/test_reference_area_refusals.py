@@ -108,7 +108,7 @@ def test_papers_that_hang_elsewhere_than_the_room_says(
     else:
         assert deviations(place, pose).max() < 3.0
         return
-    assert re.search('not found: green|green paper hangs|no place .* green', message)
+    assert re.search('not found: green|do not fit together|no place .* green', message)
 
 
 def test_a_camera_that_hangs_otherwise_than_told_is_refused() -> None:

@@ -10,7 +10,7 @@ shared ones alone, so that the sparse structure is a stack of blocks of 3 x 3.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
@@ -26,6 +27,10 @@ __all__ = ['Linearized', 'NormalEquations', 'Problem', 'wall_stretches']
 # x, y, z, heading of each panorama; after all of them, how far things hang off each wall, then
 # how much farther they do on each stretch of one.
 _POSE = 4
+# Nothing is nearer to a panorama, metres.
+_NEAREST_M = 0.01
+# Share of the information of its wall by which a landmark stays where it is.
+_WEAK = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +59,13 @@ class NormalEquations:
     b_x: FloatArray
     b_s: FloatArray
 
+    def damped(self, by: float) -> NormalEquations:
+        """Return the same with a share of their diagonals added to these."""
+        if not by:
+            return self
+        own = self.h_xx * (1.0 + by * np.eye(3))
+        return replace(self, h_xx=own, h_ss=self.h_ss + by * np.diag(np.diag(self.h_ss)))
+
     @property
     def gain(self) -> FloatArray:
         """How the shared unknowns move each landmark, (n, 3, m), with the opposite sign."""
@@ -68,7 +80,7 @@ class NormalEquations:
         """Steps of landmarks (n, 3) and shared unknowns (m,)."""
         alone = np.linalg.solve(self.h_xx, self.b_x[..., None])[..., 0]
         rhs = self.b_s - np.einsum('nip,ni->p', self.h_xs, alone)
-        shared = np.linalg.solve(self._schur(), rhs)
+        shared = solve_positive(self._schur(), rhs)
         return alone - self.gain @ shared, shared
 
     def own_covariance(self) -> FloatArray:
@@ -77,7 +89,7 @@ class NormalEquations:
 
     def shared_covariance(self) -> FloatArray:
         """Covariance of the shared unknowns, (m, m)."""
-        return np.asarray(np.linalg.inv(self._schur()))
+        return covariance_of(self._schur())
 
 
 class Problem:
@@ -142,7 +154,7 @@ class Problem:
         """Residuals and derivatives at landmarks (n, 3) and shared unknowns (m,)."""
         poses = self.poses(shared)[self.view]
         d = points[self.landmark] - poses[:, :3]
-        reach = np.hypot(d[:, 0], d[:, 1])
+        reach = np.maximum(np.hypot(d[:, 0], d[:, 1]), _NEAREST_M)
         seen = self._seen - np.stack(
             [np.arctan2(d[:, 1], d[:, 0]) - poses[:, 3], d[:, 2] / reach], 1
         )
@@ -174,12 +186,14 @@ class Problem:
         Normal equations.
 
         `seen` (k, 2) and `wall` (n,) are the information of sightings and walls; `spread` as in
-        `prior_covariance`.
+        `prior_covariance`. Bearings alone may leave a landmark anywhere along its ray: a share of
+        what the wall says is said of where it is in all directions.
         """
-        prior = np.linalg.inv(self.prior_covariance(spread))
+        prior = covariance_of(self.prior_covariance(spread))
         jx = at.by_point * seen[..., None]
         h_xx = _sum_by(self.landmark, np.einsum('nki,nkj->nij', jx, at.by_point), self.count)
         h_xx += np.einsum('n,ni,nj->nij', wall, self.normal, self.normal)
+        h_xx += (_WEAK * wall)[:, None, None] * np.eye(3)
         b_x = _sum_by(self.landmark, np.einsum('nki,nk->ni', jx, at.seen), self.count)
         b_x += (wall * at.wall)[:, None] * self.normal
         h_xs = _sum_by(self.landmark, np.einsum('nki,nkp->nip', jx, at.by_shared), self.count)
@@ -192,6 +206,19 @@ class Problem:
         b_s = prior @ (self.prior - shared) + weighted.T @ at.seen.ravel()
         b_s[self._walls] -= hangs.T @ at.wall
         return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
+
+    def cost(
+        self,
+        at: Linearized,
+        shared: FloatArray,
+        seen: FloatArray,
+        wall: FloatArray,
+        spread: FloatArray,
+    ) -> float:
+        """Half of it is what the normal equations are the derivative of; arguments as there."""
+        off = shared - self.prior
+        told = off @ solve_positive(self.prior_covariance(spread), off)
+        return float(np.sum(seen * at.seen**2) + np.sum(wall * at.wall**2) + told)
 
     def prior_covariance(self, spread: FloatArray) -> FloatArray:
         """
@@ -215,7 +242,7 @@ class Problem:
         They are what the derivative of the restricted likelihood is made of.
         """
         prior = self.prior_covariance(spread)
-        information = np.linalg.inv(prior)
+        information = covariance_of(prior)
         misfit = information @ (shared - self.prior)
         left = information @ (prior - equations.shared_covariance()) @ information
         # The prior is the sum of what each of `spread` says of it, and falls apart so.

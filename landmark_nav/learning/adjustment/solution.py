@@ -18,12 +18,15 @@ from scipy.special import chdtri
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.config import AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
+from landmark_nav.learning.least_squares import Damping, root_of
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['Adjustment', 'adjust']
 
 _MAX_ITERATIONS = 15
+# What moves by less is at rest; no landmark goes farther in one step, metres.
+_CONVERGED, _LONGEST_M = 1e-7, 1.0
 # Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
 _DOUBT_AT_FIRST, _DOUBT = 100.0, 6.0
 # A landmark that misses by more than this probability allows has no say in what is shared.
@@ -129,18 +132,15 @@ def adjust(
     weight = np.full(len(expected), config.camera_weight)
     weight[_PLACES] = config.place_weight
     weight[_HANGING] = config.room_weight
-    noise = expected
+    noise, damping = expected, Damping()
     for _ in range(_NOISE_ITERATIONS):
         at = problem.linearize(points, shared)
-        equations = problem.normal_equations(
-            at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
-        )
-        point_step, shared_step = equations.solve()
-        points, shared = points + point_step, shared + shared_step
+        weights = (*_information(problem, at, noise, say), noise[_SPREAD])
+        points, shared, moved = _step(problem, at, points, shared, weights, damping)
         better, fewness = _noise(problem, points, shared, noise, expected, say, weight)
         still = np.abs(better / noise - 1.0).max() < _NOISE_CONVERGED
         noise = better
-        if still and max(np.abs(point_step).max(), np.abs(shared_step).max()) < 1e-7:
+        if still and moved < _CONVERGED:
             break
     # The fewer residuals tell of a variance, the farther is its mean from its likeliest value.
     noise = noise * np.sqrt(fewness)
@@ -149,7 +149,7 @@ def adjust(
         at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
     )
     covariance = equations.shared_covariance()
-    shared_loading, rest = _main_factors(-equations.gain @ np.linalg.cholesky(covariance))
+    shared_loading, rest = _main_factors(-equations.gain @ root_of(covariance))
     return Adjustment(
         points,
         say[:, None, None] * equations.own_covariance() + rest,
@@ -166,7 +166,7 @@ def _settle(
     problem: Problem, start: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Landmarks (n, 3) and shared unknowns (m,) that most landmarks agree on."""
-    points, shared = start.copy(), problem.prior
+    points, shared, damping = start.copy(), problem.prior, Damping()
     for step in range(_MAX_ITERATIONS):
         # False matches, and what hangs off the walls, must bend neither their neighbours nor the
         # poses, even where they are many: a weight that falls faster than the pull grows (Geman
@@ -175,14 +175,42 @@ def _settle(
         at = problem.linearize(points, shared)
         weight = (1.0 + _misfit(problem, at, sigma) / doubt) ** -2.0
         seen, wall = _variances(problem, sigma)
-        equations = problem.normal_equations(
-            at, shared, weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD]
-        )
-        point_step, shared_step = equations.solve()
-        points, shared = points + point_step, shared + shared_step
-        if step > 4 and max(np.abs(point_step).max(), np.abs(shared_step).max()) < 1e-7:
+        weights = (weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD])
+        points, shared, moved = _step(problem, at, points, shared, weights, damping)
+        if step > 4 and moved < _CONVERGED:
             break
     return points, shared
+
+
+def _step(
+    problem: Problem,
+    at: Linearized,
+    points: FloatArray,
+    shared: FloatArray,
+    weights: tuple[FloatArray, FloatArray, FloatArray],
+    damping: Damping,
+) -> tuple[FloatArray, FloatArray, float]:
+    """
+    Landmarks and shared unknowns one step farther, and the farthest that one of them moved.
+
+    `weights` are those of `Problem.normal_equations`; no landmark moves farther than what is
+    linear.
+    """
+    equations = problem.normal_equations(at, shared, *weights)
+    there = points, shared
+
+    def cost_with(by: float) -> float:
+        nonlocal there
+        point_step, shared_step = equations.damped(by).solve()
+        length = np.linalg.norm(point_step, axis=1, keepdims=True)
+        point_step = point_step * np.minimum(1.0, _LONGEST_M / np.maximum(length, _LONGEST_M))
+        there = points + point_step, shared + shared_step
+        return problem.cost(problem.linearize(*there), there[1], *weights)
+
+    if not damping.lowers(cost_with, problem.cost(at, shared, *weights)):
+        return points, shared, 0.0
+    moved = max(np.abs(new - old).max() for new, old in zip(there, (points, shared), strict=True))
+    return *there, float(moved)
 
 
 def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -21,6 +21,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.config import AdjustmentConfig, WallFitConfig
 from landmark_nav.learning.adjustment.problem import wall_stretches
 from landmark_nav.learning.adjustment.solution import Adjustment
+from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.types import FloatArray
 
 __all__ = ['WallResidual', 'check_walls', 'doubtful_walls', 'wall_residuals']
@@ -171,7 +172,7 @@ def doubtful_walls(
     stretches = np.array([residual.stretches for residual in residuals])
     # A median is that much less certain than a mean.
     apart = expected.wall_sigma_m**2 + 0.5 * np.pi * hanging_sigma_m**2 / stretches
-    inverse = np.linalg.inv(shared @ shared.T + np.diag(apart))
+    inverse = covariance_of(shared @ shared.T + np.diag(apart))
     left = off - np.sum(inverse @ off) / inverse.sum()
     likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
     # One thing may hang as far as its frame is deep; many do not on average.

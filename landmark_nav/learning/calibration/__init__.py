@@ -9,11 +9,15 @@ from landmark_nav.learning.calibration.sweep_calibration import (
     moved_px,
     SweepCalibration,
 )
+from landmark_nav.learning.calibration.turn import check_turn, measure_turn, SweepTurn
 
 __all__ = [
     'CalibrationConfig',
     'SweepCalibration',
+    'SweepTurn',
     'calibrate_sweep',
+    'check_turn',
     'fit_significant',
+    'measure_turn',
     'moved_px',
 ]

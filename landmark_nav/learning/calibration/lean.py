@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.rotation import rotation_rpy
 from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, SIGNIFICANT
+from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray
 
@@ -44,7 +45,7 @@ def levelled(
     """
     if np.linalg.eigvalsh(information)[0] < _LEAST_INFORMATION:
         return mount, ()
-    covariance = np.linalg.inv(information)
+    covariance = covariance_of(information)
     lean = covariance @ score
     significant = float(lean @ score) > SIGNIFICANT**2 and config.enabled
     terms = tuple(

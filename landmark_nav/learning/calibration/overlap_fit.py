@@ -12,10 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.calibration.overlap import Overlaps
+from landmark_nav.learning.least_squares import covariance_of, Damping, solve_positive
 from landmark_nav.types import FloatArray, Sweep
 
 __all__ = ['COMMON', 'Fit', 'OverlapProblem', 'RangeOfRay', 'corrected']
@@ -119,6 +121,7 @@ class OverlapProblem:
         precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), count)
         x = self._last if self._last.size else np.zeros(size)
         x[np.setdiff1d(np.arange(size), index)] = 0.0
+        damping = Damping()
         for _ in range(_ITERATIONS):
             common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
             off = self._misfit(common, frames)
@@ -130,17 +133,18 @@ class OverlapProblem:
             scaled = slopes * (np.sqrt(weight) * focal / sigma_px)[:, None, None]
             flat = scaled.reshape(-1, len(index))
             normal = flat.T @ flat + np.diag(precision[index])
-            right = off * (np.sqrt(weight) * focal / sigma_px)[:, None]
-            step = np.linalg.solve(normal, flat.T @ right.ravel() + precision[index] * x[index])
-            x[index] -= step
-            if focal * np.abs(step).max() < _CONVERGED_PX:
+            scale = np.sqrt(weight) * focal / sigma_px
+            right = flat.T @ (off * scale[:, None]).ravel() + precision[index] * x[index]
+            before = x
+            x = self._stepped(before, index, normal, right, scale, precision, damping)
+            if focal * np.abs(x - before).max() < _CONVERGED_PX:
                 break
         self._last = x.copy()
         chosen = len(free)
         slope = focal * np.sqrt(np.mean(np.sum(slopes[..., :chosen] ** 2, 1), 0))
         covariance = np.zeros((len(COMMON), len(COMMON)))
         own = index[:chosen]
-        covariance[np.ix_(own, own)] = np.linalg.inv(normal)[:chosen, :chosen]
+        covariance[np.ix_(own, own)] = covariance_of(normal)[:chosen, :chosen]
         bias = np.zeros(len(COMMON))
         bias[own] = _BIAS_PX / np.maximum(slope, 1e-9)
         sigma = np.sqrt(np.diag(covariance) + bias**2)
@@ -148,6 +152,31 @@ class OverlapProblem:
         every = np.zeros((self._count, 3))
         every[self._used] = frames
         return Fit(common, covariance, sigma, every, weight)
+
+    def _stepped(
+        self,
+        x: FloatArray,
+        index: npt.NDArray[np.intp],
+        normal: FloatArray,
+        right: FloatArray,
+        scale: FloatArray,
+        precision: FloatArray,
+        damping: Damping,
+    ) -> FloatArray:
+        """Unknowns one step farther, of which those at `index` are free."""
+        there = x
+
+        def cost(at: FloatArray) -> float:
+            off = self._misfit(at[: len(COMMON)], at[len(COMMON) :].reshape(-1, 3))
+            return float(np.sum((off * scale[:, None]) ** 2) + precision @ at**2)
+
+        def cost_with(by: float) -> float:
+            nonlocal there
+            there = x.copy()
+            there[index] -= solve_positive(normal + by * np.diag(np.diag(normal)), right)
+            return cost(there)
+
+        return there if damping.lowers(cost_with, cost(x)) else x
 
     def misfit_px(self, common: FloatArray, frames: FloatArray | None = None) -> float:
         """Median distance of the two rays of a match, pixels."""

@@ -8,16 +8,28 @@ from landmark_nav.learning.reference_area.common_errors import (
     pose_errors,
 )
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.faults import (
+    paper_faults,
+    PaperFault,
+    PaperFaults,
+    PaperRecord,
+    PaperView,
+    view_papers,
+)
 from landmark_nav.learning.reference_area.location import (
     check_agreement,
-    LEAST_PAPERS,
     locate_sweep,
     optical_height,
     SweepPlace,
 )
+from landmark_nav.learning.reference_area.search import LEAST_PAPERS
 
 __all__ = [
     'LEAST_PAPERS',
+    'PaperFault',
+    'PaperFaults',
+    'PaperRecord',
+    'PaperView',
     'ReferenceAreaConfig',
     'SweepPlace',
     'check_agreement',
@@ -25,5 +37,7 @@ __all__ = [
     'joint_covariance',
     'locate_sweep',
     'optical_height',
+    'paper_faults',
     'pose_errors',
+    'view_papers',
 ]

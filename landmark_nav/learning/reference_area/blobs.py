@@ -43,17 +43,15 @@ class PaperBlobs:
     """
     Blobs that could be a paper of one colour, arrays over n blobs.
 
-    `azimuth_rad` (n,) of their middles in the base frame; `tangent` (n, 2) of the elevation of
-    top and bottom; `misfit` (n,) of their hues, in squared standard deviations.
+    `azimuth_rad` (n,) of their middles in the base frame, `width_rad` (n,) of all of them;
+    `tangent` (n, 2) of the elevation of top and bottom; `misfit` (n,) of their hues, in squared
+    standard deviations.
     """
 
     azimuth_rad: FloatArray
+    width_rad: FloatArray
     tangent: FloatArray
     misfit: FloatArray
-
-    def chosen(self, which: npt.NDArray[np.intp]) -> PaperBlobs:
-        """Some of them, in the order of `which`."""
-        return PaperBlobs(self.azimuth_rad[which], self.tangent[which], self.misfit[which])
 
 
 def hue_direction(color: str) -> FloatArray:
@@ -114,6 +112,7 @@ class ColorSearch:
         left, top, width, height = boxes[order, :4].T * self._step
         return PaperBlobs(
             self._cylinder.azimuth_rad(left + 0.5 * width - 0.5),
+            width / self._cylinder.fx,
             self._cylinder.tangent(np.stack([top - 0.5, top + height - 0.5], 1)),
             misfit[order],
         )

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import block_diag, eigh, solve_triangular
 
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.least_squares import covariance_of, root_of
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
-from landmark_nav.learning.reference_area.location import LEAST_PAPERS
-from landmark_nav.learning.reference_area.search import papers_in_view
+from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['joined', 'joint_covariance', 'pose_errors']
@@ -133,7 +133,7 @@ def joint_covariance(
         for panorama, covariance in zip(panoramas, alone, strict=True)
     ]
     rest = [c - part @ part.T for c, part in zip(alone, loading, strict=True)]
-    height = _COMMON * min(1.0 / np.linalg.inv(c)[2, 2] for c in rest)
+    height = _COMMON * min(1.0 / covariance_of(c)[2, 2] for c in rest)
     up = np.sqrt(height) * np.array([[0.0], [0.0], [1.0], [0.0]])
     return joined(np.stack(alone), np.stack([np.hstack([part, up]) for part in loading]))
 
@@ -163,7 +163,7 @@ def _loading(
         # A place that is better known than papers would tell it was told by something else.
         ratio = eigh(covariance[_PLAN], told[0], eigvals_only=True)[-1]
         loading[_X_Y_HEADING] = min(1.0, ratio) * by_papers[0]
-    half = np.linalg.solve(np.linalg.cholesky(covariance), loading)
+    half = solve_triangular(root_of(covariance), loading, lower=True)
     share = float(np.linalg.norm(half, 2) ** 2)
     return np.asarray(loading * np.sqrt(_MOST / max(share, _MOST)))
 

@@ -58,6 +58,7 @@ def locate_edges(
     direction: FloatArray,
     reach_px: float,
     gamma: float = 1.0,
+    most_by_gamma: float = _MOST_BY_GAMMA,
 ) -> EdgeSamples:
     """
     Find a paper's edges along short profiles that cross them.
@@ -77,6 +78,8 @@ def locate_edges(
     gamma : float
         Power of the pixels' values that is light: lens and sensor blur light, so that edges of
         what the camera made of it seem moved towards the darker side.
+    most_by_gamma : float
+        Pixels by which gamma may move an edge, for a unit of it.
     """
     offset = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
     where = points[:, None] + offset[:, None] * outwards[:, None]
@@ -96,7 +99,7 @@ def locate_edges(
 
     place, sigma = (v.reshape(2, 2, -1) for v in _edge(np.concatenate(profiles), offset))
     by_gamma = (place[1] - place[0]) / _GAMMA_STEP
-    found = inside.all(axis=1) & (np.abs(by_gamma) < _MOST_BY_GAMMA)
+    found = inside.all(axis=1) & (np.abs(by_gamma) < most_by_gamma)
     # Both must mean the same edge: a shadow's border is not a change of hue.
     found[1] &= np.abs(place[0, 1] - place[0, 0]) < _SAME_PX
     return EdgeSamples(np.where(found, place[0], np.nan), np.hypot(sigma[0], burnt), by_gamma)

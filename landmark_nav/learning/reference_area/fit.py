@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.arrays import IndexArray
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.reference_area.blobs import hue_direction
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
@@ -131,7 +133,12 @@ class PaperFitter:
                 return None
             base = state
             for doubt in doubts:
-                state, angle_sigma, fit = self._solve(measured, base, state, doubt, angle_sigma)
+                try:
+                    state, angle_sigma, fit = self._solve(
+                        measured, base, state, doubt, angle_sigma
+                    )
+                except LandmarkNavError:
+                    return None  # it runs away from what was measured
         return fit
 
     def _measure(self, state: FloatArray, most: int, reach_px: float) -> _Measured | None:
@@ -249,8 +256,8 @@ class PaperFitter:
         information = (jacobian * weight[:, None]).T @ jacobian + np.diag(prior)
         left = innovation - np.sum(by_edge * state[edge], 0)
         right = jacobian.T @ (weight * left) + prior * (usual - state)
-        step = np.linalg.solve(information, right)
-        covariance = np.linalg.inv(information)
+        covariance = covariance_of(information)
+        step = solve_positive(information, right)
         state = state + step
 
         left = left - jacobian @ step

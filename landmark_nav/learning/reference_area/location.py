@@ -20,6 +20,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
@@ -36,19 +37,21 @@ from landmark_nav.learning.reference_area.refusals import (
     WRONG_PRIOR,
     wrong_prior,
 )
-from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
+from landmark_nav.learning.reference_area.search import (
+    find_places,
+    LEAST_PAPERS,
+    PaperPlace,
+    papers_in_view,
+)
 from landmark_nav.types import FloatArray, Sweep
 
 __all__ = [
-    'LEAST_PAPERS',
     'SweepPlace',
     'check_agreement',
     'locate_sweep',
     'optical_height',
 ]
 
-# Papers that it takes; with two there is no telling whether one hangs elsewhere.
-LEAST_PAPERS = 3
 # What is seen of all of them together, in whole papers.
 _LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0
@@ -56,6 +59,8 @@ _MOST_MISFIT = 6.0
 _HOPELESS = 20.0
 # Squared deviation of two places that are one: chi-square of 3 beyond all doubt.
 _DISAGREEMENT = 35.0
+# Yaws that differ by less are one.
+_SAME_YAW_RAD = 0.05
 # Blobs lead to the papers from a camera that is told so much too high or too low.
 _RISE_STEP_M = 0.06
 # A camera that is told so much too high or too low is refused for that.
@@ -123,7 +128,7 @@ def locate_sweep(
     wrong = wrong_prior(fit, room, config)
     if wrong:
         raise LandmarkNavError(wrong)
-    inverse = np.linalg.inv(fit.tilt_covariance)
+    inverse = covariance_of(fit.tilt_covariance)
     return SweepPlace(
         fit.pose_map_base,
         papers.height_m + fit.rise_m,
@@ -203,7 +208,9 @@ class _PaperSearch:
             anywhere = replace(config, height_sigma_m=_ANY_HEIGHT_M)
             with suppress(LandmarkNavError):
                 high = locate_sweep(self._sweep, self._view, self._room, self._mount, anywhere)
-                return LandmarkNavError(wrong_height(high.height_m - self.height_m))
+                rise_m = high.height_m - self.height_m
+                if abs(rise_m) > WRONG_PRIOR * config.height_sigma_m:
+                    return LandmarkNavError(wrong_height(rise_m))
         why = why_not(self._blobs, places, fits, self._room, self.height_m, self._fits_at)
         unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
@@ -252,14 +259,26 @@ def check_agreement(
     except LandmarkNavError:
         return
     plane = np.ix_([0, 1, 3], [0, 1, 3])
+    total = covariance + seen.covariance[plane]
     off = seen.pose_map_base - pose_map_base
     off[2] = wrap_rad(off[2])
-    if off @ np.linalg.solve(covariance + seen.covariance[plane], off) > _DISAGREEMENT:
+    if off @ solve_positive(total, off) <= _DISAGREEMENT:
+        return
+    # The papers locate the pan axis: where only the heading is off, so is how it is mounted.
+    axis = mount.axis_pose_map(seen.pose_map_base) - mount.axis_pose_map(pose_map_base)
+    if axis[:2] @ solve_positive(total[:2, :2], axis[:2]) <= _DISAGREEMENT:
+        yaw = mount.axis_rpy[2]
+        degrees = abs(wrap_rad(off[2] + yaw - np.radians(yaw))) < _SAME_YAW_RAD < abs(yaw)
         raise LandmarkNavError(
-            f'sweep/pose and the papers disagree by {100 * np.hypot(off[0], off[1]):.1f} cm and '
-            f'{np.degrees(abs(off[2])):.2f} deg, more than their covariances allow: mend the '
-            'pose or its covariance, or the papers in room.yaml'
+            f'the heading of sweep/pose and the papers disagree by {np.degrees(off[2]):+.1f} deg: '
+            f'mend the yaw of pan_axis rpy in robot.yaml, now {yaw:g} rad'
+            + (', which looks like degrees' if degrees else ', or the pose')
         )
+    raise LandmarkNavError(
+        f'sweep/pose and the papers disagree by {100 * np.hypot(off[0], off[1]):.1f} cm and '
+        f'{np.degrees(abs(off[2])):.2f} deg, more than their covariances allow: mend the '
+        'pose or its covariance, or the papers in room.yaml'
+    )
 
 
 def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:

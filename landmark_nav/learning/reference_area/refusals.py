@@ -76,9 +76,9 @@ def wrong_prior(fit: PaperFit, room: Room, config: ReferenceAreaConfig) -> str |
     worst = int(np.argmax(hang))
     if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):
         return (
-            f'the {room.papers[worst].color} paper hangs {100 * hang[worst]:.1f} cm from where '
-            'room.yaml says, as the others show it: measure the papers again, or uncover the '
-            'papers and sweep again if somebody hid a part of one'
+            f'the papers do not fit together, by {100 * hang[worst]:.1f} cm (at the '
+            f'{room.papers[worst].color} one, but any may be wrong): measure all again, or '
+            'uncover the papers and sweep again if somebody hid a part of one'
         )
     return None
 

@@ -20,7 +20,10 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.types import FloatArray
 
-__all__ = ['PaperPlace', 'find_places', 'papers_in_view']
+__all__ = ['LEAST_PAPERS', 'PaperPlace', 'find_places', 'papers_in_view']
+
+# Papers that it takes; with two there is no telling whether one hangs elsewhere.
+LEAST_PAPERS = 3
 
 # Rough standard deviations of a blob: its outline is a pixel or two off.
 _DIRECTION_SIGMA = 0.008

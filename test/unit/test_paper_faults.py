@@ -1,0 +1,118 @@
+"""The single fault that keeps reference papers from fitting together is named, with its size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from paper_sweeps import CONFIG, EAST, MOUNT, scene_of, sweep_at
+import pytest
+from scenes import rectangle_room
+
+from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.reference_area import (
+    paper_faults,
+    PaperFaults,
+    PaperRecord,
+    PaperView,
+    view_papers,
+)
+from landmark_nav.learning.reference_area.outlines import PaperOutlines
+from landmark_nav.types import FloatArray
+
+EYE_M = 1.1
+POSES = np.array([[3.5, 2.0, 0.3], [2.2, 3.6, -0.8]])
+ROOM = rectangle_room(papers=EAST)
+# Along the east wall, as seen from inside, left is +y.
+LEFT = np.array([0.0, 1.0, 0.0])
+SIGMA_RAD = 5e-4
+
+
+def outlines_of(paper: Paper, pose: FloatArray, rng: np.random.Generator) -> PaperOutlines:
+    """What is seen of a paper on the east wall from a pose of the pan axis, exactly but noise."""
+    center = np.array(paper.center)
+    ends = [center + side * 0.5 * paper.width * LEFT for side in (-1.0, 1.0)]
+    azimuth = [np.arctan2(end[1] - pose[1], end[0] - pose[0]) - pose[2] for end in ends]
+    # Where the bisector of the two directions meets the wall.
+    middle = pose[2] + 0.5 * sum(azimuth)
+    distance = (center[0] - pose[0]) / np.cos(middle)
+    tangent = [(center[2] + up * 0.5 * paper.height - EYE_M) / distance for up in (-1.0, 1.0)]
+    seen = np.array([[*azimuth, *tangent]]) + SIGMA_RAD * rng.standard_normal((1, 4))
+    return PaperOutlines(seen[:, :2], seen[:, 2:], np.full((1, 4), SIGMA_RAD), np.zeros(1))
+
+
+def views_of(papers: tuple[Paper, ...], seed: int = 0) -> list[PaperView]:
+    rng = np.random.default_rng(seed)
+    return [
+        PaperView({p.color: outlines_of(p, pose, rng) for p in papers}, EYE_M) for pose in POSES
+    ]
+
+
+def judged(papers: tuple[Paper, ...], given: Room = ROOM) -> PaperFaults:
+    return paper_faults(views_of(papers), given, CONFIG)
+
+
+def hung(k: int, left_m: float = 0.0, up_m: float = 0.0) -> tuple[Paper, ...]:
+    x, y, z = EAST[k].center
+    moved = replace(EAST[k], center=(x, y + left_m, z + up_m))
+    return (*EAST[:k], moved, *EAST[k + 1 :])
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_papers_that_hang_as_given_fit(seed: int) -> None:
+    found = paper_faults(views_of(EAST, seed), ROOM, CONFIG)
+    assert found.fits
+    assert not found.faults
+    assert found.text == ''
+
+
+@pytest.mark.parametrize('k', range(3))
+@pytest.mark.parametrize('off_m', [0.05, -0.1, 0.2])
+@pytest.mark.parametrize('kind', ['along', 'height'])
+def test_a_paper_that_hangs_elsewhere_is_named_with_how_far(
+    kind: str, off_m: float, k: int
+) -> None:
+    papers = hung(k, left_m=off_m) if kind == 'along' else hung(k, up_m=off_m)
+    found = judged(papers)
+    assert not found.fits
+    best = found.faults[0]
+    assert (best.kind, best.paper) == (kind, k)
+    assert abs(best.value - off_m) < max(4.0 * best.sigma, 0.01)
+    assert EAST[k].color in found.text
+    # Whatever else explains it as well is another value, not another direction of this one.
+    assert all((other.kind, other.paper) != (kind, k) for other in found.faults[1:])
+
+
+def test_papers_that_changed_colours_are_named() -> None:
+    swapped = (EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green'))
+    assert judged(swapped).faults[0].kind == 'swapped'
+
+
+def test_a_paper_of_another_size_and_one_that_is_turned_are_told_apart() -> None:
+    larger = replace(EAST[1], width=1.414 * EAST[1].width, height=1.414 * EAST[1].height)
+    found = judged((EAST[0], larger, EAST[2])).faults[0]
+    assert (found.kind, found.paper) == ('size', 1)
+    assert found.value == pytest.approx(0.414, abs=0.05)
+    turned = replace(EAST[1], width=EAST[1].height, height=EAST[1].width)
+    found = judged((EAST[0], turned, EAST[2])).faults[0]
+    assert (found.kind, found.paper) == ('turned', 1)
+
+
+def test_two_papers_or_nothing_seen_give_no_fault() -> None:
+    assert judged(EAST, replace(ROOM, papers=EAST[:2])).fits
+    none = PaperOutlines(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0))
+    assert paper_faults([PaperView({p.color: none for p in EAST}, EYE_M)], ROOM, CONFIG).fits
+
+
+def test_papers_are_outlined_in_drawn_sweeps_wherever_they_hang() -> None:
+    papers = hung(1, up_m=0.08)
+    record = PaperRecord(ROOM, CONFIG)
+    for pose in POSES[:1]:
+        sweep = sweep_at(scene_of(ROOM, papers), pose)
+        view = synthesize_cylinder(sweep, MOUNT, PanoramaConfig())
+        assert all(len(found) for found in view_papers(view, ROOM, EYE_M).outlines.values())
+        record.add(view, EYE_M)
+    best = record.faults().faults[0]
+    assert (best.kind, best.paper) == ('height', 1)
+    assert best.value == pytest.approx(0.08, abs=max(4.0 * best.sigma, 0.01))
