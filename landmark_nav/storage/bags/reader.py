@@ -233,7 +233,7 @@ class Bag:
                 return topic
         there = listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
         raise LandmarkNavError(
-            f'{self.path}: topic {" or ".join(alternatives)} is missing: '
+            f'{self.path}: topic {alternatives[0]} is missing: '
             f'{remedy_of_missing(alternatives, self._filled())}; there are {there}'
         )
 
