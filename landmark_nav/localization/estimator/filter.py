@@ -1,0 +1,401 @@
+"""
+The joint estimator: pose, odometry, calibration, map and landmark errors in one state.
+
+An iterated extended Kalman filter whose detections have the tails of a t distribution (iterated
+weights: Lange, Little and Taylor, JASA 84(408), 1989). What all landmarks of the map share is part
+of the state; what each is off by itself joins the state when it is first seen, is a first-order
+Gauss-Markov process over the way, as it changes with the viewpoint, and leaves the state when it is
+forgotten. So repeated detections never make the pose more certain than the map allows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.arrays import IndexArray
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import (
+    CALIBRATION,
+    ImagePoints,
+    LEAN,
+    moved,
+    project,
+    ROLL,
+    SCALE,
+    SLIP,
+    STATES,
+    Step,
+    TILT,
+    TURN_LOSS,
+    YAW,
+)
+from landmark_nav.localization.estimator.noise import (
+    DETECTION,
+    FLOOR,
+    learned,
+    NOISES,
+    NoiseScales,
+    SLIP_NOISE,
+    TURNS,
+    WAY,
+)
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+
+__all__ = ['JointFilter', 'Update']
+
+# Iterations of an update, and the change of the position that ends them, metres.
+_ITERATIONS, _CONVERGED_M = 5, 1e-4
+# Landmark errors of which less than this share is left are forgotten.
+_STALE = 0.05
+# At most so many landmarks have errors in the state: the cost of an update grows with them.
+_MOST_LANDMARKS = 60
+_DRIFTING = slice(SCALE, SLIP)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """All that changes; arrays are never changed in place, so that a copy costs nothing."""
+
+    stamp_ns: int
+    mean: FloatArray
+    covariance: FloatArray
+    by_noise: FloatArray
+    scales: NoiseScales
+    # Columns of the landmarks whose own errors are in the state, and the way since each was seen.
+    landmarks: IndexArray
+    unseen_m: FloatArray
+    way_m: float = 0.0
+    seconds: float = 0.0
+
+
+class Update(NamedTuple):
+    """
+    What an image did to the state.
+
+    Parameters
+    ----------
+    columns : ndarray of int, shape (m,)
+        Landmarks that were used.
+    residual : ndarray, shape (m, d)
+        Measured minus predicted before the update.
+    covariance : ndarray, shape (m, d, d)
+        Of each residual, with the nominal noise of the detection.
+    weight : ndarray, shape (m,)
+        1 for an inlier, near 0 for an outlier.
+    log_evidence : float
+        Log density of the image given all before.
+    step : str
+        ``none``; or ``knock`` where the image is taken to follow a turn of camera or base that
+        the wheels did not measure.
+    separation : ndarray, shape (m, 3)
+        By how much the pose would change if that landmark were left out.
+    without : ndarray, shape (m, 3, 3)
+        What is added to the covariance of the pose then.
+
+    """
+
+    columns: IndexArray
+    residual: FloatArray
+    covariance: FloatArray
+    weight: FloatArray
+    log_evidence: float
+    step: str
+    separation: FloatArray
+    without: FloatArray
+
+
+class JointFilter:
+    """
+    Estimates where the robot is, and how it is built, from odometry and detections.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        Positions, own covariances and shared factors.
+    calibration : Calibration
+        Prior of the mount, lens and clocks.
+    start : PoseEstimate
+        Pose of the base in map, with its covariance.
+    config : EstimatorConfig
+        Noise of floor, map and mount.
+    odometry : OdometryNoiseConfig
+        Noise of the wheels.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        calibration: Calibration,
+        start: PoseEstimate,
+        config: EstimatorConfig | None = None,
+        odometry: OdometryNoiseConfig | None = None,
+    ) -> None:
+        self._config = config or EstimatorConfig()
+        self._odometry = odometry or OdometryNoiseConfig()
+        self._prior = calibration
+        self._positions, self._loadings = landmark_map.positions, landmark_map.shared_loadings
+        self._own = landmark_map.covariances - self._loadings @ self._loadings.swapaxes(1, 2)
+        self._fixed = STATES + self._loadings.shape[2]
+        wheels = self._odometry
+        lean = self._config.lean_sigma_rad
+        variances = np.ones(self._fixed)
+        variances[LEAN:SCALE] = lean**2
+        variances[SCALE:SLIP] = wheels.bias_sigmas**2
+        variances[SLIP], variances[TURN_LOSS] = (
+            wheels.slip_sigma**2,
+            wheels.turn_loss_sigma_m_per_rad**2,
+        )
+        mean, covariance = np.zeros(self._fixed), np.diag(variances)
+        mean[:3], covariance[:3, :3] = start.pose, start.covariance
+        mean[CALIBRATION:STATES] = calibration.values
+        covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
+        by_noise = np.zeros((NOISES, CALIBRATION, CALIBRATION))
+        by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_sigma**2
+        by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
+        none = np.empty(0, dtype=np.intp)
+        scales = NoiseScales.unknown(self._config.learning_sigma)
+        self._state = _State(
+            start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0)
+        )
+
+    @property
+    def estimate(self) -> PoseEstimate:
+        """Pose of the base in map."""
+        state = self._state
+        return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), state.covariance[:3, :3].copy())
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration as far as it is known by now."""
+        mine = slice(CALIBRATION, STATES)
+        return Calibration(
+            self._state.mean[mine].copy(), self._state.covariance[mine, mine].copy(), self._prior.base
+        )
+
+    @property
+    def noise_factors(self) -> FloatArray:
+        """Factors on the variances of way, turns, slip, floor and detections, (NOISES,)."""
+        return self._state.scales.factors
+
+    @property
+    def snapshot(self) -> _State:
+        """Everything that is known; hand it to `restore` to go back."""
+        return self._state
+
+    def restore(self, snapshot: _State) -> None:
+        """Go back to a snapshot."""
+        self._state = snapshot
+
+    def move(self, stamp_ns: int, step: Step) -> None:
+        """Move on by odometry."""
+        state, wheels, config = self._state, self._odometry, self._config
+        forward, left, turn = step.increment.tolist()
+        way, seconds = float(np.hypot(forward, left)), step.seconds
+        scales = state.scales.moved(way)
+        factors = scales.factors
+        head, by_state, by_motion = moved(state.mean, step)
+        head[2] = wrap_rad(head[2])
+        slips, leans = np.exp(-way / np.array([wheels.slip_length_m, config.lean_length_m])).tolist()
+        head[SLIP] *= slips
+        head[LEAN:SCALE] *= leans
+        by_state[SLIP, SLIP] = slips
+        by_state[LEAN, LEAN] = by_state[LEAN + 1, LEAN + 1] = leans
+        rest, rest_turn = wheels.floor_m_per_sqrt_s**2, wheels.floor_rad_per_sqrt_s**2
+        of_way = np.array(
+            [
+                wheels.along_m_per_sqrt_m**2 * way + rest * seconds,
+                wheels.across_m_per_sqrt_m**2 * way + rest * seconds,
+                wheels.turn_rad_per_sqrt_m**2 * way + rest_turn * seconds,
+            ]
+        )
+        by_noise = by_state @ state.by_noise @ by_state.T
+        added = np.zeros_like(by_noise)
+        added[WAY, :3, :3] = factors[WAY] * (by_motion * of_way) @ by_motion.T
+        added[TURNS, 2, 2] = factors[TURNS] * wheels.turn_rad_per_sqrt_rad**2 * abs(turn)
+        added[SLIP_NOISE, SLIP, SLIP] = (
+            factors[SLIP_NOISE] * wheels.slip_sigma**2 * (1.0 - slips**2)
+        )
+        floor = factors[FLOOR] * config.lean_sigma_rad**2 * (1.0 - leans**2)
+        added[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = floor
+        covariance = state.covariance.copy()
+        covariance[:CALIBRATION] = by_state @ covariance[:CALIBRATION]
+        covariance[:, :CALIBRATION] = covariance[:, :CALIBRATION] @ by_state.T
+        covariance[:CALIBRATION, :CALIBRATION] += added.sum(axis=0)
+        wander = (wheels.bias_change_per_sqrt_m * wheels.bias_sigmas) ** 2 * way
+        covariance[_DRIFTING, _DRIFTING] += np.diag(wander)
+        mean = state.mean.copy()
+        mean[:CALIBRATION] = head
+        self._state = replace(
+            state,
+            stamp_ns=stamp_ns,
+            mean=mean,
+            covariance=covariance,
+            by_noise=by_noise + added,
+            scales=scales,
+            way_m=state.way_m + way,
+            seconds=state.seconds + seconds,
+        )
+
+    def observe(self, seen: ImagePoints) -> Update:
+        """Correct the state by the landmarks of one image."""
+        state = self._with_landmarks(self._elapsed(self._state), seen.columns)
+        self._state, update = self._corrected(state, seen)
+        return update
+
+    def _elapsed(self, state: _State) -> _State:
+        """Let the errors of landmarks and mount change by the way and time since the last image."""
+        if not (state.way_m or state.seconds):
+            return state
+        kept, first = float(np.exp(-state.way_m / self._config.map_memory_m)), self._fixed
+        unseen = state.unseen_m + state.way_m
+        mean, covariance = state.mean.copy(), state.covariance.copy()
+        if state.way_m and len(state.landmarks):
+            fresh = (1.0 - kept**2) * self._own[state.landmarks]
+            mean[first:] *= kept
+            covariance[first:] *= kept
+            covariance[:, first:] *= kept
+            places = first + np.arange(3 * len(state.landmarks)).reshape(-1, 3)
+            covariance[places[:, :, None], places[:, None]] += fresh
+        walk = self._config.mount_walk_rad_per_sqrt_s**2 * state.seconds
+        for k in (YAW, ROLL, TILT):
+            # What is given as exact stays.
+            if covariance[k, k] > 0.0:
+                covariance[k, k] += walk
+        return replace(
+            state, mean=mean, covariance=covariance, unseen_m=unseen, way_m=0.0, seconds=0.0
+        )
+
+    def _with_landmarks(self, state: _State, columns: IndexArray) -> _State:
+        """Return the state with the errors of these landmarks, without those that are stale."""
+        present = np.isin(state.landmarks, columns)
+        far = -self._config.map_memory_m * np.log(_STALE)
+        kept = present | (state.unseen_m < far)
+        new = columns[~np.isin(columns, state.landmarks)]
+        excess = int(kept.sum()) + len(new) - _MOST_LANDMARKS
+        if excess > 0:
+            # Those go that were not seen for the longest way.
+            others = np.flatnonzero(kept & ~present)
+            kept[others[np.argsort(-state.unseen_m[others], kind='stable')[:excess]]] = False
+        unseen = np.where(present, 0.0, state.unseen_m)
+        if not len(new) and kept.all():
+            return replace(state, unseen_m=unseen)
+        first = self._fixed
+        rows = np.concatenate(
+            [np.arange(first), first + (3 * np.flatnonzero(kept)[:, None] + [0, 1, 2]).ravel()]
+        )
+        size = len(rows) + 3 * len(new)
+        mean, covariance = np.zeros(size), np.zeros((size, size))
+        mean[: len(rows)] = state.mean[rows]
+        covariance[: len(rows), : len(rows)] = state.covariance[np.ix_(rows, rows)]
+        places = len(rows) + np.arange(3 * len(new)).reshape(-1, 3)
+        covariance[places[:, :, None], places[:, None]] = self._own[new]
+        return replace(
+            state,
+            mean=mean,
+            covariance=covariance,
+            landmarks=np.concatenate([state.landmarks[kept], new]),
+            unseen_m=np.concatenate([unseen[kept], np.zeros(len(new))]),
+        )
+
+    def _corrected(self, state: _State, seen: ImagePoints) -> tuple[_State, Update]:
+        """Iterated update, weights and linearisation together."""
+        rows = 2 if seen.rows else 1
+        count, size = len(seen), len(state.mean)
+        order = np.argsort(state.landmarks)
+        slots = order[np.searchsorted(state.landmarks, seen.columns, sorter=order)]
+        own = self._fixed + 3 * slots[:, None] + np.arange(3)
+        each = np.arange(count)
+        prior, freedom = state.mean, self._config.tail_freedom
+        noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
+        common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2
+        mean, looser = prior, np.ones(count)
+        residual = np.zeros(count * rows)
+        for iteration in range(_ITERATIONS):
+            points = self._positions[seen.columns] + mean[own]
+            points += self._loadings[seen.columns] @ mean[STATES : self._fixed]
+            model = project(mean, points, seen)
+            jacobian = np.zeros((count, 2, size))
+            jacobian[:, :, :STATES] = model.by_state
+            jacobian[:, :, STATES : self._fixed] = model.by_point @ self._loadings[seen.columns]
+            jacobian[each[:, None], :, own] = model.by_point.swapaxes(1, 2)
+            jacobian = jacobian[:, :rows].reshape(count * rows, size)
+            offset = prior - mean
+            offset[2] = wrap_rad(offset[2])
+            innovation = (seen.points - model.points)[:, :rows].ravel() - jacobian @ offset
+            with_state = state.covariance @ jacobian.T
+            by_pan = model.by_pan[:, :rows].ravel()
+            spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
+            # What lies behind the camera says nothing.
+            behind = np.where(model.ahead, 0.0, 1e6)
+            for _ in range(2 if freedom else 1):
+                covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
+                precision = np.linalg.inv(covariance)
+                pull = precision @ innovation
+                blocks = precision.reshape(count, rows, count, rows)[each, :, each]
+                others = np.linalg.inv(blocks)
+                alone = (others @ pull.reshape(count, rows, 1))[..., 0]
+                nominal = others - noise * (looser + behind - 1.0)[:, None, None]
+                squares = np.einsum('mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0])
+                if freedom:
+                    looser = np.maximum((freedom + squares) / (freedom + rows), 1.0)
+            if iteration == 0:
+                residual = innovation
+            after = prior + with_state @ pull
+            after[2] = wrap_rad(after[2])
+            change = np.abs(after[:2] - mean[:2]).max()
+            mean = after
+            if change < _CONVERGED_M:
+                break
+        gain = with_state @ precision
+        corrected = state.covariance - gain @ with_state.T
+        # Parts of the covariance by each noise, for what the noises act on.
+        acted, by_acted = jacobian[:, :CALIBRATION], gain[:CALIBRATION]
+        of_noise = acted @ state.by_noise @ acted.T
+        detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
+        of_noise[DETECTION] += detected
+        scales = learned(state.scales, innovation, covariance, of_noise)
+        left = np.eye(CALIBRATION) - by_acted @ acted
+        by_noise = left @ state.by_noise @ left.T
+        by_noise[DETECTION] += by_acted @ detected @ by_acted.T
+        _, log_determinant = np.linalg.slogdet(covariance)
+        evidence = -0.5 * float(innovation @ pull + log_determinant)
+        pulls = pull.reshape(count, rows, 1)
+        columns = with_state[:3] @ precision
+        separating = columns.reshape(3, count, rows).swapaxes(0, 1) @ others
+        update = Update(
+            seen.columns,
+            residual.reshape(count, rows),
+            nominal,
+            1.0 / (looser + behind),
+            evidence,
+            'none',
+            -(separating @ pulls)[..., 0],
+            separating @ columns.reshape(3, count, rows).transpose(1, 2, 0),
+        )
+        return (
+            replace(
+                state,
+                stamp_ns=max(state.stamp_ns, seen.stamp_ns),
+                mean=mean,
+                covariance=0.5 * (corrected + corrected.T),
+                by_noise=by_noise,
+                scales=scales,
+            ),
+            update,
+        )
+
+
+def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:
+    """A matrix (m d, m d) with blocks (m, d, d) added on its diagonal."""
+    count, size, _ = blocks.shape
+    out = matrix.copy()
+    each = np.arange(count)
+    out.reshape(count, size, count, size)[each, :, each] += blocks
+    return out
