@@ -29,7 +29,7 @@ class EstimatorConfig(Config):
         maximum=1e9,
     )
     tail_freedom: float = parameter(
-        4.0,
+        1.0,
         'Degrees of freedom of the t distribution of detections; 0 has them Gaussian.',
         minimum=0.0,
         maximum=1e6,
@@ -41,7 +41,7 @@ class EstimatorConfig(Config):
         maximum=0.1,
     )
     step_probability: float = parameter(
-        1e-4,
+        1e-6,
         'Share of the images before which the camera was knocked, or the base moved unseen by '
         'the wheels; both are taken to be equally likely.',
         minimum=0.0,
@@ -54,7 +54,7 @@ class EstimatorConfig(Config):
         0.02, 'Sigma of such a motion of the base, m.', minimum=0.0, maximum=10.0
     )
     learning_sigma: float = parameter(
-        1.0,
+        0.5,
         'How far noise may differ from its parameters: sigma of the logarithm of a factor on its '
         'variance. 0 takes it as it is.',
         minimum=0.0,

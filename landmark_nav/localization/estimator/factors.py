@@ -20,9 +20,10 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
 
-__all__ = ['ImagePoints', 'Projection', 'Step', 'moved', 'project']
+__all__ = ['ImagePoints', 'Projection', 'moved', 'project']
 
 # Where each block of the state begins: pose of the base; pitch and roll of the base by an uneven
 # floor; scale, drift and turn scale of the odometry, its side slip and the way lost in turns; the
@@ -267,21 +268,9 @@ def _turning(pans: FloatArray, tilt: float) -> FloatArray:
     return turning
 
 
-class Step(NamedTuple):
+def moved(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
-    Motion between two odometry samples.
-
-    `increment` (3,) is forward [m], left [m] and turn [rad] in the frame of the base before;
-    `seconds` the time it took.
-    """
-
-    increment: FloatArray
-    seconds: float
-
-
-def moved(state: FloatArray, step: Step) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """
-    Return the state (CALIBRATION,) after a step, with its derivatives.
+    Return the state (CALIBRATION,) after a motion that the wheels measured, with its derivatives.
 
     Returns
     -------
@@ -293,7 +282,7 @@ def moved(state: FloatArray, step: Step) -> tuple[FloatArray, FloatArray, FloatA
         Derivative of the pose by the motion.
 
     """
-    forward, left, turn = step.increment.tolist()
+    forward, left, turn = motion.increment.tolist()
     x, y, heading = state[:3].tolist()
     scale, drift, turn_scale, slip, loss = state[SCALE:CALIBRATION].tolist()
     ahead = (1.0 + scale) * forward - loss * abs(turn)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, NAMES
@@ -29,7 +30,6 @@ from landmark_nav.localization.estimator.factors import (
     SCALE,
     SLIP,
     STATES,
-    Step,
     TILT,
     TURN_LOSS,
     YAW,
@@ -41,10 +41,14 @@ from landmark_nav.localization.estimator.noise import (
     NOISES,
     NoiseScales,
     SLIP_NOISE,
-    TURNS,
-    WAY,
 )
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import (
+    blind_variances,
+    jitter_variances,
+    Motion,
+    OdometryNoiseConfig,
+    sensed_variances,
+)
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['JointFilter', 'Update']
@@ -55,6 +59,8 @@ _ITERATIONS, _CONVERGED_M = 5, 1e-4
 _STALE = 0.05
 # At most so many landmarks have errors in the state: the cost of an update grows with them.
 _MOST_LANDMARKS = 60
+# An image is a surprise if it is less likely than this.
+_SURPRISE = 1e-3
 _DRIFTING = slice(SCALE, SLIP)
 
 
@@ -83,16 +89,17 @@ class Update(NamedTuple):
     columns : ndarray of int, shape (m,)
         Landmarks that were used.
     residual : ndarray, shape (m, d)
-        Measured minus predicted before the update.
+        Measured minus predicted from all before and from the others of the image.
     covariance : ndarray, shape (m, d, d)
         Of each residual, with the nominal noise of the detection.
     weight : ndarray, shape (m,)
         1 for an inlier, near 0 for an outlier.
     log_evidence : float
         Log density of the image given all before.
-    step : str
-        ``none``; or ``knock`` where the image is taken to follow a turn of camera or base that
-        the wheels did not measure.
+    surprising : bool
+        Whether it hardly fits what was expected, all together.
+    stepped : bool
+        Whether camera or base is taken to have been turned before it, unseen by the wheels.
     separation : ndarray, shape (m, 3)
         By how much the pose would change if that landmark were left out.
     without : ndarray, shape (m, 3, 3)
@@ -105,7 +112,8 @@ class Update(NamedTuple):
     covariance: FloatArray
     weight: FloatArray
     log_evidence: float
-    step: str
+    surprising: bool
+    stepped: bool
     separation: FloatArray
     without: FloatArray
 
@@ -161,9 +169,7 @@ class JointFilter:
         by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
         none = np.empty(0, dtype=np.intp)
         scales = NoiseScales.unknown(self._config.learning_sigma)
-        self._state = _State(
-            start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0)
-        )
+        self._state = _State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
 
     @property
     def estimate(self) -> PoseEstimate:
@@ -176,7 +182,9 @@ class JointFilter:
         """The calibration as far as it is known by now."""
         mine = slice(CALIBRATION, STATES)
         return Calibration(
-            self._state.mean[mine].copy(), self._state.covariance[mine, mine].copy(), self._prior.base
+            self._state.mean[mine].copy(),
+            self._state.covariance[mine, mine].copy(),
+            self._prior.base,
         )
 
     @property
@@ -193,32 +201,25 @@ class JointFilter:
         """Go back to a snapshot."""
         self._state = snapshot
 
-    def move(self, stamp_ns: int, step: Step) -> None:
+    def move(self, stamp_ns: int, motion: Motion) -> None:
         """Move on by odometry."""
         state, wheels, config = self._state, self._odometry, self._config
-        forward, left, turn = step.increment.tolist()
-        way, seconds = float(np.hypot(forward, left)), step.seconds
+        way = float(np.hypot(motion.increment[0], motion.increment[1]))
         scales = state.scales.moved(way)
         factors = scales.factors
-        head, by_state, by_motion = moved(state.mean, step)
+        head, by_state, by_motion = moved(state.mean, motion)
         head[2] = wrap_rad(head[2])
-        slips, leans = np.exp(-way / np.array([wheels.slip_length_m, config.lean_length_m])).tolist()
+        slips, leans = np.exp(
+            -way / np.array([wheels.slip_length_m, config.lean_length_m])
+        ).tolist()
         head[SLIP] *= slips
         head[LEAN:SCALE] *= leans
         by_state[SLIP, SLIP] = slips
         by_state[LEAN, LEAN] = by_state[LEAN + 1, LEAN + 1] = leans
-        rest, rest_turn = wheels.floor_m_per_sqrt_s**2, wheels.floor_rad_per_sqrt_s**2
-        of_way = np.array(
-            [
-                wheels.along_m_per_sqrt_m**2 * way + rest * seconds,
-                wheels.across_m_per_sqrt_m**2 * way + rest * seconds,
-                wheels.turn_rad_per_sqrt_m**2 * way + rest_turn * seconds,
-            ]
-        )
         by_noise = by_state @ state.by_noise @ by_state.T
         added = np.zeros_like(by_noise)
-        added[WAY, :3, :3] = factors[WAY] * (by_motion * of_way) @ by_motion.T
-        added[TURNS, 2, 2] = factors[TURNS] * wheels.turn_rad_per_sqrt_rad**2 * abs(turn)
+        sensed = factors[:SLIP_NOISE, None] * sensed_variances(motion, wheels)
+        added[:SLIP_NOISE, :3, :3] = (by_motion * sensed[:, None]) @ by_motion.T
         added[SLIP_NOISE, SLIP, SLIP] = (
             factors[SLIP_NOISE] * wheels.slip_sigma**2 * (1.0 - slips**2)
         )
@@ -228,6 +229,11 @@ class JointFilter:
         covariance[:CALIBRATION] = by_state @ covariance[:CALIBRATION]
         covariance[:, :CALIBRATION] = covariance[:, :CALIBRATION] @ by_state.T
         covariance[:CALIBRATION, :CALIBRATION] += added.sum(axis=0)
+        unseen = blind_variances(motion, wheels)
+        if not state.seconds:
+            # Later, the jitter of a pose is taken back by the next.
+            unseen = unseen + jitter_variances(motion)
+        covariance[:3, :3] += (by_motion * unseen) @ by_motion.T
         wander = (wheels.bias_change_per_sqrt_m * wheels.bias_sigmas) ** 2 * way
         covariance[_DRIFTING, _DRIFTING] += np.diag(wander)
         mean = state.mean.copy()
@@ -240,14 +246,30 @@ class JointFilter:
             by_noise=by_noise + added,
             scales=scales,
             way_m=state.way_m + way,
-            seconds=state.seconds + seconds,
+            seconds=state.seconds + motion.seconds,
         )
 
     def observe(self, seen: ImagePoints) -> Update:
         """Correct the state by the landmarks of one image."""
-        state = self._with_landmarks(self._elapsed(self._state), seen.columns)
-        self._state, update = self._corrected(state, seen)
+        prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
+        after, update = self._corrected(prior, seen)
+        if self._config.step_probability and update.surprising:
+            freed, alternative = self._corrected(self._stepped(prior), seen)
+            odds = self._config.step_probability / (1.0 - self._config.step_probability)
+            if alternative.log_evidence + np.log(odds) > update.log_evidence:
+                after, update = freed, alternative._replace(stepped=True)
+        self._state = after
         return update
+
+    def _stepped(self, state: _State) -> _State:
+        """Return the state when camera or base may have been turned, not measured by the wheels."""
+        covariance, config = state.covariance.copy(), self._config
+        covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
+        for k in (2, YAW, ROLL, TILT):
+            # What is given as exact stays.
+            if covariance[k, k] > 0.0:
+                covariance[k, k] += config.step_sigma_rad**2
+        return replace(state, covariance=covariance)
 
     def _elapsed(self, state: _State) -> _State:
         """Let the errors of landmarks and mount change by the way and time since the last image."""
@@ -316,8 +338,7 @@ class JointFilter:
         noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
         common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2
         mean, looser = prior, np.ones(count)
-        residual = np.zeros(count * rows)
-        for iteration in range(_ITERATIONS):
+        for _ in range(_ITERATIONS):
             points = self._positions[seen.columns] + mean[own]
             points += self._loadings[seen.columns] @ mean[STATES : self._fixed]
             model = project(mean, points, seen)
@@ -342,11 +363,11 @@ class JointFilter:
                 others = np.linalg.inv(blocks)
                 alone = (others @ pull.reshape(count, rows, 1))[..., 0]
                 nominal = others - noise * (looser + behind - 1.0)[:, None, None]
-                squares = np.einsum('mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0])
+                squares = np.einsum(
+                    'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
+                )
                 if freedom:
                     looser = np.maximum((freedom + squares) / (freedom + rows), 1.0)
-            if iteration == 0:
-                residual = innovation
             after = prior + with_state @ pull
             after[2] = wrap_rad(after[2])
             change = np.abs(after[:2] - mean[:2]).max()
@@ -365,17 +386,22 @@ class JointFilter:
         by_noise = left @ state.by_noise @ left.T
         by_noise[DETECTION] += by_acted @ detected @ by_acted.T
         _, log_determinant = np.linalg.slogdet(covariance)
-        evidence = -0.5 * float(innovation @ pull + log_determinant)
+        square = float(innovation @ pull)
+        evidence = -0.5 * (square + log_determinant)
+        if freedom:
+            # Of the weights, each a gamma variable.
+            evidence -= 0.5 * freedom * float(np.sum(np.log(looser) + 1.0 / looser))
         pulls = pull.reshape(count, rows, 1)
         columns = with_state[:3] @ precision
         separating = columns.reshape(3, count, rows).swapaxes(0, 1) @ others
         update = Update(
             seen.columns,
-            residual.reshape(count, rows),
+            alone,
             nominal,
             1.0 / (looser + behind),
-            evidence,
-            'none',
+            float(evidence),
+            square > chi2.isf(_SURPRISE, count * rows),
+            False,
             -(separating @ pulls)[..., 0],
             separating @ columns.reshape(3, count, rows).transpose(1, 2, 0),
         )
