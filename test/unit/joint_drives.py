@@ -1,9 +1,10 @@
-"""Drives whose truth is known: a room of points, wheels and a panning camera, drawn as modelled."""
+"""Drives whose truth is known: points in a room, wheels and a panning camera, as modelled."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,24 +16,28 @@ from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
     ImagePoints,
-    LEAN,
     project,
-    STATES,
 )
 from landmark_nav.localization.estimator.filter import JointFilter, Update
-from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import (
+    Motion,
+    OdometryNoiseConfig,
+    sensed_variances,
+)
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
 
 NS = 10**9
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
-# Half of what a camera sees across and down, over the focal length.
-HALF_ACROSS, HALF_DOWN = 0.46, 0.46
+# Half of what the camera sees, over the focal length; at most so many landmarks are found.
+HALF_VIEW, MOST = 0.46, 8
+# Odometry comes with this period, every fourth time with an image.
+PERIOD_S, IMAGE_EVERY = 0.05, 4
 START_SIGMA = np.array([0.03, 0.03, 0.02])
 
 
 @dataclass
 class Drive:
-    """What happened: the map as learned, a prior, images and steps by time, poses at the images."""
+    """The map as learned, prior and truth, images and motions by time, poses at the images."""
 
     landmark_map: LandmarkMap
     prior: Calibration
@@ -43,9 +48,8 @@ class Drive:
 
 
 def point_map(rng: np.random.Generator, count: int = 40, sigma_m: float = 0.002) -> LandmarkMap:
-    """Landmarks on the walls of a room of 6 x 4 m, with errors of their own and two shared ones."""
-    along, wall = rng.uniform(0.3, 0.7, count), rng.integers(0, 4, count)
-    along = rng.uniform(0.05, 0.95, count)
+    """Landmarks on the walls of a room of 6 x 4 m, with own errors and two that they share."""
+    along, wall = rng.uniform(0.05, 0.95, count), rng.integers(0, 4, count)
     x = np.choose(wall, [6 * along, np.full(count, 6.0), 6 * along, np.zeros(count)])
     y = np.choose(wall, [np.zeros(count), 4 * along, np.full(count, 4.0), 4 * along])
     z = rng.uniform(0.5, 2.0, count)
@@ -73,101 +77,82 @@ def simulated(
     seed: int,
     prior: Calibration | None = None,
     true: Calibration | None = None,
-    config: EstimatorConfig | None = None,
-    odometry: OdometryNoiseConfig | None = None,
     seconds: float = 40.0,
     pixel_sigma: float = 2e-4,
     noise: float = 1.0,
     outliers: float = 0.0,
-    most: int = 8,
+    map_sigma_m: float = 0.002,
 ) -> Drive:
-    """Draw a drive; `noise` 0 leaves out all of it."""
+    """Draw a drive by the default noise of floor and wheels; `noise` 0 leaves out all of it."""
     rng = np.random.default_rng(seed)
-    config, odometry = config or EstimatorConfig(), odometry or OdometryNoiseConfig()
+    config, wheels = EstimatorConfig(), OdometryNoiseConfig()
     prior = prior or Calibration.exact(MOUNT)
     true = true or (drawn_calibration(rng, prior) if noise else prior)
-    learned = point_map(rng)
-    factors = noise * rng.normal(size=2)
-    own = noise * rng.normal(0.0, 0.002, (len(learned.landmarks), 3))
-    shared = learned.shared_loadings @ factors
-    state = np.zeros(STATES)
-    state[CALIBRATION:] = true.values
-    rate, images_every = 0.05, 4
-    pose, slip, lean = np.array([1.5, 1.0, 0.0]), 0.0, np.zeros(2)
-    biases = noise * odometry.bias_sigmas * rng.normal(size=3)
+    learned = point_map(rng, sigma_m=map_sigma_m)
+    shape = learned.positions.shape
+    shared = noise * learned.shared_loadings @ rng.normal(size=2)
+    own = noise * map_sigma_m * rng.normal(size=shape)
+    scale, drift, turn_scale = noise * wheels.bias_sigmas * rng.normal(size=3)
+    slip, lean = wheels.slip_sigma * rng.normal(), config.lean_sigma_rad * rng.normal(size=2)
+    pose = np.array([1.5, 1.0, 0.0])
     start = pose + noise * START_SIGMA * rng.normal(size=3)
     drive = Drive(learned, prior, true, PoseEstimate(0, start, np.diag(START_SIGMA**2)))
-    slip = noise * odometry.slip_sigma * rng.normal()
-    lean = noise * config.lean_sigma_rad * rng.normal(size=2)
-    way_since = 0.0
-    for tick in range(1, round(seconds / rate)):
-        # A curve of eight in the middle of the room, led by the true pose.
-        goal = np.array([3.0, 2.0]) + [
-            1.6 * np.sin(0.16 * tick * rate),
-            0.9 * np.sin(0.32 * tick * rate),
-        ]
-        toward = goal - pose[:2]
-        bend = float(wrap_rad(np.arctan2(toward[1], toward[0]) - pose[2]))
-        speed = 0.35 if np.hypot(*toward) > 0.1 else 0.0
-        forward, turn = (
-            speed * rate * max(np.cos(bend), 0.2),
-            float(np.clip(1.5 * bend, -0.8, 0.8)) * rate,
-        )
-        measured = np.array([forward, 0.0, turn])
-        way = forward
-        ahead = (1 + biases[0]) * forward
-        variance = np.array(
-            [
-                odometry.along_m_per_sqrt_m**2 * way + odometry.floor_m_per_sqrt_s**2 * rate,
-                odometry.across_m_per_sqrt_m**2 * way + odometry.floor_m_per_sqrt_s**2 * rate,
-                odometry.turn_rad_per_sqrt_m**2 * way
-                + odometry.floor_rad_per_sqrt_s**2 * rate
-                + odometry.turn_rad_per_sqrt_rad**2 * abs(turn),
-            ]
-        )
-        motion = np.array([ahead, slip * forward, (1 + biases[2]) * turn + biases[1] * forward])
-        pose = compose(pose, motion + noise * np.sqrt(variance) * rng.normal(size=3))
-        kept = np.exp(-way / odometry.slip_length_m)
-        slip = kept * slip + noise * odometry.slip_sigma * np.sqrt(1 - kept**2) * rng.normal()
-        kept = np.exp(-way / config.lean_length_m)
-        lean = kept * lean + noise * config.lean_sigma_rad * np.sqrt(1 - kept**2) * rng.normal(
-            size=2
-        )
-        kept = np.exp(-way / config.map_memory_m)
-        own = kept * own + noise * 0.002 * np.sqrt(1 - kept**2) * rng.normal(size=own.shape)
-        drive.events.append(Motion(measured, rate))
-        if tick % images_every:
+    for tick in range(1, round(seconds / PERIOD_S)):
+        step = _toward_eight(tick * PERIOD_S, pose)
+        forward, _, turn = step.increment
+        motion = [(1 + scale) * forward, slip * forward, (1 + turn_scale) * turn + drift * forward]
+        spread = np.sqrt(sensed_variances(step, wheels).sum(axis=0))
+        pose = compose(pose, motion + noise * spread * rng.normal(size=3))
+
+        def walked(
+            value: Any, sigma: float, length_m: float, way_m: float = float(forward)
+        ) -> Any:
+            """Value of a Gauss-Markov process, a way later."""
+            kept = np.exp(-way_m / length_m)
+            return kept * value + sigma * np.sqrt(1 - kept**2) * rng.normal(size=np.shape(value))
+
+        slip = walked(slip, noise * wheels.slip_sigma, wheels.slip_length_m)
+        lean = walked(lean, noise * config.lean_sigma_rad, config.lean_length_m)
+        own = walked(own, noise * map_sigma_m, config.map_memory_m)
+        drive.events.append(step)
+        if tick % IMAGE_EVERY:
             continue
-        stamp = tick * round(rate * NS)
-        # The camera looks to and fro, at speeds that differ.
-        seconds_now = tick * rate
-        pan = 2.0 * np.sin(0.5 * seconds_now)
-        pan_rate = np.cos(0.5 * seconds_now)
-        state[:3], state[LEAN : LEAN + 2] = pose, lean
-        count = len(learned.landmarks)
-        blank = ImagePoints(
-            stamp, np.arange(count), np.zeros((count, 2)), np.zeros((count, 2, 2)),
-            np.full(count, pan), 0.0, pan_rate,
-        )  # fmt: skip
+        state = np.concatenate([pose, noise * lean, np.zeros(CALIBRATION - 5), true.values])
+        blank = _panned(tick * PERIOD_S, len(learned.landmarks), pixel_sigma)
         off = noise * rng.normal(0.0, true.base.pan_sigma_rad)
-        points = learned.positions + shared + own
-        model = project(state, points, replace(blank, pan_rad=blank.pan_rad + off))
-        inside = model.ahead & (np.abs(model.points) < [HALF_ACROSS, HALF_DOWN]).all(axis=1)
-        chosen = rng.permutation(np.flatnonzero(inside))[:most]
-        seen = model.points[chosen] + noise * pixel_sigma * rng.normal(size=(len(chosen), 2))
-        wrong = rng.random(len(chosen)) < outliers
-        seen[wrong] += rng.uniform(-0.1, 0.1, (int(wrong.sum()), 2))
-        drive.poses.append(pose.copy())
-        drive.events.append(
-            replace(
-                blank.chosen(np.isin(np.arange(count), [])),
-                columns=chosen,
-                points=seen,
-                covariance=np.tile(pixel_sigma**2 * np.eye(2), (len(chosen), 1, 1)),
-                pan_rad=np.full(len(chosen), pan),
-            )
+        model = project(
+            state, learned.positions + shared + own, replace(blank, pan_rad=blank.pan_rad + off)
         )
+        inside = model.ahead & (np.abs(model.points) < HALF_VIEW).all(axis=1)
+        chosen = np.isin(np.arange(len(inside)), rng.permutation(np.flatnonzero(inside))[:MOST])
+        points = model.points + noise * pixel_sigma * rng.normal(size=model.points.shape)
+        wrong = rng.random(len(points)) < outliers
+        points[wrong] += rng.uniform(-0.1, 0.1, (int(wrong.sum()), 2))
+        drive.poses.append(pose.copy())
+        drive.events.append(replace(blank, points=points).chosen(chosen))
     return drive
+
+
+def _toward_eight(seconds: float, pose: FloatArray) -> Motion:
+    """Motion of a robot that follows a point on a curve of eight."""
+    goal = [3.0 + 1.6 * np.sin(0.16 * seconds), 2.0 + 0.9 * np.sin(0.32 * seconds)]
+    toward = goal - pose[:2]
+    bend = float(wrap_rad(np.arctan2(toward[1], toward[0]) - pose[2]))
+    forward = 0.35 * max(np.cos(bend), 0.2) if np.hypot(*toward) > 0.1 else 0.0
+    turn = np.clip(1.5 * bend, -0.8, 0.8)
+    return Motion(PERIOD_S * np.array([forward, 0.0, turn]), PERIOD_S)
+
+
+def _panned(seconds: float, count: int, sigma: float) -> ImagePoints:
+    """An image of a camera that looks to and fro, without its points."""
+    return ImagePoints(
+        round(seconds * NS),
+        np.arange(count),
+        np.zeros((count, 2)),
+        np.tile(max(sigma, 1e-9) ** 2 * np.eye(2), (count, 1, 1)),
+        np.full(count, 2.0 * np.sin(0.5 * seconds)),
+        pan_rate_rad_s=np.cos(0.5 * seconds),
+    )
 
 
 @dataclass

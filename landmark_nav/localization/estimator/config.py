@@ -29,7 +29,7 @@ class EstimatorConfig(Config):
         maximum=1e9,
     )
     tail_freedom: float = parameter(
-        1.0,
+        2.0,
         'Degrees of freedom of the t distribution of detections; 0 has them Gaussian.',
         minimum=0.0,
         maximum=1e6,

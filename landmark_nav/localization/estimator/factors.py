@@ -1,10 +1,10 @@
 """
 What images and wheels measure, as functions of the state, with analytic derivatives.
 
-A detection is a point of the normalised image plane (x/z to the right, y/z down), seen through the
-lens as it is calibrated. The model has all that may be off between the map and that point: pose and
-lean of the base, mount, pan, focal length, principal point, joint delay. A measured bearing is the
-same with a camera that looks along it.
+A detection is a point of the normalised image plane (x/z to the right, y/z down), seen through
+the lens as it is calibrated. The model has all that may be off between the map and that point:
+pose and lean of the base, mount, pan, focal length, principal point, joint delay. A measured
+bearing is the same with a camera that looks along it.
 """
 
 from __future__ import annotations
@@ -180,10 +180,7 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     """
     Return where points (m, 3) in map are seen, for the first STATES of a state.
 
-    Raises
-    ------
-    Nothing: points behind the camera are marked in `ahead`, and their values are finite.
-
+    Points behind the camera are marked in `ahead`; their values are finite.
     """
     x, y, heading, pitch, lean = state[:5].tolist()
     pans, by_delay = seen.pans(float(state[DELAY]))

@@ -2,22 +2,24 @@
 The joint estimator: pose, odometry, calibration, map and landmark errors in one state.
 
 An iterated extended Kalman filter whose detections have the tails of a t distribution (iterated
-weights: Lange, Little and Taylor, JASA 84(408), 1989). What all landmarks of the map share is part
-of the state; what each is off by itself joins the state when it is first seen, is a first-order
-Gauss-Markov process over the way, as it changes with the viewpoint, and leaves the state when it is
-forgotten. So repeated detections never make the pose more certain than the map allows.
+weights: Lange, Little and Taylor, JASA 84(408), 1989). What all landmarks of the map share is
+part of the state. What each is off by itself joins the state when it is first seen, is a
+first-order Gauss-Markov process over the way, as it changes with the viewpoint, and leaves the
+state when it is forgotten. So repeated detections never make the pose more certain than the map
+allows.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
@@ -59,6 +61,11 @@ _ITERATIONS, _CONVERGED_M = 5, 1e-4
 _STALE = 0.05
 # At most so many landmarks have errors in the state: the cost of an update grows with them.
 _MOST_LANDMARKS = 60
+# Iterations of the weights, and the relative change of all that ends them.
+_WEIGHINGS, _SAME_WEIGHT = 10, 0.3
+# A turn of the camera or base explains two landmarks whatever they show: more must agree on it,
+# with at least this weight.
+_WITNESSES, _INLIER = 3, 0.3
 # An image is a surprise if it is less likely than this.
 _SURPRISE = 1e-3
 _DRIFTING = slice(SCALE, SLIP)
@@ -86,6 +93,8 @@ class Update(NamedTuple):
 
     Parameters
     ----------
+    stamp_ns : int
+        Of the image.
     columns : ndarray of int, shape (m,)
         Landmarks that were used.
     residual : ndarray, shape (m, d)
@@ -107,6 +116,7 @@ class Update(NamedTuple):
 
     """
 
+    stamp_ns: int
     columns: IndexArray
     residual: FloatArray
     covariance: FloatArray
@@ -250,19 +260,32 @@ class JointFilter:
         )
 
     def observe(self, seen: ImagePoints) -> Update:
-        """Correct the state by the landmarks of one image."""
+        """
+        Correct the state by the landmarks of one image.
+
+        What is no measurement is left out: values that are not finite, landmarks that the map does
+        not hold, and a second detection of a landmark.
+        """
+        seen = _usable(seen, len(self._positions))
+        if not len(seen):
+            self._state = replace(self._state, stamp_ns=max(self._state.stamp_ns, seen.stamp_ns))
+            return _nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
         if self._config.step_probability and update.surprising:
             freed, alternative = self._corrected(self._stepped(prior), seen)
             odds = self._config.step_probability / (1.0 - self._config.step_probability)
-            if alternative.log_evidence + np.log(odds) > update.log_evidence:
+            agree = int(np.sum(alternative.weight > _INLIER))
+            if (
+                agree >= _WITNESSES
+                and alternative.log_evidence + np.log(odds) > update.log_evidence
+            ):
                 after, update = freed, alternative._replace(stepped=True)
         self._state = after
         return update
 
     def _stepped(self, state: _State) -> _State:
-        """Return the state when camera or base may have been turned, not measured by the wheels."""
+        """Return the state where camera or base may have been turned, unseen by the wheels."""
         covariance, config = state.covariance.copy(), self._config
         covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
         for k in (2, YAW, ROLL, TILT):
@@ -272,7 +295,7 @@ class JointFilter:
         return replace(state, covariance=covariance)
 
     def _elapsed(self, state: _State) -> _State:
-        """Let the errors of landmarks and mount change by the way and time since the last image."""
+        """Let errors of landmarks and mount change by the way and time since the last image."""
         if not (state.way_m or state.seconds):
             return state
         kept, first = float(np.exp(-state.way_m / self._config.map_memory_m)), self._fixed
@@ -355,7 +378,7 @@ class JointFilter:
             spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
             # What lies behind the camera says nothing.
             behind = np.where(model.ahead, 0.0, 1e6)
-            for _ in range(2 if freedom else 1):
+            for _ in range(_WEIGHINGS):
                 covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
                 precision = np.linalg.inv(covariance)
                 pull = precision @ innovation
@@ -366,8 +389,11 @@ class JointFilter:
                 squares = np.einsum(
                     'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
                 )
-                if freedom:
-                    looser = np.maximum((freedom + squares) / (freedom + rows), 1.0)
+                if not freedom:
+                    break
+                before, looser = looser, np.maximum((freedom + squares) / (freedom + rows), 1.0)
+                if np.abs(looser / before - 1.0).max() < _SAME_WEIGHT:
+                    break
             after = prior + with_state @ pull
             after[2] = wrap_rad(after[2])
             change = np.abs(after[:2] - mean[:2]).max()
@@ -395,12 +421,13 @@ class JointFilter:
         columns = with_state[:3] @ precision
         separating = columns.reshape(3, count, rows).swapaxes(0, 1) @ others
         update = Update(
+            seen.stamp_ns,
             seen.columns,
             alone,
             nominal,
             1.0 / (looser + behind),
             float(evidence),
-            square > chi2.isf(_SURPRISE, count * rows),
+            square > _surprise(count * rows),
             False,
             -(separating @ pulls)[..., 0],
             separating @ columns.reshape(3, count, rows).transpose(1, 2, 0),
@@ -416,6 +443,44 @@ class JointFilter:
             ),
             update,
         )
+
+
+def _usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
+    """Return those detections that can be used."""
+    with np.errstate(invalid='ignore'):
+        variance = np.diagonal(seen.covariance, axis1=1, axis2=2)
+        good = (seen.columns >= 0) & (seen.columns < landmarks) & np.isfinite(seen.pan_rad)
+        good &= np.isfinite(seen.points).all(axis=1)
+        good &= np.isfinite(seen.covariance).all(axis=(1, 2)) & (variance > 0.0).all(axis=1)
+    first = np.zeros(len(seen), dtype=np.bool_)
+    first[np.unique(seen.columns, return_index=True)[1]] = True
+    good &= first
+    shared = np.array([seen.tilt_rad, seen.pan_rate_rad_s, seen.pan_sigma_rad])
+    good &= np.isfinite(shared).all()
+    return seen if good.all() else seen.chosen(good)
+
+
+def _nothing(seen: ImagePoints) -> Update:
+    rows = 2 if seen.rows else 1
+    none = np.empty(0)
+    return Update(
+        seen.stamp_ns,
+        seen.columns,
+        none.reshape(0, rows),
+        none.reshape(0, rows, rows),
+        none,
+        0.0,
+        False,
+        False,
+        none.reshape(0, 3),
+        none.reshape(0, 3, 3),
+    )
+
+
+@lru_cache
+def _surprise(count: int) -> float:
+    """Squared innovation, normalised, of so many numbers that is a surprise."""
+    return float(chi2.isf(_SURPRISE, count))
 
 
 def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:

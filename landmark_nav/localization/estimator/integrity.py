@@ -1,9 +1,9 @@
 """
 Whether the pose is right, and how wrong it may be.
 
-One likelihood ratio compares what an image shows with what it should show if the pose is right, and
-with what it would show by chance if it is wrong. It is summed over the images (a sequential test:
-Wald, Sequential Analysis, 1947), and bounded, so that it stays quick to change its mind.
+One likelihood ratio compares what an image shows with what it should show if the pose is right,
+and with what it would show by chance if it is wrong. It is summed over the images (a sequential
+test: Wald, Sequential Analysis, 1947), and bounded, so that it stays quick to change.
 
 The protection level is what the error stays within, with 99 %: by the covariance, and by the pose
 without any one landmark, as one in some is wrong (solution separation: Blanch et al., Baseline
@@ -42,7 +42,7 @@ _RISK = 0.01
 # Probability that one given landmark of an image is wrong for long.
 _LANDMARK_RISK = 0.05
 # What the noise models leave out, as a factor on sigmas.
-_MODEL = 1.25
+_MODEL = 1.1
 _POSITION = _MODEL * float(np.sqrt(chi2.isf(_RISK, 2)))
 _HEADING = _MODEL * float(norm.isf(0.5 * _RISK))
 _POSITION_WITHOUT = _MODEL * float(np.sqrt(chi2.isf(_RISK / _LANDMARK_RISK, 2)))
