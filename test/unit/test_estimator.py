@@ -129,7 +129,10 @@ def test_recovers_the_pose_without_noise() -> None:
     drive.start = replace(drive.start, pose=pose)
     floor = EstimatorConfig(lean_sigma_rad=0.0)
     run = driven(drive, floor, prior=replace(exactly, base=replace(MOUNT, pan_sigma_rad=0.0)))
-    assert np.abs(run.errors[8:]).max() < 1e-6
+    images = [event for event in drive.events if isinstance(event, ImagePoints)]
+    fixed = np.array([len(seen) >= 3 for seen in images])
+    assert fixed.sum() > 10
+    assert np.abs(run.errors[fixed][3:]).max() < 1e-6
 
 
 def test_what_is_exact_never_changes() -> None:

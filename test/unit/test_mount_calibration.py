@@ -72,7 +72,7 @@ def test_survives_its_file(tmp_path: Path) -> None:
         ({'camera_tilt': 12.0}, 'camera_tilt'),
         ({'camera_roll_sigma': -0.1}, 'camera_roll_sigma'),
         ({'joint_delay_sigma': float('inf')}, 'joint_delay_sigma'),
-        ({'joint_delay_sigma': [0.1]}, 'joint_delay_sigma'),
+        ({'joint_delay_sigma': [0.1, 0.2]}, 'joint_delay_sigma'),
         ({'joint_delay_sigma': True}, 'joint_delay_sigma'),
         ({'joint_delay_sigma': None}, 'joint_delay_sigma'),
         ({'focal_scale_sigma': 20.0}, 'focal_scale_sigma'),
