@@ -29,7 +29,7 @@ from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.whole import check_writable, write_whole
 from landmark_nav.types import LandmarkMap
 
@@ -115,7 +115,8 @@ def run(args: argparse.Namespace) -> int:
     folder = args.out or (args.json or args.report or Path('x')).parent
     figures = [folder / name for name in _FIGURES.values()]
     check_writable(*figures, args.json, args.report, args.tum and args.tum / 'fused.tum')
-    mount, landmarks = load_robot(args.robot), load_map(args.map)
+    calibration, landmarks = load_calibration(args.robot), load_map(args.map)
+    mount = calibration.mount
     start, covariance = _start(args, landmarks)
     if not landmarks.landmarks:
         raise LandmarkNavError(f'{args.map}: the map holds no landmark: learn it again')
@@ -129,13 +130,14 @@ def run(args: argparse.Namespace) -> int:
     def localized(joint_delay_s: float, fusion: FusionConfig) -> Replay:
         events = progress(sensor_events(bag, mount, joint_delay_s), 'localizing', total)
         known = replace(config, fusion=fusion)
-        return replay(events, landmarks, mount, known, start, covariance)
+        return replay(events, landmarks, mount, known, start, covariance, calibration)
 
     done = localized(0.0, config.fusion)
     learned = replace(config, odometry=done.odometry_noise)
     offsets = camera_offsets(done, landmarks, mount, learned)
     delay_s = 0.0
-    if offsets.delay_matters:
+    # The joint estimator has taken the delay into account.
+    if offsets.delay_matters and config.estimator == 'filter':
         # What was measured is not known exactly.
         sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
         fusion = replace(config.fusion, delay_sigma_s=sigma_s)
@@ -160,6 +162,8 @@ def run(args: argparse.Namespace) -> int:
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report(done, errors, landmarks, mount, learned)
     report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
+    if done.calibration is not None:
+        report['calibration'] = done.calibration.differences(calibration)
     smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)

@@ -106,7 +106,7 @@ def test_a_bearing_is_seen_by_a_camera_that_looks_along_it() -> None:
     state = np.concatenate([[0.5, 0.2, 0.3], np.zeros(CALIBRATION - 3), TAPE.values])
     axis = state[:2] + [0.08 * np.cos(0.3), 0.08 * np.sin(0.3)]
     bearing = np.arctan2(*(POINTS[:, :2] - axis).T[::-1]) - 0.3
-    seen = ImagePoints.of_bearings(0, np.arange(4), bearing, np.full(4, 1e-6))
+    seen = ImagePoints.of_bearings(0, np.arange(4), bearing, np.full(4, 1e-6), MOUNT)
     assert project(state, POINTS, seen).points[:, 0] == pytest.approx(0.0, abs=1e-12)
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import NAMES
-from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
@@ -124,9 +124,10 @@ class ImagePoints:
         columns: IndexArray,
         bearing_base_rad: FloatArray,
         variance_rad2: FloatArray,
+        mount: PanTiltMount,
         pan_sigma_rad: float = 0.0,
     ) -> ImagePoints:
-        """Return those of bearings (m,) at the pan axis, that some other sensor measured."""
+        """Return those of bearings (m,) at the pan axis, that were measured with this mount."""
         count = len(columns)
         covariance = np.zeros((count, 2, 2))
         covariance[:, 0, 0], covariance[:, 1, 1] = variance_rad2, 1.0
@@ -135,7 +136,7 @@ class ImagePoints:
             columns,
             np.zeros((count, 2)),
             covariance,
-            np.asarray(bearing_base_rad, dtype=np.float64),
+            mount.pan_toward_rad(bearing_base_rad),
             pan_sigma_rad=pan_sigma_rad,
             rows=False,
         )

@@ -19,11 +19,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
+    DELAY,
     ImagePoints,
     LEAN,
     moved,
@@ -157,7 +158,7 @@ class JointFilter:
     ) -> None:
         self._config = config or EstimatorConfig()
         self._odometry = odometry or OdometryNoiseConfig()
-        self._prior = calibration
+        self._prior, self._map = calibration, landmark_map
         self._positions, self._loadings = landmark_map.positions, landmark_map.shared_loadings
         self._own = landmark_map.covariances - self._loadings @ self._loadings.swapaxes(1, 2)
         self._fixed = STATES + self._loadings.shape[2]
@@ -186,6 +187,64 @@ class JointFilter:
         """Pose of the base in map."""
         state = self._state
         return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), state.covariance[:3, :3].copy())
+
+    @property
+    def camera(self) -> PoseEstimate:
+        """
+        Pose of the base as the camera sees it: by how much landmarks may be off in the next image.
+
+        Position and heading are those of the base; the covariance is that of the pan axis, in the
+        direction of the camera, so that errors of heading and pan zero that cancel are left out.
+        """
+        state = self._state
+        x, y = state.mean[CALIBRATION : CALIBRATION + 2].tolist()
+        c, s = np.cos(state.mean[2]), np.sin(state.mean[2])
+        rows = np.zeros((3, STATES))
+        rows[:, :3] = np.eye(3)
+        rows[0, 2], rows[1, 2] = -s * x - c * y, c * x - s * y
+        rows[:2, CALIBRATION : CALIBRATION + 2] = [[c, -s], [s, c]]
+        rows[2, YAW] = 1.0
+        covariance = rows @ state.covariance[:STATES, :STATES] @ rows.T
+        return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), covariance)
+
+    @property
+    def tilt_sigma_rad(self) -> float:
+        """How well it is known how high the camera looks: of base, axis and camera together."""
+        which = [LEAN, CALIBRATION + NAMES.index('axis_pitch'), TILT]
+        return float(np.sqrt(max(self._state.covariance[np.ix_(which, which)].sum(), 0.0)))
+
+    def pan_sigma_rad(self, pan_rate_rad_s: float) -> float:
+        """How well the pan is known at this rate, beside the pan zero."""
+        delay = abs(pan_rate_rad_s) * float(np.sqrt(self._state.covariance[DELAY, DELAY]))
+        return float(np.hypot(delay, self._prior.base.pan_sigma_rad))
+
+    def with_landmarks(self) -> FloatArray:
+        """Covariance (3, 2 n) of the pose with x and y of all landmarks."""
+        state, first = self._state, self._fixed
+        shared = state.covariance[:3, STATES:first]
+        out = np.einsum('kf,nif->kni', shared, self._loadings[:, :2])
+        own = state.covariance[:3, first:].reshape(3, -1, 3)[..., :2]
+        out[:, state.landmarks] += own
+        return np.asarray(out.reshape(3, -1))
+
+    def placed(self, start: PoseEstimate, by_camera: bool) -> JointFilter:
+        """
+        Return the filter of the same robot at another pose.
+
+        What was learned of wheels, mount and floor stays. A pose that was found `by_camera` is off
+        by the pan zero, against which its heading is known.
+        """
+        other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
+        mine, new = self._state, other._state
+        mean, covariance = new.mean.copy(), new.covariance.copy()
+        wheels = slice(SCALE, STATES)
+        mean[wheels] = mine.mean[wheels]
+        covariance[wheels, wheels] = mine.covariance[wheels, wheels]
+        if by_camera:
+            covariance[2, wheels] = covariance[wheels, 2] = -mine.covariance[YAW, wheels]
+            covariance[2, 2] += mine.covariance[YAW, YAW]
+        other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
+        return other
 
     @property
     def calibration(self) -> Calibration:
@@ -365,11 +424,11 @@ class JointFilter:
             points = self._positions[seen.columns] + mean[own]
             points += self._loadings[seen.columns] @ mean[STATES : self._fixed]
             model = project(mean, points, seen)
-            jacobian = np.zeros((count, 2, size))
-            jacobian[:, :, :STATES] = model.by_state
-            jacobian[:, :, STATES : self._fixed] = model.by_point @ self._loadings[seen.columns]
-            jacobian[each[:, None], :, own] = model.by_point.swapaxes(1, 2)
-            jacobian = jacobian[:, :rows].reshape(count * rows, size)
+            parts = np.zeros((count, 2, size))
+            parts[:, :, :STATES] = model.by_state
+            parts[:, :, STATES : self._fixed] = model.by_point @ self._loadings[seen.columns]
+            parts[each[:, None], :, own] = model.by_point.swapaxes(1, 2)
+            jacobian = parts[:, :rows].reshape(count * rows, size)
             offset = prior - mean
             offset[2] = wrap_rad(offset[2])
             innovation = (seen.points - model.points)[:, :rows].ravel() - jacobian @ offset
@@ -384,7 +443,7 @@ class JointFilter:
                 pull = precision @ innovation
                 blocks = precision.reshape(count, rows, count, rows)[each, :, each]
                 others = np.linalg.inv(blocks)
-                alone = (others @ pull.reshape(count, rows, 1))[..., 0]
+                alone: FloatArray = (others @ pull.reshape(count, rows, 1))[..., 0]
                 nominal = others - noise * (looser + behind - 1.0)[:, None, None]
                 squares = np.einsum(
                     'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
@@ -486,7 +545,7 @@ def _surprise(count: int) -> float:
 def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:
     """A matrix (m d, m d) with blocks (m, d, d) added on its diagonal."""
     count, size, _ = blocks.shape
-    out = matrix.copy()
+    out = np.array(matrix)
     each = np.arange(count)
     out.reshape(count, size, count, size)[each, :, each] += blocks
     return out

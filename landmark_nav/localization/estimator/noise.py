@@ -18,7 +18,7 @@ import numpy as np
 
 from landmark_nav.types import FloatArray
 
-__all__ = ['DETECTION', 'FLOOR', 'SLIP_NOISE', 'TURNS', 'WAY', 'NOISES', 'NoiseScales', 'learned']
+__all__ = ['DETECTION', 'FLOOR', 'NOISES', 'SLIP_NOISE', 'TURNS', 'WAY', 'NoiseScales', 'learned']
 
 # White noise of the odometry by way and time, and by turns; its side slip; lean of the floor; the
 # detections; and all other uncertainty.

@@ -2,12 +2,13 @@
 Odometry and images in the order of their stamps, whatever the order of their arrival.
 
 The states of the last seconds are kept. What comes late, and odometry that replaces a motion which
-was extrapolated, takes the filter back to the state before it, and all later images are used again.
+was extrapolated, takes the filter back to the state before it; all later images are used again.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from copy import copy
 from itertools import pairwise
 
 from landmark_nav.localization.estimator.factors import ImagePoints
@@ -61,7 +62,7 @@ class Timeline:
         """Correct the state by an image; `Refusal` if it comes too late."""
         stamps = [image.stamp_ns for image in self._images]
         if seen.stamp_ns < self._before[0].stamp_ns:
-            late_s = 1e-9 * (self._filter.estimate.stamp_ns - seen.stamp_ns)
+            late_s = 1e-9 * (self._filter.snapshot.stamp_ns - seen.stamp_ns)
             return Refusal('image came too late', f'{late_s:.2f} s')
         place = bisect_right(stamps, seen.stamp_ns)
         self._images.insert(place, seen)
@@ -73,15 +74,17 @@ class Timeline:
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate:
         """Pose of the base at a time from the first state of the window on; None: the newest."""
         ends = self._track.stamps_ns
-        newest = self._filter.estimate.stamp_ns
+        newest = self._filter.snapshot.stamp_ns
         stamp_ns = max(newest, ends[1] if ends else newest) if stamp_ns is None else stamp_ns
-        now = self._filter.snapshot
+        return self.filter_at(stamp_ns).estimate
+
+    def filter_at(self, stamp_ns: int) -> JointFilter:
+        """Return a copy of the filter, moved to a time from the first state of the window on."""
+        other = copy(self._filter)
         at = bisect_right([state.stamp_ns for state in self._before], stamp_ns) - 1
-        self._filter.restore(self._before[max(at, 0)])
-        self._move_to(stamp_ns)
-        estimate = self._filter.estimate
-        self._filter.restore(now)
-        return estimate
+        other.restore(self._before[max(at, 0)])
+        self._move(other, stamp_ns)
+        return other
 
     def _again(self, first: int) -> Update:
         """Use the images from this one on, once more; return the update by that one."""
@@ -89,7 +92,7 @@ class Timeline:
         updates = []
         for place in range(first, len(self._images)):
             image = self._images[place]
-            self._move_to(image.stamp_ns)
+            self._move(self._filter, image.stamp_ns)
             updates.append(self._filter.observe(image))
             self._before[place + 1] = self._filter.snapshot
         ends = self._track.stamps_ns
@@ -97,14 +100,14 @@ class Timeline:
         self._extrapolated = sum(image.stamp_ns > last for image in self._images)
         return updates[0]
 
-    def _move_to(self, stamp_ns: int) -> None:
-        begin = self._filter.estimate.stamp_ns
+    def _move(self, joint: JointFilter, stamp_ns: int) -> None:
+        begin = joint.snapshot.stamp_ns
         if stamp_ns <= begin:
             return
         steps = max(1, round((stamp_ns - begin) / _STEP_NS))
         times = [begin + (stamp_ns - begin) * k // steps for k in range(steps + 1)]
         for since, until in pairwise(times):
-            self._filter.move(until, self._track.motion(since, until))
+            joint.move(until, self._track.motion(since, until))
 
     def _trim(self) -> None:
         """Forget what is older than the window."""

@@ -1,0 +1,377 @@
+"""
+Localization by the joint estimator: it looks where its own state says, and asks no other model.
+
+The calibrated mount of the state puts the camera; the covariance of pose and mount together sets
+the search windows. So what is not known is searched for, and what was learned narrows the search.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import logging
+
+import numpy as np
+
+from landmark_nav.arrays import IndexArray
+from landmark_nav.calibration import Calibration
+from landmark_nav.localization.detection.blurred import detect_blurred
+from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
+from landmark_nav.localization.detection.informative import most_informative
+from landmark_nav.localization.estimator import (
+    ImagePoints,
+    Integrity,
+    JointFilter,
+    protection_level,
+    ProtectionLevel,
+    Status,
+    Update,
+)
+from landmark_nav.localization.estimator.timeline import Timeline
+from landmark_nav.localization.frozen import FrozenPicture
+from landmark_nav.localization.fusion import FusionUpdate
+from landmark_nav.localization.joint_delay import JointDelay
+from landmark_nav.localization.observation import Observation
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
+from landmark_nav.localization.relocalization import Relocalizer
+from landmark_nav.localization.relocalization.narrowing import narrowed
+from landmark_nav.localization.triangulation.gathering import SightingGatherer
+from landmark_nav.localization.triangulation.model import axis_from_base
+from landmark_nav.localization.triplet import visible_landmarks
+from landmark_nav.localization.wide import is_wide
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+__all__ = ['JointLocalizer']
+
+_LOG = logging.getLogger(__name__)
+
+# Share of the landmarks looked for that counts as most of them.
+_MOST = 0.75
+# The novelty of a landmark is halved when it is looked for, and recovers by a fifth an image.
+_NEW, _STILL_KNOWN = 0.5, 0.8
+_NO_TRIPLET = Refusal('no triplet', 'the joint estimator takes what tells most')
+# States as the rest of the package calls them.
+_STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
+# A detection of less weight than this is an outlier.
+_OUTLIER = 0.1
+
+
+class JointLocalizer:
+    """
+    Same calls as `Localizer`, another estimator.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What to look for.
+    calibration : Calibration
+        Prior of mount, lens and clocks.
+    config : LocalizationConfig
+        Of detection, odometry, relocalization and the estimator.
+
+    """
+
+    def __init__(
+        self, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
+    ) -> None:
+        self._map, self._prior, self._config = landmark_map, calibration, config
+        self._track = OdometryTrack(config.odometry)
+        self._line: Timeline | None = None
+        self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
+        self._frozen = FrozenPicture()
+        self._blur, self._found_most = np.zeros(2), False
+        self._novelty = np.ones(len(landmark_map.landmarks))
+        self._gatherer = SightingGatherer(
+            landmark_map, calibration.mount, 0.0, config.odometry, config.observation.triangulation
+        )
+        self._relocalizer: Relocalizer | None = self._search()
+
+    def initialize(self, start: PoseEstimate) -> None:
+        """Start anew at a pose of the base."""
+        self._place(start, by_camera=False)
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """Move on; what is wrong with the sample, if anything."""
+        self._frozen.add_odometry(sample)
+        if self._relocalizer is not None:
+            self._relocalizer.add_odometry(sample)
+        return self._track.add(sample) if self._line is None else self._line.add_odometry(sample)
+
+    def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
+        """Pose of the base at a time, the newest by default; None before one is known."""
+        return None if self._line is None else self._line.estimate(stamp_ns)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration as far as it is known by now."""
+        return self._prior if self._line is None else self._line.filter.calibration
+
+    @property
+    def level(self) -> ProtectionLevel | None:
+        """What the error of the newest estimate stays within, with 99 %."""
+        estimate = self.estimate()
+        return None if estimate is None else protection_level(estimate, self._update)
+
+    @property
+    def late(self) -> JointDelay:
+        """Delay of the stamps of the joints."""
+        return JointDelay(*self.calibration['joint_delay'])
+
+    @property
+    def odometry_noise(self) -> OdometryNoiseConfig:
+        """How far odometry is to be trusted, as far as it was learned."""
+        if self._line is None:
+            return self._config.odometry
+        way, turns, slip, *_ = np.sqrt(self._line.filter.noise_factors).tolist()
+        return self._config.odometry.scaled(way, turns, slip)
+
+    @property
+    def sighting_sigma(self) -> float:
+        """Factor on what detections claim as their sigmas, as far as it was learned."""
+        return 1.0 if self._line is None else float(np.sqrt(self._line.filter.noise_factors[-1]))
+
+    @property
+    def status(self) -> tuple[str, str]:
+        """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
+        estimate = self.estimate()
+        if estimate is None:
+            return 'lost', 'no pose is known'
+        status, reason = self._integrity.status(estimate)
+        return _STATUS[status], reason
+
+    def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
+        """Look at an image and correct the pose, or search for the place until one is known."""
+        if self._line is None:
+            return self._found(frame)
+        if self._frozen.repeats(frame):
+            return self._used(
+                frame.stamp_ns,
+                Observation(_nothing(frame.stamp_ns), {}, Refusal('image hangs'), unusable=True),
+                None,
+            )
+        joint = self._line.filter_at(frame.stamp_ns)
+        if is_wide(joint.camera.covariance):
+            place = narrowed(
+                self._straight(frame, joint),
+                joint.camera,
+                self._map,
+                joint.calibration.mount,
+                self._config.observation,
+            )
+            if not isinstance(place, Refusal):
+                self._place(place.estimate, by_camera=True)
+                joint = self._line.filter_at(frame.stamp_ns)
+        seen = self._look(frame, joint)
+        found = seen.detections
+        points = ImagePoints.of_pixels(
+            frame.stamp_ns,
+            self._map.indices(found.ids),
+            found.uv_px,
+            found.covariance_px2,
+            frame.camera,
+            frame.pan_rad,
+            frame.tilt_rad,
+            frame.pan_rate_rad_s,
+            frame.pan_sigma_rad,
+            frame.pan_track,
+            self._map.indices(found.missed),
+        )
+        update = self._used(frame.stamp_ns, seen, points)
+        if update.status != 'lost' or not self._config.relocalization.when_lost:
+            self._relocalizer = None
+            return update
+        self._relocalizer = self._relocalizer or self._search()
+        outcome = self._found(frame)
+        status, reason = self.status
+        fused = self.estimate(frame.stamp_ns) or update.fused
+        return replace(update, fused=fused, status=status, reason=reason, search=outcome)
+
+    def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
+        """Correct the pose by bearings that somebody else measured."""
+        if self._line is None:
+            return Refusal('not initialized', 'give a start pose')
+        known = np.isin(found.ids, self._map.ids)
+        refused = {int(k): Refusal('not in the map') for k in found.ids[~known]}
+        found = found.chosen(known)
+        points = ImagePoints.of_bearings(
+            found.stamp_ns,
+            self._map.indices(found.ids),
+            found.bearing_rad,
+            found.variance_rad2,
+            self._prior.mount,
+            found.pan_sigma_rad,
+        )
+        seen = Observation(found, refused, self._fix(found))
+        return self._used(found.stamp_ns, seen, points)
+
+    def _place(self, start: PoseEstimate, by_camera: bool) -> None:
+        """Be at a pose, with all that was learned of the robot."""
+        if self._line is None:
+            config = self._config
+            joint = JointFilter(self._map, self._prior, start, config.joint, config.odometry)
+        else:
+            joint = self._line.filter
+        self._line = Timeline(
+            joint.placed(start, by_camera), self._track, self._config.fusion.history_s
+        )
+        self._integrity, self._update, self._relocalizer = Integrity(), None, None
+
+    def _search(self) -> Relocalizer:
+        config = self._config
+        return Relocalizer(
+            self._map, self.calibration.mount, config.relocalization, config.odometry,
+            config.observation,
+        )  # fmt: skip
+
+    def _found(self, frame: CameraFrame) -> PoseEstimate | Refusal:
+        """Search for the place."""
+        assert self._relocalizer is not None, 'it searches'
+        outcome = self._relocalizer.add_frame(frame)
+        if isinstance(outcome, PoseEstimate):
+            self._place(self._relocalizer.in_time, by_camera=True)
+            return self.estimate(frame.stamp_ns) or outcome
+        return outcome
+
+    def _straight(self, frame: CameraFrame, joint: JointFilter) -> CameraFrame:
+        """Return an image with camera and joints as the state has them."""
+        calibration = joint.calibration
+        none = np.empty(0, dtype=np.intp)
+        blank = ImagePoints.of_pixels(
+            frame.stamp_ns, none, np.empty((0, 2)), np.empty((0, 2, 2)), frame.camera, 0.0,
+            pan_rate_rad_s=frame.pan_rate_rad_s, pan_track=frame.pan_track,
+        )  # fmt: skip
+        blank = replace(blank, pan_rad=np.array([frame.pan_rad]))
+        pan = float(blank.pans(calibration['joint_delay'][0])[0][0])
+        focal, shift = calibration['focal_scale'][0], calibration['principal_point'][0]
+        camera = frame.camera
+        camera = replace(
+            camera,
+            fx=camera.fx * (1.0 + focal),
+            fy=camera.fy * (1.0 + focal),
+            cx=camera.cx + shift * camera.fx,
+        )
+        return replace(
+            frame,
+            camera=camera,
+            pan_rad=pan * (1.0 + calibration['pan_scale'][0]),
+            tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
+        )
+
+    def _look(self, frame: CameraFrame, joint: JointFilter) -> Observation:
+        """Look for some of the visible landmarks: a few as long as most are found."""
+        config = self._config.observation
+        straight, mount, prior = (
+            self._straight(frame, joint),
+            joint.calibration.mount,
+            joint.camera,
+        )
+        visible = visible_landmarks(
+            prior, self._map, straight.camera, mount, straight.pan_rad, straight.tilt_rad,
+            config.triplet,
+        )  # fmt: skip
+        # An error of the pan shifts the image as one of the heading does.
+        pan = joint.pan_sigma_rad(frame.pan_rate_rad_s)
+        looked = replace(
+            prior,
+            covariance=prior.covariance + np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2]),
+        )
+        detection = replace(
+            config.detection,
+            vertical_sigma_px=min(
+                50.0,
+                float(
+                    np.hypot(
+                        config.detection.vertical_sigma_px, frame.camera.fy * joint.tilt_sigma_rad
+                    )
+                ),
+            ),
+        )
+        enough, most = min(detection.enough, detection.max_count), detection.max_count
+        for count in (enough, most) if self._found_most and enough < len(visible) else (most,):
+            expected: IndexArray = most_informative(
+                axis_from_base(prior, mount), self._map, visible, config.triplet.bearing_sigma_rad,
+                count, (), self._novelty,
+            )  # fmt: skip
+            result, self._blur = detect_blurred(
+                straight, looked, self._map, mount, detection, expected, self._blur
+            )
+            self._found_most = len(result.detections) >= _MOST * len(expected)
+            if self._found_most:
+                break
+        self._novelty = 1.0 - _STILL_KNOWN * (1.0 - self._novelty)
+        self._novelty[expected] *= _NEW
+        missed = [k for k, why in result.refused.items() if why.reason not in NOT_LOOKED_FOR]
+        found = replace(
+            result.detections,
+            missed=np.array(sorted(missed), dtype=np.int64),
+            pan_rate_rad_s=frame.pan_rate_rad_s,
+            pan_sigma_rad=frame.pan_sigma_rad,
+            pan_rad=float(mount.azimuth_base_rad(frame.pan_rad)),
+        )
+        return Observation(found, dict(result.refused), self._fix(found))
+
+    def _fix(self, found: Detections) -> PoseEstimate | Refusal:
+        assert self._line is not None, 'a pose is known'
+        self._gatherer.add(found)
+        return self._gatherer.fix(self._line.estimate(found.stamp_ns))
+
+    def _used(
+        self, stamp_ns: int, seen: Observation, points: ImagePoints | None
+    ) -> LocalizationUpdate:
+        """Correct the filter by what was seen."""
+        assert self._line is not None, 'a pose is known'
+        taken: Update | Refusal | None = None
+        if points is not None:
+            taken = self._line.add_image(points)
+        update = taken if isinstance(taken, Update) else None
+        self._update = update
+        if points is not None:
+            self._integrity.add(stamp_ns, update, len(points.missed))
+        if update is not None and update.stepped:
+            _LOG.warning('camera or base was turned, and the wheels did not measure it')
+        fused = self._line.estimate(stamp_ns)
+        status, reason = self._integrity.status(fused)
+        return LocalizationUpdate(
+            stamp_ns,
+            _NO_TRIPLET,
+            seen,
+            self._fusion_update(stamp_ns, update, taken),
+            fused,
+            _STATUS[status],
+            reason,
+            self._line.filter_at(stamp_ns).with_landmarks(),
+        )
+
+    def _fusion_update(
+        self, stamp_ns: int, update: Update | None, taken: Update | Refusal | None
+    ) -> FusionUpdate:
+        if update is None:
+            refusal = taken if isinstance(taken, Refusal) else Refusal('nothing seen')
+            return FusionUpdate(stamp_ns, refusal=refusal)
+        ids, good = self._map.ids[update.columns], update.weight > _OUTLIER
+        squares = np.einsum(
+            'mi,mi->m',
+            update.residual,
+            np.linalg.solve(update.covariance, update.residual[..., None])[..., 0],
+        )
+        return FusionUpdate(
+            stamp_ns,
+            ids[good],
+            update.residual[good, 0],
+            float(squares[good].sum()),
+            int(good.sum()) * update.residual.shape[1],
+            {int(k): Refusal('outlier') for k in ids[~good]},
+        )
+
+
+def _nothing(stamp_ns: int) -> Detections:
+    none = np.empty(0)
+    return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))
