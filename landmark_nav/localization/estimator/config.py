@@ -54,7 +54,7 @@ class EstimatorConfig(Config):
         0.02, 'Sigma of such a motion of the base, m.', minimum=0.0, maximum=10.0
     )
     learning_sigma: float = parameter(
-        0.5,
+        1.0,
         'How far noise may differ from its parameters: sigma of the logarithm of a factor on its '
         'variance. 0 takes it as it is.',
         minimum=0.0,

@@ -175,7 +175,7 @@ class JointFilter:
         mean[:3], covariance[:3, :3] = start.pose, start.covariance
         mean[CALIBRATION:STATES] = calibration.values
         covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
-        by_noise = np.zeros((NOISES, CALIBRATION, CALIBRATION))
+        by_noise = np.zeros((NOISES, STATES, STATES))
         by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_sigma**2
         by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
         none = np.empty(0, dtype=np.intp)
@@ -285,8 +285,10 @@ class JointFilter:
         head[LEAN:SCALE] *= leans
         by_state[SLIP, SLIP] = slips
         by_state[LEAN, LEAN] = by_state[LEAN + 1, LEAN + 1] = leans
-        by_noise = by_state @ state.by_noise @ by_state.T
-        added = np.zeros_like(by_noise)
+        by_noise = state.by_noise.copy()
+        by_noise[:, :CALIBRATION] = by_state @ by_noise[:, :CALIBRATION]
+        by_noise[:, :, :CALIBRATION] = by_noise[:, :, :CALIBRATION] @ by_state.T
+        added = np.zeros((NOISES, CALIBRATION, CALIBRATION))
         sensed = factors[:SLIP_NOISE, None] * sensed_variances(motion, wheels)
         added[:SLIP_NOISE, :3, :3] = (by_motion * sensed[:, None]) @ by_motion.T
         added[SLIP_NOISE, SLIP, SLIP] = (
@@ -294,6 +296,7 @@ class JointFilter:
         )
         floor = factors[FLOOR] * config.lean_sigma_rad**2 * (1.0 - leans**2)
         added[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = floor
+        by_noise[:, :CALIBRATION, :CALIBRATION] += added
         covariance = state.covariance.copy()
         covariance[:CALIBRATION] = by_state @ covariance[:CALIBRATION]
         covariance[:, :CALIBRATION] = covariance[:, :CALIBRATION] @ by_state.T
@@ -312,7 +315,7 @@ class JointFilter:
             stamp_ns=stamp_ns,
             mean=mean,
             covariance=covariance,
-            by_noise=by_noise + added,
+            by_noise=by_noise,
             scales=scales,
             way_m=state.way_m + way,
             seconds=state.seconds + motion.seconds,
@@ -462,12 +465,12 @@ class JointFilter:
         gain = with_state @ precision
         corrected = state.covariance - gain @ with_state.T
         # Parts of the covariance by each noise, for what the noises act on.
-        acted, by_acted = jacobian[:, :CALIBRATION], gain[:CALIBRATION]
+        acted, by_acted = jacobian[:, :STATES], gain[:STATES]
         of_noise = acted @ state.by_noise @ acted.T
         detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
         of_noise[DETECTION] += detected
         scales = learned(state.scales, innovation, covariance, of_noise)
-        left = np.eye(CALIBRATION) - by_acted @ acted
+        left = np.eye(STATES) - by_acted @ acted
         by_noise = left @ state.by_noise @ left.T
         by_noise[DETECTION] += by_acted @ detected @ by_acted.T
         _, log_determinant = np.linalg.slogdet(covariance)
