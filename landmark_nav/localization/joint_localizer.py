@@ -57,6 +57,8 @@ _LOG = logging.getLogger(__name__)
 _MOST = 0.75
 # The novelty of a landmark is halved when it is looked for, and recovers by a fifth an image.
 _NEW, _STILL_KNOWN = 0.5, 0.8
+# Steps in which the lens is put right for drawing templates, over the focal length.
+_STEP = 4e-4
 _NO_TRIPLET = Refusal('no triplet', 'the joint estimator takes what tells most')
 # States as the rest of the package calls them.
 _STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
@@ -209,7 +211,7 @@ class JointLocalizer:
             self._prior.mount,
             found.pan_sigma_rad,
         )
-        seen = Observation(found, refused, self._fix(found))
+        seen = Observation(found, refused, self._fix(found, self._line.estimate(found.stamp_ns)))
         return self._used(found.stamp_ns, seen, points)
 
     def _place(self, start: PoseEstimate, by_camera: bool) -> None:
@@ -250,7 +252,11 @@ class JointLocalizer:
         )  # fmt: skip
         blank = replace(blank, pan_rad=np.array([frame.pan_rad]))
         pan = float(blank.pans(calibration['joint_delay'][0])[0][0])
-        focal, shift = calibration['focal_scale'][0], calibration['principal_point'][0]
+        # In steps of a tenth of a pixel, as each camera needs a grid of rays of its own.
+        focal, shift = (
+            _STEP * round(calibration[name][0] / _STEP)
+            for name in ('focal_scale', 'principal_point')
+        )
         camera = frame.camera
         camera = replace(
             camera,
@@ -316,12 +322,11 @@ class JointLocalizer:
             pan_sigma_rad=frame.pan_sigma_rad,
             pan_rad=float(mount.azimuth_base_rad(frame.pan_rad)),
         )
-        return Observation(found, dict(result.refused), self._fix(found))
+        return Observation(found, dict(result.refused), self._fix(found, joint.estimate))
 
-    def _fix(self, found: Detections) -> PoseEstimate | Refusal:
-        assert self._line is not None, 'a pose is known'
+    def _fix(self, found: Detections, prior: PoseEstimate) -> PoseEstimate | Refusal:
         self._gatherer.add(found)
-        return self._gatherer.fix(self._line.estimate(found.stamp_ns))
+        return self._gatherer.fix(prior)
 
     def _used(
         self, stamp_ns: int, seen: Observation, points: ImagePoints | None
@@ -337,7 +342,8 @@ class JointLocalizer:
             self._integrity.add(stamp_ns, update, len(points.missed))
         if update is not None and update.stepped:
             _LOG.warning('camera or base was turned, and the wheels did not measure it')
-        fused = self._line.estimate(stamp_ns)
+        joint = self._line.filter_at(stamp_ns)
+        fused = joint.estimate
         status, reason = self._integrity.status(fused)
         return LocalizationUpdate(
             stamp_ns,
@@ -347,7 +353,7 @@ class JointLocalizer:
             fused,
             _STATUS[status],
             reason,
-            self._line.filter_at(stamp_ns).with_landmarks(),
+            joint.with_landmarks(),
         )
 
     def _fusion_update(
