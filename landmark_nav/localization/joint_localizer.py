@@ -15,6 +15,7 @@ import numpy as np
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.localization.detection.blurred import detect_blurred
+from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.estimator import (
@@ -53,8 +54,10 @@ __all__ = ['JointLocalizer']
 
 _LOG = logging.getLogger(__name__)
 
-# Share of the landmarks looked for that counts as most of them.
-_MOST = 0.75
+# Shares of the landmarks looked for that count as most of them, and as hardly any.
+_MOST, _HARDLY_ANY = 0.75, 0.25
+# Largest error of the rows that the search allows for, pixels.
+_MOST_RISE_PX = 50.0
 # The novelty of a landmark is halved when it is looked for, and recovers by a fifth an image.
 _NEW, _STILL_KNOWN = 0.5, 0.8
 # Steps in which the lens is put right for drawing templates, over the focal length.
@@ -221,6 +224,9 @@ class JointLocalizer:
             joint = JointFilter(self._map, self._prior, start, config.joint, config.odometry)
         else:
             joint = self._line.filter
+            if by_camera:
+                # It was lost for a reason: the camera may have been turned.
+                joint = joint.stepped()
         self._line = Timeline(
             joint.placed(start, by_camera), self._track, self._config.fusion.history_s
         )
@@ -272,57 +278,68 @@ class JointLocalizer:
         )
 
     def _look(self, frame: CameraFrame, joint: JointFilter) -> Observation:
-        """Look for some of the visible landmarks: a few as long as most are found."""
+        """
+        Look for some of the visible landmarks: a few as long as most are found.
+
+        If hardly any is found, all are looked for where they should be if camera or base was
+        turned.
+        """
         config = self._config.observation
-        straight, mount, prior = (
-            self._straight(frame, joint),
-            joint.calibration.mount,
-            joint.camera,
-        )
-        visible = visible_landmarks(
-            prior, self._map, straight.camera, mount, straight.pan_rad, straight.tilt_rad,
-            config.triplet,
-        )  # fmt: skip
-        # An error of the pan shifts the image as one of the heading does.
-        pan = joint.pan_sigma_rad(frame.pan_rate_rad_s)
-        looked = replace(
-            prior,
-            covariance=prior.covariance + np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2]),
-        )
-        detection = replace(
-            config.detection,
-            vertical_sigma_px=min(
-                50.0,
-                float(
-                    np.hypot(
-                        config.detection.vertical_sigma_px, frame.camera.fy * joint.tilt_sigma_rad
-                    )
-                ),
-            ),
-        )
-        enough, most = min(detection.enough, detection.max_count), detection.max_count
-        for count in (enough, most) if self._found_most and enough < len(visible) else (most,):
-            expected: IndexArray = most_informative(
-                axis_from_base(prior, mount), self._map, visible, config.triplet.bearing_sigma_rad,
-                count, (), self._novelty,
-            )  # fmt: skip
-            result, self._blur = detect_blurred(
-                straight, looked, self._map, mount, detection, expected, self._blur
-            )
-            self._found_most = len(result.detections) >= _MOST * len(expected)
-            if self._found_most:
+        visible = self._visible(frame, joint)
+        enough, most = config.detection.enough, config.detection.max_count
+        tries = [(joint, enough)] if self._found_most and enough < len(visible) else []
+        for state, count in [*tries, (joint, most), (joint.stepped(), most)]:
+            result, expected = self._searched(frame, state, visible, count)
+            found = len(result.detections)
+            self._found_most = found >= _MOST * len(expected)
+            if self._found_most or (count == most and found > _HARDLY_ANY * len(expected)):
                 break
         self._novelty = 1.0 - _STILL_KNOWN * (1.0 - self._novelty)
         self._novelty[expected] *= _NEW
         missed = [k for k, why in result.refused.items() if why.reason not in NOT_LOOKED_FOR]
-        found = replace(
+        detections = replace(
             result.detections,
             missed=np.array(sorted(missed), dtype=np.int64),
             pan_rate_rad_s=frame.pan_rate_rad_s,
             pan_sigma_rad=frame.pan_sigma_rad,
-            pan_rad=float(mount.azimuth_base_rad(frame.pan_rad)),
+            pan_rad=float(joint.calibration.mount.azimuth_base_rad(frame.pan_rad)),
         )
-        return Observation(found, dict(result.refused), self._fix(found, joint.estimate))
+        return Observation(detections, dict(result.refused), self._fix(detections, joint.estimate))
+
+    def _visible(self, frame: CameraFrame, joint: JointFilter) -> IndexArray:
+        straight = self._straight(frame, joint)
+        return visible_landmarks(
+            joint.camera, self._map, straight.camera, joint.calibration.mount, straight.pan_rad,
+            straight.tilt_rad, self._config.observation.triplet,
+        )  # fmt: skip
+
+    def _searched(
+        self, frame: CameraFrame, joint: JointFilter, visible: IndexArray, count: int
+    ) -> tuple[DetectionResult, IndexArray]:
+        """Look for `count` of the visible landmarks, as far around as the state says."""
+        config = self._config.observation
+        mount, prior = joint.calibration.mount, joint.camera
+        # An error of the pan shifts the image as one of the heading does.
+        pan = joint.pan_sigma_rad(frame.pan_rate_rad_s)
+        shifted = np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2])
+        rise_px = np.hypot(
+            config.detection.vertical_sigma_px, frame.camera.fy * joint.tilt_sigma_rad
+        )
+        detection = replace(config.detection, vertical_sigma_px=min(_MOST_RISE_PX, float(rise_px)))
+        expected = most_informative(
+            axis_from_base(prior, mount), self._map, visible, config.triplet.bearing_sigma_rad,
+            count, (), self._novelty,
+        )  # fmt: skip
+        result, self._blur = detect_blurred(
+            self._straight(frame, joint),
+            replace(prior, covariance=prior.covariance + shifted),
+            self._map,
+            mount,
+            detection,
+            expected,
+            self._blur,
+        )
+        return result, expected
 
     def _fix(self, found: Detections, prior: PoseEstimate) -> PoseEstimate | Refusal:
         self._gatherer.add(found)

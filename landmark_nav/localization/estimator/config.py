@@ -42,13 +42,16 @@ class EstimatorConfig(Config):
     )
     step_probability: float = parameter(
         1e-6,
-        'Share of the images before which the camera was knocked, or the base moved unseen by '
-        'the wheels; both are taken to be equally likely.',
+        'Share of the images before which the camera was knocked, the base moved unseen by the '
+        'wheels, or the joint delay changed; all are taken to be equally likely.',
         minimum=0.0,
         maximum=0.5,
     )
     step_sigma_rad: float = parameter(
         0.05, 'Sigma of such a turn of camera or base, rad.', minimum=0.0, maximum=1.0
+    )
+    step_sigma_s: float = parameter(
+        0.1, 'Sigma of such a change of the joint delay, s.', minimum=0.0, maximum=10.0
     )
     step_sigma_m: float = parameter(
         0.02, 'Sigma of such a motion of the base, m.', minimum=0.0, maximum=10.0

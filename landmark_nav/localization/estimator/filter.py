@@ -11,6 +11,7 @@ allows.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -227,6 +228,12 @@ class JointFilter:
         out[:, state.landmarks] += own
         return np.asarray(out.reshape(3, -1))
 
+    def stepped(self) -> JointFilter:
+        """Return the filter where base, camera or joint delay may have changed."""
+        other = copy(self)
+        other._state = self._stepped(self._state)
+        return other
+
     def placed(self, start: PoseEstimate, by_camera: bool) -> JointFilter:
         """
         Return the filter of the same robot at another pose.
@@ -241,8 +248,8 @@ class JointFilter:
         mean[wheels] = mine.mean[wheels]
         covariance[wheels, wheels] = mine.covariance[wheels, wheels]
         if by_camera:
-            covariance[2, wheels] = covariance[wheels, 2] = -mine.covariance[YAW, wheels]
-            covariance[2, 2] += mine.covariance[YAW, YAW]
+            covariance[2, wheels] = covariance[wheels, 2] = -covariance[YAW, wheels]
+            covariance[2, 2] += covariance[YAW, YAW]
         other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
         return other
 
@@ -347,13 +354,14 @@ class JointFilter:
         return update
 
     def _stepped(self, state: _State) -> _State:
-        """Return the state where camera or base may have been turned, unseen by the wheels."""
+        """Return the state where base, camera or joint delay may have changed."""
         covariance, config = state.covariance.copy(), self._config
         covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
-        for k in (2, YAW, ROLL, TILT):
+        turns = dict.fromkeys((2, YAW, ROLL, TILT), config.step_sigma_rad)
+        for k, sigma in (turns | {DELAY: config.step_sigma_s}).items():
             # What is given as exact stays.
             if covariance[k, k] > 0.0:
-                covariance[k, k] += config.step_sigma_rad**2
+                covariance[k, k] += sigma**2
         return replace(state, covariance=covariance)
 
     def _elapsed(self, state: _State) -> _State:
