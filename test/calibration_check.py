@@ -2,10 +2,11 @@
 Errors of `robot.yaml`, at driving alone and at learning too: the joint estimator and the filter.
 
 ``python test/calibration_check.py`` learns the study with the right mount and with wrong ones, and
-drives with wrong ones and default sigmas. The joint estimator looks for landmarks and localizes;
-the filter gets the same pixels, as bearings of the mount that it was given. A line gives errors of
-the whole drive and after the first 4 m, the mean NEES with its 95 % interval, and the images that
-are off by over 5 sigma while the state is OK. It exits with 1 if the joint estimator misses a goal.
+drives with wrong ones and default sigmas. The joint estimator looks for landmarks and localizes,
+the filter gets the same pixels, as bearings of the mount that it was given. A line gives errors
+of the whole drive and after the first 4 m, the mean NEES with its 95 % interval, and the images
+that are off by over 5 sigma while the state is OK. It exits with 1 if the joint estimator misses
+a goal.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import Replay, replay
-from landmark_nav.evaluation.run_report import run_errors, run_report
+from landmark_nav.evaluation.run_report import integrity_report, run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report, strays
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
@@ -164,6 +164,7 @@ def run(args: argparse.Namespace) -> int:
     report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
     if done.calibration is not None:
         report['calibration'] = done.calibration.differences(calibration)
+        report['integrity'] = integrity_report(done, errors)
     smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)

@@ -32,7 +32,7 @@ from landmark_nav.localization.frozen import FrozenPicture
 from landmark_nav.localization.fusion import FusionUpdate
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.observation import Observation
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
 from landmark_nav.localization.relocalization import Relocalizer
@@ -60,6 +60,9 @@ _MOST, _HARDLY_ANY = 0.75, 0.25
 _MOST_RISE_PX = 50.0
 # The novelty of a landmark is halved when it is looked for, and recovers by a fifth an image.
 _NEW, _STILL_KNOWN = 0.5, 0.8
+# Stamps that are older than the window by so much, of odometry and images, are of another clock;
+# the motion meanwhile is that of so many blind seconds.
+_CLOCK_STEP_NS, _UNKNOWN_S = 10**9, 0.1
 # Steps in which the lens is put right for drawing templates, over the focal length.
 _STEP = 4e-4
 _NO_TRIPLET = Refusal('no triplet', 'the joint estimator takes what tells most')
@@ -91,7 +94,7 @@ class JointLocalizer:
         self._track = OdometryTrack(config.odometry)
         self._line: Timeline | None = None
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
-        self._frozen = FrozenPicture()
+        self._frozen, self._sample = FrozenPicture(), OdometrySample(0, np.zeros(3))
         self._blur, self._found_most = np.zeros(2), False
         self._novelty = np.ones(len(landmark_map.landmarks))
         self._gatherer = SightingGatherer(
@@ -106,6 +109,7 @@ class JointLocalizer:
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what is wrong with the sample, if anything."""
         self._frozen.add_odometry(sample)
+        self._sample = sample
         if self._relocalizer is not None:
             self._relocalizer.add_odometry(sample)
         return self._track.add(sample) if self._line is None else self._line.add_odometry(sample)
@@ -162,6 +166,12 @@ class JointLocalizer:
                 Observation(_nothing(frame.stamp_ns), {}, Refusal('image hangs'), unusable=True),
                 None,
             )
+        if (
+            self._line.begin_ns - frame.stamp_ns
+            > _CLOCK_STEP_NS
+            > abs(self._sample.stamp_ns - frame.stamp_ns)
+        ):
+            self._set_back()
         joint = self._line.filter_at(frame.stamp_ns)
         if is_wide(joint.camera.covariance):
             place = narrowed(
@@ -217,20 +227,33 @@ class JointLocalizer:
         seen = Observation(found, refused, self._fix(found, self._line.estimate(found.stamp_ns)))
         return self._used(found.stamp_ns, seen, points)
 
-    def _place(self, start: PoseEstimate, by_camera: bool) -> None:
+    def _place(self, start: PoseEstimate, by_camera: bool, was_lost: bool = False) -> None:
         """Be at a pose, with all that was learned of the robot."""
         if self._line is None:
             config = self._config
             joint = JointFilter(self._map, self._prior, start, config.joint, config.odometry)
         else:
             joint = self._line.filter
-            if by_camera:
+            if was_lost:
                 # It was lost for a reason: the camera may have been turned.
                 joint = joint.stepped()
         self._line = Timeline(
             joint.placed(start, by_camera), self._track, self._config.fusion.history_s
         )
         self._integrity, self._update, self._relocalizer = Integrity(), None, None
+
+    def _set_back(self) -> None:
+        """Go on from the newest pose at the last odometry: the clock of all was set back."""
+        assert self._line is not None, 'a pose is known'
+        joint, stamp = self._line.filter, self._sample.stamp_ns
+        _LOG.warning('clock was set back: localization goes on from the last pose')
+        # Nobody knows for how long; the robot may have moved as far as in a blind second.
+        joint.move(joint.snapshot.stamp_ns, Motion(np.zeros(3), 0.0, blind_seconds=_UNKNOWN_S))
+        joint.restore(replace(joint.snapshot, stamp_ns=stamp))
+        self._track = OdometryTrack(self._config.odometry)
+        self._track.add(self._sample)
+        self._line = Timeline(joint, self._track, self._config.fusion.history_s)
+        self._integrity, self._relocalizer = Integrity(), None
 
     def _search(self) -> Relocalizer:
         config = self._config
@@ -244,7 +267,7 @@ class JointLocalizer:
         assert self._relocalizer is not None, 'it searches'
         outcome = self._relocalizer.add_frame(frame)
         if isinstance(outcome, PoseEstimate):
-            self._place(self._relocalizer.in_time, by_camera=True)
+            self._place(self._relocalizer.in_time, by_camera=True, was_lost=True)
             return self.estimate(frame.stamp_ns) or outcome
         return outcome
 
@@ -371,6 +394,7 @@ class JointLocalizer:
             _STATUS[status],
             reason,
             joint.with_landmarks(),
+            level=protection_level(fused, update),
         )
 
     def _fusion_update(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.estimator import EstimatorConfig
+from landmark_nav.localization.estimator import EstimatorConfig, ProtectionLevel
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.start import Found
@@ -85,6 +85,8 @@ class LocalizationUpdate:
         Covariance of `fused` with the positions of all landmarks.
     search : PoseEstimate or Refusal, optional
         Result of searching for the place, if that was done.
+    level : ProtectionLevel, optional
+        What the error of `fused` stays within, with 99 %.
 
     """
 
@@ -97,6 +99,7 @@ class LocalizationUpdate:
     reason: str
     with_landmarks: FloatArray | None = None
     search: PoseEstimate | Refusal | None = None
+    level: ProtectionLevel | None = None
 
 
 class Localizer:

@@ -11,6 +11,7 @@ import pytest
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import (
     EstimatorConfig,
     ImagePoints,
@@ -22,13 +23,9 @@ from landmark_nav.localization.estimator import (
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
     DELAY,
-    FOCAL,
     moved,
-    PAN_SCALE,
-    PRINCIPAL,
     project,
     STATES,
-    TILT,
 )
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
@@ -104,7 +101,7 @@ def test_points_are_seen_where_mount_and_camera_project_them(roll: float) -> Non
 
 def test_a_bearing_is_seen_by_a_camera_that_looks_along_it() -> None:
     state = np.concatenate([[0.5, 0.2, 0.3], np.zeros(CALIBRATION - 3), TAPE.values])
-    axis = state[:2] + [0.08 * np.cos(0.3), 0.08 * np.sin(0.3)]
+    axis = state[:2] + 0.08 * np.array([np.cos(0.3), np.sin(0.3)])
     bearing = np.arctan2(*(POINTS[:, :2] - axis).T[::-1]) - 0.3
     seen = ImagePoints.of_bearings(0, np.arange(4), bearing, np.full(4, 1e-6), MOUNT)
     assert project(state, POINTS, seen).points[:, 0] == pytest.approx(0.0, abs=1e-12)
@@ -125,7 +122,7 @@ def test_pixels_become_points_with_their_covariance() -> None:
 def test_recovers_the_pose_without_noise() -> None:
     drive = simulated(1, seconds=8.0, noise=0.0, pixel_sigma=1e-7, map_sigma_m=0.0)
     exactly = replace(drive.prior, covariance=np.zeros_like(drive.prior.covariance))
-    pose = drive.start.pose + [0.04, -0.03, 0.02]
+    pose = drive.start.pose + np.array([0.04, -0.03, 0.02])
     drive.start = replace(drive.start, pose=pose)
     floor = EstimatorConfig(lean_sigma_rad=0.0)
     run = driven(drive, floor, prior=replace(exactly, base=replace(MOUNT, pan_sigma_rad=0.0)))
@@ -194,7 +191,7 @@ def test_the_height_of_the_camera_is_found_though_not_on_which_side_of_the_joint
 def test_a_robot_that_stands_does_not_learn_its_pan_zero() -> None:
     drive = simulated(3, TAPE, TAPE.with_values(axis_yaw=0.012), seconds=16.0)
     still = Motion(np.zeros(3), 0.05)
-    seen = [event for event in drive.events if isinstance(event, ImagePoints)][0]
+    seen = next(event for event in drive.events if isinstance(event, ImagePoints))
     drive.events = [each for _ in range(20) for each in (still, still, seen)]
     drive.poses = drive.poses[:1] * 20
     drive.start = replace(drive.start, pose=drive.poses[0] + [0.02, -0.01, 0.01])
@@ -311,8 +308,6 @@ def test_late_images_and_odometry_give_the_same_as_in_order() -> None:
     samples, images, pose, stamp = [OdometrySample(0, np.zeros(3))], [], np.zeros(3), 0
     for event in drive.events:
         if isinstance(event, Motion):
-            from landmark_nav.geometry.se2 import compose
-
             stamp += round(event.seconds * NS)
             pose = compose(pose, event.increment)
             samples.append(OdometrySample(stamp, pose))

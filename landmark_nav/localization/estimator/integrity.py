@@ -117,7 +117,8 @@ class Integrity:
     def status(self, estimate: PoseEstimate) -> tuple[Status, str]:
         """State of a pose, and the reason if it is not OK."""
         position, heading = (float(sigma) for sigma in _sigmas(estimate.covariance))
-        blind_s = 1e-9 * (estimate.stamp_ns - (self._found_ns or estimate.stamp_ns))
+        since_ns = estimate.stamp_ns if self._found_ns is None else self._found_ns
+        blind_s = 1e-9 * (estimate.stamp_ns - since_ns)
         if not np.isfinite(estimate.pose).all() or not np.isfinite(position + heading):
             return Status.LOST, 'the estimate is not a number'
         if self._log_ratio < _LOST:
@@ -129,7 +130,7 @@ class Integrity:
         if blind_s > _BLIND_S:
             return Status.DEGRADED, f'no landmark found for {blind_s:.1f} s'
         if heading > _DEGRADED_RAD:
-            why = 'camera or base was turned' if self._stepped else 'the mount is not known yet'
+            why = 'camera or base was turned' if self._stepped else 'pan zero is not known yet'
             return Status.DEGRADED, f'heading sigma {np.degrees(heading):.1f} deg: {why}'
         self._stepped = False
         return Status.OK, ''

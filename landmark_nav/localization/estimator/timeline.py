@@ -49,6 +49,11 @@ class Timeline:
         """The filter, at the newest image."""
         return self._filter
 
+    @property
+    def begin_ns(self) -> int:
+        """Time of the first state of the window: older images come too late."""
+        return self._before[0].stamp_ns
+
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what is wrong with the sample, if anything."""
         refusal = self._track.add(sample)
