@@ -222,6 +222,7 @@ class JointLocalizer:
             found.bearing_rad,
             found.variance_rad2,
             self._prior.mount,
+            found.pan_rad,
             found.pan_sigma_rad,
         )
         seen = Observation(found, refused, self._fix(found, self._line.estimate(found.stamp_ns)))

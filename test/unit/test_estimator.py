@@ -105,6 +105,9 @@ def test_a_bearing_is_seen_by_a_camera_that_looks_along_it() -> None:
     bearing = np.arctan2(*(POINTS[:, :2] - axis).T[::-1]) - 0.3
     seen = ImagePoints.of_bearings(0, np.arange(4), bearing, np.full(4, 1e-6), MOUNT)
     assert project(state, POINTS, seen).points[:, 0] == pytest.approx(0.0, abs=1e-12)
+    aside = ImagePoints.of_bearings(0, np.arange(4), bearing, np.full(4, 1e-6), MOUNT, 0.2)
+    assert project(state, POINTS, aside).points[:, 0] == pytest.approx(aside.points[:, 0])
+    assert np.abs(aside.points[:, 0]).min() > 0.01
 
 
 def test_pixels_become_points_with_their_covariance() -> None:

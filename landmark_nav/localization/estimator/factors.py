@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import NAMES
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.odometry.noise import Motion
@@ -36,6 +37,8 @@ YAW = _RPY + 2
 
 # Nearer to the image plane than this, metres, nothing is seen.
 _LEAST_DEPTH_M = 0.05
+# Farther from the direction of the camera a bearing is no point of its image.
+_WIDEST_RAD = 1.0
 # Half a pixel each way, to differentiate the lens.
 _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
@@ -125,18 +128,30 @@ class ImagePoints:
         bearing_base_rad: FloatArray,
         variance_rad2: FloatArray,
         mount: PanTiltMount,
+        looked_base_rad: float | None = None,
         pan_sigma_rad: float = 0.0,
     ) -> ImagePoints:
-        """Return those of bearings (m,) at the pan axis, that were measured with this mount."""
-        count = len(columns)
-        covariance = np.zeros((count, 2, 2))
-        covariance[:, 0, 0], covariance[:, 1, 1] = variance_rad2, 1.0
+        """
+        Return those of bearings (m,) at the pan axis, that were measured with this mount.
+
+        A camera that looked along the azimuth `looked_base_rad` saw them in its image, where an
+        error of its principal point bends them; without it, each was looked at.
+        """
+        bearing = np.asarray(bearing_base_rad, dtype=np.float64)
+        off = np.zeros(len(columns))
+        if looked_base_rad is not None and mount.pan_sense > 0.0:
+            off = np.asarray(wrap_rad(bearing - looked_base_rad))
+            off[np.abs(off) > _WIDEST_RAD] = 0.0
+        right = -np.tan(off)
+        covariance = np.zeros((len(columns), 2, 2))
+        covariance[:, 0, 0] = variance_rad2 * (1.0 + right**2) ** 2
+        covariance[:, 1, 1] = 1.0
         return cls(
             stamp_ns,
             columns,
-            np.zeros((count, 2)),
+            np.column_stack([right, np.zeros(len(columns))]),
             covariance,
-            mount.pan_toward_rad(bearing_base_rad),
+            mount.pan_toward_rad(bearing - off),
             pan_sigma_rad=pan_sigma_rad,
             rows=False,
         )
