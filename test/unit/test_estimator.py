@@ -144,7 +144,7 @@ def test_what_is_exact_never_changes() -> None:
 
 @pytest.mark.parametrize('prior', [Calibration.exact(MOUNT), TAPE], ids=['exact', 'tape'])
 def test_errors_are_as_large_as_the_covariance_claims(prior: Calibration) -> None:
-    runs = [driven(simulated(seed, prior, seconds=24.0)) for seed in range(16)]
+    runs = [driven(simulated(seed, prior, seconds=24.0)) for seed in range(10)]
     each = np.array([run.nees.mean() for run in runs])
     # Errors of a drive have much in common: its mean is about one draw.
     assert abs(each.mean() - 3.0) < 3.0 * max(each.std() / np.sqrt(len(each)), 0.3)
@@ -153,7 +153,7 @@ def test_errors_are_as_large_as_the_covariance_claims(prior: Calibration) -> Non
 
 def test_the_calibration_is_as_wrong_as_its_covariance_claims() -> None:
     squares = []
-    for seed in range(12):
+    for seed in range(8):
         drive = simulated(100 + seed, TAPE, seconds=24.0)
         found = driven(drive).filter.calibration
         off = found.values - drive.true.values
@@ -207,7 +207,7 @@ def test_a_robot_that_stands_does_not_learn_its_pan_zero() -> None:
 @pytest.mark.parametrize('share', [0.15, 0.3])
 def test_outliers_cost_little(share: float) -> None:
     clean, spoilt = (
-        [driven(simulated(seed, outliers=part, seconds=24.0)) for seed in range(6)]
+        [driven(simulated(seed, outliers=part, seconds=24.0)) for seed in range(4)]
         for part in (0.0, share)
     )
 
@@ -385,7 +385,7 @@ def test_landmarks_that_are_missed_or_hidden_tell_slowly() -> None:
 
 def test_the_protection_level_holds() -> None:
     inside, ratios = [], []
-    for seed in range(16):
+    for seed in range(8):
         run = driven(simulated(seed, seconds=24.0))
         for error, covariance, update in zip(
             run.errors, run.covariances, run.updates, strict=False

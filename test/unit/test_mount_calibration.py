@@ -96,7 +96,7 @@ def test_says_which_field_is_wrong(tmp_path: Path, changes: dict[str, object], s
 def test_takes_numbers_only(spoilt: float) -> None:
     good = Calibration.of_mount(MOUNT)
     with pytest.raises(LandmarkNavError):
-        Calibration(spoilt * good.values, good.covariance, MOUNT)
+        Calibration(np.full(len(NAMES), spoilt), good.covariance, MOUNT)
     with pytest.raises(LandmarkNavError):
         Calibration(good.values, -good.covariance, MOUNT)
 
