@@ -389,10 +389,12 @@ class JointFilter:
 
     def _with_landmarks(self, state: _State, columns: IndexArray) -> _State:
         """Return the state with the errors of these landmarks, without those that are stale."""
-        present = np.isin(state.landmarks, columns)
+        seen, known = np.zeros((2, len(self._positions)), dtype=np.bool_)
+        seen[columns], known[state.landmarks] = True, True
+        present = seen[state.landmarks]
         far = -self._config.map_memory_m * np.log(_STALE)
         kept = present | (state.unseen_m < far)
-        new = columns[~np.isin(columns, state.landmarks)]
+        new = columns[~known[columns]]
         excess = int(kept.sum()) + len(new) - _MOST_LANDMARKS
         if excess > 0:
             # Those go that were not seen for the longest way.
@@ -423,9 +425,9 @@ class JointFilter:
         """Iterated update, weights and linearisation together."""
         rows = 2 if seen.rows else 1
         count, size = len(seen), len(state.mean)
-        order = np.argsort(state.landmarks)
-        slots = order[np.searchsorted(state.landmarks, seen.columns, sorter=order)]
-        own = self._fixed + 3 * slots[:, None] + np.arange(3)
+        slots = np.empty(len(self._positions), dtype=np.intp)
+        slots[state.landmarks] = np.arange(len(state.landmarks))
+        own = self._fixed + 3 * slots[seen.columns][:, None] + np.arange(3)
         each = np.arange(count)
         prior, freedom = state.mean, self._config.tail_freedom
         noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
