@@ -22,7 +22,7 @@ PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \
-	latency papers bad-sweeps spoiled faults fuzz config test-oldest test-colcon clean
+	latency papers bad-sweeps spoiled faults calibration fuzz config test-oldest test-colcon clean
 
 install: .venv/installed
 
@@ -93,6 +93,10 @@ papers: install
 # Sweeps that went wrong, through `learn`: a map that is right, or a clear refusal.
 bad-sweeps: install
 	$(BIN)/python test/bad_sweeps_check.py
+
+# Errors of robot.yaml at driving and at learning, on the study: the joint estimator beside the filter.
+calibration: install
+	$(BIN)/python test/calibration_check.py
 
 # A drive with errors in its streams and images; bags/ or, all five given, DRIVE, MAP, ROBOT, ROOM; START "X Y THETA".
 spoiled: install

@@ -319,7 +319,8 @@ class Detections:
     `bearing_rad` (n,) is seen from the pan axis, counter-clockwise from ``base_link`` +x;
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
-    cross-correlation; `uv_px` (n, 2) the place in the picture. `missed` (m,) are the ids of those
+    cross-correlation; `uv_px` (n, 2) the place in the picture and `covariance_px2` (n, 2, 2) its
+    covariance, empty where bearings came from elsewhere. `missed` (m,) are the ids of those
     that should be in view, were looked for and not found. The pan, its rate, sigma and track are
     of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``; bearings of
     a pan `pan_delay_s` later.
@@ -338,6 +339,7 @@ class Detections:
     pan_track: PanTrack | None = None
     joint_delay_s: float = 0.0
     pan_delay_s: float = 0.0
+    covariance_px2: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
 
     def __len__(self) -> int:
         """Return how many were found."""
@@ -345,5 +347,6 @@ class Detections:
 
     def chosen(self, which: npt.NDArray[np.bool_]) -> Detections:
         """Some of them: `which` (n,) says whether to keep each."""
-        names = ('ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px')
+        names = ['ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px']
+        names += ['covariance_px2'] if len(self.covariance_px2) else []
         return replace(self, **{name: getattr(self, name)[which] for name in names})

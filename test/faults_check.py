@@ -24,10 +24,11 @@ from faults import faults, FOR_GOOD_S, spoilt
 import numpy as np
 
 from landmark_nav.evaluation.metrics import pose_errors, silently_wrong
+from landmark_nav.localization.joint_localizer import JointLocalizer
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 START_SIGMA = np.array([0.05, 0.05, 0.035])
@@ -81,7 +82,11 @@ class Outcome:
 
 
 def outcome(
-    events: Iterator[Any], localizer: Localizer, start: FloatArray, at_s: float, over_s: float
+    events: Iterator[Any],
+    localizer: Localizer | JointLocalizer,
+    start: FloatArray,
+    at_s: float,
+    over_s: float,
 ) -> Outcome:
     """Drive, with a fault from `at_s` on, for `over_s`."""
     done, true, period_s, ticks = Outcome(over_s), np.zeros(3), 0.05, 0
@@ -113,9 +118,11 @@ def main() -> int:
     parser.add_argument('--start', nargs=3, type=float, required=True)
     parser.add_argument('--at', type=float, default=12.0, help='seconds into the drive (12)')
     parser.add_argument('--only', nargs='+', help='faults whose name holds one of these')
+    parser.add_argument('--joint', action='store_true', help='with the joint estimator')
     args = parser.parse_args()
     logging.getLogger('landmark_nav').setLevel(logging.CRITICAL)
-    mount, landmarks = load_robot(args.robot), load_map(args.map)
+    calibration, landmarks = load_calibration(args.robot), load_map(args.map)
+    mount = calibration.mount
     bag, good = Bag(args.drive), True
     print(f'{"fault":44} told  back  tracking  sure and wrong')
     for name, fault in faults(bag).items():
@@ -130,7 +137,11 @@ def main() -> int:
                 for topic, message, log in spoilt(bag, name, fault, at_s):
                     written.write(topic, message, log)
             over_s = fault.seconds if fault.topics else 0.0
-            localizer = Localizer(landmarks, mount, LocalizationConfig())
+            localizer: Localizer | JointLocalizer = Localizer(
+                landmarks, mount, LocalizationConfig()
+            )
+            if args.joint:
+                localizer = JointLocalizer(landmarks, calibration, LocalizationConfig())
             done = outcome(sensor_events(Bag(path), mount), localizer, start, at_s, over_s)
         print(f'{name:44}{done}', flush=True)
         good &= not done.wrong_s > TOLD_S and np.isfinite(done.back_s)

@@ -22,7 +22,7 @@ from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import Replay, replay
-from landmark_nav.evaluation.run_report import run_errors, run_report
+from landmark_nav.evaluation.run_report import integrity_report, run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report, strays
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
@@ -32,7 +32,7 @@ from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.whole import check_writable, write_whole
 from landmark_nav.types import LandmarkMap
 
@@ -117,7 +117,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f'--report {args.report}: reports are written as .html')
     figures_in = [args.out / name for name in _FIGURES.values()] if args.out else []
     check_writable(*figures_in, args.json, args.report, args.tum and args.tum / 'fused.tum')
-    mount, landmarks = load_robot(args.robot), load_map(args.map)
+    calibration, landmarks = load_calibration(args.robot), load_map(args.map)
+    mount = calibration.mount
     start, covariance = _start(args, landmarks)
     if not landmarks.landmarks:
         raise LandmarkNavError(f'{args.map}: the map holds no landmark: learn it again')
@@ -140,12 +141,13 @@ def run(args: argparse.Namespace) -> int:
         delays = (joint_delay_s, late.images_s, late.odometry_s)
         events = progress(sensor_events(bag, mount, *delays), 'localizing', total)
         known = replace(config, fusion=fusion)
-        return replay(events, landmarks, mount, known, start, covariance)
+        return replay(events, landmarks, mount, known, start, covariance, calibration)
 
     done = localized(late.joints_s, config.fusion)
     learned = replace(config, odometry=done.odometry_noise)
     offsets = camera_offsets(done, landmarks, mount, learned)
-    again = offsets.delay_matters or late.joints_s != 0.0
+    # The joint estimator takes the delay into account.
+    again = config.estimator == 'filter' and (offsets.delay_matters or late.joints_s != 0.0)
     offsets = replace(offsets, delay_s=late.joints_s + offsets.delay_s)
     delay_s = late.joints_s
     if again:
@@ -179,6 +181,9 @@ def run(args: argparse.Namespace) -> int:
     report = run_report(done, errors, landmarks, mount, learned)
     report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
     report['checks'] = [finding.report() for finding in diagnosis.findings]
+    if done.calibration is not None:
+        report['calibration'] = done.calibration.differences(calibration)
+        report['integrity'] = integrity_report(done, errors)
     smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)

@@ -9,12 +9,14 @@ import time
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.clock import shifts_by_odometry
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.joint_delay import JointDelay
+from landmark_nav.localization.joint_localizer import JointLocalizer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import SensorEvent
@@ -63,6 +65,8 @@ class Replay:
         Delay of the stamps of the joints, as estimated by the end.
     samples : tuple of OdometrySample
         The odometry as it came, by time.
+    calibration : Calibration or None
+        As estimated by the end, where the estimator does.
 
     """
 
@@ -77,6 +81,7 @@ class Replay:
     sighting_sigma: float = 1.0
     late: JointDelay = field(default_factory=JointDelay)
     samples: tuple[OdometrySample, ...] = ()
+    calibration: Calibration | None = None
 
     @property
     def begin_ns(self) -> int:
@@ -137,6 +142,7 @@ def replay(
     config: LocalizationConfig,
     start_pose: FloatArray | None = None,
     start_covariance: FloatArray | None = None,
+    calibration: Calibration | None = None,
 ) -> Replay:
     """
     Localize along a recorded drive.
@@ -151,6 +157,8 @@ def replay(
         own place.
     start_covariance : ndarray, shape (3, 3), optional
         How sure the start is; goes with it.
+    calibration : Calibration, optional
+        Prior of the joint estimator; without it, the mount with default sigmas.
 
     Raises
     ------
@@ -159,7 +167,12 @@ def replay(
         found.
 
     """
-    localizer = Localizer(landmark_map, mount, config)
+    localizer: Localizer | JointLocalizer
+    if config.estimator == 'joint':
+        prior = calibration or Calibration.of_mount(mount)
+        localizer = JointLocalizer(landmark_map, prior, config)
+    else:
+        localizer = Localizer(landmark_map, mount, config)
     start: PoseEstimate | None = None
     searched: list[int] = []
     refusal = Refusal('nothing seen')
@@ -238,6 +251,7 @@ def replay(
         localizer.sighting_sigma,
         localizer.late,
         tuple(samples),
+        localizer.calibration if isinstance(localizer, JointLocalizer) else None,
     )
 
 

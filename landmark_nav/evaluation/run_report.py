@@ -22,7 +22,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
 from landmark_nav.types import Detections, FloatArray, LandmarkMap
 
-__all__ = ['RunErrors', 'pose_report', 'run_errors', 'run_report']
+__all__ = ['RunErrors', 'integrity_report', 'pose_report', 'run_errors', 'run_report']
 
 SCHEMA = 1
 # A place that is known in fewer of the pictures is hardly known.
@@ -131,6 +131,31 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         'silently_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking)
         if len(run.truth)
         else None,
+    }
+
+
+def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
+    """
+    Return how the protection levels of a run hold; None without levels or ground truth.
+
+    `coverage_99` is the share of images with position and heading inside, by quarter from the
+    smallest to the largest level of the position; `undetected_wrong` counts images that are off by
+    over 5 sigma while the state is OK.
+    """
+    levels = [(k, update.level) for k, update in enumerate(run.updates) if update.level]
+    levels = [(k, level) for k, level in levels if np.isfinite(errors.fused[k]).all()]
+    if not levels:
+        return None
+    which = [k for k, _ in levels]
+    level = np.array([tuple(each) for _, each in levels])
+    off = np.column_stack([np.hypot(*errors.fused[which, :2].T), np.abs(errors.fused[which, 2])])
+    inside = np.asarray((off <= level).all(axis=1))
+    quarters = np.array_split(inside[np.argsort(level[:, 0], kind='stable')], 4)
+    return {
+        'coverage_99': float(inside.mean()),
+        'coverage_99_by_quarter': [float(part.mean()) for part in quarters if len(part)],
+        'level_over_error_median': float(np.median(level[:, 0] / np.maximum(off[:, 0], 1e-9))),
+        'undetected_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking),
     }
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.estimator import EstimatorConfig, ProtectionLevel
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.start import Found
@@ -53,8 +54,15 @@ class LocalizationConfig(Config):
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+    joint: EstimatorConfig = field(default_factory=EstimatorConfig)
     choice_period_s: float = parameter(
         0.5, 'time between two choices of the triplet, s', minimum=0.0
+    )
+    estimator: str = parameter(
+        'filter',
+        'what estimates the pose: the filter of bearings, or the joint estimator of pose, '
+        'calibration and map errors',
+        choices=('filter', 'joint'),
     )
 
 
@@ -77,6 +85,8 @@ class LocalizationUpdate:
         Covariance of `fused` with the positions of all landmarks.
     search : PoseEstimate or Refusal, optional
         Result of searching for the place, if that was done.
+    level : ProtectionLevel, optional
+        What the error of `fused` stays within, with 99 %.
 
     """
 
@@ -89,6 +99,7 @@ class LocalizationUpdate:
     reason: str
     with_landmarks: FloatArray | None = None
     search: PoseEstimate | Refusal | None = None
+    level: ProtectionLevel | None = None
 
 
 class Localizer:

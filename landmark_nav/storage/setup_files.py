@@ -43,7 +43,12 @@ _LARGEST_SIGMA_RAD = 0.1
 _ROBOT_FIELDS = (
     *('base_frame', 'pan_joint', 'tilt_joint'),
     *('pan_axis', 'optical_center_offset', 'camera_roll', 'pan_sigma'),
+    # Those that `robot_files` reads.
+    *('optical_center_offset_sigma', 'camera_roll_sigma', 'camera_tilt', 'camera_tilt_sigma'),
+    *('pan_scale', 'pan_scale_sigma', 'focal_scale', 'focal_scale_sigma', 'principal_point'),
+    *('principal_point_sigma', 'joint_delay', 'joint_delay_sigma'),
 )
+_AXIS_FIELDS = ('xyz', 'rpy', 'xyz_sigma', 'rpy_sigma')
 
 
 def load_room(path: Path | str) -> Room:
@@ -149,6 +154,8 @@ def load_robot(path: Path | str) -> PanTiltMount:
     try:
         check_spelling(document, _ROBOT_FIELDS, 'robot')
         axis = field(document, 'pan_axis', 'robot')
+        if isinstance(axis, dict):
+            check_spelling(axis, _AXIS_FIELDS, 'pan_axis')
         offset = (
             _point(document, 'optical_center_offset', 3, 'robot')
             if 'optical_center_offset' in document

@@ -11,11 +11,13 @@ from faults import knocked_drive, late_drive
 import numpy as np
 import pytest
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
@@ -153,3 +155,66 @@ def test_a_camera_that_was_knocked_while_switched_off_finds_its_place(
     up_deg, _, right_deg = turned_deg
     assert ('camera looks' in caplog.text) == bool(up_deg)
     assert ('camera leans' in caplog.text) == bool(right_deg)
+
+
+def joint_run(
+    out: Path, calibration: Calibration, *options: str, config: str = 'estimator: joint'
+) -> dict[str, Any]:
+    """Figures of `evaluate` with the joint estimator."""
+    save_calibration(calibration, out / 'robot.yaml')
+    (out / 'config.yaml').write_text(config)
+    files = ['--map', str(out / 'map'), '--robot', str(out / 'robot.yaml')]
+    files += ['--config', str(out / 'config.yaml'), '--json', str(out / 'joint.json')]
+    assert main(['evaluate', str(BAGS / 'drive'), *files, *options]) == 0
+    run: dict[str, Any] = json.loads((out / 'joint.json').read_text())
+    return run
+
+
+def start_of_the_drive() -> list[str]:
+    return ['--start', *map(str, json.loads((BAGS / 'start.json').read_text())['pose'])]
+
+
+def test_the_joint_estimator_is_as_good_where_the_mount_is_exact(
+    figures: tuple[dict[str, float], Path],
+) -> None:
+    exact = Calibration.exact(load_robot(BAGS / 'robot.yaml'))
+    run = joint_run(figures[1], exact, *start_of_the_drive())
+    bounds = json.loads((BAGS / 'expected.json').read_text())
+    assert run['fused']['position_rmse_m'] < bounds['fused_position_rmse_m']['most']
+    assert run['fused']['heading_rmse_deg'] < bounds['fused_heading_rmse_deg']['most']
+    assert run['availability'] == 1.0
+    assert run['integrity']['coverage_99'] > 0.97
+    assert run['integrity']['undetected_wrong'] == 0
+
+
+@pytest.mark.parametrize(
+    'error',
+    [
+        {'axis_yaw': 0.0122},
+        {'center_x': 0.03, 'center_y': 0.01},
+        {'axis_x': 0.03},
+        {'axis_pitch': 0.014, 'camera_roll': 0.014, 'axis_z': 0.03},
+    ],
+)
+def test_the_joint_estimator_knows_how_wrong_it_may_be(
+    figures: tuple[dict[str, float], Path], error: dict[str, float]
+) -> None:
+    right = Calibration.of_mount(load_robot(BAGS / 'robot.yaml'))
+    wrong = right.with_values(**{name: right[name][0] + off for name, off in error.items()})
+    run = joint_run(figures[1], wrong, *start_of_the_drive())
+    assert run['integrity']['undetected_wrong'] == 0
+    assert run['nees']['mean'] < run['nees']['interval_95'][1]
+    assert run['fused']['position_rmse_m'] < 0.03
+    for name in error:
+        found = run['calibration'][name]
+        assert abs(found['value'] - right[name][0]) < max(4.0 * found['sigma'], 0.002)
+
+
+def test_the_joint_estimator_finds_its_own_place(
+    figures: tuple[dict[str, float], Path],
+) -> None:
+    exact = Calibration.exact(load_robot(BAGS / 'robot.yaml'))
+    run = joint_run(figures[1], exact)
+    assert run['found'] is not None
+    assert run['integrity']['undetected_wrong'] == 0
+    assert run['fused']['position_median_m'] < 0.01

@@ -12,8 +12,8 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 # Part of the package -> the parts below it. Learning and localization do not know each other, and
 # no stage knows files, ROS or the command line.
 GROUND = {'arrays', 'errors', 'image_codec', 'parameters', 'geometry', 'quality', 'types'}
-STAGES = {*GROUND, 'matching', 'learning', 'localization'}
-FILES = {*GROUND, 'messages', 'storage'}
+STAGES = {*GROUND, 'calibration', 'matching', 'learning', 'localization'}
+FILES = {*GROUND, 'calibration', 'messages', 'storage'}
 RUN = {'ros', 'signals', 'threads'}
 BELOW = {
     'errors': set[str](),
@@ -23,12 +23,13 @@ BELOW = {
     'geometry': {'arrays', 'errors'},
     'quality': set(),
     'types': {'arrays', 'errors', 'geometry', 'quality'},
+    'calibration': GROUND,
     'matching': GROUND,
-    'learning': {*GROUND, 'matching'},
-    'localization': {*GROUND, 'matching'},
+    'learning': {*GROUND, 'calibration', 'matching'},
+    'localization': {*GROUND, 'calibration', 'matching'},
     'planning': STAGES,
     'messages': GROUND,
-    'storage': {*GROUND, 'messages'},
+    'storage': {*GROUND, 'calibration', 'messages'},
     'simulation': FILES,
     'upkeep': {*GROUND, 'matching'},
     'diagnosis': {*STAGES, *FILES},

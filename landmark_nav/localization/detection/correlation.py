@@ -135,6 +135,7 @@ def detect_landmarks(
             variance,
             np.array([f.match.score for f in found], dtype=np.float64),
             uv,
+            covariance_px2=covariance,
         ),
         refused,
         rays[:, 0],

@@ -1,0 +1,5 @@
+"""How the camera is mounted, and how exactly that is known."""
+
+from landmark_nav.calibration.calibration import Calibration, NAMES, UNITS
+
+__all__ = ['NAMES', 'UNITS', 'Calibration']

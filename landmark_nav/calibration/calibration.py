@@ -1,0 +1,176 @@
+"""
+The calibration of a robot: what its mount, lens and clocks are, with covariance.
+
+It is the prior of every stage that estimates some of it, and what such a stage returns. A standard
+deviation of 0 says that a value is exact: it is never changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.types import FloatArray
+
+__all__ = ['NAMES', 'UNITS', 'Calibration']
+
+# Name -> unit, default sigma. A person with a tape and a spirit level is off by 2 cm and 1 degree;
+# lens, clocks and encoders by what their calibrations leave.
+_QUANTITIES: dict[str, tuple[str, float]] = {
+    'axis_x': ('m', 0.02),
+    'axis_y': ('m', 0.02),
+    'axis_z': ('m', 0.02),
+    'axis_roll': ('rad', 0.017),
+    'axis_pitch': ('rad', 0.017),
+    'axis_yaw': ('rad', 0.017),
+    'center_x': ('m', 0.02),
+    'center_y': ('m', 0.02),
+    'center_z': ('m', 0.02),
+    'camera_roll': ('rad', 0.017),
+    'camera_tilt': ('rad', 0.017),
+    'pan_scale': ('1', 0.001),
+    'focal_scale': ('1', 0.01),
+    'principal_point': ('1', 0.001),
+    'joint_delay': ('s', 0.03),
+}
+NAMES: tuple[str, ...] = tuple(_QUANTITIES)
+UNITS: dict[str, str] = {name: unit for name, (unit, _) in _QUANTITIES.items()}
+_DEFAULTS = np.array([sigma for _, sigma in _QUANTITIES.values()])
+
+# A calibrated mount is given to a tenth of a millimetre and to 0.006 degrees.
+_EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
+# A quantity counts as observed once this share of its prior standard deviation is gone.
+_OBSERVED = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """
+    Values of `NAMES` with their joint covariance.
+
+    Parameters
+    ----------
+    values : ndarray, shape (15,)
+        Position [m] of the pan axis in ``base_link`` and its roll, pitch and yaw [rad] at pan 0;
+        position [m] of the optical centre in the frame that turns; roll and tilt [rad] of the
+        camera in that frame; relative errors of the pan and of the focal length; shift of the
+        principal point to the right over the focal length; time [s] by which the stamps of
+        ``joint_states`` lag those of the images.
+    covariance : ndarray, shape (15, 15)
+        Of `values`.
+    base : PanTiltMount
+        Names of frames and joints, noise of the pan.
+
+    Raises
+    ------
+    LandmarkNavError
+        Values that are not finite, or a matrix that is no covariance.
+
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    base: PanTiltMount = field(default_factory=PanTiltMount)
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        n = len(NAMES)
+        if self.values.shape != (n,) or self.covariance.shape != (n, n):
+            raise LandmarkNavError(f'a calibration has {n} values and their covariance')
+        if not (np.isfinite(self.values).all() and np.isfinite(self.covariance).all()):
+            raise LandmarkNavError('calibration: a value or sigma is not finite')
+        spread = np.linalg.eigvalsh(self.covariance)
+        if spread[0] < -1e-9 * max(spread[-1], 1e-12):
+            raise LandmarkNavError('calibration: the covariance has a negative eigenvalue')
+
+    @classmethod
+    def of_mount(
+        cls,
+        mount: PanTiltMount,
+        sigmas: Mapping[str, float] | None = None,
+        values: Mapping[str, float] | None = None,
+    ) -> Calibration:
+        """
+        Return the calibration that a mount gives, independent errors.
+
+        `sigmas` replaces default standard deviations, by name; `values` gives what a mount does
+        not hold (camera_tilt, pan_scale, focal_scale, principal_point, joint_delay).
+        """
+        of_mount = (*mount.axis_xyz, *mount.axis_rpy, *mount.optical_center_offset)
+        known = dict(zip(NAMES, (*of_mount, mount.camera_roll_rad), strict=False))
+        all_values = {**known, **(values or {})}
+        every = {**dict(zip(NAMES, _DEFAULTS.tolist(), strict=True)), **(sigmas or {})}
+        return cls(
+            np.array([all_values.get(name, 0.0) for name in NAMES]),
+            np.diag(np.array([every[name] for name in NAMES]) ** 2),
+            mount,
+        )
+
+    @classmethod
+    def exact(cls, mount: PanTiltMount) -> Calibration:
+        """Return that of a mount given as exact: 0.1 mm, 0.006 degrees."""
+        return cls.of_mount(mount, {name: _EXACT[unit] for name, unit in UNITS.items()})
+
+    @cached_property
+    def sigmas(self) -> FloatArray:
+        """Standard deviations, (15,)."""
+        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+
+    @cached_property
+    def mount(self) -> PanTiltMount:
+        """The mount with these values."""
+        x = self.values.tolist()
+        return replace(
+            self.base,
+            axis_xyz=tuple(x[0:3]),
+            axis_rpy=tuple(x[3:6]),
+            optical_center_offset=tuple(x[6:9]),
+            camera_roll_rad=x[9],
+        )
+
+    def __getitem__(self, name: str) -> tuple[float, float]:
+        """Value and standard deviation of a quantity."""
+        k = NAMES.index(name)
+        return float(self.values[k]), float(self.sigmas[k])
+
+    def with_values(self, **values: float) -> Calibration:
+        """Return a copy with other values, by name."""
+        changed = self.values.copy()
+        for name, value in values.items():
+            changed[NAMES.index(name)] = value
+        return replace(self, values=changed)
+
+    def unobserved(self, prior: Calibration) -> tuple[str, ...]:
+        """Names of what is known hardly better than by `prior`, and is not exact."""
+        hardly = (self.sigmas > (1.0 - _OBSERVED) * prior.sigmas) & (prior.sigmas > 0.0)
+        return tuple(name for name, unknown in zip(NAMES, hardly, strict=True) if unknown)
+
+    def contradictions(self, prior: Calibration, sigmas: float = 5.0) -> tuple[str, ...]:
+        """Names of what was found more than so many prior standard deviations off."""
+        off = np.abs(self.values - prior.values) > sigmas * prior.sigmas + 1e-12
+        return tuple(name for name, far in zip(NAMES, off, strict=True) if far)
+
+    def differences(self, prior: Calibration) -> dict[str, dict[str, float | bool | str]]:
+        """Table for people and programs: prior, value, sigma, unit, observed, by name."""
+        hidden = self.unobserved(prior)
+        return {
+            name: {
+                'prior': float(prior.values[k]),
+                'value': float(self.values[k]),
+                'sigma': float(self.sigmas[k]),
+                'unit': UNITS[name],
+                'observed': name not in hidden,
+            }
+            for k, name in enumerate(NAMES)
+        }
+
+    def sigma_of(self, first: str, count: int) -> npt.NDArray[np.float64]:
+        """Standard deviations of `count` quantities from `first` on."""
+        k = NAMES.index(first)
+        return self.sigmas[k : k + count]

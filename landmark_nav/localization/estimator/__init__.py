@@ -1,0 +1,22 @@
+"""One estimator of pose, calibration and map errors; see docs/estimator.md."""
+
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.filter import JointFilter, Update
+from landmark_nav.localization.estimator.integrity import (
+    Integrity,
+    protection_level,
+    ProtectionLevel,
+    Status,
+)
+
+__all__ = [
+    'EstimatorConfig',
+    'ImagePoints',
+    'Integrity',
+    'JointFilter',
+    'ProtectionLevel',
+    'Status',
+    'Update',
+    'protection_level',
+]

@@ -1,0 +1,313 @@
+"""
+What images and wheels measure, as functions of the state, with analytic derivatives.
+
+A detection is a point of the normalised image plane (x/z to the right, y/z down), seen through
+the lens as it is calibrated. The model has all that may be off between the map and that point:
+pose and lean of the base, mount, pan, focal length, principal point, joint delay. A measured
+bearing is the same with a camera that looks along it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.arrays import IndexArray
+from landmark_nav.calibration import NAMES
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.localization.odometry.noise import Motion
+from landmark_nav.types import FloatArray
+
+__all__ = ['ImagePoints', 'Projection', 'moved', 'project']
+
+# Where each block of the state begins: pose of the base; pitch and roll of the base by an uneven
+# floor; scale, drift and turn scale of the odometry, its side slip and the way lost in turns; the
+# calibration; after it the shared map factors.
+POSE, LEAN, SCALE, DRIFT, TURN_SCALE, SLIP, TURN_LOSS, CALIBRATION = 0, 3, 5, 6, 7, 8, 9, 10
+STATES = CALIBRATION + len(NAMES)
+_AXIS, _RPY, _CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
+ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, DELAY = range(CALIBRATION + 9, STATES)
+YAW = _RPY + 2
+
+# Nearer to the image plane than this, metres, nothing is seen.
+_LEAST_DEPTH_M = 0.05
+# Farther from the direction of the camera a bearing is no point of its image.
+_WIDEST_RAD = 1.0
+# Half a pixel each way, to differentiate the lens.
+_HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePoints:
+    """
+    Landmarks found in one image.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Time of the image.
+    columns : ndarray of int, shape (m,)
+        Their places in the map.
+    points : ndarray, shape (m, 2)
+        Normalised image coordinates.
+    covariance : ndarray, shape (m, 2, 2)
+        Of each by itself.
+    pan_rad : ndarray, shape (m,)
+        Measured pan.
+    tilt_rad : float
+        Measured tilt.
+    pan_rate_rad_s, pan_sigma_rad : float
+        Rate of the pan, and the error of the measured pan that all of them share.
+    pan_track : PanTrack, optional
+        Pan around the stamp; without it the rate counts.
+    rows : bool
+        Whether the y/z are measured; bearings have none.
+    missed : ndarray of int, shape (k,)
+        Landmarks that should be in view and were not found.
+
+    """
+
+    stamp_ns: int
+    columns: IndexArray
+    points: FloatArray
+    covariance: FloatArray
+    pan_rad: FloatArray
+    tilt_rad: float = 0.0
+    pan_rate_rad_s: float = 0.0
+    pan_sigma_rad: float = 0.0
+    pan_track: PanTrack | None = None
+    rows: bool = True
+    missed: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.columns)
+
+    @classmethod
+    def of_pixels(
+        cls,
+        stamp_ns: int,
+        columns: IndexArray,
+        uv_px: FloatArray,
+        covariance_px2: FloatArray,
+        camera: CameraModel,
+        pan_rad: float,
+        tilt_rad: float = 0.0,
+        pan_rate_rad_s: float = 0.0,
+        pan_sigma_rad: float = 0.0,
+        pan_track: PanTrack | None = None,
+        missed: IndexArray | None = None,
+    ) -> ImagePoints:
+        """Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera."""
+        rays = camera.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
+        by_uv = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2)
+        return cls(
+            stamp_ns,
+            columns,
+            rays[:, 0],
+            by_uv @ covariance_px2 @ by_uv.swapaxes(1, 2),
+            np.full(len(columns), pan_rad),
+            tilt_rad,
+            pan_rate_rad_s,
+            pan_sigma_rad,
+            pan_track,
+            missed=np.empty(0, dtype=np.intp) if missed is None else missed,
+        )
+
+    @classmethod
+    def of_bearings(
+        cls,
+        stamp_ns: int,
+        columns: IndexArray,
+        bearing_base_rad: FloatArray,
+        variance_rad2: FloatArray,
+        mount: PanTiltMount,
+        looked_base_rad: float | None = None,
+        pan_sigma_rad: float = 0.0,
+    ) -> ImagePoints:
+        """
+        Return those of bearings (m,) at the pan axis, that were measured with this mount.
+
+        A camera that looked along the azimuth `looked_base_rad` saw them in its image, where an
+        error of its principal point bends them; without it, each was looked at.
+        """
+        bearing = np.asarray(bearing_base_rad, dtype=np.float64)
+        off = np.zeros(len(columns))
+        if looked_base_rad is not None and mount.pan_sense > 0.0:
+            off = np.asarray(wrap_rad(bearing - looked_base_rad))
+            off[np.abs(off) > _WIDEST_RAD] = 0.0
+        right = -np.tan(off)
+        covariance = np.zeros((len(columns), 2, 2))
+        covariance[:, 0, 0] = variance_rad2 * (1.0 + right**2) ** 2
+        covariance[:, 1, 1] = 1.0
+        return cls(
+            stamp_ns,
+            columns,
+            np.column_stack([right, np.zeros(len(columns))]),
+            covariance,
+            mount.pan_toward_rad(bearing - off),
+            pan_sigma_rad=pan_sigma_rad,
+            rows=False,
+        )
+
+    def chosen(self, which: npt.NDArray[np.bool_]) -> ImagePoints:
+        """Return some of them: `which` (m,) says whether to keep each."""
+        return replace(
+            self,
+            columns=self.columns[which],
+            points=self.points[which],
+            covariance=self.covariance[which],
+            pan_rad=self.pan_rad[which],
+        )
+
+    def pans(self, delay_s: float) -> tuple[FloatArray, float]:
+        """Pans (m,) when the joints lag so much, and their derivative by the lag."""
+        track = self.pan_track
+        if track is None:
+            return self.pan_rad + self.pan_rate_rad_s * delay_s, self.pan_rate_rad_s
+        step = 0.02
+        given, before, at, after = track.at([0.0, delay_s - step, delay_s, delay_s + step])
+        return self.pan_rad + (at - given), float((after - before) / (2.0 * step))
+
+
+class Projection(NamedTuple):
+    """
+    Where landmarks should be seen.
+
+    `points` (m, 2) is predicted; `by_state` (m, 2, STATES) its derivative by the state,
+    `by_point` (m, 2, 3) by the position of the landmark, `by_pan` (m, 2) by the measured pan;
+    `ahead` (m,) says which lie before the camera.
+    """
+
+    points: FloatArray
+    by_state: FloatArray
+    by_point: FloatArray
+    by_pan: FloatArray
+    ahead: npt.NDArray[np.bool_]
+
+
+def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Projection:
+    """
+    Return where points (m, 3) in map are seen, for the first STATES of a state.
+
+    Points behind the camera are marked in `ahead`; their values are finite.
+    """
+    x, y, heading, pitch, lean = state[:5].tolist()
+    pans, by_delay = seen.pans(float(state[DELAY]))
+    scale = 1.0 + float(state[PAN_SCALE])
+    tilt = seen.tilt_rad + float(state[TILT])
+    axes, axis_from_base = _axis_frame(*state[_RPY : _RPY + 3].tolist())
+    # A small pitch and lean of the base on an uneven floor, about its origin.
+    leaning = np.array([[1.0, 0.0, -pitch], [0.0, 1.0, lean], [pitch, -lean, 1.0]])
+    c, s = math.cos(heading), math.sin(heading)
+    upright = (points_map - [x, y, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    # From the base to the frame that turns, (m, 3, 3).
+    turn = _turning(scale * pans, tilt) @ axis_from_base
+    away = upright @ leaning.T - state[_AXIS:_RPY]
+    inner = (turn @ away[:, :, None])[:, :, 0]
+    outer = inner - state[_CENTER:ROLL]
+
+    # Derivatives of `outer`: by x, y, heading, pitch and lean of the base, by the axis and its
+    # angles, by the optical centre, by pan and tilt, by the point.
+    count = len(points_map)
+    by = np.zeros((count, 3, 19))
+    by_point = turn @ (leaning @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+    by[:, :, :2] = -by_point[:, :, :2]
+    moves = np.zeros((count, 3, 3))
+    moves[:, 0, 0], moves[:, 1, 0] = upright[:, 1], -upright[:, 0]
+    moves[:, :, 0] = moves[:, :, 0] @ leaning.T
+    moves[:, 0, 1], moves[:, 2, 1] = -upright[:, 2], upright[:, 0]
+    moves[:, 1, 2], moves[:, 2, 2] = upright[:, 2], -upright[:, 1]
+    by[:, :, 2:5] = turn @ moves
+    by[:, :, 5:8] = -turn
+    # A frame that turns about an axis moves a point by minus their cross product.
+    by[:, :, [8, 9, 10, 14]] = np.cross(inner[:, :, None], turn @ axes, axis=1)
+    by[:, 0, 11] = by[:, 1, 12] = by[:, 2, 13] = -1.0
+    by[:, 0, 15], by[:, 2, 15] = inner[:, 2], -inner[:, 0]
+    by[:, :, 16:19] = by_point
+
+    ahead = outer[:, 0] > _LEAST_DEPTH_M
+    depth = np.where(ahead, outer[:, 0], 1.0)
+    flat = -outer[:, 1:] / depth[:, None]
+    roll, focal = float(state[ROLL]), 1.0 + float(state[FOCAL])
+    rolled = np.array([[math.cos(roll), math.sin(roll)], [-math.sin(roll), math.cos(roll)]])
+    flat_by = (focal * rolled) @ (
+        (by[:, 1:] + flat[:, :, None] * by[:, :1]) / -depth[:, None, None]
+    )
+    turned = flat @ rolled.T
+    points = focal * turned
+    points[:, 0] += state[PRINCIPAL]
+    by_pan = scale * flat_by[:, :, 14]
+    by_state = np.zeros((count, 2, STATES))
+    by_state[:, :, :SCALE] = flat_by[:, :, :5]
+    by_state[:, :, _AXIS:ROLL] = flat_by[:, :, 5:14]
+    by_state[:, 0, ROLL], by_state[:, 1, ROLL] = points[:, 1], -focal * turned[:, 0]
+    by_state[:, :, TILT] = flat_by[:, :, 15]
+    by_state[:, :, PAN_SCALE] = flat_by[:, :, 14] * pans[:, None]
+    by_state[:, :, FOCAL] = turned
+    by_state[:, 0, PRINCIPAL] = 1.0
+    by_state[:, :, DELAY] = by_pan * by_delay
+    return Projection(points, by_state, flat_by[:, :, 16:19], by_pan, ahead)
+
+
+def _axis_frame(roll: float, pitch: float, yaw: float) -> tuple[FloatArray, FloatArray]:
+    """Axes (3, 4) in the base of roll, pitch, yaw and pan; rotation (3, 3) base to axis frame."""
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    axis_from_base = np.array(
+        [
+            [cy * cp, sy * cp, -sp],
+            [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr],
+            [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr],
+        ]
+    )
+    axes = np.array([[cy * cp, -sy, 0.0], [sy * cp, cy, 0.0], [-sp, 0.0, 1.0]])
+    return np.column_stack([axes, axis_from_base[2]]), axis_from_base
+
+
+def _turning(pans: FloatArray, tilt: float) -> FloatArray:
+    """Rotations (m, 3, 3) from the axis frame to the frame that turns with pan and tilt."""
+    c, s, ct, st = np.cos(pans), np.sin(pans), math.cos(tilt), math.sin(tilt)
+    turning = np.zeros((len(pans), 3, 3))
+    turning[:, 0, 0], turning[:, 0, 1], turning[:, 0, 2] = ct * c, ct * s, st
+    turning[:, 1, 0], turning[:, 1, 1] = -s, c
+    turning[:, 2, 0], turning[:, 2, 1], turning[:, 2, 2] = -st * c, -st * s, ct
+    return turning
+
+
+def moved(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """
+    Return the state (CALIBRATION,) after a motion that the wheels measured, with its derivatives.
+
+    Returns
+    -------
+    mean : ndarray, shape (CALIBRATION,)
+        Pose moved on, corrected by the errors of the odometry.
+    by_state : ndarray, shape (CALIBRATION, CALIBRATION)
+        Its derivative.
+    by_motion : ndarray, shape (3, 3)
+        Derivative of the pose by the motion.
+
+    """
+    forward, left, turn = motion.increment.tolist()
+    x, y, heading = state[:3].tolist()
+    scale, drift, turn_scale, slip, loss = state[SCALE:CALIBRATION].tolist()
+    ahead = (1.0 + scale) * forward - loss * abs(turn)
+    aside = (1.0 + scale) * left + slip * forward
+    turned = (1.0 + turn_scale) * turn + drift * forward
+    c, s = math.cos(heading), math.sin(heading)
+    mean = state[:CALIBRATION].copy()
+    mean[:3] = x + c * ahead - s * aside, y + s * ahead + c * aside, heading + turned
+    by_state = np.eye(CALIBRATION)
+    by_state[0, 2], by_state[1, 2] = -s * ahead - c * aside, c * ahead - s * aside
+    by_state[0, SCALE], by_state[1, SCALE] = c * forward - s * left, s * forward + c * left
+    by_state[0, SLIP], by_state[1, SLIP] = -s * forward, c * forward
+    by_state[0, TURN_LOSS], by_state[1, TURN_LOSS] = -c * abs(turn), -s * abs(turn)
+    by_state[2, DRIFT], by_state[2, TURN_SCALE] = forward, turn
+    return mean, by_state, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

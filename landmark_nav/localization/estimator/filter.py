@@ -1,0 +1,564 @@
+"""
+The joint estimator: pose, odometry, calibration, map and landmark errors in one state.
+
+An iterated extended Kalman filter whose detections have the tails of a t distribution (iterated
+weights: Lange, Little and Taylor, JASA 84(408), 1989). What all landmarks of the map share is
+part of the state. What each is off by itself joins the state when it is first seen, is a
+first-order Gauss-Markov process over the way, as it changes with the viewpoint, and leaves the
+state when it is forgotten. So repeated detections never make the pose more certain than the map
+allows.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from landmark_nav.arrays import IndexArray
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import (
+    CALIBRATION,
+    DELAY,
+    ImagePoints,
+    LEAN,
+    moved,
+    project,
+    ROLL,
+    SCALE,
+    SLIP,
+    STATES,
+    TILT,
+    TURN_LOSS,
+    YAW,
+)
+from landmark_nav.localization.estimator.noise import (
+    DETECTION,
+    FLOOR,
+    learned,
+    NOISES,
+    NoiseScales,
+    SLIP_NOISE,
+)
+from landmark_nav.localization.odometry.noise import (
+    blind_variances,
+    jitter_variances,
+    Motion,
+    OdometryNoiseConfig,
+    sensed_variances,
+)
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+
+__all__ = ['JointFilter', 'Update']
+
+# Iterations of an update, and the change of the position that ends them, metres.
+_ITERATIONS, _CONVERGED_M = 5, 1e-4
+# Landmark errors of which less than this share is left are forgotten.
+_STALE = 0.05
+# At most so many landmarks have errors in the state: the cost of an update grows with them.
+_MOST_LANDMARKS = 60
+# Iterations of the weights, and the relative change of all that ends them.
+_WEIGHINGS, _SAME_WEIGHT = 10, 0.3
+# A turn of the camera or base explains two landmarks whatever they show: more must agree on it,
+# with at least this weight.
+_WITNESSES, _INLIER = 3, 0.3
+# An image is a surprise if it is less likely than this.
+_SURPRISE = 1e-3
+_DRIFTING = slice(SCALE, SLIP)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """All that changes; arrays are never changed in place, so that a copy costs nothing."""
+
+    stamp_ns: int
+    mean: FloatArray
+    covariance: FloatArray
+    by_noise: FloatArray
+    scales: NoiseScales
+    # Columns of the landmarks whose own errors are in the state, and the way since each was seen.
+    landmarks: IndexArray
+    unseen_m: FloatArray
+    way_m: float = 0.0
+    seconds: float = 0.0
+
+
+class Update(NamedTuple):
+    """
+    What an image did to the state.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Of the image.
+    columns : ndarray of int, shape (m,)
+        Landmarks that were used.
+    residual : ndarray, shape (m, d)
+        Measured minus predicted from all before and from the others of the image.
+    covariance : ndarray, shape (m, d, d)
+        Of each residual, with the nominal noise of the detection.
+    weight : ndarray, shape (m,)
+        1 for an inlier, near 0 for an outlier.
+    log_evidence : float
+        Log density of the image given all before.
+    surprising : bool
+        Whether it hardly fits what was expected, all together.
+    stepped : bool
+        Whether camera or base is taken to have been turned before it, unseen by the wheels.
+    separation : ndarray, shape (m, 3)
+        By how much the pose would change if that landmark were left out.
+    without : ndarray, shape (m, 3, 3)
+        What is added to the covariance of the pose then.
+
+    """
+
+    stamp_ns: int
+    columns: IndexArray
+    residual: FloatArray
+    covariance: FloatArray
+    weight: FloatArray
+    log_evidence: float
+    surprising: bool
+    stepped: bool
+    separation: FloatArray
+    without: FloatArray
+
+
+class JointFilter:
+    """
+    Estimates where the robot is, and how it is built, from odometry and detections.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        Positions, own covariances and shared factors.
+    calibration : Calibration
+        Prior of the mount, lens and clocks.
+    start : PoseEstimate
+        Pose of the base in map, with its covariance.
+    config : EstimatorConfig
+        Noise of floor, map and mount.
+    odometry : OdometryNoiseConfig
+        Noise of the wheels.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        calibration: Calibration,
+        start: PoseEstimate,
+        config: EstimatorConfig | None = None,
+        odometry: OdometryNoiseConfig | None = None,
+    ) -> None:
+        self._config = config or EstimatorConfig()
+        self._odometry = odometry or OdometryNoiseConfig()
+        self._prior, self._map = calibration, landmark_map
+        self._positions, self._loadings = landmark_map.positions, landmark_map.shared_loadings
+        self._own = landmark_map.covariances - self._loadings @ self._loadings.swapaxes(1, 2)
+        self._fixed = STATES + self._loadings.shape[2]
+        wheels = self._odometry
+        lean = self._config.lean_sigma_rad
+        variances = np.ones(self._fixed)
+        variances[LEAN:SCALE] = lean**2
+        variances[SCALE:SLIP] = wheels.bias_sigmas**2
+        variances[SLIP], variances[TURN_LOSS] = (
+            wheels.slip_sigma**2,
+            wheels.turn_loss_sigma_m_per_rad**2,
+        )
+        mean, covariance = np.zeros(self._fixed), np.diag(variances)
+        mean[:3], covariance[:3, :3] = start.pose, start.covariance
+        mean[CALIBRATION:STATES] = calibration.values
+        covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
+        by_noise = np.zeros((NOISES, STATES, STATES))
+        by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_sigma**2
+        by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
+        none = np.empty(0, dtype=np.intp)
+        scales = NoiseScales.unknown(self._config.learning_sigma)
+        self._state = _State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
+
+    @property
+    def estimate(self) -> PoseEstimate:
+        """Pose of the base in map."""
+        state = self._state
+        return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), state.covariance[:3, :3].copy())
+
+    @property
+    def camera(self) -> PoseEstimate:
+        """
+        Pose of the base as the camera sees it: by how much landmarks may be off in the next image.
+
+        Position and heading are those of the base; the covariance is that of the pan axis, in the
+        direction of the camera, so that errors of heading and pan zero that cancel are left out.
+        """
+        state = self._state
+        x, y = state.mean[CALIBRATION : CALIBRATION + 2].tolist()
+        c, s = np.cos(state.mean[2]), np.sin(state.mean[2])
+        rows = np.zeros((3, STATES))
+        rows[:, :3] = np.eye(3)
+        rows[0, 2], rows[1, 2] = -s * x - c * y, c * x - s * y
+        rows[:2, CALIBRATION : CALIBRATION + 2] = [[c, -s], [s, c]]
+        rows[2, YAW] = 1.0
+        covariance = rows @ state.covariance[:STATES, :STATES] @ rows.T
+        return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), covariance)
+
+    @property
+    def tilt_sigma_rad(self) -> float:
+        """How well it is known how high the camera looks: of base, axis and camera together."""
+        which = [LEAN, CALIBRATION + NAMES.index('axis_pitch'), TILT]
+        return float(np.sqrt(max(self._state.covariance[np.ix_(which, which)].sum(), 0.0)))
+
+    def pan_sigma_rad(self, pan_rate_rad_s: float) -> float:
+        """How well the pan is known at this rate, beside the pan zero."""
+        delay = abs(pan_rate_rad_s) * float(np.sqrt(self._state.covariance[DELAY, DELAY]))
+        return float(np.hypot(delay, self._prior.base.pan_sigma_rad))
+
+    def with_landmarks(self) -> FloatArray:
+        """Covariance (3, 2 n) of the pose with x and y of all landmarks."""
+        state, first = self._state, self._fixed
+        shared = state.covariance[:3, STATES:first]
+        out = np.einsum('kf,nif->kni', shared, self._loadings[:, :2])
+        own = state.covariance[:3, first:].reshape(3, -1, 3)[..., :2]
+        out[:, state.landmarks] += own
+        return np.asarray(out.reshape(3, -1))
+
+    def stepped(self) -> JointFilter:
+        """Return the filter where base, camera or joint delay may have changed."""
+        other = copy(self)
+        other._state = self._stepped(self._state)
+        return other
+
+    def placed(self, start: PoseEstimate, by_camera: bool) -> JointFilter:
+        """
+        Return the filter of the same robot at another pose.
+
+        What was learned of wheels, mount and floor stays. A pose that was found `by_camera` is off
+        by the pan zero, against which its heading is known.
+        """
+        other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
+        mine, new = self._state, other._state
+        mean, covariance = new.mean.copy(), new.covariance.copy()
+        wheels = slice(SCALE, STATES)
+        mean[wheels] = mine.mean[wheels]
+        covariance[wheels, wheels] = mine.covariance[wheels, wheels]
+        if by_camera:
+            covariance[2, wheels] = covariance[wheels, 2] = -covariance[YAW, wheels]
+            covariance[2, 2] += covariance[YAW, YAW]
+        other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
+        return other
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration as far as it is known by now."""
+        mine = slice(CALIBRATION, STATES)
+        return Calibration(
+            self._state.mean[mine].copy(),
+            self._state.covariance[mine, mine].copy(),
+            self._prior.base,
+        )
+
+    @property
+    def noise_factors(self) -> FloatArray:
+        """Factors on the variances of way, turns, slip, floor and detections, (NOISES,)."""
+        return self._state.scales.factors
+
+    @property
+    def snapshot(self) -> _State:
+        """Everything that is known; hand it to `restore` to go back."""
+        return self._state
+
+    def restore(self, snapshot: _State) -> None:
+        """Go back to a snapshot."""
+        self._state = snapshot
+
+    def move(self, stamp_ns: int, motion: Motion) -> None:
+        """Move on by odometry."""
+        state, wheels, config = self._state, self._odometry, self._config
+        way = float(np.hypot(motion.increment[0], motion.increment[1]))
+        scales = state.scales.moved(way)
+        factors = scales.factors
+        head, by_state, by_motion = moved(state.mean, motion)
+        head[2] = wrap_rad(head[2])
+        slips, leans = np.exp(
+            -way / np.array([wheels.slip_length_m, config.lean_length_m])
+        ).tolist()
+        head[SLIP] *= slips
+        head[LEAN:SCALE] *= leans
+        by_state[SLIP, SLIP] = slips
+        by_state[LEAN, LEAN] = by_state[LEAN + 1, LEAN + 1] = leans
+        by_noise = state.by_noise.copy()
+        by_noise[:, :CALIBRATION] = by_state @ by_noise[:, :CALIBRATION]
+        by_noise[:, :, :CALIBRATION] = by_noise[:, :, :CALIBRATION] @ by_state.T
+        added = np.zeros((NOISES, CALIBRATION, CALIBRATION))
+        sensed = factors[:SLIP_NOISE, None] * sensed_variances(motion, wheels)
+        added[:SLIP_NOISE, :3, :3] = (by_motion * sensed[:, None]) @ by_motion.T
+        added[SLIP_NOISE, SLIP, SLIP] = (
+            factors[SLIP_NOISE] * wheels.slip_sigma**2 * (1.0 - slips**2)
+        )
+        floor = factors[FLOOR] * config.lean_sigma_rad**2 * (1.0 - leans**2)
+        added[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = floor
+        by_noise[:, :CALIBRATION, :CALIBRATION] += added
+        covariance = state.covariance.copy()
+        covariance[:CALIBRATION] = by_state @ covariance[:CALIBRATION]
+        covariance[:, :CALIBRATION] = covariance[:, :CALIBRATION] @ by_state.T
+        covariance[:CALIBRATION, :CALIBRATION] += added.sum(axis=0)
+        unseen = blind_variances(motion, wheels)
+        if not state.seconds:
+            # Later, the jitter of a pose is taken back by the next.
+            unseen = unseen + jitter_variances(motion)
+        covariance[:3, :3] += (by_motion * unseen) @ by_motion.T
+        wander = (wheels.bias_change_per_sqrt_m * wheels.bias_sigmas) ** 2 * way
+        covariance[_DRIFTING, _DRIFTING] += np.diag(wander)
+        mean = state.mean.copy()
+        mean[:CALIBRATION] = head
+        self._state = replace(
+            state,
+            stamp_ns=stamp_ns,
+            mean=mean,
+            covariance=covariance,
+            by_noise=by_noise,
+            scales=scales,
+            way_m=state.way_m + way,
+            seconds=state.seconds + motion.seconds,
+        )
+
+    def observe(self, seen: ImagePoints) -> Update:
+        """
+        Correct the state by the landmarks of one image.
+
+        What is no measurement is left out: values that are not finite, landmarks that the map does
+        not hold, and a second detection of a landmark.
+        """
+        seen = _usable(seen, len(self._positions))
+        if not len(seen):
+            self._state = replace(self._state, stamp_ns=max(self._state.stamp_ns, seen.stamp_ns))
+            return _nothing(seen)
+        prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
+        after, update = self._corrected(prior, seen)
+        if self._config.step_probability and update.surprising:
+            freed, alternative = self._corrected(self._stepped(prior), seen)
+            odds = self._config.step_probability / (1.0 - self._config.step_probability)
+            agree = int(np.sum(alternative.weight > _INLIER))
+            if (
+                agree >= _WITNESSES
+                and alternative.log_evidence + np.log(odds) > update.log_evidence
+            ):
+                after, update = freed, alternative._replace(stepped=True)
+        self._state = after
+        return update
+
+    def _stepped(self, state: _State) -> _State:
+        """Return the state where base, camera or joint delay may have changed."""
+        covariance, config = state.covariance.copy(), self._config
+        covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
+        turns = dict.fromkeys((2, YAW, ROLL, TILT), config.step_sigma_rad)
+        for k, sigma in (turns | {DELAY: config.step_sigma_s}).items():
+            # What is given as exact stays.
+            if covariance[k, k] > 0.0:
+                covariance[k, k] += sigma**2
+        return replace(state, covariance=covariance)
+
+    def _elapsed(self, state: _State) -> _State:
+        """Let errors of landmarks and mount change by the way and time since the last image."""
+        if not (state.way_m or state.seconds):
+            return state
+        kept, first = float(np.exp(-state.way_m / self._config.map_memory_m)), self._fixed
+        unseen = state.unseen_m + state.way_m
+        mean, covariance = state.mean.copy(), state.covariance.copy()
+        if state.way_m and len(state.landmarks):
+            fresh = (1.0 - kept**2) * self._own[state.landmarks]
+            mean[first:] *= kept
+            covariance[first:] *= kept
+            covariance[:, first:] *= kept
+            places = first + np.arange(3 * len(state.landmarks)).reshape(-1, 3)
+            covariance[places[:, :, None], places[:, None]] += fresh
+        walk = self._config.mount_walk_rad_per_sqrt_s**2 * state.seconds
+        for k in (YAW, ROLL, TILT):
+            # What is given as exact stays.
+            if covariance[k, k] > 0.0:
+                covariance[k, k] += walk
+        return replace(
+            state, mean=mean, covariance=covariance, unseen_m=unseen, way_m=0.0, seconds=0.0
+        )
+
+    def _with_landmarks(self, state: _State, columns: IndexArray) -> _State:
+        """Return the state with the errors of these landmarks, without those that are stale."""
+        seen, known = np.zeros((2, len(self._positions)), dtype=np.bool_)
+        seen[columns], known[state.landmarks] = True, True
+        present = seen[state.landmarks]
+        far = -self._config.map_memory_m * np.log(_STALE)
+        kept = present | (state.unseen_m < far)
+        new = columns[~known[columns]]
+        excess = int(kept.sum()) + len(new) - _MOST_LANDMARKS
+        if excess > 0:
+            # Those go that were not seen for the longest way.
+            others = np.flatnonzero(kept & ~present)
+            kept[others[np.argsort(-state.unseen_m[others], kind='stable')[:excess]]] = False
+        unseen = np.where(present, 0.0, state.unseen_m)
+        if not len(new) and kept.all():
+            return replace(state, unseen_m=unseen)
+        first = self._fixed
+        rows = np.concatenate(
+            [np.arange(first), first + (3 * np.flatnonzero(kept)[:, None] + [0, 1, 2]).ravel()]
+        )
+        size = len(rows) + 3 * len(new)
+        mean, covariance = np.zeros(size), np.zeros((size, size))
+        mean[: len(rows)] = state.mean[rows]
+        covariance[: len(rows), : len(rows)] = state.covariance[np.ix_(rows, rows)]
+        places = len(rows) + np.arange(3 * len(new)).reshape(-1, 3)
+        covariance[places[:, :, None], places[:, None]] = self._own[new]
+        return replace(
+            state,
+            mean=mean,
+            covariance=covariance,
+            landmarks=np.concatenate([state.landmarks[kept], new]),
+            unseen_m=np.concatenate([unseen[kept], np.zeros(len(new))]),
+        )
+
+    def _corrected(self, state: _State, seen: ImagePoints) -> tuple[_State, Update]:
+        """Iterated update, weights and linearisation together."""
+        rows = 2 if seen.rows else 1
+        count, size = len(seen), len(state.mean)
+        slots = np.empty(len(self._positions), dtype=np.intp)
+        slots[state.landmarks] = np.arange(len(state.landmarks))
+        own = self._fixed + 3 * slots[seen.columns][:, None] + np.arange(3)
+        each = np.arange(count)
+        prior, freedom = state.mean, self._config.tail_freedom
+        noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
+        common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2
+        mean, looser = prior, np.ones(count)
+        for _ in range(_ITERATIONS):
+            points = self._positions[seen.columns] + mean[own]
+            points += self._loadings[seen.columns] @ mean[STATES : self._fixed]
+            model = project(mean, points, seen)
+            parts = np.zeros((count, 2, size))
+            parts[:, :, :STATES] = model.by_state
+            parts[:, :, STATES : self._fixed] = model.by_point @ self._loadings[seen.columns]
+            parts[each[:, None], :, own] = model.by_point.swapaxes(1, 2)
+            jacobian = parts[:, :rows].reshape(count * rows, size)
+            offset = prior - mean
+            offset[2] = wrap_rad(offset[2])
+            innovation = (seen.points - model.points)[:, :rows].ravel() - jacobian @ offset
+            with_state = state.covariance @ jacobian.T
+            by_pan = model.by_pan[:, :rows].ravel()
+            spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
+            # What lies behind the camera says nothing.
+            behind = np.where(model.ahead, 0.0, 1e6)
+            for _ in range(_WEIGHINGS):
+                covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
+                precision = np.linalg.inv(covariance)
+                pull = precision @ innovation
+                blocks = precision.reshape(count, rows, count, rows)[each, :, each]
+                others = np.linalg.inv(blocks)
+                alone: FloatArray = (others @ pull.reshape(count, rows, 1))[..., 0]
+                nominal = others - noise * (looser + behind - 1.0)[:, None, None]
+                squares = np.einsum(
+                    'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
+                )
+                if not freedom:
+                    break
+                before, looser = looser, np.maximum((freedom + squares) / (freedom + rows), 1.0)
+                if np.abs(looser / before - 1.0).max() < _SAME_WEIGHT:
+                    break
+            after = prior + with_state @ pull
+            after[2] = wrap_rad(after[2])
+            change = np.abs(after[:2] - mean[:2]).max()
+            mean = after
+            if change < _CONVERGED_M:
+                break
+        gain = with_state @ precision
+        corrected = state.covariance - gain @ with_state.T
+        # Parts of the covariance by each noise, for what the noises act on.
+        acted, by_acted = jacobian[:, :STATES], gain[:STATES]
+        of_noise = acted @ state.by_noise @ acted.T
+        detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
+        of_noise[DETECTION] += detected
+        scales = learned(state.scales, innovation, covariance, of_noise)
+        left = np.eye(STATES) - by_acted @ acted
+        by_noise = left @ state.by_noise @ left.T
+        by_noise[DETECTION] += by_acted @ detected @ by_acted.T
+        _, log_determinant = np.linalg.slogdet(covariance)
+        square = float(innovation @ pull)
+        evidence = -0.5 * (square + log_determinant)
+        if freedom:
+            # Of the weights, each a gamma variable.
+            evidence -= 0.5 * freedom * float(np.sum(np.log(looser) + 1.0 / looser))
+        pulls = pull.reshape(count, rows, 1)
+        columns = with_state[:3] @ precision
+        separating = columns.reshape(3, count, rows).swapaxes(0, 1) @ others
+        update = Update(
+            seen.stamp_ns,
+            seen.columns,
+            alone,
+            nominal,
+            1.0 / (looser + behind),
+            float(evidence),
+            square > _surprise(count * rows),
+            False,
+            -(separating @ pulls)[..., 0],
+            separating @ columns.reshape(3, count, rows).transpose(1, 2, 0),
+        )
+        return (
+            replace(
+                state,
+                stamp_ns=max(state.stamp_ns, seen.stamp_ns),
+                mean=mean,
+                covariance=0.5 * (corrected + corrected.T),
+                by_noise=by_noise,
+                scales=scales,
+            ),
+            update,
+        )
+
+
+def _usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
+    """Return those detections that can be used."""
+    with np.errstate(invalid='ignore'):
+        variance = np.diagonal(seen.covariance, axis1=1, axis2=2)
+        good = (seen.columns >= 0) & (seen.columns < landmarks) & np.isfinite(seen.pan_rad)
+        good &= np.isfinite(seen.points).all(axis=1)
+        good &= np.isfinite(seen.covariance).all(axis=(1, 2)) & (variance > 0.0).all(axis=1)
+    first = np.zeros(len(seen), dtype=np.bool_)
+    first[np.unique(seen.columns, return_index=True)[1]] = True
+    good &= first
+    shared = np.array([seen.tilt_rad, seen.pan_rate_rad_s, seen.pan_sigma_rad])
+    good &= np.isfinite(shared).all()
+    return seen if good.all() else seen.chosen(good)
+
+
+def _nothing(seen: ImagePoints) -> Update:
+    rows = 2 if seen.rows else 1
+    none = np.empty(0)
+    return Update(
+        seen.stamp_ns,
+        seen.columns,
+        none.reshape(0, rows),
+        none.reshape(0, rows, rows),
+        none,
+        0.0,
+        False,
+        False,
+        none.reshape(0, 3),
+        none.reshape(0, 3, 3),
+    )
+
+
+@lru_cache
+def _surprise(count: int) -> float:
+    """Squared innovation, normalised, of so many numbers that is a surprise."""
+    return float(chi2.isf(_SURPRISE, count))
+
+
+def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:
+    """A matrix (m d, m d) with blocks (m, d, d) added on its diagonal."""
+    count, size, _ = blocks.shape
+    out = np.array(matrix)
+    each = np.arange(count)
+    out.reshape(count, size, count, size)[each, :, each] += blocks
+    return out

@@ -1,0 +1,153 @@
+"""
+Whether the pose is right, and how wrong it may be.
+
+One likelihood ratio compares what an image shows with what it should show if the pose is right,
+and with what it would show by chance if it is wrong. It is summed over the images (a sequential
+test: Wald, Sequential Analysis, 1947), and bounded, so that it stays quick to change.
+
+The protection level is what the error stays within, with 99 %: by the covariance, and by the pose
+without any one landmark, as one in some is wrong (solution separation: Blanch et al., Baseline
+Advanced RAIM User Algorithm, 2015).
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from landmark_nav.localization.estimator.filter import Update
+from landmark_nav.types import FloatArray, PoseEstimate
+
+__all__ = ['Integrity', 'ProtectionLevel', 'Status', 'protection_level']
+
+# Shares: of detections that are wrong though the pose is right; of the landmarks in view that are
+# found if it is right, and by chance if it is wrong.
+_WRONG, _FOUND, _BY_CHANCE = 0.1, 0.8, 0.15
+# Chance matches fall anywhere within so many standard deviations, and this angle, about the
+# expected point.
+_WINDOW_SIGMAS, _LEAST_WINDOW = 3.0, 0.02
+# One detection, and all misses of an image, count at most this much: they have causes in common.
+_MOST, _MOST_MISSED = 2.0, 2.0
+# Bounds of the sum, of what one image adds, and of the sum below which a pose is lost, nats.
+_BOUND, _AT_ONCE, _LOST = 8.0, 4.0, -4.0
+# Without a detection for so long a pose is degraded, seconds.
+_BLIND_S = 1.0
+# Sigmas of a pose that is lost, and of a heading that is degraded.
+_LOST_M, _LOST_RAD, _DEGRADED_RAD = 1.0, 0.5, 0.02
+
+_RISK = 0.01
+# Probability that one given landmark of an image is wrong for long.
+_LANDMARK_RISK = 0.05
+# What the noise models leave out, as a factor on sigmas.
+_MODEL = 1.1
+_POSITION = _MODEL * float(np.sqrt(chi2.isf(_RISK, 2)))
+_HEADING = _MODEL * float(norm.isf(0.5 * _RISK))
+_POSITION_WITHOUT = _MODEL * float(np.sqrt(chi2.isf(_RISK / _LANDMARK_RISK, 2)))
+_HEADING_WITHOUT = _MODEL * float(norm.isf(0.5 * _RISK / _LANDMARK_RISK))
+
+
+class Status(Enum):
+    """How far a pose is to be trusted."""
+
+    OK = 'OK'
+    DEGRADED = 'degraded'
+    LOST = 'lost'
+
+
+class ProtectionLevel(NamedTuple):
+    """Bounds on the errors of position [m] and heading [rad] that hold with 99 %."""
+
+    position_m: float
+    heading_rad: float
+
+
+def protection_level(estimate: PoseEstimate, update: Update | None = None) -> ProtectionLevel:
+    """Return the level of a pose, with the last update if there was one."""
+    position, heading = _sigmas(estimate.covariance)
+    level = ProtectionLevel(_POSITION * float(position), _HEADING * float(heading))
+    if update is None or not len(update.columns):
+        return level
+    wide, turned = _sigmas(estimate.covariance + update.without)
+    away = np.linalg.norm(update.separation[:, :2], axis=1)
+    return ProtectionLevel(
+        max(level.position_m, float((away + _POSITION_WITHOUT * wide).max())),
+        max(
+            level.heading_rad,
+            float((np.abs(update.separation[:, 2]) + _HEADING_WITHOUT * turned).max()),
+        ),
+    )
+
+
+def _sigmas(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest sigma of the position, and that of the heading, of covariances (..., 3, 3)."""
+    xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+    return np.sqrt(np.maximum(largest, 0.0)), np.sqrt(np.maximum(covariance[..., 2, 2], 0.0))
+
+
+class Integrity:
+    """Sums up the likelihood ratio of one image after the other."""
+
+    def __init__(self) -> None:
+        self._log_ratio = 0.0
+        self._found_ns: int | None = None
+        self._stepped = False
+
+    @property
+    def log_ratio(self) -> float:
+        """Log of the odds that the pose is right, from images alone, bounded."""
+        return self._log_ratio
+
+    def add(self, stamp_ns: int, update: Update | None, missed: int = 0) -> None:
+        """Take an image: what was used of it, and how many landmarks were looked for in vain."""
+        found = 0 if update is None else len(update.columns)
+        if self._found_ns is None:
+            self._found_ns = stamp_ns
+        gained = max(-_MOST_MISSED, missed * float(np.log((1 - _FOUND) / (1 - _BY_CHANCE))))
+        if update is not None and found:
+            self._found_ns = max(self._found_ns, stamp_ns)
+            self._stepped |= update.stepped
+            gained += float(np.minimum(log_ratios(update), _MOST).sum())
+        gained = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
+        self._log_ratio = float(np.clip(self._log_ratio + gained, -_BOUND, _BOUND))
+
+    def status(self, estimate: PoseEstimate) -> tuple[Status, str]:
+        """State of a pose, and the reason if it is not OK."""
+        position, heading = (float(sigma) for sigma in _sigmas(estimate.covariance))
+        since_ns = estimate.stamp_ns if self._found_ns is None else self._found_ns
+        blind_s = 1e-9 * (estimate.stamp_ns - since_ns)
+        if not np.isfinite(estimate.pose).all() or not np.isfinite(position + heading):
+            return Status.LOST, 'the estimate is not a number'
+        if self._log_ratio < _LOST:
+            return Status.LOST, 'images do not show what should be seen from here'
+        if position > _LOST_M or heading > _LOST_RAD:
+            return Status.LOST, f'sigma {position:.2f} m, {np.degrees(heading):.0f} deg'
+        if self._log_ratio < 0.0:
+            return Status.DEGRADED, 'images show little of what should be seen from here'
+        if blind_s > _BLIND_S:
+            return Status.DEGRADED, f'no landmark found for {blind_s:.1f} s'
+        if heading > _DEGRADED_RAD:
+            why = 'camera or base was turned' if self._stepped else 'pan zero is not known yet'
+            return Status.DEGRADED, f'heading sigma {np.degrees(heading):.1f} deg: {why}'
+        self._stepped = False
+        return Status.OK, ''
+
+
+def log_ratios(update: Update) -> FloatArray:
+    """Log likelihood ratio (m,) of each detection: pose right against pose wrong."""
+    residual, covariance = update.residual, update.covariance
+    squares = np.einsum(
+        'mi,mi->m', residual, np.linalg.solve(covariance, residual[..., None])[..., 0]
+    )
+    half = np.maximum(
+        _WINDOW_SIGMAS * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), _LEAST_WINDOW
+    )
+    area = np.prod(2.0 * half, axis=1)
+    density = np.exp(-0.5 * np.minimum(squares, 1e3))
+    density /= np.sqrt(np.linalg.det(2.0 * np.pi * covariance))
+    return np.asarray(
+        np.log((1.0 - _WRONG) * density * area + _WRONG) + np.log(_FOUND / _BY_CHANCE)
+    )

@@ -1,0 +1,123 @@
+"""
+Odometry and images in the order of their stamps, whatever the order of their arrival.
+
+The states of the last seconds are kept. What comes late, and odometry that replaces a motion which
+was extrapolated, takes the filter back to the state before it; all later images are used again.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from copy import copy
+from itertools import pairwise
+
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.filter import JointFilter, Update
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
+
+__all__ = ['Timeline']
+
+# Motion is compounded in steps of about this.
+_STEP_NS = 100_000_000
+
+
+class Timeline:
+    """
+    A joint filter fed by whatever comes when.
+
+    Parameters
+    ----------
+    joint : JointFilter
+        At its start.
+    track : OdometryTrack
+        May hold odometry from before.
+    window_s : float
+        How late a measurement may come.
+
+    """
+
+    def __init__(self, joint: JointFilter, track: OdometryTrack, window_s: float = 2.0) -> None:
+        self._filter, self._track, self._window_ns = joint, track, int(1e9 * window_s)
+        # Images of the window, and the state before each; the first state is older than all.
+        self._images: list[ImagePoints] = []
+        self._before = [joint.snapshot]
+        self._extrapolated = 0
+
+    @property
+    def filter(self) -> JointFilter:
+        """The filter, at the newest image."""
+        return self._filter
+
+    @property
+    def begin_ns(self) -> int:
+        """Time of the first state of the window: older images come too late."""
+        return self._before[0].stamp_ns
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """Move on; what is wrong with the sample, if anything."""
+        refusal = self._track.add(sample)
+        if refusal is None and self._extrapolated:
+            # These images were placed by extrapolation, which this sample replaces.
+            first = len(self._images) - self._extrapolated
+            self._again(first)
+        return refusal
+
+    def add_image(self, seen: ImagePoints) -> Update | Refusal:
+        """Correct the state by an image; `Refusal` if it comes too late."""
+        stamps = [image.stamp_ns for image in self._images]
+        if seen.stamp_ns < self._before[0].stamp_ns:
+            late_s = 1e-9 * (self._filter.snapshot.stamp_ns - seen.stamp_ns)
+            return Refusal('image came too late', f'{late_s:.2f} s')
+        place = bisect_right(stamps, seen.stamp_ns)
+        self._images.insert(place, seen)
+        self._before.insert(place + 1, self._before[place])
+        update = self._again(place)
+        self._trim()
+        return update
+
+    def estimate(self, stamp_ns: int | None = None) -> PoseEstimate:
+        """Pose of the base at a time from the first state of the window on; None: the newest."""
+        ends = self._track.stamps_ns
+        newest = self._filter.snapshot.stamp_ns
+        stamp_ns = max(newest, ends[1] if ends else newest) if stamp_ns is None else stamp_ns
+        return self.filter_at(stamp_ns).estimate
+
+    def filter_at(self, stamp_ns: int) -> JointFilter:
+        """Return a copy of the filter, moved to a time from the first state of the window on."""
+        other = copy(self._filter)
+        at = bisect_right([state.stamp_ns for state in self._before], stamp_ns) - 1
+        other.restore(self._before[max(at, 0)])
+        self._move(other, stamp_ns)
+        return other
+
+    def _again(self, first: int) -> Update:
+        """Use the images from this one on, once more; return the update by that one."""
+        self._filter.restore(self._before[first])
+        updates = []
+        for place in range(first, len(self._images)):
+            image = self._images[place]
+            self._move(self._filter, image.stamp_ns)
+            updates.append(self._filter.observe(image))
+            self._before[place + 1] = self._filter.snapshot
+        ends = self._track.stamps_ns
+        last = ends[1] if ends else 0
+        self._extrapolated = sum(image.stamp_ns > last for image in self._images)
+        return updates[0]
+
+    def _move(self, joint: JointFilter, stamp_ns: int) -> None:
+        begin = joint.snapshot.stamp_ns
+        if stamp_ns <= begin:
+            return
+        steps = max(1, round((stamp_ns - begin) / _STEP_NS))
+        times = [begin + (stamp_ns - begin) * k // steps for k in range(steps + 1)]
+        for since, until in pairwise(times):
+            joint.move(until, self._track.motion(since, until))
+
+    def _trim(self) -> None:
+        """Forget what is older than the window."""
+        newest = self._images[-1].stamp_ns
+        old = sum(image.stamp_ns < newest - self._window_ns for image in self._images)
+        if old:
+            del self._images[:old], self._before[:old]
+            self._track.trim(self._before[0].stamp_ns)

@@ -1,0 +1,117 @@
+"""The calibration in `robot.yaml`: read with its sigmas, and written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from landmark_nav.calibration import Calibration, NAMES, UNITS
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.fields import array_field, number_field
+from landmark_nav.storage.reading import read_yaml_mapping
+from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.whole import write_whole
+
+__all__ = ['load_calibration', 'save_calibration']
+
+# Field with standard deviations -> the quantities that they are of; one number holds for all.
+_SIGMAS = {
+    'xyz_sigma': ('axis_x', 'axis_y', 'axis_z'),
+    'rpy_sigma': ('axis_roll', 'axis_pitch', 'axis_yaw'),
+    'optical_center_offset_sigma': ('center_x', 'center_y', 'center_z'),
+    'camera_roll_sigma': ('camera_roll',),
+}
+# Quantities that a mount does not hold: the field is named as they are, its sigma with `_sigma`.
+_SCALARS = ('camera_tilt', 'pan_scale', 'focal_scale', 'principal_point', 'joint_delay')
+_SIGMAS |= {f'{name}_sigma': (name,) for name in _SCALARS}
+_OF_AXIS = ('xyz_sigma', 'rpy_sigma')
+# A larger sigma is in another unit.
+_LARGEST = {'m': 1.0, 'rad': 3.2, '1': 1.0, 's': 10.0}
+# A larger value is.
+_LARGEST_SCALAR = {'rad': 1.0, '1': 0.5, 's': 10.0}
+
+
+def load_calibration(path: Path | str) -> Calibration:
+    """
+    Read where the camera sits on the robot, what else is known of it, and how exactly.
+
+    A standard deviation that is absent is that of a person with a tape and a spirit level; 0 says
+    that a value is exact.
+
+    Raises
+    ------
+    LandmarkNavError
+        Missing or malformed fields; sigmas that are negative or in another unit.
+
+    """
+    path = Path(path)
+    mount, document = load_robot(path), read_yaml_mapping(path)
+    axis = document['pan_axis']
+    sigmas: dict[str, float] = {}
+    values: dict[str, float] = {}
+    try:
+        for key, names in _SIGMAS.items():
+            where, mapping = ('pan_axis', axis) if key in _OF_AXIS else ('robot', document)
+            if key in mapping:
+                sigmas |= zip(names, _spread(mapping, key, names, where), strict=True)
+        for name in _SCALARS:
+            if name in document:
+                values[name] = number_field(document, name, 'robot')
+                if abs(values[name]) > _LARGEST_SCALAR[UNITS[name]]:
+                    unit = UNITS[name].replace('1', 'a fraction')
+                    raise LandmarkNavError(f'robot: {name} is {values[name]:g}: give it in {unit}')
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{path}: {error}') from error
+    return Calibration.of_mount(mount, sigmas, values)
+
+
+def _spread(mapping: dict[str, Any], key: str, names: tuple[str, ...], where: str) -> list[float]:
+    """Standard deviations of these quantities out of a field with one number or one each."""
+    single = not isinstance(mapping[key], list)
+    given = array_field(mapping, key, () if single else (len(names),), where)
+    spread = np.broadcast_to(given, len(names)).tolist()
+    largest = _LARGEST[UNITS[names[0]]]
+    if min(spread) < 0.0 or max(spread) > largest:
+        unit = UNITS[names[0]].replace('1', 'a fraction')
+        raise LandmarkNavError(
+            f'{where}: {key} is {mapping[key]!r}: give sigmas of 0 to {largest:g}, in {unit}'
+        )
+    return list(spread)
+
+
+def save_calibration(calibration: Calibration, path: Path | str) -> None:
+    """Write a `robot.yaml` with all values and sigmas, whole or not at all."""
+    base = calibration.base
+    value = {name: calibration[name][0] for name in NAMES}
+    sigma = {name: calibration[name][1] for name in NAMES}
+
+    def several(first: str, count: int, of: dict[str, float]) -> list[float]:
+        start = NAMES.index(first)
+        return [_rounded(of[name]) for name in NAMES[start : start + count]]
+
+    document: dict[str, Any] = {
+        'base_frame': base.base_frame,
+        'pan_joint': base.pan_joint,
+        'tilt_joint': base.tilt_joint,
+        'pan_axis': {
+            'xyz': several('axis_x', 3, value),
+            'xyz_sigma': several('axis_x', 3, sigma),
+            'rpy': several('axis_roll', 3, value),
+            'rpy_sigma': several('axis_roll', 3, sigma),
+        },
+        'optical_center_offset': several('center_x', 3, value),
+        'optical_center_offset_sigma': several('center_x', 3, sigma),
+        'pan_sigma': float(base.pan_sigma_rad),
+    }
+    for name in ('camera_roll', *_SCALARS):
+        document[name], document[f'{name}_sigma'] = _rounded(value[name]), _rounded(sigma[name])
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    write_whole(Path(path), text)
+
+
+def _rounded(value: float) -> float:
+    """To a nanometre or nanoradian, plus zero instead of minus zero."""
+    return round(float(value), 9) + 0.0

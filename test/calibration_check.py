@@ -1,0 +1,255 @@
+"""
+Errors of `robot.yaml`, at driving alone and at learning too: the joint estimator and the filter.
+
+``python test/calibration_check.py`` learns the study with the right mount and with wrong ones, and
+drives with wrong ones and default sigmas. The joint estimator looks for landmarks and localizes,
+the filter gets the same pixels, as bearings of the mount that it was given. A line gives errors
+of the whole drive and after the first 4 m, the mean NEES with its 95 % interval, and the images
+that are off by over 5 sigma while the state is OK. It exits with 1 if the joint estimator misses
+a goal.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import json
+import logging
+from pathlib import Path
+import sys
+import tempfile
+
+import numpy as np
+
+from landmark_nav.calibration import Calibration
+from landmark_nav.cli.main import main as landmark_nav
+from landmark_nav.evaluation.metrics import consistency, pose_errors, silently_wrong
+from landmark_nav.evaluation.replay import Replay, replay
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.fusion import PoseFilter
+from landmark_nav.localization.joint_delay import Swing
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration, save_calibration
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+)
+
+STUDY = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'study'
+START_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.035**2])
+DEGREE = np.pi / 180.0
+# By how much `robot.yaml` is wrong.
+ERRORS: dict[str, dict[str, float]] = {
+    'none': {},
+    'pan zero 0.7 deg': {'axis_yaw': 0.7 * DEGREE},
+    'optical centre 3 cm ahead, 1 cm left': {'center_x': 0.03, 'center_y': 0.01},
+    'axis 3 cm ahead': {'axis_x': 0.03},
+    'axis pitched 0.8 deg': {'axis_pitch': 0.8 * DEGREE},
+    'axis 3 cm high': {'axis_z': 0.03},
+    'camera rolled 0.8 deg': {'camera_roll': 0.8 * DEGREE},
+    'focal length 1 %': {'focal_scale': 0.01},
+    'joints 30 ms late': {'joint_delay': 0.03},
+}
+ERRORS['all together'] = {name: off for error in ERRORS.values() for name, off in error.items()}
+# What the joint estimator should reach, all together and each by itself.
+AFTER_M = 4.0
+GOALS = {'all together': (0.015, 0.3), 'none': (0.008, 0.17)}
+GOAL = (0.012, 0.2)
+
+
+@dataclass(frozen=True)
+class Line:
+    """Figures of a drive."""
+
+    position_mm: float
+    heading_deg: float
+    later_mm: float
+    later_deg: float
+    nees: float
+    interval: tuple[float, float]
+    undetected: int
+
+    @classmethod
+    def of(
+        cls,
+        poses: FloatArray,
+        covariances: FloatArray,
+        tracking: Sequence[bool],
+        run: Replay,
+        by_map: FloatArray | None,
+    ) -> Line:
+        """Return those of poses (n, 3) at the images of a run."""
+        errors = pose_errors(poses, run.truth.at(run.stamps_ns))
+        steps = np.hypot(*np.diff(run.odometry.poses[:, :2], axis=0).T)
+        way = np.interp(
+            run.stamps_ns, run.odometry.stamps_ns, np.concatenate([[0.0], np.cumsum(steps)])
+        )
+        nees = consistency(errors, covariances, by_map)
+        assert nees is not None, 'the study has ground truth'
+
+        def rms(part: FloatArray) -> tuple[float, float]:
+            return (
+                1e3 * float(np.sqrt(np.mean(np.sum(part[:, :2] ** 2, axis=1)))),
+                float(np.degrees(np.sqrt(np.mean(part[:, 2] ** 2)))),
+            )
+
+        return cls(
+            *rms(errors),
+            *rms(errors[way > AFTER_M]),
+            nees.mean,
+            (float(nees.interval_95[0]), float(nees.interval_95[1])),
+            silently_wrong(errors, covariances, np.array(tracking)),
+        )
+
+    def __str__(self) -> str:
+        return (
+            f'{self.position_mm:6.1f} {self.heading_deg:6.3f} {self.later_mm:6.1f} '
+            f'{self.later_deg:6.3f} {self.nees:7.1f} {self.undetected:4d}'
+        )
+
+    def meets(self, goal: tuple[float, float]) -> bool:
+        """Whether errors after the first metres, NEES and undetected failures are as wanted."""
+        return bool(
+            self.later_mm <= 1e3 * goal[0]
+            and self.later_deg <= goal[1]
+            and self.interval[0] <= self.nees <= self.interval[1]
+            and not self.undetected
+        )
+
+
+def joint_run(
+    events: Sequence[SensorEvent],
+    landmark_map: LandmarkMap,
+    calibration: Calibration,
+    start: FloatArray,
+) -> Replay:
+    """Drive with the joint estimator."""
+    config = LocalizationConfig(estimator='joint')
+    return replay(
+        events, landmark_map, calibration.mount, config, start, START_COVARIANCE, calibration
+    )
+
+
+def filter_line(
+    events: Sequence[SensorEvent],
+    run: Replay,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    start: FloatArray,
+) -> Line:
+    """Figures of the filter on what the joint estimator found."""
+    config = LocalizationConfig()
+    fused = PoseFilter(landmark_map, mount, config.fusion, config.odometry, config.health)
+    found = {update.stamp_ns: update.observation.detections for update in run.updates}
+    poses, covariances, tracking = [], [], []
+    for event in events:
+        if isinstance(event, OdometrySample | CameraFrame) and fused.state is None:
+            fused.initialize(PoseEstimate(event.stamp_ns, start, START_COVARIANCE))
+        if isinstance(event, OdometrySample):
+            fused.add_odometry(event)
+        elif isinstance(event, CameraFrame):
+            prior = fused.estimate(event.stamp_ns)
+            assert prior is not None, 'it was initialized'
+            seen = found[event.stamp_ns]
+            if len(seen):
+                fused.add_detections(as_bearings(seen, event, prior, landmark_map, mount))
+            estimate = fused.estimate(event.stamp_ns)
+            assert estimate is not None, 'it was initialized'
+            poses.append(estimate.pose)
+            covariances.append(estimate.covariance)
+            tracking.append(fused.status[0] == 'tracking')
+    return Line.of(np.array(poses), np.array(covariances), tracking, run, None)
+
+
+def as_bearings(
+    seen: Detections,
+    frame: CameraFrame,
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+) -> Detections:
+    """Return pixels as the bearings at the pan axis that a mount makes of them."""
+    rotation, center = mount.camera_pose_map(prior.pose, frame.pan_rad, frame.tilt_rad)
+    rays = frame.camera.unproject(seen.uv_px) @ rotation.T
+    azimuth = np.arctan2(rays[:, 1], rays[:, 0])
+    away = landmark_map.positions[landmark_map.indices(seen.ids), :2] - center[:2]
+    toward = np.array([np.cos(azimuth), np.sin(azimuth)]).T
+    at_axis = center[:2] + np.hypot(*away.T)[:, None] * toward
+    at_axis = at_axis - mount.axis_pose_map(prior.pose)[:2]
+    bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - prior.pose[2])
+    swing = Swing.of(frame, mount)
+    return replace(
+        seen,
+        bearing_rad=bearing,
+        pan_rad=swing.azimuth_rad,
+        pan_rate_rad_s=swing.rate_rad_s,
+        pan_track=swing.track,
+    )
+
+
+def learned(study: Path, calibration: Calibration, folder: Path) -> LandmarkMap | None:
+    """Map of the study learned with a mount; None where `learn` refuses it."""
+    folder.mkdir()
+    save_calibration(calibration, folder / 'robot.yaml')
+    files = ['--room', str(study / 'room.yaml'), '--robot', str(folder / 'robot.yaml')]
+    status = landmark_nav(['learn', str(study / 'learn'), *files, '--out', str(folder / 'map')])
+    return load_map(folder / 'map') if status == 0 else None
+
+
+def main() -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--study', type=Path, default=STUDY)
+    parser.add_argument('--only', nargs='+', help='errors whose name holds one of these')
+    parser.add_argument('--driving', action='store_true', help='leave out those at learning too')
+    args = parser.parse_args()
+    logging.getLogger('landmark_nav').setLevel(logging.CRITICAL)
+    right = load_calibration(args.study / 'robot.yaml')
+    start = np.array(json.loads((args.study / 'start.json').read_text())['pose'])
+    events = list(sensor_events(Bag(args.study / 'drive'), right.mount))
+    lines, good = [], True
+    with tempfile.TemporaryDirectory() as scratch:
+        study_map = learned(args.study, right, Path(scratch) / 'right')
+        assert study_map is not None, 'the study can be learned'
+        for name, error in ERRORS.items():
+            if not any(part in name for part in args.only or ['']):
+                continue
+            wrong = right.with_values(**{key: right[key][0] + off for key, off in error.items()})
+            maps = {'driving': study_map}
+            # Focal length and delay are no part of the mount that `learn` reads.
+            if not args.driving and wrong.mount != right.mount:
+                maps['both'] = learned(args.study, wrong, Path(scratch) / f'map{len(lines)}')
+            for where, landmarks in maps.items():
+                if landmarks is None:
+                    lines.append(f'{name:38}{where:9}learn refuses it')
+                    continue
+                run = joint_run(events, landmarks, wrong, start)
+                joint = Line.of(
+                    run.fused, run.fused_covariances, run.tracking.tolist(), run,
+                    run.by_map(landmarks),
+                )  # fmt: skip
+                old = filter_line(events, run, landmarks, wrong.mount, start)
+                reached = joint.meets(GOALS.get(name, GOAL))
+                good &= reached
+                lines.append(
+                    f'{name:38}{where:9}{joint} {"  " if reached else " *"} |{old} | '
+                    f'{joint.interval[0]:.1f} to {joint.interval[1]:.1f}'
+                )
+    print(
+        f'{"":47}{"joint: mm":>6}{"deg":>7}  after {AFTER_M:g} m    NEES   >5s  | filter: the same'
+    )
+    print('\n'.join(lines))
+    print('* misses a goal')
+    return 0 if good else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

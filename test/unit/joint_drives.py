@@ -1,0 +1,199 @@
+"""Drives whose truth is known: points in a room, wheels and a panning camera, as modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import (
+    CALIBRATION,
+    ImagePoints,
+    project,
+)
+from landmark_nav.localization.estimator.filter import JointFilter, Update
+from landmark_nav.localization.odometry.noise import (
+    Motion,
+    OdometryNoiseConfig,
+    sensed_variances,
+)
+from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
+
+NS = 10**9
+MOUNT = PanTiltMount((0.08, 0.0, 1.1))
+# Half of what the camera sees, over the focal length; at most so many landmarks are found.
+HALF_VIEW, MOST = 0.46, 8
+# Odometry comes with this period, every fourth time with an image.
+PERIOD_S, IMAGE_EVERY = 0.05, 4
+START_SIGMA = np.array([0.03, 0.03, 0.02])
+
+
+@dataclass
+class Drive:
+    """The map as learned, prior and truth, images and motions by time, poses at the images."""
+
+    landmark_map: LandmarkMap
+    prior: Calibration
+    true: Calibration
+    start: PoseEstimate
+    events: list[Motion | ImagePoints] = field(default_factory=list)
+    poses: list[FloatArray] = field(default_factory=list)
+
+
+def point_map(rng: np.random.Generator, count: int = 40, sigma_m: float = 0.002) -> LandmarkMap:
+    """Landmarks on the walls of a room of 6 x 4 m, with own errors and two that they share."""
+    along, wall = rng.uniform(0.05, 0.95, count), rng.integers(0, 4, count)
+    x = np.choose(wall, [6 * along, np.full(count, 6.0), 6 * along, np.zeros(count)])
+    y = np.choose(wall, [np.zeros(count), 4 * along, np.full(count, 4.0), 4 * along])
+    z = rng.uniform(0.5, 2.0, count)
+    normal = np.array([[0, 1, 0], [-1, 0, 0], [0, -1, 0], [1, 0, 0]], float)[wall]
+    landmarks = []
+    for k in range(count):
+        shared = np.zeros((3, 2))
+        shared[0, 0] = shared[1, 1] = 0.5 * sigma_m
+        covariance = sigma_m**2 * np.eye(3) + shared @ shared.T
+        landmarks.append(
+            Landmark(
+                k, np.array([x[k], y[k], z[k]]), covariance, shared, normal[k], 0.2, 0.2,
+                np.zeros((1, 1), np.uint8), np.array([3.0, 2.0, 1.1]), 0.8,
+            )
+        )  # fmt: skip
+    return LandmarkMap(tuple(landmarks))
+
+
+def drawn_calibration(rng: np.random.Generator, prior: Calibration) -> Calibration:
+    """A calibration that the prior allows."""
+    return replace(prior, values=prior.values + prior.sigmas * rng.normal(size=len(NAMES)))
+
+
+def simulated(
+    seed: int,
+    prior: Calibration | None = None,
+    true: Calibration | None = None,
+    seconds: float = 40.0,
+    pixel_sigma: float = 2e-4,
+    noise: float = 1.0,
+    outliers: float = 0.0,
+    map_sigma_m: float = 0.002,
+) -> Drive:
+    """Draw a drive by the default noise of floor and wheels; `noise` 0 leaves out all of it."""
+    rng = np.random.default_rng(seed)
+    config, wheels = EstimatorConfig(), OdometryNoiseConfig()
+    prior = prior or Calibration.exact(MOUNT)
+    true = true or (drawn_calibration(rng, prior) if noise else prior)
+    learned = point_map(rng, sigma_m=map_sigma_m)
+    shape = learned.positions.shape
+    shared = noise * learned.shared_loadings @ rng.normal(size=2)
+    own = noise * map_sigma_m * rng.normal(size=shape)
+    scale, drift, turn_scale = noise * wheels.bias_sigmas * rng.normal(size=3)
+    slip, lean = wheels.slip_sigma * rng.normal(), config.lean_sigma_rad * rng.normal(size=2)
+    pose = np.array([1.5, 1.0, 0.0])
+    start = pose + noise * START_SIGMA * rng.normal(size=3)
+    drive = Drive(learned, prior, true, PoseEstimate(0, start, np.diag(START_SIGMA**2)))
+    for tick in range(1, round(seconds / PERIOD_S)):
+        step = _toward_eight(tick * PERIOD_S, pose)
+        forward, _, turn = step.increment
+        motion = [(1 + scale) * forward, slip * forward, (1 + turn_scale) * turn + drift * forward]
+        spread = np.sqrt(sensed_variances(step, wheels).sum(axis=0))
+        pose = compose(pose, motion + noise * spread * rng.normal(size=3))
+
+        def walked(
+            value: Any, sigma: float, length_m: float, way_m: float = float(forward)
+        ) -> Any:
+            """Value of a Gauss-Markov process, a way later."""
+            kept = np.exp(-way_m / length_m)
+            return kept * value + sigma * np.sqrt(1 - kept**2) * rng.normal(size=np.shape(value))
+
+        slip = walked(slip, noise * wheels.slip_sigma, wheels.slip_length_m)
+        lean = walked(lean, noise * config.lean_sigma_rad, config.lean_length_m)
+        own = walked(own, noise * map_sigma_m, config.map_memory_m)
+        drive.events.append(step)
+        if tick % IMAGE_EVERY:
+            continue
+        state = np.concatenate([pose, noise * lean, np.zeros(CALIBRATION - 5), true.values])
+        blank = _panned(tick * PERIOD_S, len(learned.landmarks), pixel_sigma)
+        off = noise * rng.normal(0.0, true.base.pan_sigma_rad)
+        model = project(
+            state, learned.positions + shared + own, replace(blank, pan_rad=blank.pan_rad + off)
+        )
+        inside = model.ahead & (np.abs(model.points) < HALF_VIEW).all(axis=1)
+        chosen = np.isin(np.arange(len(inside)), rng.permutation(np.flatnonzero(inside))[:MOST])
+        points = model.points + noise * pixel_sigma * rng.normal(size=model.points.shape)
+        wrong = rng.random(len(points)) < outliers
+        points[wrong] += rng.uniform(-0.1, 0.1, (int(wrong.sum()), 2))
+        drive.poses.append(pose.copy())
+        drive.events.append(replace(blank, points=points).chosen(chosen))
+    return drive
+
+
+def _toward_eight(seconds: float, pose: FloatArray) -> Motion:
+    """Motion of a robot that follows a point on a curve of eight."""
+    goal = [3.0 + 1.6 * np.sin(0.16 * seconds), 2.0 + 0.9 * np.sin(0.32 * seconds)]
+    toward = goal - pose[:2]
+    bend = float(wrap_rad(np.arctan2(toward[1], toward[0]) - pose[2]))
+    forward = 0.35 * max(np.cos(bend), 0.2) if np.hypot(*toward) > 0.1 else 0.0
+    turn = np.clip(1.5 * bend, -0.8, 0.8)
+    return Motion(PERIOD_S * np.array([forward, 0.0, turn]), PERIOD_S)
+
+
+def _panned(seconds: float, count: int, sigma: float) -> ImagePoints:
+    """An image of a camera that looks to and fro, without its points."""
+    return ImagePoints(
+        round(seconds * NS),
+        np.arange(count),
+        np.zeros((count, 2)),
+        np.tile(max(sigma, 1e-9) ** 2 * np.eye(2), (count, 1, 1)),
+        np.full(count, 2.0 * np.sin(0.5 * seconds)),
+        pan_rate_rad_s=np.cos(0.5 * seconds),
+    )
+
+
+@dataclass
+class Run:
+    """Errors (n, 3) and covariances (n, 3, 3) at the images, the filter and its updates."""
+
+    errors: FloatArray
+    covariances: FloatArray
+    filter: JointFilter
+    updates: list[Update]
+
+    @property
+    def nees(self) -> FloatArray:
+        """Normalised squared errors, (n,)."""
+        return np.einsum(
+            'ni,ni->n',
+            self.errors,
+            np.linalg.solve(self.covariances, self.errors[..., None])[..., 0],
+        )
+
+
+def driven(
+    drive: Drive,
+    config: EstimatorConfig | None = None,
+    odometry: OdometryNoiseConfig | None = None,
+    prior: Calibration | None = None,
+    changed: Callable[[int, ImagePoints], ImagePoints] = lambda _, seen: seen,
+) -> Run:
+    """Run the joint filter along a drive."""
+    joint = JointFilter(drive.landmark_map, prior or drive.prior, drive.start, config, odometry)
+    errors, covariances, updates, stamp = [], [], [], 0
+    for event in drive.events:
+        if isinstance(event, Motion):
+            stamp += round(event.seconds * NS)
+            joint.move(stamp, event)
+            continue
+        if len(event):
+            updates.append(joint.observe(changed(len(errors), event)))
+        estimate = joint.estimate
+        error = estimate.pose - drive.poses[len(errors)]
+        error[2] = wrap_rad(error[2])
+        errors.append(error)
+        covariances.append(estimate.covariance)
+    return Run(np.array(errors), np.array(covariances), joint, updates)

@@ -1,0 +1,398 @@
+"""The joint estimator: derivatives, recovery of what is known, statistics, faults."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from joint_drives import driven, MOUNT, NS, simulated
+import numpy as np
+import pytest
+
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.localization.estimator import (
+    EstimatorConfig,
+    ImagePoints,
+    Integrity,
+    JointFilter,
+    protection_level,
+    Status,
+)
+from landmark_nav.localization.estimator.factors import (
+    CALIBRATION,
+    DELAY,
+    moved,
+    project,
+    STATES,
+)
+from landmark_nav.localization.estimator.timeline import Timeline
+from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate, Refusal
+
+POINTS = np.array([[3.0, 1.0, 1.0], [2.5, 2.0, 1.5], [4.0, 0.5, 1.2], [3.0, 3.0, 1.7]])
+TAPE = Calibration.of_mount(MOUNT)
+
+
+def any_state(seed: int) -> FloatArray:
+    rng = np.random.default_rng(seed)
+    state = rng.normal(0.0, 0.1, STATES)
+    state[3:5] *= 0.01
+    state[DELAY] *= 0.1
+    return state
+
+
+def image(pan_rad: float = 0.4, track: PanTrack | None = None) -> ImagePoints:
+    count = len(POINTS)
+    return ImagePoints(
+        0, np.arange(count), np.zeros((count, 2)), np.tile(1e-8 * np.eye(2), (count, 1, 1)),
+        np.full(count, pan_rad), 0.05, 1.0, pan_track=track,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_derivatives_of_what_is_seen_agree_with_differences(seed: int) -> None:
+    state, step = any_state(seed), 1e-6
+    track = PanTrack(np.linspace(-0.2, 0.4, 13), 0.4 + 1.3 * np.linspace(-0.2, 0.4, 13))
+    seen = image(track=track)
+    model = project(state, POINTS, seen)
+    for k, change in enumerate(step * np.eye(STATES)):
+        up, down = (project(state + s * change, POINTS, seen).points for s in (1.0, -1.0))
+        assert model.by_state[:, :, k] == pytest.approx((up - down) / (2.0 * step), abs=1e-7)
+    for k, change in enumerate(step * np.eye(3)):
+        up, down = (project(state, POINTS + s * change, seen).points for s in (1.0, -1.0))
+        assert model.by_point[:, :, k] == pytest.approx((up - down) / (2.0 * step), abs=1e-7)
+    up, down = (
+        project(state, POINTS, replace(seen, pan_rad=seen.pan_rad + s * step)).points
+        for s in (1.0, -1.0)
+    )
+    assert model.by_pan == pytest.approx((up - down) / (2.0 * step), abs=1e-7)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_derivatives_of_the_motion_agree_with_differences(seed: int) -> None:
+    state, step = any_state(seed)[:CALIBRATION], 1e-6
+    motion = Motion(np.array([0.1, 0.01, -0.05]), 0.1)
+    _, by_state, by_motion = moved(state, motion)
+    for k, change in enumerate(step * np.eye(CALIBRATION)):
+        up, down = (moved(state + s * change, motion)[0] for s in (1.0, -1.0))
+        assert by_state[:, k] == pytest.approx((up - down) / (2.0 * step), abs=1e-8)
+    assert np.allclose(by_motion @ by_motion.T, np.eye(3))
+
+
+@pytest.mark.parametrize('roll', [0.03, np.pi])
+def test_points_are_seen_where_mount_and_camera_project_them(roll: float) -> None:
+    camera = CameraModel(640, 480, 500.0, 505.0, 320.0, 240.0)
+    mount = PanTiltMount((0.1, 0.02, 1.2), (roll, -0.02, 0.3), (0.03, -0.01, 0.02), 0.04)
+    calibration = Calibration.of_mount(
+        mount, values={'camera_tilt': 0.02, 'pan_scale': 0.01, 'joint_delay': 0.02}
+    )
+    state = np.concatenate([[0.4, 0.3, 0.2], np.zeros(CALIBRATION - 3), calibration.values])
+    pan = 1.01 * (0.4 + 0.02 * 1.0)
+    rotation, center = mount.camera_pose_map(state[:3], pan, 0.07)
+    rays = camera.unproject(camera.project((POINTS - center) @ rotation))[:, :2]
+    seen = project(state, POINTS, image())
+    inside = np.isfinite(rays).all(axis=1) & seen.ahead
+    assert inside.sum() >= 2
+    assert seen.points[inside] == pytest.approx(rays[inside], abs=1e-9)
+
+
+def test_a_bearing_is_seen_by_a_camera_that_looks_along_it() -> None:
+    state = np.concatenate([[0.5, 0.2, 0.3], np.zeros(CALIBRATION - 3), TAPE.values])
+    axis = state[:2] + 0.08 * np.array([np.cos(0.3), np.sin(0.3)])
+    bearing = np.arctan2(*(POINTS[:, :2] - axis).T[::-1]) - 0.3
+    seen = ImagePoints.of_bearings(0, np.arange(4), bearing, np.full(4, 1e-6), MOUNT)
+    assert project(state, POINTS, seen).points[:, 0] == pytest.approx(0.0, abs=1e-12)
+    aside = ImagePoints.of_bearings(0, np.arange(4), bearing, np.full(4, 1e-6), MOUNT, 0.2)
+    assert project(state, POINTS, aside).points[:, 0] == pytest.approx(aside.points[:, 0])
+    assert np.abs(aside.points[:, 0]).min() > 0.01
+
+
+def test_pixels_become_points_with_their_covariance() -> None:
+    camera = CameraModel(512, 512, 555.0, 555.0, 256.7, 254.1, distortion=(-0.19, 0.06))
+    rng, uv = np.random.default_rng(0), np.array([[100.0, 120.0], [256.0, 250.0], [480.0, 30.0]])
+    spread = np.tile(np.array([[0.04, 0.01], [0.01, 0.09]]), (3, 1, 1))
+    seen = ImagePoints.of_pixels(0, np.arange(3), uv, spread, camera, 0.1)
+    noisy = uv + rng.multivariate_normal([0.0, 0.0], spread[0], (4000, 3))
+    rays = camera.unproject(noisy)[..., :2]
+    assert seen.points == pytest.approx(rays.mean(axis=0), abs=3e-5)
+    for k in range(3):
+        assert seen.covariance[k] == pytest.approx(np.cov(rays[:, k].T), rel=0.15, abs=2e-8)
+
+
+def test_recovers_the_pose_without_noise() -> None:
+    drive = simulated(1, seconds=8.0, noise=0.0, pixel_sigma=1e-7, map_sigma_m=0.0)
+    exactly = replace(drive.prior, covariance=np.zeros_like(drive.prior.covariance))
+    pose = drive.start.pose + np.array([0.04, -0.03, 0.02])
+    drive.start = replace(drive.start, pose=pose)
+    floor = EstimatorConfig(lean_sigma_rad=0.0)
+    run = driven(drive, floor, prior=replace(exactly, base=replace(MOUNT, pan_sigma_rad=0.0)))
+    images = [event for event in drive.events if isinstance(event, ImagePoints)]
+    fixed = np.array([len(seen) >= 3 for seen in images])
+    assert fixed.sum() > 10
+    assert np.abs(run.errors[fixed][3:]).max() < 1e-6
+
+
+def test_what_is_exact_never_changes() -> None:
+    exactly = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 0.0))
+    run = driven(simulated(2, seconds=8.0), prior=exactly)
+    assert (run.filter.calibration.values == exactly.values).all()
+    assert not run.filter.calibration.covariance.any()
+
+
+@pytest.mark.parametrize('prior', [Calibration.exact(MOUNT), TAPE], ids=['exact', 'tape'])
+def test_errors_are_as_large_as_the_covariance_claims(prior: Calibration) -> None:
+    runs = [driven(simulated(seed, prior, seconds=24.0)) for seed in range(10)]
+    each = np.array([run.nees.mean() for run in runs])
+    # Errors of a drive have much in common: its mean is about one draw.
+    assert abs(each.mean() - 3.0) < 3.0 * max(each.std() / np.sqrt(len(each)), 0.3)
+    assert sum(np.sum(run.nees > 31.8) for run in runs) <= 2
+
+
+def test_the_calibration_is_as_wrong_as_its_covariance_claims() -> None:
+    squares = []
+    for seed in range(8):
+        drive = simulated(100 + seed, TAPE, seconds=24.0)
+        found = driven(drive).filter.calibration
+        off = found.values - drive.true.values
+        squares.append(off @ np.linalg.solve(found.covariance, off))
+    assert 0.6 * len(NAMES) < np.mean(squares) < 1.5 * len(NAMES)
+
+
+@pytest.mark.parametrize(
+    ('name', 'error', 'within'),
+    [
+        ('axis_yaw', 0.0122, 0.012),
+        ('axis_pitch', 0.014, 0.002),
+        ('axis_x', 0.03, 0.02),
+        ('axis_y', 0.02, 0.01),
+        ('center_x', 0.03, 0.004),
+        ('center_y', 0.01, 0.004),
+        ('camera_roll', 0.014, 0.002),
+        ('focal_scale', 0.01, 0.002),
+        ('joint_delay', 0.03, 0.003),
+    ],
+)
+def test_an_error_of_the_mount_is_found(name: str, error: float, within: float) -> None:
+    true = TAPE.with_values(**{name: TAPE[name][0] + error})
+    run = driven(simulated(7, TAPE, true))
+    value, sigma = run.filter.calibration[name]
+    assert sigma < TAPE[name][1]
+    assert abs(value - true[name][0]) < min(within, 4.0 * sigma)
+    assert np.sqrt(np.mean(np.sum(run.errors[80:, :2] ** 2, axis=1))) < 0.03
+
+
+def test_the_height_of_the_camera_is_found_though_not_on_which_side_of_the_joint() -> None:
+    true = TAPE.with_values(axis_z=1.13)
+    found = driven(simulated(8, TAPE, true)).filter.calibration
+    assert found['axis_z'][0] + found['center_z'][0] == pytest.approx(1.13, abs=0.005)
+    assert {'axis_z', 'center_z'} <= set(found.unobserved(TAPE)) | {'axis_z'}
+
+
+def test_a_robot_that_stands_does_not_learn_its_pan_zero() -> None:
+    drive = simulated(3, TAPE, TAPE.with_values(axis_yaw=0.012), seconds=16.0)
+    still = Motion(np.zeros(3), 0.05)
+    seen = next(event for event in drive.events if isinstance(event, ImagePoints))
+    drive.events = [each for _ in range(20) for each in (still, still, seen)]
+    drive.poses = drive.poses[:1] * 20
+    drive.start = replace(drive.start, pose=drive.poses[0] + [0.02, -0.01, 0.01])
+    run = driven(drive)
+    assert 'axis_yaw' in run.filter.calibration.unobserved(TAPE)
+    assert run.covariances[-1, 2, 2] > (0.5 * TAPE['axis_yaw'][1]) ** 2
+    assert run.nees.max() < 16.0
+
+
+@pytest.mark.parametrize('share', [0.15, 0.3])
+def test_outliers_cost_little(share: float) -> None:
+    clean, spoilt = (
+        [driven(simulated(seed, outliers=part, seconds=24.0)) for seed in range(4)]
+        for part in (0.0, share)
+    )
+
+    def rms(runs: list[object]) -> float:
+        errors = np.concatenate([run.errors[20:, :2] for run in runs])  # type: ignore[attr-defined]
+        return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+    assert rms(spoilt) < 2.0 * rms(clean)
+    assert np.mean([run.nees.mean() for run in spoilt]) < 6.0
+
+
+def knocked(rad: float, at: int) -> object:
+    def change(k: int, seen: ImagePoints) -> ImagePoints:
+        return replace(seen, pan_rad=seen.pan_rad - rad) if k >= at else seen
+
+    return change
+
+
+def test_a_knock_of_the_camera_is_noticed_at_once() -> None:
+    run = driven(simulated(4, seconds=24.0), changed=knocked(0.05, 60))  # type: ignore[arg-type]
+    steps = [update.stamp_ns for update in run.updates if update.stepped]
+    assert len(steps) == 1
+    assert 0 <= steps[0] - 61 * NS // 5 <= NS
+    # Whether the base or the camera was turned shows as the robot drives: the heading says so.
+    assert (run.nees < 31.8).all()
+    assert np.hypot(*run.errors[60:, :2].T).max() < 0.05
+
+
+def test_no_step_is_seen_where_there_is_none() -> None:
+    for seed in range(4):
+        for outliers in (0.0, 0.15):
+            run = driven(simulated(seed, seconds=24.0, outliers=outliers))
+            assert not any(update.stepped for update in run.updates)
+
+
+@pytest.mark.parametrize(
+    'change',
+    [
+        lambda seen: replace(seen, points=np.full_like(seen.points, np.nan)),
+        lambda seen: replace(seen, covariance=-seen.covariance),
+        lambda seen: replace(seen, columns=seen.columns + 1000),
+        lambda seen: replace(seen, columns=-1 - seen.columns),
+        lambda seen: replace(seen, tilt_rad=np.nan),
+        lambda seen: replace(seen, pan_rad=np.full(len(seen), np.inf)),
+        lambda seen: seen.chosen(np.zeros(len(seen), dtype=np.bool_)),
+    ],
+)
+def test_what_is_no_measurement_changes_nothing(change: object) -> None:
+    drive = simulated(5, seconds=4.0)
+    run = driven(drive)
+    before = run.filter.snapshot
+    seen = next(event for event in drive.events if isinstance(event, ImagePoints))
+    update = run.filter.observe(change(seen))  # type: ignore[operator]
+    assert len(update.columns) == 0
+    assert (run.filter.snapshot.mean == before.mean).all()
+    assert (run.filter.snapshot.covariance == before.covariance).all()
+
+
+def test_a_landmark_counts_once() -> None:
+    drive = simulated(5, seconds=4.0)
+    twice = [
+        replace(
+            seen,
+            **{
+                name: np.concatenate([getattr(seen, name)] * 2)
+                for name in ('columns', 'points', 'covariance', 'pan_rad')
+            },
+        )
+        if isinstance(seen, ImagePoints)
+        else seen
+        for seen in drive.events
+    ]
+    once = driven(drive).covariances
+    drive.events = twice
+    assert driven(drive).covariances == pytest.approx(once, rel=1e-9)
+
+
+def test_landmarks_behind_the_camera_do_no_harm() -> None:
+    drive = simulated(6, seconds=8.0)
+    turned = driven(drive, changed=lambda k, seen: replace(seen, pan_rad=seen.pan_rad + np.pi))
+    assert np.isfinite(turned.errors).all()
+    assert np.linalg.eigvalsh(turned.covariances).min() > 0.0
+
+
+def test_blind_motion_widens_the_pose() -> None:
+    drive = simulated(6, seconds=4.0)
+    joint = driven(drive).filter
+    before = np.trace(joint.estimate.covariance[:2, :2])
+    joint.move(5 * NS, Motion(np.zeros(3), 1.0, blind_seconds=1.0))
+    assert np.trace(joint.estimate.covariance[:2, :2]) > before + 0.2
+
+
+def test_the_noise_of_the_wheels_is_learned() -> None:
+    quiet = OdometryNoiseConfig().scaled(3.0, 3.0, 3.0)
+    factors = driven(simulated(9), odometry=quiet).filter.noise_factors
+    assert (factors[:3] < 0.7).all()
+
+
+def test_late_images_and_odometry_give_the_same_as_in_order() -> None:
+    drive = simulated(10, seconds=6.0)
+    samples, images, pose, stamp = [OdometrySample(0, np.zeros(3))], [], np.zeros(3), 0
+    for event in drive.events:
+        if isinstance(event, Motion):
+            stamp += round(event.seconds * NS)
+            pose = compose(pose, event.increment)
+            samples.append(OdometrySample(stamp, pose))
+        else:
+            images.append(event)
+
+    def run(arrivals: list[tuple[int, OdometrySample | ImagePoints]]) -> PoseEstimate:
+        odometry = OdometryNoiseConfig()
+        joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
+        line = Timeline(joint, OdometryTrack(odometry), window_s=1.0)
+        for _, what in sorted(arrivals, key=lambda arrival: arrival[0]):
+            if isinstance(what, OdometrySample):
+                assert line.add_odometry(what) is None
+            else:
+                assert not isinstance(line.add_image(what), Refusal)
+        return line.estimate()
+
+    rng = np.random.default_rng(0)
+    on_time = [(sample.stamp_ns, sample) for sample in samples]
+    expected = run([*on_time, *((seen.stamp_ns, seen) for seen in images)])
+    late = [(seen.stamp_ns + int(rng.integers(0, NS // 2)), seen) for seen in images]
+    early = [(max(1, seen.stamp_ns - NS // 10), seen) for seen in images]
+    for arrivals in (late, early):
+        found = run([*on_time, *arrivals])
+        assert found.pose == pytest.approx(expected.pose, abs=1e-9)
+        assert found.covariance == pytest.approx(expected.covariance, abs=1e-12)
+
+
+def test_an_image_that_comes_too_late_is_refused() -> None:
+    drive = simulated(10, seconds=6.0)
+    odometry = OdometryNoiseConfig()
+    joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
+    line = Timeline(joint, OdometryTrack(odometry), window_s=1.0)
+    images = [event for event in drive.events if isinstance(event, ImagePoints)]
+    for seen in images[1:]:
+        line.add_image(seen)
+    assert isinstance(line.add_image(images[0]), Refusal)
+
+
+def test_a_kidnapped_robot_is_lost_and_a_right_one_is_not() -> None:
+    drive = simulated(11, seconds=24.0)
+    rng = np.random.default_rng(0)
+
+    def elsewhere(k: int, seen: ImagePoints) -> ImagePoints:
+        if k < 60:
+            return seen
+        return replace(seen, points=rng.uniform(-0.4, 0.4, seen.points.shape))
+
+    for change, lost in ((lambda k, seen: seen, False), (elsewhere, True)):
+        run, integrity = driven(drive, changed=change), Integrity()
+        states = []
+        for k, update in enumerate(run.updates):
+            integrity.add(NS * k // 5, update)
+            estimate = PoseEstimate(NS * k // 5, np.zeros(3), run.covariances[k])
+            states.append(integrity.status(estimate)[0])
+        assert states[:60].count(Status.OK) == 60
+        assert (Status.LOST in states) is lost
+        if lost:
+            assert states.index(Status.LOST) <= 70
+
+
+def test_landmarks_that_are_missed_or_hidden_tell_slowly() -> None:
+    integrity, good = Integrity(), PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
+    integrity.add(0, driven(simulated(5, seconds=4.0)).updates[-1])
+    assert integrity.status(good)[0] is Status.OK
+    for k in range(1, 40):
+        integrity.add(k * NS // 5, None, missed=8)
+        if k == 1:
+            assert integrity.status(good)[0] is not Status.LOST
+    assert integrity.status(good)[0] is Status.LOST
+
+
+def test_the_protection_level_holds() -> None:
+    inside, ratios = [], []
+    for seed in range(8):
+        run = driven(simulated(seed, seconds=24.0))
+        for error, covariance, update in zip(
+            run.errors, run.covariances, run.updates, strict=False
+        ):
+            level = protection_level(PoseEstimate(0, np.zeros(3), covariance), update)
+            off = np.hypot(*error[:2])
+            inside.append([off <= level.position_m, abs(error[2]) <= level.heading_rad])
+            ratios.append(level.position_m / off)
+    assert (np.mean(inside, axis=0) > 0.98).all()
+    assert np.median(ratios) < 4.0

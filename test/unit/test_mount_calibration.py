@@ -1,0 +1,114 @@
+"""The calibration of a robot: type, file, what was observed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.storage.robot_files import load_calibration, save_calibration
+from landmark_nav.storage.setup_files import load_robot
+
+MOUNT = PanTiltMount((0.1, 0.02, 1.2), (0.01, -0.02, 0.3), (0.03, -0.01, 0.02), 0.04, 3e-4)
+ROBOT = {'pan_axis': {'xyz': [0.1, 0.02, 1.2]}}
+
+
+def written(path: Path, document: object) -> Path:
+    file = path / 'robot.yaml'
+    file.write_text(yaml.safe_dump(document), encoding='utf-8')
+    return file
+
+
+def test_holds_the_mount() -> None:
+    assert Calibration.of_mount(MOUNT).mount == MOUNT
+
+
+def test_a_file_without_sigmas_stays_valid(tmp_path: Path) -> None:
+    found = load_calibration(written(tmp_path, ROBOT))
+    assert found.mount.axis_xyz == (0.1, 0.02, 1.2)
+    assert found['axis_x'] == (0.1, 0.02)
+    assert found['axis_yaw'] == (0.0, 0.017)
+    assert found['focal_scale'] == (0.0, 0.01)
+    assert found['joint_delay'] == (0.0, 0.03)
+
+
+def test_sigmas_are_one_number_or_one_an_axis(tmp_path: Path) -> None:
+    document = {
+        'pan_axis': {'xyz': [0.1, 0.0, 1.0], 'xyz_sigma': 0.005, 'rpy_sigma': [0.0, 0.01, 0.02]},
+        'joint_delay': 0.04,
+        'joint_delay_sigma': 0.0,
+    }
+    found = load_calibration(written(tmp_path, document))
+    assert [found[f'axis_{k}'][1] for k in 'xyz'] == [0.005] * 3
+    assert [found[f'axis_{k}'][1] for k in ('roll', 'pitch', 'yaw')] == [0.0, 0.01, 0.02]
+    assert found['joint_delay'] == (0.04, 0.0)
+
+
+def test_survives_its_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    spread = np.diag(rng.uniform(1e-8, 1e-4, len(NAMES)))
+    before = Calibration(
+        Calibration.of_mount(MOUNT).values + 1e-3 * rng.normal(size=len(NAMES)), spread, MOUNT
+    )
+    save_calibration(before, tmp_path / 'robot.yaml')
+    after = load_calibration(tmp_path / 'robot.yaml')
+    assert after.values == pytest.approx(before.values, abs=1e-9)
+    assert after.sigmas == pytest.approx(before.sigmas, abs=1e-9)
+    assert after.base.pan_sigma_rad == MOUNT.pan_sigma_rad
+    assert load_robot(tmp_path / 'robot.yaml').axis_xyz == pytest.approx(before.mount.axis_xyz)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'said'),
+    [
+        ({'joint_delay': 'soon'}, 'joint_delay'),
+        ({'joint_delay': 25.0}, 'joint_delay'),
+        ({'focal_scale': float('nan')}, 'focal_scale'),
+        ({'camera_tilt': 12.0}, 'camera_tilt'),
+        ({'camera_roll_sigma': -0.1}, 'camera_roll_sigma'),
+        ({'joint_delay_sigma': float('inf')}, 'joint_delay_sigma'),
+        ({'joint_delay_sigma': [0.1, 0.2]}, 'joint_delay_sigma'),
+        ({'joint_delay_sigma': True}, 'joint_delay_sigma'),
+        ({'joint_delay_sigma': None}, 'joint_delay_sigma'),
+        ({'focal_scale_sigma': 20.0}, 'focal_scale_sigma'),
+        ({'optical_center_offset_sigma': [0.1, 0.1]}, 'optical_center_offset_sigma'),
+        ({'optical_center_offset_sigma': [0.1, [0.1], 0.1]}, 'optical_center_offset_sigma'),
+        ({'pan_axis': {'xyz': [0, 0, 1], 'xyz_sigma': 20}}, 'xyz_sigma'),
+        ({'pan_axis': {'xyz': [0, 0, 1], 'rpy_sigma': 'x'}}, 'rpy_sigma'),
+        ({'pan_axis': {'xyz': [0, 0, 1], 'xyz_sigmas': 0.1}}, 'xyz_sigma'),
+        ({'focal_scale_sigmas': 0.1}, 'focal_scale_sigma'),
+    ],
+)
+def test_says_which_field_is_wrong(tmp_path: Path, changes: dict[str, object], said: str) -> None:
+    file = written(tmp_path, {**ROBOT, **changes})
+    with pytest.raises(LandmarkNavError, match=said) as caught:
+        load_calibration(file)
+    assert str(file) in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('spoilt', [np.nan, np.inf])
+def test_takes_numbers_only(spoilt: float) -> None:
+    good = Calibration.of_mount(MOUNT)
+    with pytest.raises(LandmarkNavError):
+        Calibration(np.full(len(NAMES), spoilt), good.covariance, MOUNT)
+    with pytest.raises(LandmarkNavError):
+        Calibration(good.values, -good.covariance, MOUNT)
+
+
+def test_names_what_was_not_observed_and_what_contradicts() -> None:
+    prior = Calibration.of_mount(MOUNT, {'axis_z': 0.0})
+    shrunk = prior.covariance.copy()
+    shrunk[0, 0] *= 0.01
+    found = Calibration(prior.values.copy(), shrunk, MOUNT).with_values(axis_x=0.3, axis_z=1.3)
+    assert 'axis_x' not in found.unobserved(prior)
+    assert 'axis_z' not in found.unobserved(prior)
+    assert 'axis_yaw' in found.unobserved(prior)
+    assert set(found.contradictions(prior)) == {'axis_x', 'axis_z'}
+    row = found.differences(prior)['axis_x']
+    assert (row['prior'], row['value'], row['observed']) == (0.1, 0.3, True)
