@@ -160,7 +160,7 @@ def _panoramas(
 
 def _cause(papers: PaperRecord, sweeps: Iterator[Sweep], mount: PanTiltMount) -> str:
     """What is wrong with papers that did not fit in one sweep, by those that follow as well."""
-    if not len(papers) or papers.faults().fits:
+    if not len(papers):
         return ''
     with suppress(LandmarkNavError):
         for sweep in islice(sweeps, _MORE_SWEEPS):

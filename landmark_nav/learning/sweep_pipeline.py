@@ -40,6 +40,7 @@ from landmark_nav.learning.reference_area import (
 )
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
+from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import FloatArray, Panorama, PoseEstimate, Sweep
 
 __all__ = ['PanoramaStages', 'panorama_from_sweep', 'record_papers', 'tenengrad']
@@ -50,6 +51,8 @@ _LOG = logging.getLogger(__name__)
 _FAR_M = 50.0
 # Standard deviations of a given pose that no map can be learned with: metres, metres, radians.
 _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
+# A focal length that is off by such a share is worth a word.
+_WORTH_SAYING = 0.02
 # No pose is better known.
 _LEAST_VARIANCE = 1e-10
 # Calibrations that differ by less make one panorama.
@@ -131,8 +134,8 @@ def panorama_from_sweep(
         with log.measure('panorama'):
             view = _view(found, photometry, config, _range_of_azimuth(place, found, room))
     found = refined
-    if place.doubt:
-        _LOG.warning('%s', place.doubt)
+    for doubt in filter(None, [place.doubt, _wrong_focal(found.quality)]):
+        _LOG.warning('%s', doubt)
     return Panorama(
         sweep.stamp_ns,
         view.image,
@@ -145,6 +148,18 @@ def panorama_from_sweep(
             tenengrad(view), photometry.vignetting, photometry.gain_spread
         ),
     )
+
+
+def _wrong_focal(quality: PanoramaQuality) -> str:
+    """What to say of a focal length that the turn shows to be far off what was given."""
+    for term in quality.calibration:
+        if term.name == 'focal_length' and term.used and abs(term.value) > _WORTH_SAYING:
+            return (
+                f'the focal length in camera_info is {100.0 * abs(term.value):.1f} % too '
+                f'{"small" if term.value > 0.0 else "large"}, as the turn shows it: the sweep is '
+                'mended, but navigation goes by camera_info: calibrate the camera'
+            )
+    return ''
 
 
 def record_papers(sweep: Sweep, mount: PanTiltMount, papers: PaperRecord) -> None:

@@ -49,7 +49,7 @@ _COMMON, _PAPER = len(_OF_ALL), len(_OF_PAPER)
 _FREE_M, _FREE_RAD, _FREE_SHARE = 0.5, 0.2, 0.5
 _IN_METRES = ('camera_height', 'along', 'height', 'depth')
 # Of the focal length after the calibration by overlaps; of the sizes of one paper.
-_FOCAL_SIGMA, _OWN_SIZE_SIGMA = 1e-3, 5e-3
+_FOCAL_SIGMA, _OWN_SIZE_SIGMA = 1e-3, 3e-3
 # Gain in chi-square from which on a fault is real, and by which it must lead all others.
 _REAL_GAIN, _LEAD = 25.0, 9.0
 # What a value that is set free must gain at least (as in Schwarz' criterion).
@@ -349,7 +349,11 @@ class _Trial:
                 costs = [self._fit(hypothesis, [view], [pick], room).cost for pick in each]
                 views.append(view)
                 chosen.append(each[int(np.argmin(costs))])
-        return self._fit(hypothesis, views, chosen, room) if views else None
+        if not views:
+            return None
+        solution = self._fit(hypothesis, views, chosen, room)
+        unlocated = _MISSING * len(room.papers) * (len(picks) - len(views))
+        return replace(solution, cost=solution.cost + unlocated)
 
     def _fit(
         self,
