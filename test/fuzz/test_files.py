@@ -143,13 +143,14 @@ def write_bag(path: Path, kind: str, messages: dict[str, Any]) -> Path:
     if kind == 'ros1':
         old = get_typestore(Stores.ROS1_NOETIC)
         with Ros1Writer(path) as bag:
-            for topic in ('joint_states',):
-                type_name = TOPIC_TYPES[topic]
-                connection = bag.add_connection(f'/{topic}', type_name, typestore=old)
-                raw = store.serialize_cdr(messages[topic], type_name)
-                data = old.cdr_to_ros1(raw, type_name)
-                for stamp in stamps:
-                    bag.write(connection, stamp, data)
+            type_name, joints = TOPIC_TYPES['joint_states'], messages['joint_states']
+            header = old.types['std_msgs/msg/Header'](0, joints.header.stamp, '')
+            message = old.types[type_name](
+                header, joints.name, joints.position, joints.velocity, joints.effort
+            )
+            connection = bag.add_connection('/joint_states', type_name, typestore=old)
+            for stamp in stamps:
+                bag.write(connection, stamp, old.serialize_ros1(message, type_name))
         return path
     plugin = StoragePlugin.MCAP if kind == 'mcap' else StoragePlugin.SQLITE3
     with Ros2Writer(path, version=9, storage_plugin=plugin) as bag:

@@ -268,7 +268,7 @@ def test_papers_that_are_not_there_are_missed(study, tmp_path, capsys):
         paper['center'][1] += 4.35
     path = tmp_path / 'room.yaml'
     path.write_text(yaml.safe_dump(room))
-    refused(capsys, learn(study.folder / 'learn', study, tmp_path / 'map', str(path)), 'sweep 1')
+    refused(capsys, learn(study.folder / 'learn', study, tmp_path / 'map', str(path)), 'papers')
     assert not (tmp_path / 'map').exists()
 
 
@@ -282,7 +282,8 @@ def test_rooms_that_are_open_or_cross_are_refused(study, tmp_path, capsys):
         corners = [room['walls'][k]['start'] for k in walls]
         if len(walls) == 4:
             for k in range(4):
-                room['walls'][k].update(start=corners[k], end=corners[(k + 1) % 4])
+                # Copies: a list that stands twice is written as an alias.
+                room['walls'][k].update(start=[*corners[k]], end=[*corners[(k + 1) % 4]])
         room['walls'] = room['walls'][: len(walls)]
         path.write_text(yaml.safe_dump(room))
         bag = study.folder / 'learn'

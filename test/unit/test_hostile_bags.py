@@ -173,5 +173,5 @@ def test_a_database_with_odd_values_is_one_line(tmp_path):
 
 def test_a_bag_without_messages_says_what_is_missing(tmp_path):
     (tmp_path / 'none.mcap').write_bytes(mcap())
-    with pytest.raises(LandmarkNavError, match=r'camera/image_raw/compressed is missing'):
+    with pytest.raises(LandmarkNavError, match=r'camera/image_raw is missing'):
         list(sensor_events(Bag(tmp_path / 'none.mcap'), MOUNT))

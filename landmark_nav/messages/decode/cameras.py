@@ -169,6 +169,10 @@ def camera_model(msg: Any) -> CameraModel:
 
 @lru_cache(maxsize=32)
 def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
+    if width < 1 or height < 1:
+        raise LandmarkNavError(
+            f'camera_info is for images of {width} x {height} px: set width and height to theirs'
+        )
     readings = list(dict.fromkeys(info.readings(width, height)))
     if not readings:
         raise LandmarkNavError(

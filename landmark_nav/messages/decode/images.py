@@ -250,6 +250,5 @@ def _naming(msg: Any) -> Iterator[None]:
         yield
     except LandmarkNavError as error:
         raise LandmarkNavError(
-            f'compressed image of {len(msg.data)} bytes, format {str(msg.format)[:40]!r}, does '
-            f'not decode as jpeg or png: {error}'
+            f'{len(msg.data)} bytes, format {str(msg.format)[:40]!r}, are no jpeg or png: {error}'
         ) from error

@@ -158,14 +158,17 @@ def _check_unusable(
 ) -> None:
     """Say which images of a sweep are left out; refuse where they leave a gap."""
     first = min(plan.unusable)
+    if not frames:
+        raise LandmarkNavError(
+            f'{bag.path}: {topic}: no usable image in a sweep: image {numbers[first]}, at '
+            f'{1e-9 * first:.3f} s: {plan.unusable[first]}'
+        )
     count = len(plan.unusable)
     which = (
         f'{topic}: {count} of {len(plan.samples)} frames of the sweep of '
         f'{1e-9 * plan.start_ns:.1f} s left out: image {numbers[first]}, at {1e-9 * first:.3f} s'
     )
     reason = plan.unusable[first]
-    if not frames:
-        raise LandmarkNavError(f'{bag.path}: {which}: {reason}')
     pans = [frame.pan_rad for frame in frames]
     recorded = zip(plan.samples, plan.stamps_ns, strict=True)
     whole = [sample.pan_rad for sample, stamp in recorded if stamp is not None]
