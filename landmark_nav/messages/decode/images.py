@@ -250,5 +250,5 @@ def _naming(msg: Any) -> Iterator[None]:
         yield
     except LandmarkNavError as error:
         raise LandmarkNavError(
-            f'{len(msg.data)} bytes, format {str(msg.format)[:40]!r}, are no jpeg or png: {error}'
+            f'{str(msg.format)[:40]!r} of {len(msg.data)} bytes does not decode as jpeg: {error}'
         ) from error

@@ -160,7 +160,7 @@ def _check_unusable(
     first = min(plan.unusable)
     if not frames:
         raise LandmarkNavError(
-            f'{bag.path}: {topic}: no usable image in a sweep: image {numbers[first]}, at '
+            f'{bag.path}: {topic}: no usable image: image {numbers[first]}, at '
             f'{1e-9 * first:.3f} s: {plan.unusable[first]}'
         )
     count = len(plan.unusable)
