@@ -208,13 +208,17 @@ class CameraModel:
             full_size=self.full_size or (self.width, self.height),
         )
 
+    @property
+    def reduced_size(self) -> tuple[int, int]:
+        """Width and height at no more than `MAX_PX_PER_RAD`; 0 where it sees next to nothing."""
+        scale = min(1.0, MAX_PX_PER_RAD / max(self.fx, self.fy))
+        return round(self.width * scale), round(self.height * scale)
+
     @cached_property
     def reduced(self) -> CameraModel:
         """The camera at no more than `MAX_PX_PER_RAD`."""
-        scale = MAX_PX_PER_RAD / max(self.fx, self.fy)
-        if scale >= 1.0:
-            return self
-        return self.resized(round(self.width * scale), round(self.height * scale))
+        size = self.reduced_size
+        return self if size == (self.width, self.height) else self.resized(*size)
 
     def in_full_image(self, pixels: FloatArray) -> FloatArray:
         """Pixels (..., 2) of this image in the one that it was reduced from."""

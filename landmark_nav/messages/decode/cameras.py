@@ -205,6 +205,11 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
     camera = CameraModel(width, height, *usual, info.model, info.distortion)
     if camera.restriction:
         _LOG.warning('camera_info: %s: calibrate it to use all', camera.restriction)
+    if min(camera.reduced_size) < 1:
+        raise LandmarkNavError(
+            f'camera_info: {width} x {height} px with a focal length of {camera.fx:.3g} x '
+            f'{camera.fy:.3g} px sees next to nothing: calibrate it'
+        )
     return camera
 
 
