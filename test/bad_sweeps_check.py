@@ -153,7 +153,7 @@ def cases(seed: int) -> list[Case]:
         Case('warm light, then usual', ((warm, here), (scene, there))),
         Case('an overexposed window', ((glare, here), (glare, there))),
         Case('upside down, as told', both, true_mount=over, told_mount=over),
-        Case('upside down, not told', both, 'pan unit is mounted the other', true_mount=over),
+        Case('upside down, not given', both, 'pan unit is mounted the other', true_mount=over),
         Case('the camera alone upside down, as told', both, true_mount=rolled, told_mount=rolled),
         Case('the camera alone upside down, not told', both, 'camera_roll: 3.14',
              true_mount=rolled),

@@ -32,7 +32,7 @@ _LEAST_DRIFT_S = 0.05
 _CLOCKS = ('clock', 'drift', 'step')
 # A clock that is known to this is worth a correction.
 _POLISH_S = 0.02
-# A clock is told by what was recorded at the time of the images.
+# A clock is measured by what was recorded at the time of the images.
 _LEAST_COVERED = 0.3
 # So many pairs are enough for a first search.
 _PAIRS = 160

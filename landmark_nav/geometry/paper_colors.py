@@ -60,7 +60,7 @@ def paper_bgr(color: str) -> tuple[float, float, float]:
         )
     if max(rgb) - min(rgb) < _LEAST_SATURATION * max(rgb) or max(rgb) < 0.1:
         raise LandmarkNavError(
-            f'paper colour {shown(color)} is too grey or too dark to be told by its hue: '
+            f'paper colour {shown(color)} is too grey or too dark to be recognised by its hue: '
             'hang a more vivid paper'
         )
     return 255.0 * rgb[2], 255.0 * rgb[1], 255.0 * rgb[0]

@@ -106,7 +106,7 @@ class Input:
         )
 
     def waits(self) -> str:
-        """What the node waits for, and why in vain; nothing while messages come."""
+        """What the node waits for, and why nothing arrives; empty while messages arrive."""
         if self._arrived_s is None:
             why = self._why_none()
         elif not self.is_stream or self._silent_s() < _SILENCE_S or not self._is_open():

@@ -81,7 +81,9 @@ def changed_yaml(draw: st.DrawFn, valid: Any, most: int = 3) -> Any:
             if kind == 'removed':
                 del holder[key]
             elif kind == 'scaled' and isinstance(holder[key], int | float):
-                holder[key] *= draw(st.sampled_from((-1, 10, 1000)))
+                scale = draw(st.sampled_from((-1, 0.001, 10, 1000, 57.3)))
+                # Whole numbers beyond a float stay whole.
+                holder[key] *= scale if abs(holder[key]) < 1e300 else round(scale)
             elif kind == 'added' and isinstance(holder, list):
                 holder.append(holder[key])
             elif kind == 'added':

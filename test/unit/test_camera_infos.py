@@ -1,4 +1,4 @@
-"""Calibrations as drivers publish them: whose pixels K is in is told by the image's size."""
+"""Calibrations as drivers publish them: whose pixels K is in follows from the image's size."""
 
 from __future__ import annotations
 

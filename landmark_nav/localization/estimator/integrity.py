@@ -102,7 +102,7 @@ class Integrity:
         return self._log_ratio
 
     def add(self, stamp_ns: int, update: Update | None, missed: int = 0) -> None:
-        """Take an image: what was used of it, and how many landmarks were looked for in vain."""
+        """Take an image: what was used of it, and how many landmarks were not found."""
         found = 0 if update is None else len(update.columns)
         if self._found_ns is None:
             self._found_ns = stamp_ns

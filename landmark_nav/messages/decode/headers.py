@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 _SECOND_NS = 1_000_000_000
-# Beyond any length, angle, rate or variance of a robot; "unknown" is told by less.
+# Beyond any length, angle, rate or variance of a robot; "unknown" is reported as less.
 _MOST = 1e12
 # No clock, joint or camera is late by more.
 _MOST_DELAY_S = 10.0

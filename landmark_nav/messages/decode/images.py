@@ -88,7 +88,7 @@ _LAYOUTS = _layouts()
 @dataclass
 class BitDepth:
     """
-    Bits that a stream of 16-bit images uses, as told by the greatest value so far.
+    Bits that a stream of 16-bit images uses, measured by the greatest value so far.
 
     A camera of 10 or 12 bits fills the lower ones of `mono16`. The depth never shrinks, so that
     grey levels do not change from image to image.

@@ -63,7 +63,7 @@ def pose_covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> F
     """
     Covariance of some axes, a layout, out of a message with a geometry_msgs/PoseWithCovariance.
 
-    Of the others anything may be told: 0, 1e6 and the largest number all stand for "unknown".
+    Of the others anything may be given: 0, 1e6 and the largest number all stand for "unknown".
     """
     what = f'{what} covariance'
     full = finite(msg.pose.covariance, what, stamp, np.inf, count=36)
