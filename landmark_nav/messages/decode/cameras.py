@@ -137,7 +137,7 @@ def camera_info(msg: Any) -> CameraInfo:
         model = 'plumb_bob'  # of none, as simulators and rectified images have it
     roi = msg.roi
     skew = float(k[1])
-    if abs(skew) * int(msg.height) > 2.0 * _LARGEST_SKEW_PX * abs(k[4]):
+    if abs(skew) * int(msg.height) > 2.0 * _LARGEST_SKEW_PX * abs(float(k[4])):
         raise LandmarkNavError(
             f'camera_info has a skew of {skew:g} (K[1]), which no model of ROS corrects: '
             'calibrate the camera without'
