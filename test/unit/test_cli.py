@@ -123,14 +123,14 @@ def test_a_reader_that_leaves_is_no_error() -> None:
         'from landmark_nav.cli.main import main\n'
         'sys.exit(main(["learn"]))\n'
     )
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, '-c', code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    process.stdout.close()
-    assert process.stderr is not None
-    assert process.stderr.read() == ''
-    process.wait(timeout=20)
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert process.stderr.read() == ''
+        process.wait(timeout=20)
 
 
 @pytest.mark.parametrize('name', COMMANDS)

@@ -26,17 +26,18 @@ def heeds_signals(process: subprocess.Popen[str]) -> bool:
 
 def signalled(command: list[str], number: int, after_s: float) -> tuple[int, str]:
     """Status and complaints of a process that is signalled so long after it heeds signals."""
-    process = subprocess.Popen(
+    with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        while process.poll() is None and not heeds_signals(process):
-            time.sleep(0.001)
-        time.sleep(after_s)
-        process.send_signal(number)
-        return process.wait(30.0), process.stderr.read() if process.stderr else ''
-    finally:
-        process.kill()
+    ) as process:
+        try:
+            while process.poll() is None and not heeds_signals(process):
+                time.sleep(0.001)
+            time.sleep(after_s)
+            process.send_signal(number)
+            complaints = process.communicate(timeout=30.0)[1]
+        finally:
+            process.kill()
+    return process.returncode, complaints
 
 
 @pytest.mark.parametrize('after_s', [0.0, 0.1, 0.4])

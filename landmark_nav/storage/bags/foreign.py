@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 import sqlite3
 from urllib.parse import quote
+import weakref
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Ros1Reader
@@ -45,6 +46,7 @@ class RosbagsFile:
             ros1 = stream.read(7) == b'#ROSBAG'
         with _naming(self.name):
             self._reader = _ros1(path) if ros1 else _sqlite3(path)
+        weakref.finalize(self, self._reader.close)
         self._infos = {
             connection.id: _info(connection, 'ros1' if ros1 else 'cdr')
             for connection in self._reader.connections
