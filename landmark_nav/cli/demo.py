@@ -74,7 +74,14 @@ def run(args: argparse.Namespace) -> int:
     folder = _emptied(args.out, args.overwrite)
     narrator = Narrator()
     room = prepare_room(folder, args.seed, _TOUR_M)
-    commands = node_commands(room, folder / 'map')
+    commands = node_commands(
+        room.robot_file,
+        room.room_file,
+        folder / 'map',
+        simulator={'seed': room.seed},
+        # Raw images do not fit into the shared memory of common ROS middleware.
+        image_transport='compressed',
+    )
     environment = node_environment(domain_id)
     os.environ.update(environment)
     narrator.say(f'to look at the topics meanwhile: export ROS_DOMAIN_ID={domain_id}')

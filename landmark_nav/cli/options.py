@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import re
 
-__all__ = ['add_overwrite']
+__all__ = ['add_namespace', 'add_overwrite']
 
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
@@ -12,3 +13,21 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--overwrite', action='store_true', help='replace what --out names, if it is there'
     )
+
+
+def add_namespace(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--namespace``, that of the nodes."""
+    parser.add_argument(
+        '--namespace',
+        type=_namespace,
+        default='',
+        metavar='NS',
+        help='of the nodes (default none)',
+    )
+
+
+def _namespace(text: str) -> str:
+    name = text.strip('/')
+    if name and not re.fullmatch(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*', name, re.ASCII):
+        raise argparse.ArgumentTypeError(f'{text} is no namespace of ROS, such as robot1')
+    return name

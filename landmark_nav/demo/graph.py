@@ -1,19 +1,19 @@
-"""The nodes of the demo as processes: their command lines and their environment."""
+"""The nodes as processes: their command lines and their environment."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import json
 import os
 from pathlib import Path
 import sys
 
-from landmark_nav.demo.room import DemoRoom
 from landmark_nav.storage.config_files import shipped_config
 
 __all__ = ['node_command', 'node_commands', 'node_environment']
 
 
-def node_command(name: str, **parameters: object) -> list[str]:
+def node_command(name: str, namespace: str = '', **parameters: object) -> list[str]:
     """Command line of a node, with its parameter file and what is given."""
     # JSON is YAML, which is how ROS reads values: names stay names.
     settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
@@ -21,24 +21,42 @@ def node_command(name: str, **parameters: object) -> list[str]:
         *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
         *('--params-file', str(shipped_config(f'{name}.yaml'))),
         *(word for setting in settings for word in ('-p', setting)),
+        *(('-r', f'__ns:=/{namespace}') if namespace else ()),
     ]
 
 
-def node_commands(room: DemoRoom, map_folder: Path) -> dict[str, list[str]]:
-    """Command line of each node of the demo, by its name."""
-    robot, walls = str(room.robot_file), str(room.room_file)
-    # Raw pictures do not fit into the shared memory of common ROS middleware.
-    pictures: dict[str, object] = {'robot_file': robot, 'image_transport': 'compressed'}
+def node_commands(
+    robot_file: Path,
+    room_file: Path,
+    map_folder: Path,
+    *,
+    simulator: Mapping[str, object] | None = None,
+    load_on_start: bool = False,
+    image_transport: str = 'auto',
+    namespace: str = '',
+) -> dict[str, list[str]]:
+    """
+    Command line of each node, by its name.
+
+    `simulator` is what the simulated robot is given beside `robot_file`; without it there is none.
+    The others are parameters of the nodes.
+    """
+    robot, room = str(robot_file), str(room_file)
+    camera: dict[str, object] = {'robot_file': robot, 'image_transport': image_transport}
+    learner = {'room_file': room, 'map_folder': str(map_folder), 'load_on_start': load_on_start}
     given: dict[str, dict[str, object]] = {
-        'room_simulator': {'seed': room.seed, 'robot_file': robot},
-        'sweep_capture': pictures,
-        'panorama_synthesizer': {'robot_file': robot, 'room_file': walls},
-        'landmark_learner': {'room_file': walls, 'map_folder': str(map_folder)},
+        'sweep_capture': camera,
+        'panorama_synthesizer': {'robot_file': robot, 'room_file': room},
+        'landmark_learner': learner,
         'triplet_selector': {'robot_file': robot},
-        'triangulation_localizer': pictures,
+        'triangulation_localizer': camera,
         'odometry_fusion': {'robot_file': robot},
     }
-    return {name: node_command(name, **parameters) for name, parameters in given.items()}
+    if simulator is not None:
+        given = {'room_simulator': {'robot_file': robot, **simulator}} | given
+    return {
+        name: node_command(name, namespace, **parameters) for name, parameters in given.items()
+    }
 
 
 def node_environment(domain_id: int) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -27,7 +28,7 @@ class ProcessEndedError(LandmarkNavError):
 class _Child:
     name: str
     process: subprocess.Popen[bytes]
-    log: Path
+    log: Path | None
 
 
 class Supervisor:
@@ -38,8 +39,8 @@ class Supervisor:
 
     Parameters
     ----------
-    log_folder : Path
-        Where what each of them prints goes, ``NAME.log``.
+    log_folder : Path or None
+        Where what each of them prints goes, ``NAME.log``; None where it goes where ours goes.
     environment : mapping
         Their whole environment.
     grace_s : float
@@ -48,7 +49,7 @@ class Supervisor:
     """
 
     def __init__(
-        self, log_folder: Path, environment: Mapping[str, str], grace_s: float = 10.0
+        self, log_folder: Path | None, environment: Mapping[str, str], grace_s: float = 10.0
     ) -> None:
         self._log_folder = log_folder
         self._environment = dict(environment)
@@ -56,7 +57,8 @@ class Supervisor:
         self._children: list[_Child] = []
         setpriv = shutil.which('setpriv')
         self._wrapper = [setpriv, '--pdeathsig', 'TERM', '--'] if setpriv else []
-        log_folder.mkdir(parents=True, exist_ok=True)
+        if log_folder is not None:
+            log_folder.mkdir(parents=True, exist_ok=True)
 
     def __enter__(self) -> Supervisor:
         """Return itself."""
@@ -68,13 +70,13 @@ class Supervisor:
 
     def start(self, name: str, command: Sequence[str]) -> subprocess.Popen[bytes]:
         """Start one; its own process group keeps a Ctrl-C at the terminal from it."""
-        log = self._log_folder / f'{name}.log'
-        with log.open('wb') as output:
+        log = None if self._log_folder is None else self._log_folder / f'{name}.log'
+        with log.open('wb') if log else nullcontext() as output:
             process = subprocess.Popen(
                 [*self._wrapper, *command],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
-                stderr=subprocess.STDOUT,
+                stderr=subprocess.STDOUT if log else None,
                 env=self._environment,
                 start_new_session=True,
             )
@@ -94,10 +96,8 @@ class Supervisor:
         for child in self._children:
             status = child.process.poll()
             if status is not None:
-                raise ProcessEndedError(
-                    f'{child.name} ended with {_described(status)}: {_last_words(child.log)} '
-                    f'(all it said: {child.log})'
-                )
+                words = f': {_last_words(child.log)} (all: {child.log})' if child.log else ''
+                raise ProcessEndedError(f'{child.name} ended with {_described(status)}{words}')
 
     def stop(self, gently: signal.Signals = signal.SIGTERM) -> dict[str, int]:
         """

@@ -9,7 +9,6 @@ from pathlib import Path
 import time
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
@@ -32,15 +31,21 @@ _POLL_S = 0.02
 # A node is there within that time after its start, also where a machine starts many at once.
 _START_S = 30.0
 _RECORDED_DEPTH = 200
+_LEVELS = {level.value: level.name for level in Level}
 
 
 @dataclass(frozen=True)
 class Word:
-    """What a node says on ``/diagnostics``."""
+    """What a node says on ``/diagnostics``; its level is OK, DEGRADED or LOST."""
 
-    lost: bool = False
+    level: str = ''
     reason: str = ''
     values: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def lost(self) -> bool:
+        """Whether it can not do its work."""
+        return self.level == Level.LOST.name
 
 
 class _ClientNode(LandmarkNode):
@@ -59,6 +64,10 @@ class RobotClient:
         ROS domain of the nodes; by default that of ``ROS_DOMAIN_ID``, else 0.
     watch : callable
         Called all the time while waiting; raises to end that.
+    name, namespace : str
+        Of its node; topics and services are those of the namespace.
+    drives : bool
+        Whether it publishes velocities and start poses.
 
     Attributes
     ----------
@@ -76,13 +85,18 @@ class RobotClient:
     """
 
     def __init__(
-        self, domain_id: int | None = None, watch: Callable[[], None] = lambda: None
+        self,
+        domain_id: int | None = None,
+        watch: Callable[[], None] = lambda: None,
+        name: str = 'conductor',
+        namespace: str = '',
+        drives: bool = True,
     ) -> None:
         self._watch = watch
         self._context = Context()
         # Signals stay with the caller, who has processes to end.
         self._domain_id = join_ros(context=self._context, domain_id=domain_id)
-        self._node = _ClientNode('conductor', 'script', context=self._context)
+        self._node = _ClientNode(name, 'script', context=self._context, namespace=namespace)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self.status: dict[str, Word] = {}
@@ -90,8 +104,9 @@ class RobotClient:
         self.fused: PoseEstimate | None = None
         self.fixes = 0
         self.panoramas: list[Panorama] = []
-        self._velocity = self._node.advertise('cmd_vel')
-        self._initial_pose = self._node.advertise('initialpose')
+        if drives:
+            self._velocity = self._node.advertise('cmd_vel')
+            self._initial_pose = self._node.advertise('initialpose')
         self._node.listen('/diagnostics', self._on_diagnostics)
         self._node.listen('odom', self._on_odometry)
         self._node.listen('odometry/fused', self._on_fused)
@@ -126,6 +141,13 @@ class RobotClient:
                     f'waited {timeout_s:g} s in vain for {what}; last heard: {self._last_heard()}'
                 )
             self._executor.spin_once(timeout_sec=_POLL_S)
+            self._watch()
+
+    def pause(self, seconds: float) -> None:
+        """Let messages in for so long."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self._executor.spin_once(timeout_sec=min(_POLL_S, seconds))
             self._watch()
 
     def call(
@@ -216,7 +238,7 @@ class RobotClient:
         for status in message.status:
             name = status.name.partition(':')[0]
             self.status[name] = Word(
-                status.level == DiagnosticStatus.ERROR,
+                _LEVELS.get(bytes(status.level), str(status.level)),
                 status.message,
                 {pair.key: pair.value for pair in status.values},
             )

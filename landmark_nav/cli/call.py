@@ -1,0 +1,58 @@
+"""`landmark-nav call`: a service of the nodes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_namespace
+from landmark_nav.demo.interruption import Interruption
+from landmark_nav.ros import require_ros
+
+__all__ = ['add_arguments', 'run']
+
+_SERVICES = {
+    'capture_sweep': 'turn the camera all around and make a panorama',
+    'learn_landmarks': 'make a map out of the panoramas',
+    'save_map': 'write the map to its folder',
+    'load_map': 'read the map of the folder',
+    'clear_panoramas': 'forget the panoramas',
+    'relocalize': 'find the place of the robot without a prior',
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = 'Call a service of the nodes, and print its answer.'
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument('service', choices=_SERVICES, metavar='SERVICE', help='see below')
+    parser.add_argument(
+        '--timeout',
+        type=within(float, 0.1, 86400),
+        default=300.0,
+        metavar='S',
+        help='how long the answer may take (default 300)',
+    )
+    add_namespace(parser)
+    parser.epilog = 'services:\n' + '\n'.join(
+        f'  {name:16} {does}' for name, does in _SERVICES.items()
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Wait for the service, call it, print what it answers."""
+    require_ros('it')
+    from landmark_nav.ros.robot_client import RobotClient
+
+    with (
+        Interruption() as interruption,
+        RobotClient(
+            watch=interruption.check,
+            name=f'call_{os.getpid()}',
+            namespace=args.namespace,
+            drives=False,
+        ) as client,
+    ):
+        print(client.call(args.service, args.timeout))
+    return 0

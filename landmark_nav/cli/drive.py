@@ -1,0 +1,131 @@
+"""`landmark-nav drive`: keys of the terminal -> ``cmd_vel``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+import os
+import select
+import sys
+import termios
+import time
+import tty
+
+from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_namespace
+from landmark_nav.demo.interruption import Interruption
+from landmark_nav.errors import UsageError
+from landmark_nav.ros import require_ros
+
+__all__ = ['Keys', 'add_arguments', 'run']
+
+# Terminals do not report that a key is released; held down, it repeats after at most 0.7 s.
+_HOLD_S = 0.8
+_PERIOD_S = 0.05
+_FASTER = 1.25
+_ARROWS = {'\x1b[A': 'w', '\x1b[B': 's', '\x1b[C': 'd', '\x1b[D': 'a'}
+_MOTIONS = {
+    'w': (1, 0), 's': (-1, 0), 'a': (0, 1), 'd': (0, -1),
+    'q': (1, 1), 'e': (1, -1),
+}  # fmt: skip
+_HELP = 'w s or up, down: ahead, back; a d or left, right: turn; q e: curves; + -: speed; x: end'
+
+
+class Keys:
+    """
+    Velocities of keys; the robot stops if none came for 0.8 s, or at any other key.
+
+    Parameters
+    ----------
+    linear_m_s, angular_rad_s : float
+        Speeds at first.
+
+    Attributes
+    ----------
+    ended : bool
+        Whether the key that ends was pressed.
+
+    """
+
+    def __init__(self, linear_m_s: float, angular_rad_s: float) -> None:
+        self._speeds = linear_m_s, angular_rad_s
+        self._motion, self._until_s = (0, 0), 0.0
+        self.ended = False
+
+    def press(self, text: str, now_s: float) -> None:
+        """Take what was typed at a time."""
+        for arrow, key in _ARROWS.items():
+            text = text.replace(arrow, key)
+        for key in text.lower():
+            if key in '+-':
+                factor = _FASTER if key == '+' else 1.0 / _FASTER
+                self._speeds = self._speeds[0] * factor, self._speeds[1] * factor
+                continue
+            self._motion, self._until_s = _MOTIONS.get(key, (0, 0)), now_s + _HOLD_S
+            self.ended |= key == 'x'
+
+    def velocity(self, now_s: float) -> tuple[float, float]:
+        """Return linear (m/s) and angular (rad/s) velocity at a time."""
+        ahead, left = self._motion if now_s < self._until_s else (0, 0)
+        return ahead * self._speeds[0], left * self._speeds[1]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = f'Drive by keys of the terminal, on the topic cmd_vel. {_HELP}.'
+    parser.add_argument(
+        '--speed', type=within(float, 0.01, 2), default=0.2, metavar='V', help='m/s (default 0.2)'
+    )
+    parser.add_argument(
+        '--turn', type=within(float, 0.01, 4), default=0.5, metavar='W', help='rad/s (default 0.5)'
+    )
+    add_namespace(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Publish velocities until the end is asked for; then stop the robot."""
+    require_ros('it')
+    if not sys.stdin.isatty():
+        raise UsageError('it reads keys: start it in a terminal')
+    from landmark_nav.ros.robot_client import RobotClient
+
+    keys = Keys(args.speed, args.turn)
+    with (
+        Interruption() as interruption,
+        RobotClient(
+            watch=interruption.check, name=f'drive_{os.getpid()}', namespace=args.namespace
+        ) as client,
+        _unbuffered(),
+    ):
+        print(_HELP, flush=True)
+        try:
+            while not keys.ended:
+                client.pause(_PERIOD_S)
+                while select.select([sys.stdin], [], [], 0.0)[0]:
+                    typed = os.read(sys.stdin.fileno(), 256)
+                    if not typed:  # the terminal is gone
+                        return 0
+                    keys.press(typed.decode(errors='replace'), time.monotonic())
+                linear_m_s, angular_rad_s = keys.velocity(time.monotonic())
+                client.drive(linear_m_s, angular_rad_s)
+                word = client.said('odometry_fusion')
+                line = (
+                    f'{linear_m_s:5.2f} m/s {angular_rad_s:5.2f} rad/s  {word.level} {word.reason}'
+                )
+                print(f'\r\x1b[K{line[: os.get_terminal_size().columns - 1]}', end='', flush=True)
+        finally:
+            client.drive(0.0, 0.0)
+            print()
+    return 0
+
+
+@contextmanager
+def _unbuffered() -> Iterator[None]:
+    """Keys arrive as they are pressed and are not shown; Ctrl-C stays a signal."""
+    before = termios.tcgetattr(sys.stdin)
+    try:
+        tty.setcbreak(sys.stdin)
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)

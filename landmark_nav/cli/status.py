@@ -1,0 +1,88 @@
+"""`landmark-nav status`: the diagnostics of all nodes as a table."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+import os
+import shutil
+import sys
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from landmark_nav.demo.interruption import Interruption
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.ros import chosen_domain, require_ros
+
+if TYPE_CHECKING:
+    from landmark_nav.ros.robot_client import Word
+
+__all__ = ['add_arguments', 'run', 'table']
+
+# Diagnostics come once a second.
+_GATHER_S = 2.5
+_REFRESH_S = 1.0
+_NO_NODE_S = 10.0
+_CLEAR = '\x1b[H\x1b[J'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Print level and reason of every node, anew each second in a terminal until Ctrl-C, '
+        'else once.'
+    )
+    parser.add_argument('--once', action='store_true', help='print one table and end')
+    parser.add_argument('--values', action='store_true', help='print all values, too')
+
+
+def table(status: Mapping[str, Word], width: int, values: bool = False) -> list[str]:
+    """Lines of at most `width` characters: node, level, reason, and the values below."""
+    names = max((len(name) for name in status), default=0)
+    indent = ' ' * (names + 11)
+    room = max(20, width - len(indent))
+    lines = []
+    for name, word in sorted(status.items()):
+        first, *more = wrap(word.reason, room) or ['']
+        lines += [f'{name:{names}}  {word.level:9}{first}'.rstrip(), *(indent + t for t in more)]
+        if values:
+            lines += [
+                indent + line
+                for key, value in word.values.items()
+                for line in wrap(f'{key}: {value}', room, subsequent_indent='  ')
+            ]
+    return lines
+
+
+def run(args: argparse.Namespace) -> int:
+    """Listen, and print."""
+    require_ros('it')
+    from landmark_nav.ros.robot_client import RobotClient
+
+    own = f'status_{os.getpid()}'
+    once = args.once or not sys.stdout.isatty()
+
+    def others() -> dict[str, Word]:
+        # Nodes of other packages publish there too; ours of this kind are not of interest.
+        return {name: word for name, word in client.status.items() if name != own}
+
+    with (
+        Interruption() as interruption,
+        RobotClient(watch=interruption.check, name=own, drives=False) as client,
+    ):
+        try:
+            client.wait(lambda: bool(others()), _NO_NODE_S, 'diagnostics')
+        except LandmarkNavError:
+            raise LandmarkNavError(
+                f'no node publishes /diagnostics in ROS domain {chosen_domain() or 0}: start the '
+                'nodes (landmark-nav up), or set ROS_DOMAIN_ID as theirs is'
+            ) from None
+        client.pause(_GATHER_S)
+        while True:
+            size = shutil.get_terminal_size((99, 24))
+            lines = table(others(), size.columns, args.values)
+            if once:
+                print('\n'.join(lines))
+                return 0
+            print(_CLEAR + '\n'.join(lines[: size.lines - 1]), flush=True)
+            client.pause(_REFRESH_S)

@@ -1,0 +1,106 @@
+"""`landmark-nav up`: all nodes as processes of one command, for robots without ``ros2 launch``."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
+import time
+
+from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_namespace
+from landmark_nav.demo.graph import node_commands
+from landmark_nav.demo.interruption import Interruption
+from landmark_nav.demo.room import prepare_room
+from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.errors import UsageError
+from landmark_nav.ros import chosen_domain, require_ros
+from landmark_nav.storage.setup_files import load_robot, load_room
+
+__all__ = ['add_arguments', 'run']
+
+_POLL_S = 0.1
+_TOUR_M = 14.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Start all nodes that learn and localize, print what they log, and end them together at '
+        'Ctrl-C. If one of them ends, all do. They are in the ROS domain of ROS_DOMAIN_ID.'
+    )
+    parser.add_argument('--robot', type=Path, metavar='F', help='robot.yaml')
+    parser.add_argument('--room', type=Path, metavar='F', help='room.yaml')
+    parser.add_argument(
+        '--map',
+        type=Path,
+        default=Path('map'),
+        metavar='DIR',
+        help='folder that save_map writes; a map in it is loaded at once (default map)',
+    )
+    parser.add_argument(
+        '--sim',
+        action='store_true',
+        help='start a simulated robot too; without --robot and --room in a room of its own',
+    )
+    parser.add_argument(
+        '--seed',
+        type=within(int, 0, 2**63 - 1),
+        default=1,
+        metavar='N',
+        help='draws the simulated room (default 1)',
+    )
+    parser.add_argument(
+        '--image-transport',
+        choices=('auto', 'raw', 'compressed'),
+        default='auto',
+        help='form of camera/image_raw (default auto)',
+    )
+    add_namespace(parser)
+    parser.epilog = (
+        'examples: landmark-nav up --sim; '
+        'landmark-nav up --robot robot.yaml --room room.yaml --map kitchen'
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Start the nodes and watch them."""
+    require_ros('it')
+    if (args.robot is None) != (args.room is None):
+        raise UsageError('give both --robot and --room, or with --sim neither')
+    if args.robot is None and not args.sim:
+        raise UsageError('give --robot and --room, or --sim for a simulated robot')
+    with ExitStack() as stack:
+        interruption = stack.enter_context(Interruption())
+        simulator: dict[str, object] | None = {'seed': args.seed} if args.sim else None
+        if args.robot is None:
+            folder = Path(stack.enter_context(TemporaryDirectory(prefix='landmark_nav_')))
+            drawn = prepare_room(folder, args.seed, _TOUR_M)
+            robot, room = drawn.robot_file, drawn.room_file
+        else:
+            robot, room = args.robot.resolve(), args.room.resolve()
+            # Said once, here, and not by five nodes.
+            load_robot(robot)
+            load_room(room)
+            if simulator is not None:
+                simulator['room_file'] = str(room)
+        commands = node_commands(
+            robot,
+            room,
+            args.map.resolve(),
+            simulator=simulator,
+            load_on_start=(args.map / 'map.yaml').is_file(),
+            image_transport='compressed' if args.sim else args.image_transport,
+            namespace=args.namespace,
+        )
+        print(f'ROS domain {chosen_domain() or 0}; robot file {robot}; room file {room}')
+        print('Ctrl-C ends all. In another terminal: landmark-nav status', flush=True)
+        nodes = stack.enter_context(Supervisor(None, os.environ))
+        for name, command in commands.items():
+            nodes.start(name, command)
+        while True:
+            nodes.check()
+            interruption.check()
+            time.sleep(_POLL_S)

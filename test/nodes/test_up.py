@@ -1,0 +1,126 @@
+"""`landmark-nav up`, `call`, `status`, `drive`: a robot brought up without ``ros2``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+import os
+from pathlib import Path
+import pty
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from landmark_nav.demo.graph import node_environment
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+COMMAND = [sys.executable, '-m', 'landmark_nav']
+NODES = [
+    *('landmark_learner', 'odometry_fusion', 'panorama_synthesizer', 'room_simulator'),
+    *('sweep_capture', 'triangulation_localizer', 'triplet_selector'),
+]
+
+
+@pytest.fixture
+def environment(domain_id: int) -> dict[str, str]:
+    return node_environment(domain_id)
+
+
+@pytest.fixture
+def robot(environment: dict[str, str], tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    with (tmp_path / 'up.log').open('wb') as log:
+        process = subprocess.Popen(
+            [*COMMAND, 'up', '--sim', '--map', str(tmp_path / 'map')],
+            env=environment,
+            stdout=log,
+            stderr=log,
+        )
+    yield process
+    process.kill()
+    process.wait()
+
+
+def output(command: list[str], environment: dict[str, str]) -> tuple[int, str]:
+    done = subprocess.run(
+        [*COMMAND, *command],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    return done.returncode, done.stdout
+
+
+def test_a_robot_is_brought_up_called_driven_and_ended(
+    robot: subprocess.Popen[bytes],
+    environment: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    deadline = time.monotonic() + 60.0
+    reported: list[str] = []
+    while reported != NODES and time.monotonic() < deadline:
+        assert robot.poll() is None, (tmp_path / 'up.log').read_text()
+        reported = [line.split()[0] for line in status(environment) if line[0] != ' ']
+    assert reported == NODES
+
+    # No sweep was taken: refused, with a reason, in one line.
+    code, answer = output(['call', 'learn_landmarks'], environment)
+    assert code == 1
+    assert len(answer.splitlines()) == 1
+
+    from landmark_nav.ros.robot_client import RobotClient
+
+    with RobotClient(int(environment['ROS_DOMAIN_ID']), drives=False) as client:
+        client.wait(lambda: client.odometry is not None, 30.0, 'odometry')
+        keyboard, terminal = pty.openpty()
+        os.set_blocking(keyboard, False)
+        driver = subprocess.Popen(
+            [*COMMAND, 'drive'], env=environment, stdin=terminal, stdout=terminal, stderr=terminal
+        )
+        try:
+
+            def turned() -> bool:
+                os.write(keyboard, b'a')
+                with suppress(BlockingIOError):
+                    os.read(keyboard, 2**16)
+                assert driver.poll() is None
+                return client.odometry is not None and abs(client.odometry.pose_odom_base[2]) > 0.1
+
+            client.wait(turned, 60.0, 'a turn')
+            os.write(keyboard, b'x')
+            assert driver.wait(30.0) == 0
+        finally:
+            driver.kill()
+            os.close(keyboard)
+            os.close(terminal)
+
+    robot.send_signal(signal.SIGINT)
+    assert robot.wait(30.0) == 130
+    assert 'Traceback' not in (tmp_path / 'up.log').read_text()
+
+
+def status(environment: dict[str, str]) -> list[str]:
+    code, printed = output(['status'], environment)
+    return printed.splitlines() if code == 0 else []
+
+
+def test_without_nodes_the_domain_is_named(environment: dict[str, str]) -> None:
+    code, answer = output(['status'], environment)
+    assert code == 1
+    assert environment['ROS_DOMAIN_ID'] in answer
+    assert len(answer.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    'command', [['up'], ['up', '--robot', 'robot.yaml'], ['drive'], ['call', 'cook']]
+)
+def test_wrong_usage(command: list[str], environment: dict[str, str]) -> None:
+    assert output(command, environment)[0] == 2
