@@ -29,7 +29,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
-        (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml'))),
+        (f'share/{PACKAGE}/config', sorted(glob('config/*'))),
         (f'share/{PACKAGE}/launch', sorted(glob(f'{PACKAGE}/launch/*.launch.py'))),
         (f'lib/{PACKAGE}', [f'resource/executables/{name}' for name in NODES]),
     ],

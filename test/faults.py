@@ -16,7 +16,15 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.bags.topics import relative_name
 
-__all__ = ['FOR_GOOD_S', 'Fault', 'faults', 'knocked_drive', 'late_drive', 'spoilt']
+__all__ = [
+    'FOR_GOOD_S',
+    'Fault',
+    'faults',
+    'knocked_drive',
+    'late_drive',
+    'spoilt',
+    'starved_drive',
+]
 
 CAMERA, INFO = 'camera/image_raw/compressed', 'camera/camera_info'
 JOINTS, ODOMETRY = 'joint_states', 'odom'
@@ -53,6 +61,15 @@ def nothing(message: Any) -> None:
 
 def same(message: Any) -> Any:
     return message
+
+
+def starved() -> Change:
+    """Of each second the end: on a starved machine queues of sensors overflow."""
+
+    def change(message: Any) -> Any:
+        return message if decode.stamp_ns(message.header) % NS > 0.45 * NS else None
+
+    return change
 
 
 def moved(x: float, y: float, turn: float) -> Change:
@@ -187,6 +204,7 @@ def faults(bag: Bag) -> dict[str, Fault]:
         'joint stamps 30 s back': Fault(later(-30.0), (JOINTS,)),
         'clock set back 5 s': Fault(later(-5.0), everything, FOR_GOOD_S),
         'clock set back 100 s': Fault(later(-100.0), everything, FOR_GOOD_S),
+        'starved machine': Fault(starved(), (CAMERA, JOINTS, ODOMETRY), FOR_GOOD_S),
         'all comes twice': Fault(same, everything, FOR_GOOD_S, copies=2),
         'joint states stamped 200 ms late': Fault(later(0.2), (JOINTS,)),
         'joint states stamped 200 ms late for good': Fault(later(0.2), (JOINTS,), FOR_GOOD_S),
@@ -244,6 +262,11 @@ def knocked_drive(bag: Bag, path: Path, turn_deg: tuple[float, float, float]) ->
 def late_drive(bag: Bag, path: Path, late_s: float, since_s: float = 0.0) -> Path:
     """Write a drive whose joint states are stamped late from a time on."""
     return _written(path, bag, Fault(later(late_s), (JOINTS,), FOR_GOOD_S), since_s)
+
+
+def starved_drive(bag: Bag, path: Path) -> Path:
+    """Write a drive as a machine records it that others keep busy."""
+    return _written(path, bag, Fault(starved(), (CAMERA, JOINTS, ODOMETRY), FOR_GOOD_S), 0.0)
 
 
 def _written(path: Path, bag: Bag, fault: Fault, at_s: float) -> Path:

@@ -23,8 +23,8 @@ from landmark_nav.ros.pan_command import COMMAND_TYPES, listen_for_pan
 from landmark_nav.ros.run import run_node
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.room_generator import generate_scene
-from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld, WorldConfig
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
 __all__ = ['Parameters', 'RoomSimulatorNode', 'main']
 
@@ -46,6 +46,9 @@ class Parameters(Config):
     seed: int = parameter(1, 'draws the room and all noise', minimum=0)
     room_file: str = parameter('', 'room.yaml to furnish; empty draws the room too')
     robot_file: str = parameter('', 'robot.yaml; empty takes the default robot')
+    camera_file: str = parameter(
+        '', 'calibration of the camera, as camera_calibration writes it; empty: 512 x 512 pixels'
+    )
     image_rate_hz: float = parameter(
         10.0, 'pictures a second, if there is time for them', minimum=0.1, maximum=60.0
     )
@@ -153,8 +156,15 @@ def _build(config: Parameters, mount: PanTiltMount, start_ns: int) -> RobotWorld
     places = choose_sweep_places(scene)
     if places is None:
         raise LandmarkNavError('the room has no place for a sweep: take another seed')
-    start, world = places.poses[0], config.world
-    return RobotWorld(scene, start, config.seed, mount=mount, config=world, start_ns=start_ns)
+    return RobotWorld(
+        scene,
+        places.poses[0],
+        config.seed,
+        camera=load_camera(config.camera_file) if config.camera_file else DEFAULT_CAMERA,
+        mount=mount,
+        config=config.world,
+        start_ns=start_ns,
+    )
 
 
 def main() -> int:

@@ -161,13 +161,15 @@ class Input:
         if not any(publishers.values()):
             alike = _listed(self._alike()) if self.is_stream else ''
             return 'nobody publishes it' + (f'; of its type there is {alike}' if alike else '')
+        # As the node asks for it, which `qos_overrides` may have changed.
+        asked = {sub.topic_name: sub.qos_profile for sub in self._node.subscriptions}
         for topic, found in publishers.items():
             spec = self._topics[topic]
             for one in found:
                 who = _full_name(one)
                 if spec is not None and one.topic_type != spec.type_name:
                     return f'{who} publishes it as {one.topic_type}, not {spec.type_name}'
-                if spec is not None and not _fits(one.qos_profile, spec.qos):
+                if spec is not None and not _fits(one.qos_profile, asked.get(topic, spec.qos)):
                     return f'the quality of service that {who} offers does not suffice'
         who = _listed(_full_name(one) for found in publishers.values() for one in found)
         return f'nothing came from {who} yet' if self._is_open() else ''

@@ -6,15 +6,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager
 import logging
 import re
 import traceback
 from typing import Any, TypeVar
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSPolicyKind
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -36,6 +40,9 @@ _LOG = logging.getLogger(__name__)
 
 # Different lines that a node logs of its input.
 _MOST_LOGGED = 200
+
+# Over a link that loses packets, only what is sent again arrives whole.
+_OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.RELIABILITY,))
 
 
 class LandmarkNode(Node):
@@ -99,9 +106,15 @@ class LandmarkNode(Node):
         return value
 
     def advertise(self, topic: str) -> Publisher[Any]:
-        """Publisher of a public topic."""
+        """Publisher of a public topic; ``qos_overrides`` may change its reliability."""
         spec = TOPICS[topic]
-        return self.create_publisher(message_class(spec.type_name), topic, spec.qos)
+        with _overriding(topic):
+            return self.create_publisher(
+                message_class(spec.type_name),
+                topic,
+                with_depth(spec.qos, spec.qos.depth),
+                qos_overriding_options=_OVERRIDABLE,
+            )
 
     def listen(
         self,
@@ -111,16 +124,22 @@ class LandmarkNode(Node):
         depth: int | None = None,
         group: CallbackGroup | None = None,
     ) -> Subscription[Any]:
-        """Subscribe to a public topic; `depth` replaces the length of its queue."""
+        """
+        Subscribe to a public topic; `depth` replaces the length of its queue.
+
+        The parameters ``qos_overrides`` of ROS may change its reliability.
+        """
         callback = self._stamped(topic, callback)
         spec = TOPICS[topic]
-        return self.create_subscription(
-            message_class(spec.type_name),
-            topic,
-            callback,
-            spec.qos if depth is None else with_depth(spec.qos, depth),
-            callback_group=group,
-        )
+        with _overriding(topic):
+            return self.create_subscription(
+                message_class(spec.type_name),
+                topic,
+                callback,
+                with_depth(spec.qos, spec.qos.depth if depth is None else depth),
+                callback_group=group,
+                qos_overriding_options=_OVERRIDABLE,
+            )
 
     def create_subscription(  # type: ignore[override]
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], *args: Any, **given: Any
@@ -268,3 +287,13 @@ class LandmarkNode(Node):
         reason = '; '.join(filter(None, [health.reason, *problems, waits]))
         dropped = {f'dropped: {what}': count for what, count in self._dropped.items()}
         return Health(level, reason, {**health.values, **dropped, **self.inputs.values()})
+
+
+@contextmanager
+def _overriding(topic: str) -> Iterator[None]:
+    """Name the parameter that rclpy can not use."""
+    try:
+        yield
+    except (RuntimeError, InvalidParameterTypeException) as error:
+        words = f'qos_overrides of {topic}: give reliable or best_effort as reliability: {error}'
+        raise LandmarkNavError(one_line(words)) from error

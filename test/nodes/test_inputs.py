@@ -109,6 +109,39 @@ def joints(stamp_ns: int, *names: str) -> Any:
     return message
 
 
+def reliability(of: str, value: Any) -> dict[str, Any]:
+    name = f'qos_overrides./robot/odom.{of}.reliability'
+    return {'parameter_overrides': [Parameter(name, value=value)]}
+
+
+def test_reliability_is_overridden_and_a_publisher_that_does_not_suffice_is_named(
+    graph: Graph,
+) -> None:
+    wheels = graph.publisher('wheels', '/robot/odom')
+    strict = Listener(context=graph.context, **reliability('subscription', 'reliable'))
+    strict.fails = True
+    graph.add(strict)
+
+    def publish() -> None:
+        wheels.publish(odometry(NOW_NS))
+
+    graph.until(lambda: bool(graph.listener.odometry), publish)
+    assert 'quality of service that /wheels offers' in strict._checked_health().reason
+    assert not strict.odometry
+    driver = Listener(context=graph.context, **reliability('publisher', 'reliable'))
+    graph.add(driver)
+    wheels = driver.advertise('odom')
+    strict.fails = False
+    graph.until(lambda: bool(strict.odometry), publish)
+
+
+@pytest.mark.parametrize('value', ['perfect', '', 5, True])
+def test_a_reliability_that_is_none_is_refused_in_a_line(graph: Graph, value: Any) -> None:
+    with pytest.raises(LandmarkNavError, match=r'^qos_overrides of odom.*best_effort') as refused:
+        Listener(context=graph.context, **reliability('subscription', value))
+    assert len(str(refused.value)) <= 200
+
+
 def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
     graph: Graph, domain_id: int
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import math
+from pathlib import Path
 import time
 from typing import Any
 
@@ -13,10 +14,15 @@ import pytest
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from rclpy.context import Context
+from rclpy.parameter import Parameter
 
 from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
 from landmark_nav.ros.factory import ros_factory
+from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.storage.setup_files import load_camera
+
+CAMERA = Path(__file__).resolve().parents[1] / 'setups' / 'camera_quarter_vga.yaml'
 
 
 @pytest.fixture
@@ -63,6 +69,20 @@ def test_commands_that_are_not_finite_are_dropped_and_told(robot: RoomSimulatorN
     assert np.isfinite(world.odometry_sample().pose_odom_base).all()
     assert world.joint_sample().pan_rad == pytest.approx(0.4, abs=0.01)
     assert world.camera_frame().image.any()
+
+
+def test_the_room_and_camera_are_those_of_simulate(domain_id: int) -> None:
+    context = Context()
+    context.init(domain_id=domain_id)
+    given = {'seed': 7, 'camera_file': str(CAMERA)}
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    node = RoomSimulatorNode(context=context, parameter_overrides=overrides)
+    # So a map that was learned of what `simulate` writes is valid here.
+    assert node._world.scene == generate_scene(7)
+    assert node._world.camera == load_camera(CAMERA)
+    assert node._world.camera_frame().image.shape == (240, 320, 3)
+    node.destroy_node()
+    context.try_shutdown()
 
 
 class Clocks:

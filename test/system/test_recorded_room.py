@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from faults import knocked_drive, late_drive
+from faults import knocked_drive, late_drive, starved_drive
 import numpy as np
 import pytest
 
@@ -155,6 +155,21 @@ def test_a_camera_that_was_knocked_while_switched_off_finds_its_place(
     up_deg, _, right_deg = turned_deg
     assert ('camera looks' in caplog.text) == bool(up_deg)
     assert ('camera leans' in caplog.text) == bool(right_deg)
+
+
+@pytest.mark.parametrize('estimator', ['filter', 'joint'])
+def test_what_a_starved_machine_loses_is_in_the_covariance(
+    estimator: str, figures: tuple[dict[str, float], Path], tmp_path: Path
+) -> None:
+    drive = starved_drive(Bag(BAGS / 'drive'), tmp_path / 'starved')
+    (tmp_path / 'config.yaml').write_text(f'estimator: {estimator}')
+    evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map')]
+    evaluate += ['--robot', str(BAGS / 'robot.yaml'), '--config', str(tmp_path / 'config.yaml')]
+    assert main([*evaluate, '--json', str(tmp_path / 'run.json')]) == 0
+    run = json.loads((tmp_path / 'run.json').read_text())
+    assert run['silently_wrong'] == 0
+    assert run['nees']['mean'] < 5.0
+    assert run['availability'] > 0.9
 
 
 def joint_run(
