@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 import contextlib
+import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 import io
@@ -429,12 +430,10 @@ def further_of(given: Given) -> Iterator[tuple[str, Given, str]]:
         redrawn(1.0, 1.0, 1.0, 1.414),
         'papers look .* smaller',
     )
+    clockwise = copy.copy(given.room)
     walls = tuple(replace(w, start=w.end, end=w.start) for w in given.room.walls[::-1])
-    yield (
-        'further: walls clockwise',
-        replace(given, room=replace(given.room, walls=walls)),
-        'clockwise|inside|left of|start',
-    )
+    object.__setattr__(clockwise, 'walls', walls)  # as a file may have it
+    yield 'further: walls clockwise', replace(given, room=clockwise), 'clockwise'
     yield (
         f'further: {colors[-1]} given as yellow',
         given.paper(len(colors) - 1, color='yellow'),
