@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.walls import Room
+from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch, PaperBlobs
@@ -70,6 +70,8 @@ _SEARCH_M, _SEARCH_SHARE, _MOST_COST = 0.25, 0.15, 12.0
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
 # How much higher than given the camera is tried.
 _RISES_M = (-0.3, -0.15, 0.15, 0.3)
+# Of the units that people measure with, the one whose rooms have lengths of rooms in metres.
+_FOOT_M = 0.3048
 # For derivatives by differences.
 _STEP = 1e-6
 
@@ -93,7 +95,8 @@ class PaperFault:
 
     `kind` is, of the paper with index `paper`: 'along' (to the left), 'height', 'depth' (off the
     wall), 'width', 'tallness', 'size' (both), 'turned' (both exchanged) or 'hidden'; of all, with
-    `paper` -1: 'swapped' (colours), 'camera_height', 'lean' (of the pan axis), 'focal' or 'sizes'.
+    `paper` -1: 'swapped' (colours), 'mirrored', 'feet' (the unit), 'camera_height', 'lean'
+    (of the pan axis), 'focal' or 'sizes'.
     `value` and `sigma` are true minus given in metres, radians or shares, 0 where `kind` says it
     all. `gain` is by how much chi-square falls without the fault; `text` says it.
     """
@@ -205,7 +208,9 @@ def paper_faults(
         fits = not found or as_given.cost <= bound
         return PaperFaults(fits, as_given.cost, redundancy, ())
     best = found[0][0]
-    if best.cost > _EXPLAINED * float(chdtri(max(best.redundancy, 1), _FALSE_ALARM)):
+    if best.missing or best.cost > _EXPLAINED * float(
+        chdtri(max(best.redundancy, 1), _FALSE_ALARM)
+    ):
         return PaperFaults(False, as_given.cost, redundancy, ())
     alike = tuple(fault for solution, fault in found if solution.cost < best.cost + _LEAD)
     return PaperFaults(False, as_given.cost, redundancy, alike)
@@ -260,12 +265,17 @@ class _Pick:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Cost of a hypothesis in chi-square, and what its free values are, mean of the views'."""
+    """
+    Cost of a hypothesis in chi-square, and what its free values are, mean of the views'.
+
+    `missing` papers should be seen, and are not.
+    """
 
     cost: float
     values: FloatArray
     sigmas: FloatArray
     redundancy: int
+    missing: int = 0
 
 
 @dataclass(frozen=True)
@@ -309,12 +319,39 @@ def _hypotheses(room: Room) -> Iterator[_Hypothesis]:
             yield _Hypothesis(kind, k)
         other = (*papers[:k], replace(paper, width=paper.height, height=paper.width))
         yield _Hypothesis('turned', k, replace(room, papers=(*other, *papers[k + 1 :])))
+    yield _Hypothesis('mirrored', -1, _redrawn(room, -1.0, 1.0))
+    yield _Hypothesis('feet', -1, _redrawn(room, _FOOT_M, _FOOT_M))
     if len(papers) > _MOST_SWAPPED:
         return
     colors = [paper.color for paper in papers]
     for order in sorted(set(permutations(colors)) - {tuple(colors)}):
         hung = (replace(p, color=c) for p, c in zip(papers, order, strict=True))
         yield _Hypothesis('swapped', -1, replace(room, papers=tuple(hung)))
+
+
+def _redrawn(room: Room, x: float, yz: float) -> Room:
+    """Room and papers with their axes scaled; mirrored, papers look as on the opposite wall."""
+
+    def ends(wall: Wall) -> tuple[tuple[float, float], tuple[float, float]]:
+        start, end = ((x * at[0], yz * at[1]) for at in (wall.start, wall.end))
+        return (end, start) if x < 0.0 else (start, end)
+
+    walls = [
+        replace(wall, start=start, end=end, height=yz * wall.height)
+        for wall in room.walls
+        for start, end in [ends(wall)]
+    ]
+    papers = [
+        replace(
+            paper,
+            center=(x * paper.center[0], yz * paper.center[1], yz * paper.center[2]),
+            width=yz * paper.width,
+            height=yz * paper.height,
+        )
+        for paper in room.papers
+    ]
+    # Round the room counter-clockwise, in a mirror too.
+    return replace(room, walls=tuple(walls[:: 1 if x > 0.0 else -1]), papers=tuple(papers))
 
 
 class _Trial:
@@ -329,7 +366,7 @@ class _Trial:
     def solve(self, hypothesis: _Hypothesis) -> _Solution | None:
         """Fit all views that show papers, each with the place there that fits best; None: none."""
         room, picks = hypothesis.room or self._room, self._picks
-        if hypothesis.kind == 'swapped':
+        if hypothesis.kind in ('swapped', 'mirrored', 'feet'):
             picks = [list(_picks(view, room)) for view in self._views]
         elif hypothesis.kind == 'camera_height':
             picks = [
@@ -352,8 +389,12 @@ class _Trial:
         if not views:
             return None
         solution = self._fit(hypothesis, views, chosen, room)
-        unlocated = _MISSING * len(room.papers) * (len(picks) - len(views))
-        return replace(solution, cost=solution.cost + unlocated)
+        unlocated = len(room.papers) * (len(picks) - len(views))
+        return replace(
+            solution,
+            cost=solution.cost + _MISSING * unlocated,
+            missing=solution.missing + unlocated,
+        )
 
     def _fit(
         self,
@@ -380,20 +421,20 @@ class _Trial:
 
         state, cost, information = levenberg_marquardt(linearized, start)
         covariance = covariance_of(information)
-        unseen, views_without = 0.0, 0
+        unseen, views_without = 0, 0
         for pick in picks:
             missing = papers_in_view(pick.axis_pose[:2], room) & (np.array(pick.outline) < 0)
             if hypothesis.kind == 'hidden':
                 views_without += 1
                 missing[hypothesis.paper] = False
-            unseen += float(np.sum(missing))
+            unseen += int(np.sum(missing))
         cost += _MISSING * unseen + _HIDDEN * views_without + _BY_FREEDOM * len(free)
         values = state[free]
         if free:
             values = values.reshape(-1, hypothesis.width).mean(axis=0)
         sigmas = np.sqrt(np.diag(covariance)[free[: hypothesis.width]])
         redundancy = model.measured - 3 * len(views) - len(free)
-        return _Solution(cost, values, sigmas, redundancy)
+        return _Solution(cost, values, sigmas, redundancy, unseen)
 
 
 def _picks(view: PaperView, room: Room, rise_m: float = 0.0) -> Iterator[_Pick]:
@@ -549,6 +590,13 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
         pairs = zip(hypothesis.room.papers, room.papers, strict=True)
         other = [f'{h.color} where {p.color} should hang' for h, p in pairs if h.color != p.color]
         text = f'the papers seem swapped, {", ".join(other)}'
+    elif kind == 'mirrored':
+        text = (
+            'the papers hang in mirrored order: on the opposite wall of where room.yaml has them, '
+            'or its plan is mirrored'
+        )
+    elif kind == 'feet':
+        text = 'room.yaml seems to be in feet: its lengths are metres'
     elif kind == 'turned':
         text = f'width and height of the {color} paper seem exchanged in room.yaml'
     elif kind == 'hidden':
