@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt
 from landmark_nav.learning.panorama import CylinderImage
-from landmark_nav.learning.reference_area.blobs import ColorSearch, PaperBlobs
+from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.outlines import outline_blobs, PaperOutlines
 from landmark_nav.learning.reference_area.search import (
@@ -66,6 +67,8 @@ _LEAST_SEEN = 2
 _MISSING, _HIDDEN = 60.0, 30.0
 # How far off a paper is looked for, metres, and how much its size may differ, as a share.
 _SEARCH_M, _SEARCH_SHARE, _MOST_COST = 0.25, 0.15, 12.0
+# How much larger than given papers and rooms may be, and how far below the floor one may seem.
+_ANY_SIZE, _BELOW_M = 1.6, -0.5
 # Places that are tried in each panorama; papers whose colours are tried in other orders; views.
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
 # How much higher than given the camera is tried.
@@ -159,9 +162,28 @@ def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperVi
         Height of the optical centre, see `optical_height`.
 
     """
-    search = ColorSearch(view)
     colors = {paper.color for paper in room.papers}
-    return PaperView({c: outline_blobs(view, c, search.blobs(c)) for c in colors}, eye_height_m)
+    found = color_blobs(view, colors)
+    outlines = {}
+    for color in colors:
+        blobs = found[color]
+        papers = [paper for paper in room.papers if paper.color == color]
+        near = np.any([_may_be(blobs, paper, room, eye_height_m) for paper in papers], axis=0)
+        outlines[color] = outline_blobs(view, color, blobs.only(near))
+    return PaperView(outlines, eye_height_m)
+
+
+def _may_be(
+    blobs: PaperBlobs, paper: Paper, room: Room, eye_height_m: float
+) -> npt.NDArray[np.bool_]:
+    """Which blobs are in the room if they are a paper, nearly of its height, (n,)."""
+    low, high = room.bounds
+    far = _ANY_SIZE * float(np.hypot(*(high - low)))
+    top = _ANY_SIZE * max(wall.height for wall in room.walls)
+    tall = np.maximum(np.abs(np.diff(blobs.tangent, axis=1)[:, 0]), 1e-6)
+    reach = paper.height / tall
+    above = eye_height_m + reach * blobs.tangent.mean(1)
+    return np.asarray((reach < far) & (above > _BELOW_M) & (above < top))
 
 
 def paper_faults(
