@@ -350,7 +350,7 @@ OTHERS = {
 
 # With five of room.yaml, in `bad_sweeps_check.further_of`.
 FURTHER = {
-    'odom y mirrored': StreamError((ODOMETRY,), _always(mirrored), 'odom', 'mirrored|left|sign'),
+    'odom y mirrored': StreamError((ODOMETRY,), _always(mirrored), 'odom', 'mirrored'),
     'odom yaw in degrees': StreamError((ODOMETRY,), driven(yaw=57.29578), 'odom', 'degrees|57'),
     'odom quaternion w first': StreamError(
         (ODOMETRY,), _always(first_w), 'odom', 'quaternion|orientation|turns about|roll'
