@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from landmark_nav.geometry.coverage import some_of
+
 __all__ = ['CalibrationTerm', 'PanoramaQuality']
 
 
@@ -60,7 +62,7 @@ class PanoramaQuality:
         """By how much the turn fails to close, or why nobody knows; nothing for a part of one."""
         if self.closure_rad is not None:
             return f'closure error {abs(np.degrees(self.closure_rad)):.4f} deg'
-        pans = ', '.join(f'{np.degrees(pan):.0f}' for pan in self.gaps_rad)
+        pans = some_of([f'{np.degrees(pan):.0f}' for pan in self.gaps_rad], ', ')
         return f'closure unknown: nothing to match near pan {pans} deg' if pans else ''
 
     def __str__(self) -> str:

@@ -54,8 +54,10 @@ _BY_LOG_S = 0.5
 _CALIBRATED = 1.2
 # Delays are not known better from how images turn.
 _LEAST_SIGMA_S = 1e-3
-# Images on their sides are turned by one of these, and then these findings are wrong.
+# Images on their sides are turned by one of these, and the pan, known to this sigma, is right
+# then; these findings are wrong.
 _SIDEWAYS_RAD = (0.5 * np.pi, -0.5 * np.pi)
+_UPRIGHT = 0.03
 _UNEXPLAINED = ('image motion', 'images motion', 'joint names', 'pan scale', 'pan sign')
 # Twist beside a pose that stays.
 _OF_POSE = 'odom twist'
@@ -180,7 +182,9 @@ class _Drive:
             mount = replace(self._mount, camera_roll_rad=roll_rad)
             looks = look(self._bag, self._images, ('camera/camera_info',), mount, most_images)
             found, _, _ = self._judged(looks)
-            if any(finding.name == 'pan scale' and finding.level == 'ok' for finding in found):
+            if any(
+                f.name == 'pan scale' and f.values.get('sigma', np.inf) < _UPRIGHT for f in found
+            ):
                 said = f'images are turned by {np.degrees(turned_rad):.0f} deg'
                 advice = f'set camera_roll: {roll_rad:.4f} in robot.yaml, or turn them'
                 return [*found, Finding('camera roll', 'error', said, advice)]
@@ -272,7 +276,7 @@ class _Drive:
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
                 found = [path, *(f for f in found if f.name not in _OF_PATH)]
-            elif looks.view is not None and not any(f.name == 'images content' for f in found):
+            elif looks.view is not None and staying is None and blank_images(looks) is None:
                 strange = strange_images(pairs, looks.view.width_rad)
                 found += [] if strange is None else [strange]
             return [*found, *self._truth(images, motion, Clock())], Delays(), True

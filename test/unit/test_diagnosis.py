@@ -7,11 +7,12 @@ from dataclasses import replace
 import json
 from pathlib import Path
 import re
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from stream_errors import FURTHER, OTHERS, REPORTED, SWEEPS, write_drive
+from stream_errors import FURTHER, OTHERS, REPORTED, StreamError, SWEEPS, write_drive
 
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.main import main
@@ -25,9 +26,9 @@ from landmark_nav.diagnosis.units import nearness_of_room
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import FloatArray
+from landmark_nav.types import FloatArray, OdometrySample
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
@@ -291,6 +292,22 @@ def test_a_bag_without_images_is_refused(
     bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error)
     assert main(['check', str(bag)]) == 1
     assert 'camera/image_raw' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('frame', 'fits'), [('base_footprint', True), ('laser', False)])
+def test_odometry_may_be_of_the_footprint(frame: str, fits: bool, tmp_path: Path) -> None:
+    def about(message: Any, _: int) -> Any:
+        message.child_frame_id = frame
+        return message
+
+    error = StreamError(('odom',), about, 'frames')
+    bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
+    mount = load_robot(BAGS / 'robot.yaml')
+    found = diagnose(bag, mount, most_images=QUICK)
+    assert [f.name for f in (*found.errors, *found.warnings)] == ([] if fits else ['frames'])
+    kept = [e for e in sensor_events(bag, mount) if isinstance(e, OdometrySample)]
+    whole = [e for e in sensor_events(Bag(BAGS / 'drive'), mount) if isinstance(e, OdometrySample)]
+    assert len(kept) == len(whole)
 
 
 def test_damaged_messages_are_counted(tmp_path: Path) -> None:
