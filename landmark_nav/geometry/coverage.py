@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 
-__all__ = ['describe_coverage', 'some_of', 'unseen_arcs']
+__all__ = ['describe_coverage', 'unseen_arcs']
 
 # Angles that a text names at most.
 _LISTED = 4
 
 
-def some_of(words: Sequence[str], between: str) -> str:
+def _some_of(words: Sequence[str], between: str) -> str:
     """The first few of some words in one line, and how many more there are."""
     more = len(words) - _LISTED
     return between.join(words[:_LISTED]) + (f' and {more} more' if more > 0 else '')
@@ -65,11 +65,11 @@ def describe_coverage(
     ]
     words = []
     if missing:
-        listed = some_of(missing, ', ')
+        listed = _some_of(missing, ', ')
         frames = '1 frame is' if len(missing) == 1 else f'{len(missing)} frames are'
         words.append(f'{frames} missing, at pan {listed} deg')
     if arcs:
-        words.append(f'nothing is seen {some_of(arcs, " and ")}')
+        words.append(f'nothing is seen {_some_of(arcs, " and ")}')
     elif missing:
         words.append('their neighbours see it all')
     return '; '.join(words)
