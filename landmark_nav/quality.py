@@ -8,6 +8,9 @@ import numpy as np
 
 __all__ = ['CalibrationTerm', 'PanoramaQuality']
 
+# Pans that a line names at most.
+_LISTED = 4
+
 
 @dataclass(frozen=True)
 class CalibrationTerm:
@@ -60,7 +63,9 @@ class PanoramaQuality:
         """By how much the turn fails to close, or why nobody knows; nothing for a part of one."""
         if self.closure_rad is not None:
             return f'closure error {abs(np.degrees(self.closure_rad)):.4f} deg'
-        pans = ', '.join(f'{np.degrees(pan):.0f}' for pan in self.gaps_rad)
+        pans = ', '.join(f'{np.degrees(pan):.0f}' for pan in self.gaps_rad[:_LISTED])
+        if len(self.gaps_rad) > _LISTED:
+            pans += f' and {len(self.gaps_rad) - _LISTED} more'
         return f'closure unknown: nothing to match near pan {pans} deg' if pans else ''
 
     def __str__(self) -> str:

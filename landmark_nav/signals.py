@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+# Executables import this first of all, and nothing else before: each import is time in which a
+# signal ends the program as Python does by itself.
 import os
 import signal
-from types import FrameType
+
+TYPE_CHECKING = False  # as in `typing`, without its import
+if TYPE_CHECKING:
+    from types import FrameType
+    from typing import Any
 
 __all__ = ['ENDING', 'end_at_once', 'interrupting']
 
@@ -35,34 +39,32 @@ def end_at_once(status: int | None = None) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
 
-@contextmanager
-def interrupting() -> Iterator[None]:
+class interrupting:  # noqa: N801
     """
-    Raise KeyboardInterrupt at a signal, with its number, so that work in the block cleans up.
+    Context manager: raise KeyboardInterrupt at a signal, with its number, so that work cleans up.
 
     A second signal does what it did before the block. Outside of the main thread, where signals
     do not arrive, the block is as any other.
     """
-    # Not on top: what executables import first of all is to be short.
-    from threading import current_thread, main_thread
 
-    if current_thread() is not main_thread():
-        yield
-        return
+    def __enter__(self) -> None:
+        """From here on a signal interrupts."""
+        # Not on top: what executables import first of all is to be short.
+        from threading import current_thread, main_thread
 
-    def restore() -> None:
-        for number, handler in before.items():
+        if current_thread() is not main_thread():
+            self._before: dict[signal.Signals, Any] = {}
+            return
+        # None is a handler of a library written in C, which Python cannot set again.
+        self._before = {n: signal.getsignal(n) or signal.SIG_DFL for n in ENDING}
+        for number in ENDING:
+            signal.signal(number, self._interrupt)
+
+    def __exit__(self, *error: object) -> None:
+        """Signals are again what they were before."""
+        for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def interrupt(number: int, _frame: FrameType | None) -> None:
-        restore()
+    def _interrupt(self, number: int, _frame: FrameType | None) -> None:
+        self.__exit__()
         raise KeyboardInterrupt(number)
-
-    # None is a handler of a library written in C, which Python cannot set again.
-    before = {number: signal.getsignal(number) or signal.SIG_DFL for number in ENDING}
-    try:
-        for number in ENDING:
-            signal.signal(number, interrupt)
-        yield
-    finally:
-        restore()

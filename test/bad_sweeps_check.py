@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 import contextlib
+import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 import io
@@ -389,6 +390,54 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
         'own: camera frozen',
         given.frames(lambda frame: replace(frame, image=still)),
         'images do not turn',
+    )
+    yield from further_of(given)
+
+
+def further_of(given: Given) -> Iterator[tuple[str, Given, str]]:
+    """Further errors of room.yaml, with `stream_errors.FURTHER` written down before any try."""
+    colors = [paper.color for paper in given.room.papers]
+
+    def redrawn(x: float, y: float, z: float, sheets: float) -> Given:
+        """The plan with its axes scaled, mirrored; walls go round counter-clockwise."""
+        walls = tuple(
+            replace(
+                wall,
+                start=(x * wall.start[0], y * wall.start[1]),
+                end=(x * wall.end[0], y * wall.end[1]),
+                height=z * wall.height,
+            )
+            for wall in given.room.walls
+        )
+        if x * y < 0.0:
+            walls = tuple(replace(wall, start=wall.end, end=wall.start) for wall in walls[::-1])
+        papers = tuple(
+            replace(
+                paper,
+                center=tuple(np.multiply(paper.center, (x, y, z)).tolist()),
+                width=sheets * paper.width,
+                height=sheets * paper.height,
+            )
+            for paper in given.room.papers
+        )
+        return replace(given, room=replace(given.room, walls=walls, papers=papers))
+
+    feet = 1.0 / 0.3048
+    yield 'further: room in feet', redrawn(feet, feet, feet, feet), 'feet|times|smaller|higher'
+    yield 'further: plan mirrored', redrawn(1.0, -1.0, 1.0, 1.0), 'mirrored|swapped'
+    yield (
+        'further: all papers given as A3',
+        redrawn(1.0, 1.0, 1.0, 1.414),
+        'papers look .* smaller',
+    )
+    clockwise = copy.copy(given.room)
+    walls = tuple(replace(w, start=w.end, end=w.start) for w in given.room.walls[::-1])
+    object.__setattr__(clockwise, 'walls', walls)  # as a file may have it
+    yield 'further: walls clockwise', replace(given, room=clockwise), 'clockwise'
+    yield (
+        f'further: {colors[-1]} given as yellow',
+        given.paper(len(colors) - 1, color='yellow'),
+        'yellow paper is hidden, of another colour',
     )
 
 

@@ -24,7 +24,7 @@ from as_a_user import as_jpeg, command
 import cv2
 import numpy as np
 import numpy.typing as npt
-from stream_errors import OTHERS, REPORTED, StreamError, SWEEPS, write_drive
+from stream_errors import FURTHER, OTHERS, REPORTED, StreamError, SWEEPS, write_drive
 
 from landmark_nav.arrays import ImageArray
 from landmark_nav.diagnosis import diagnose
@@ -137,9 +137,10 @@ def named(drive: str, error: StreamError, robot: str, room: str) -> tuple[bool, 
                 Bag(path), error.robot(mount) if error.robot else mount, load_room(room)
             )
         except LandmarkNavError as refused:
-            return False, [str(refused)]
+            hit = bool(error.says and re.search(error.says, str(refused)))
+            return hit, [str(refused)]
     said = [*found.errors, *found.warnings]
-    hit = any(f.name.startswith(error.names) and re.search(error.says, f.line()) for f in said)
+    hit = any(re.match(error.names, f.name) and re.search(error.says, f.line()) for f in said)
     return hit, [finding.line() for finding in said]
 
 
@@ -150,6 +151,7 @@ def table_of_streams(drive: str, robot: str, room: str) -> bool:
         ('reported', drive, REPORTED, 1.0),
         ('reported, of sweeps', str(BAGS / 'learn'), SWEEPS, 1.0),
         ('others', drive, OTHERS, 0.9),
+        ('further', drive, FURTHER, 0.9),
     ):
         print(f'{title:30} named  said')
         hits = 0

@@ -1,8 +1,8 @@
 """
 Errors of whole streams, put into a recorded drive, and the cause that should be named.
 
-`REPORTED` are those that users reported, `SWEEPS` those of recorded sweeps. `OTHERS` were written
-down before it was known what the checks say of them.
+`REPORTED` are those that users reported, `SWEEPS` those of recorded sweeps. `OTHERS` and then
+`FURTHER` were written down before it was known what the checks say of them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from faults import CAMERA, Change, INFO, JOINTS, later, NS, ODOMETRY, pictured
+from faults import CAMERA, Change, frozen, INFO, JOINTS, later, moved, NS, ODOMETRY, pictured
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
@@ -21,7 +21,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.bags.topics import relative_name
 
-__all__ = ['OTHERS', 'REPORTED', 'SWEEPS', 'StreamError', 'write_drive']
+__all__ = ['FURTHER', 'OTHERS', 'REPORTED', 'SWEEPS', 'StreamError', 'write_drive']
 
 TRUTH = 'ground_truth/odom'
 # Message, and how often it was sent before.
@@ -38,7 +38,7 @@ class StreamError:
     topics : tuple of str
         Whose messages `change` alters; it returns a message, a list of them, or None.
     names : str
-        Start of the name of the finding that names the cause.
+        Start of the name of the finding that names the cause, a regular expression.
     says : str
         What that finding says, a regular expression.
     recorded : bool
@@ -161,17 +161,6 @@ def focus(scale: float) -> Change:
     return change
 
 
-def frozen_pose() -> Altered:
-    first: list[Any] = []
-
-    def change(message: Any, _: int) -> Any:
-        first.append(copy.deepcopy(message.pose))
-        message.pose = copy.deepcopy(first[0])
-        return message
-
-    return change
-
-
 def shaken(spread_s: float) -> Altered:
     rng = np.random.default_rng(3)
 
@@ -211,6 +200,65 @@ def same(message: Any) -> Any:
     return message
 
 
+def exchanged(message: Any) -> Any:
+    at = message.pose.pose.position
+    at.x, at.y = at.y, at.x
+    return message
+
+
+def mirrored(message: Any) -> Any:
+    message.pose.pose.position.y *= -1.0
+    return message
+
+
+def first_w(message: Any) -> Any:
+    """A quaternion whose w was written first."""
+    q = message.pose.pose.orientation
+    q.x, q.y, q.z, q.w = q.w, q.x, q.y, q.z
+    return message
+
+
+def from_on(first: int, change: Altered) -> Altered:
+    return lambda message, count: change(message, count) if count >= first else message
+
+
+def each_second_repeated() -> Altered:
+    held: list[Any] = []
+
+    def change(message: Any, count: int) -> Any:
+        held.append(message)
+        if count % 2:
+            message.data = held[-2].data
+        return message
+
+    return change
+
+
+def of_two_cameras() -> Altered:
+    """Each third image is of another camera, which looks elsewhere."""
+    seen: list[Any] = []
+
+    def change(message: Any, count: int) -> Any:
+        seen.append(copy.copy(message.data))
+        if count % 3 == 2 and count > 20:
+            message.data = seen[count - 20]
+        return message
+
+    return change
+
+
+def cut_left(image: Any) -> Any:
+    return np.ascontiguousarray(image[:, round(0.15 * image.shape[1]) :])
+
+
+def lens(x: float, y: float) -> Change:
+    def change(message: Any) -> Any:
+        message.k = np.array(message.k) * [x, 1, 1, 1, y, 1, 1, 1, 1]
+        return message
+
+    return change
+
+
 PICTURES = (CAMERA, INFO)
 _SAME = _always(same)
 
@@ -243,6 +291,9 @@ REPORTED = {
     'yaw reversed': StreamError((ODOMETRY,), driven(yaw=-1.0), 'odom yaw', 'reversed'),
     'yaw reversed, mirrored path': StreamError(
         (ODOMETRY,), driven(y=-1.0, yaw=-1.0), 'odom yaw', 'reversed'
+    ),
+    'odom x and y exchanged': StreamError(
+        (ODOMETRY,), _always(exchanged), 'odom', 'x and y|mirrored'
     ),
     'odom in cm': StreamError((ODOMETRY,), driven(100.0, 100.0), 'odom', 'centimetres'),
     'zeros between joint_states': StreamError(
@@ -292,9 +343,64 @@ OTHERS = {
     'joint stamps of whole seconds': StreamError(
         (JOINTS,), _always(whole_seconds), 'joint_states', 'twice'
     ),
-    'odom pose frozen': StreamError((ODOMETRY,), frozen_pose(), 'odom', 'pose'),
+    'odom pose frozen': StreamError((ODOMETRY,), _always(frozen('pose')), 'odom', 'pose'),
     'image stamps shaken by 80 ms': StreamError((CAMERA,), shaken(0.08), 'images', ''),
     'no odom for 5 s': StreamError((ODOMETRY,), gone(100, 200), 'odom gaps', ''),
+}
+
+# With five of room.yaml, in `bad_sweeps_check.further_of`.
+FURTHER = {
+    'odom y mirrored': StreamError((ODOMETRY,), _always(mirrored), 'odom', 'mirrored'),
+    'odom yaw in degrees': StreamError((ODOMETRY,), driven(yaw=57.29578), 'odom', 'degrees|57'),
+    'odom quaternion w first': StreamError(
+        (ODOMETRY,), _always(first_w), 'odom', 'quaternion|orientation|turns about|roll'
+    ),
+    'odom stands from half on': StreamError(
+        (ODOMETRY,), from_on(140, _always(frozen('pose'))), 'odom', 'stands|frozen|pose'
+    ),
+    'odom jumps by 1 m': StreamError(
+        (ODOMETRY,), from_on(140, _always(moved(1.0, 0.0, 0.0))), 'odom', 'jump'
+    ),
+    'pan stays from half on': StreamError(
+        (JOINTS,), from_on(140, _always(frozen('position'))), '(pan|joint)', 'stays|turn|frozen'
+    ),
+    'red and blue exchanged': StreamError(
+        (CAMERA,),
+        _always(pictured(lambda i: np.ascontiguousarray(i[..., ::-1]))),
+        '(images|papers)',
+        'red and blue|rgb|colours',
+    ),
+    'images cut at the left': StreamError(
+        (CAMERA,), _always(pictured(cut_left)), '(images|camera)', 'size|pixels|wide|principal'
+    ),
+    'each second image repeated': StreamError(
+        (CAMERA,), each_second_repeated(), 'images', 'same|repeat|twice|frozen'
+    ),
+    'images of two cameras': StreamError((CAMERA,), of_two_cameras(), 'images', 'two|other'),
+    'images turned by 90 deg': StreamError(
+        (CAMERA,),
+        _always(pictured(lambda i: np.ascontiguousarray(np.rot90(i)))),
+        '(images|camera)',
+        '90 deg|turned|rolled|quarter',
+    ),
+    'images black from half on': StreamError(
+        (CAMERA,), from_on(35, _always(pictured(lambda i: 0 * i))), 'images', 'dark|black'
+    ),
+    'fy 30 % long': StreamError((INFO,), _always(lens(1.0, 1.3)), 'camera', 'fy|focal|tall'),
+    'pan_axis x and z exchanged': StreamError(
+        (),
+        _SAME,
+        '(camera|papers)',
+        'height|higher|lower',
+        robot=lambda m: replace(m, axis_xyz=m.axis_xyz[::-1]),
+    ),
+    'camera pitched by 0.3 rad': StreamError(
+        (),
+        _SAME,
+        '(camera|papers|images)',
+        'pitch|tilt|lean|horizon',
+        robot=lambda m: replace(m, axis_rpy=(0.0, 0.3, 0.0)),
+    ),
 }
 
 

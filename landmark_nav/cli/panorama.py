@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from itertools import islice
 import logging
 from pathlib import Path
 
@@ -143,17 +144,19 @@ def run(args: argparse.Namespace) -> int:
 
 def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
     """Sweep of a bag, counted from 1; without a number, the only one."""
-    path: Path = args.sweep
     number: int | None = args.number
-    sweeps = list(read_sweeps(open_bag(path, args), mount))
-    if number is None and len(sweeps) == 1:
-        return sweeps[0]
-    if number is None or not 1 <= number <= len(sweeps):
+    bag = open_bag(args.sweep, args)
+    total = bag.counts[bag.require('sweep/trajectory')]
+    if (number is None and total > 1) or (number or 1) > total:
         which = '' if number is None else f', no number {number}'
         raise UsageError(
-            f'{path}: holds {len(sweeps)} sweeps{which}: take one by --sweep 1 to {len(sweeps)}'
+            f'{bag.path}: holds {total} sweeps{which}: take one by --sweep 1 to {total}'
         )
-    return sweeps[number - 1]
+    # Those before it are read, one at a time.
+    sweep = next(islice(read_sweeps(bag, mount), (number or 1) - 1, None), None)
+    if sweep is None:
+        raise LandmarkNavError(f'{bag.path}: holds no sweep {number or 1}: take another')
+    return sweep
 
 
 def _warn_of_crop(crop_px: int, covered: float, sweep: Sweep) -> None:

@@ -144,7 +144,7 @@ def _pan_scale(mends: float) -> Finding:
             'pan sign',
             'error',
             'the images turn against the pan: its sign is reversed',
-            'positive is left: negate the pan, turn pan_axis rpy, or unmirror the images',
+            'negate the pan, unmirror images, or set camera_roll: 3.1416 if upside down',
             values,
         )
     if abs(abs(mends) * 180.0 / np.pi - 1.0) < 0.15:

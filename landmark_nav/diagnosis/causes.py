@@ -233,12 +233,7 @@ def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Ca
     if len(motion) > _PAIRS:
         chosen = np.zeros(len(motion), dtype=np.bool_)
         chosen[np.linspace(0, len(motion) - 1, _PAIRS).astype(np.intp)] = True
-        few = replace(
-            motion,
-            before_s=motion.before_s[chosen],
-            after_s=motion.after_s[chosen],
-            turns_rad=motion.turns_rad[chosen],
-        )
+        few = motion.only(chosen)
     for stream in (JOINTS, ODOMETRY, IMAGES):
         if motion.odometry is None and stream != JOINTS:
             continue

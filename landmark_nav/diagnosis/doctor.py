@@ -20,11 +20,19 @@ from landmark_nav.diagnosis.causes import IMAGES, JOINTS, late_odometry, ODOMETR
 from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.looks import look, Looks
 from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
+from landmark_nav.diagnosis.parts import (
+    blank_images,
+    repeated_images,
+    staying_values,
+    strange_images,
+)
+from landmark_nav.diagnosis.path import check_jumps, check_path
 from landmark_nav.diagnosis.sources import two_sources
 from landmark_nav.diagnosis.stamps import check_stamps, clock_hints, in_step, longest_part
 from landmark_nav.diagnosis.streams import read_joints, read_stream, Stream, unwrapped
 from landmark_nav.diagnosis.units import check_speed, check_twist
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import decode
@@ -46,8 +54,15 @@ _BY_LOG_S = 0.5
 _CALIBRATED = 1.2
 # Delays are not known better from how images turn.
 _LEAST_SIGMA_S = 1e-3
-# Images that turn less, while the pan turns more, in most pairs, are one image.
-_STILL_RAD, _TURNING_RAD, _MOST = 1e-3, 0.03, 0.9
+# Images on their sides are turned by one of these, and the pan, known to this sigma, is right
+# then; these findings are wrong.
+_SIDEWAYS_RAD = (0.5 * np.pi, -0.5 * np.pi)
+_UPRIGHT = 0.03
+_UNEXPLAINED = ('image motion', 'images motion', 'joint names', 'pan scale', 'pan sign')
+# Twist beside a pose that stays.
+_OF_POSE = 'odom twist'
+# Follow from a path that is mirrored.
+_OF_PATH = ('odom twist, forward', 'camera heading', 'odom unit')
 # Share of the images at whose time there is ground truth.
 _ENOUGH = 0.8
 # A clock that motion knows to this needs no times of recording.
@@ -155,12 +170,31 @@ class _Drive:
         found, delays, healthy = self._judged(looks)
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
             looks = look(self._bag, self._images, ('camera/camera_info',), self._mount, THOROUGH)
-            found, delays, _ = self._judged(looks)
+            found, delays, healthy = self._judged(looks)
+        if not healthy and any(f.name in _UNEXPLAINED and f.level != 'ok' for f in found):
+            found = self._upright(most_images) or found
         return Diagnosis(tuple(found), delays)
+
+    def _upright(self, most_images: int) -> list[Finding]:
+        """What there is to say if images are on their sides; nothing where they are not."""
+        for turned_rad in _SIDEWAYS_RAD:
+            roll_rad = wrap_one_rad(self._mount.camera_roll_rad + turned_rad)
+            mount = replace(self._mount, camera_roll_rad=roll_rad)
+            looks = look(self._bag, self._images, ('camera/camera_info',), mount, most_images)
+            found, _, _ = self._judged(looks)
+            if any(
+                f.name == 'pan scale' and f.values.get('sigma', np.inf) < _UPRIGHT for f in found
+            ):
+                said = f'images are turned by {np.degrees(turned_rad):.0f} deg'
+                advice = f'set camera_roll: {roll_rad:.4f} in robot.yaml, or turn them'
+                return [*found, Finding('camera roll', 'error', said, advice)]
+        return []
 
     def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
         """Findings, delays, and whether joints and odometry explain what the images show."""
         found = [*check_stamps(looks.stream), *looks.findings]
+        if (blank := blank_images(looks)) is not None:
+            found.append(blank)
         pan, by_names = self._pan()
         found += by_names
         odometry = self._odometry
@@ -174,6 +208,8 @@ class _Drive:
             found += [*check_stamps(odometry), *second]
             if len(odometry) > 1:
                 found += [check_speed(odometry), *check_twist(odometry)]
+                if not second and (jumps := check_jumps(odometry)) is not None:
+                    found.append(jumps)
             found += _frames(odometry, looks.stream, self._mount)
         if pan is None or len(pan) < 2 or len(looks.stream) < 2:
             return found, Delays(), True
@@ -219,17 +255,30 @@ class _Drive:
         by_name = dict(zip((JOINTS, ODOMETRY), streams, strict=False))
         hints = clock_hints(images, by_name)
         inside = ((logged >= first) & (logged <= last))[looks.pairs].all(1)
-        motion = self._motion(looks, looks.pairs[inside], streams)
+        pairs = self._motion(looks, looks.pairs[inside], streams)
+        motion = pairs.only(np.isfinite(pairs.turns_rad))
         if len(motion) < _LEAST_PAIRS:
             said = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
             found.append(Finding('image motion', 'ok', said))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
-        if (still := _still(motion)) is not None:
-            return [*found, still], Delays(), False
+        if (repeated := repeated_images(motion)) is not None:
+            return [*found, repeated], Delays(), False
+        staying = staying_values(motion)
+        if staying is not None:
+            stays, motion = staying
+            if stays.name.startswith(ODOMETRY):
+                found = [f for f in found if not f.name.startswith(_OF_POSE)]
+            found.append(stays)
+        path = check_path(streams[1]) if len(streams) > 1 else None
         slopes = linear(motion)
         if slopes.fits:
             found += motion_findings(motion, slopes, self._room)
             found += _clocks_by_log(motion, hints, slopes)
+            if path is not None:
+                found = [path, *(f for f in found if f.name not in _OF_PATH)]
+            elif looks.view is not None and staying is None and blank_images(looks) is None:
+                strange = strange_images(pairs, looks.view.width_rad)
+                found += [] if strange is None else [strange]
             return [*found, *self._truth(images, motion, Clock())], Delays(), True
         others = {
             name: Track.of(stream.seconds, self._mount.pan_sense * _angles(stream))
@@ -290,7 +339,7 @@ class _Drive:
         seconds = looks.stream.seconds
         turns = np.array([looks.turn(int(first), int(second)) for first, second in pairs])
         before, after = seconds[pairs[:, 0]], seconds[pairs[:, 1]]
-        good = np.isfinite(turns) & (after > before)
+        good = after > before
         odometry = None
         if len(streams) > 1:
             values = streams[1].values[:, :3].copy()
@@ -459,19 +508,6 @@ def _clocks_by_log(
     if len(off) == len(known) and np.ptp(lates) < _BY_LOG_S:
         return [clock_finding(IMAGES, -float(np.mean(lates)), how, corrected=False)]
     return [clock_finding(name, late, how, corrected=False) for name, late in off.items()]
-
-
-def _still(motion: Motion) -> Finding | None:
-    """Images that do not turn though the pan does; None where they do."""
-    panned = np.abs(motion.panned()) > _TURNING_RAD
-    if panned.sum() < _LEAST_PAIRS or np.mean(np.abs(motion.turns_rad) < _STILL_RAD) < _MOST:
-        return None
-    return Finding(
-        'images motion',
-        'error',
-        'images stay the same while joint_states turn',
-        'the camera repeats an image, or the pan does not move: look at both drivers',
-    )
 
 
 def _covered(motion: Motion, track: Track | None) -> float:

@@ -23,6 +23,8 @@ __all__ = ['Looks', 'look']
 _RUN = 12
 # A lens that sees less or more is mistaken, or cannot be used here.
 _LEAST_FOV_DEG, _MOST_FOV_DEG = 8.0, 200.0
+# Pixels are square to this share.
+_SQUARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,5 +181,10 @@ def _lens(camera: CameraModel | None) -> Iterable[Finding]:
             'calibrate it again with points up to the corners of the image',
             values,
         )
+        return
+    if abs(camera.fy / camera.fx - 1.0) > _SQUARE:
+        said = f'fy is {camera.fy:.0f} px beside an fx of {camera.fx:.0f} px'
+        advice = 'calibrate again: pixels are square, if the driver does not stretch images'
+        yield Finding('camera lens', 'warning', said, advice, values)
         return
     yield Finding('camera lens', 'ok', said, '', values)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.arrays import FloatArray
+from landmark_nav.arrays import BoolArray, FloatArray
 
 __all__ = ['Clock', 'Estimate', 'Fit', 'Linear', 'Motion', 'Track', 'explained', 'fit', 'linear']
 
@@ -123,6 +123,15 @@ class Motion:
     def __len__(self) -> int:
         """How many pairs."""
         return len(self.turns_rad)
+
+    def only(self, chosen: BoolArray) -> Motion:
+        """The pairs that a mask (n,) selects."""
+        return replace(
+            self,
+            before_s=self.before_s[chosen],
+            after_s=self.after_s[chosen],
+            turns_rad=self.turns_rad[chosen],
+        )
 
     def panned(self) -> FloatArray:
         """Turns by the joints, (n,)."""

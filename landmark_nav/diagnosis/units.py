@@ -9,7 +9,7 @@ from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.geometry.walls import Room
 
-__all__ = ['check_speed', 'check_twist', 'nearness_of_room', 'unit_of']
+__all__ = ['check_speed', 'check_twist', 'nearness_of_room', 'steps_of', 'unit_of']
 
 # Robots indoors are slower than the first; nothing on wheels is faster than the second.
 _FAST_M_S, _FASTEST_M_S = 3.0, 10.0
@@ -29,7 +29,7 @@ def unit_of(factor: float) -> str:
     return ''
 
 
-def _steps(stream: Stream) -> tuple[FloatArray, FloatArray]:
+def steps_of(stream: Stream) -> tuple[FloatArray, FloatArray]:
     """Times (n,) and values (n, 5) at about equal steps that are long enough."""
     times = stream.seconds
     rising = np.append(True, np.diff(times) > 0.0)
@@ -41,7 +41,7 @@ def _steps(stream: Stream) -> tuple[FloatArray, FloatArray]:
 
 def check_speed(stream: Stream) -> Finding:
     """Speed of the poses of an odometry (x, y, yaw, forward speed, yaw rate)."""
-    times, values = _steps(stream)
+    times, values = steps_of(stream)
     steps = np.hypot(*np.diff(values[:, :2], axis=0).T) / np.diff(times)
     speed = float(np.quantile(steps, 0.9)) if len(steps) else 0.0
     said = f'{speed:.2f} m/s (90 %)'

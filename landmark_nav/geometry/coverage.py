@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,7 +12,13 @@ from landmark_nav.geometry.angles import wrap_rad
 __all__ = ['describe_coverage', 'unseen_arcs']
 
 # Angles that a text names at most.
-_LISTED = 12
+_LISTED = 4
+
+
+def _some_of(words: Sequence[str], between: str) -> str:
+    """The first few of some words in one line, and how many more there are."""
+    more = len(words) - _LISTED
+    return between.join(words[:_LISTED]) + (f' and {more} more' if more > 0 else '')
 
 
 def unseen_arcs(pan_rad: npt.ArrayLike, half_fov_rad: float) -> list[tuple[float, float]]:
@@ -57,11 +65,11 @@ def describe_coverage(
     ]
     words = []
     if missing:
-        listed = ', '.join(missing[:_LISTED]) + (', ...' if len(missing) > _LISTED else '')
+        listed = _some_of(missing, ', ')
         frames = '1 frame is' if len(missing) == 1 else f'{len(missing)} frames are'
         words.append(f'{frames} missing, at pan {listed} deg')
     if arcs:
-        words.append(f'nothing is seen {" and ".join(arcs)}')
+        words.append(f'nothing is seen {_some_of(arcs, " and ")}')
     elif missing:
         words.append('their neighbours see it all')
     return '; '.join(words)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from math import pi
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig
+from landmark_nav.learning.reference_area import papers_fit, ReferenceAreaConfig
 from landmark_nav.types import Sweep
 
 __all__ = ['why_overturned']
@@ -37,11 +36,8 @@ def why_overturned(
         ),
     ):
         view = synthesize_cylinder(sweep, other, PanoramaConfig(blend='feather'))
-        try:
-            locate_sweep(sweep, view, room, other, config)
-        except LandmarkNavError:
-            continue
-        return f'the {what} is mounted the other way up, as the papers show it: set {remedy}'
+        if papers_fit(sweep, view, room, other, config):
+            return f'the {what} is mounted the other way up, as the papers show it: set {remedy}'
     return None
 
 

@@ -13,10 +13,7 @@ from __future__ import annotations
 import os
 import sys
 
-from landmark_nav.errors import LandmarkNavError
-from landmark_nav.ros import require_ros
 from landmark_nav.signals import end_at_once
-from landmark_nav.threads import keep_to_one_thread
 
 
 def _is_program() -> bool:
@@ -27,6 +24,11 @@ def _is_program() -> bool:
 
 if _is_program():
     end_at_once(0)
+
+from landmark_nav.errors import LandmarkNavError  # noqa: E402
+from landmark_nav.ros import require_ros  # noqa: E402
+from landmark_nav.threads import keep_to_one_thread  # noqa: E402
+
 keep_to_one_thread()
 try:
     require_ros('this node')

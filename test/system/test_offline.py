@@ -262,13 +262,14 @@ def test_unknown_cameras_and_encodings_are_refused_by_name(
     assert not (tmp_path / 'map').exists()
 
 
-def test_papers_that_are_not_there_are_missed(study, tmp_path, capsys):
+def test_papers_given_on_the_opposite_wall_are_refused(study, tmp_path, capsys):
     room = yaml.safe_load(Path(study.room).read_text())
     for paper in room['reference_area']['papers']:
         paper['center'][1] += 4.35
     path = tmp_path / 'room.yaml'
     path.write_text(yaml.safe_dump(room))
-    refused(capsys, learn(study.folder / 'learn', study, tmp_path / 'map', str(path)), 'papers')
+    bag = study.folder / 'learn'
+    refused(capsys, learn(bag, study, tmp_path / 'map', str(path)), 'papers', 'opposite wall')
     assert not (tmp_path / 'map').exists()
 
 

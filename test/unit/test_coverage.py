@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.coverage import describe_coverage, unseen_arcs
+from landmark_nav.quality import PanoramaQuality
 
 
 @pytest.mark.parametrize('seed', range(20))
@@ -37,3 +38,10 @@ def test_in_words() -> None:
     assert describe_coverage(np.radians([-100.0, -60.0, -20.0, 20.0, 60.0, 100.0]), half) == (
         'nothing is seen from pan 124 to 236 deg'
     )
+
+
+def test_a_text_stays_short_however_many_gaps_there_are() -> None:
+    text = describe_coverage(np.linspace(-3.0, 3.0, 72), 0.01, np.linspace(-3.0, 3.0, 71))
+    assert len(text) < 200
+    quality = PanoramaQuality(gaps_rad=tuple(np.linspace(-3.0, 3.0, 72).tolist()))
+    assert len(quality.closure) < 100

@@ -89,6 +89,49 @@ def test_papers_that_changed_colours_are_named() -> None:
     assert judged(swapped).faults[0].kind == 'swapped'
 
 
+def in_unit(length_m: float) -> Room:
+    """The room in another unit."""
+    papers = tuple(
+        replace(
+            paper,
+            center=tuple(at / length_m for at in paper.center),
+            width=paper.width / length_m,
+            height=paper.height / length_m,
+        )
+        for paper in EAST
+    )
+    walls = tuple(
+        replace(
+            wall,
+            start=tuple(at / length_m for at in wall.start),
+            end=tuple(at / length_m for at in wall.end),
+            height=wall.height / length_m,
+        )
+        for wall in ROOM.walls
+    )
+    return replace(ROOM, walls=walls, papers=papers)
+
+
+def test_papers_given_on_the_opposite_wall_are_named() -> None:
+    # At their distances along the wall, which are not those of two papers that are exchanged.
+    opposite = tuple(replace(paper, center=(0.0, *paper.center[1:])) for paper in EAST)
+    assert [f.kind for f in judged(EAST, replace(ROOM, papers=opposite)).faults] == ['mirrored']
+
+
+def test_a_room_in_feet_is_named() -> None:
+    assert [fault.kind for fault in judged(EAST, in_unit(0.3048)).faults] == ['feet']
+
+
+def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours() -> None:
+    # Two faults: green is covered, blue and red hang on each other's places.
+    papers = (replace(EAST[0], color='blue'), replace(EAST[2], color='red'))
+    none = PaperOutlines(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0))
+    views = [PaperView({'green': none, **view.outlines}, EYE_M) for view in views_of(papers)]
+    found = paper_faults(views, ROOM, CONFIG)
+    assert not found.fits
+    assert 'swapped' not in [fault.kind for fault in found.faults]
+
+
 def test_a_paper_of_another_size_and_one_that_is_turned_are_told_apart() -> None:
     larger = replace(EAST[1], width=1.414 * EAST[1].width, height=1.414 * EAST[1].height)
     found = judged((EAST[0], larger, EAST[2])).faults[0]

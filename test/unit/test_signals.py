@@ -65,6 +65,24 @@ def test_an_executable_of_a_node_ends_quietly(number: int, tmp_path: Path) -> No
     assert signalled([sys.executable, str(script)], number, 0.05) == (0, '')
 
 
+@pytest.mark.parametrize('module', ['__main__', 'nodes.room_simulator'])
+def test_executables_heed_signals_before_they_import_anything_else(module: str) -> None:
+    script = """
+        import os, signal, sys
+        before = set(sys.modules)
+        def heeded(*_):
+            print(*sorted(m for m in set(sys.modules) - before if m != '__future__'))
+            sys.stdout.flush()
+            os._exit(0)
+        sys.argv[0], signal.signal = 'room_simulator', heeded
+        import landmark_nav.MODULE
+    """
+    command = [sys.executable, '-c', textwrap.dedent(script).replace('MODULE', module)]
+    loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    parents = ['landmark_nav', f'landmark_nav.{module.partition(".")[0]}', 'landmark_nav.signals']
+    assert loaded == parents
+
+
 def test_importing_nodes_leaves_signals_alone() -> None:
     pytest.importorskip('rclpy', reason='ROS 2 is not installed')
     before = [signal.getsignal(number) for number in NUMBERS]

@@ -20,6 +20,7 @@ from landmark_nav.learning.reference_area.location import (
     check_agreement,
     locate_sweep,
     optical_height,
+    papers_fit,
     SweepPlace,
 )
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS
@@ -38,6 +39,7 @@ __all__ = [
     'locate_sweep',
     'optical_height',
     'paper_faults',
+    'papers_fit',
     'pose_errors',
     'view_papers',
 ]

@@ -8,7 +8,9 @@ in shade (after Matas et al., Robust wide baseline stereo, 2004).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -18,7 +20,7 @@ from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.types import FloatArray
 
-__all__ = ['ColorSearch', 'PaperBlobs', 'hue_direction']
+__all__ = ['ColorSearch', 'PaperBlobs', 'color_blobs', 'hue_direction']
 
 # Columns per radian that are enough to find papers in.
 _SEARCH_PX_PER_RAD = 280.0
@@ -52,6 +54,29 @@ class PaperBlobs:
     width_rad: FloatArray
     tangent: FloatArray
     misfit: FloatArray
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> PaperBlobs:
+        """Those that a mask (n,) selects."""
+        return PaperBlobs(
+            self.azimuth_rad[chosen],
+            self.width_rad[chosen],
+            self.tangent[chosen],
+            self.misfit[chosen],
+        )
+
+
+# Of panoramas that are still looked at.
+_FOUND: WeakKeyDictionary[CylinderImage, dict[str, PaperBlobs]] = WeakKeyDictionary()
+
+
+def color_blobs(view: CylinderImage, colors: Iterable[str]) -> dict[str, PaperBlobs]:
+    """What could be papers of some colours in a panorama in the base frame, searched once."""
+    found = _FOUND.setdefault(view, {})
+    missing = {*colors} - {*found}
+    if missing:
+        search = ColorSearch(view)
+        found |= {color: search.blobs(color) for color in missing}
+    return found
 
 
 def hue_direction(color: str) -> FloatArray:

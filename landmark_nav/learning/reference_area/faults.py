@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.walls import Room
+from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt
 from landmark_nav.learning.panorama import CylinderImage
-from landmark_nav.learning.reference_area.blobs import ColorSearch, PaperBlobs
+from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.outlines import outline_blobs, PaperOutlines
 from landmark_nav.learning.reference_area.search import (
@@ -66,10 +67,14 @@ _LEAST_SEEN = 2
 _MISSING, _HIDDEN = 60.0, 30.0
 # How far off a paper is looked for, metres, and how much its size may differ, as a share.
 _SEARCH_M, _SEARCH_SHARE, _MOST_COST = 0.25, 0.15, 12.0
+# How much larger than given papers and rooms may be, and how far below the floor one may seem.
+_ANY_SIZE, _BELOW_M = 1.6, -0.5
 # Places that are tried in each panorama; papers whose colours are tried in other orders; views.
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
 # How much higher than given the camera is tried.
 _RISES_M = (-0.3, -0.15, 0.15, 0.3)
+# Of the units that people measure with, the one whose rooms have lengths of rooms in metres.
+_FOOT_M = 0.3048
 # For derivatives by differences.
 _STEP = 1e-6
 
@@ -93,7 +98,8 @@ class PaperFault:
 
     `kind` is, of the paper with index `paper`: 'along' (to the left), 'height', 'depth' (off the
     wall), 'width', 'tallness', 'size' (both), 'turned' (both exchanged) or 'hidden'; of all, with
-    `paper` -1: 'swapped' (colours), 'camera_height', 'lean' (of the pan axis), 'focal' or 'sizes'.
+    `paper` -1: 'swapped' (colours), 'mirrored', 'feet' (the unit), 'camera_height', 'lean'
+    (of the pan axis), 'focal' or 'sizes'.
     `value` and `sigma` are true minus given in metres, radians or shares, 0 where `kind` says it
     all. `gain` is by how much chi-square falls without the fault; `text` says it.
     """
@@ -156,9 +162,28 @@ def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperVi
         Height of the optical centre, see `optical_height`.
 
     """
-    search = ColorSearch(view)
     colors = {paper.color for paper in room.papers}
-    return PaperView({c: outline_blobs(view, c, search.blobs(c)) for c in colors}, eye_height_m)
+    found = color_blobs(view, colors)
+    outlines = {}
+    for color in colors:
+        blobs = found[color]
+        papers = [paper for paper in room.papers if paper.color == color]
+        near = np.any([_may_be(blobs, paper, room, eye_height_m) for paper in papers], axis=0)
+        outlines[color] = outline_blobs(view, color, blobs.only(near))
+    return PaperView(outlines, eye_height_m)
+
+
+def _may_be(
+    blobs: PaperBlobs, paper: Paper, room: Room, eye_height_m: float
+) -> npt.NDArray[np.bool_]:
+    """Which blobs are in the room if they are a paper, nearly of its height, (n,)."""
+    low, high = room.bounds
+    far = _ANY_SIZE * float(np.hypot(*(high - low)))
+    top = _ANY_SIZE * max(wall.height for wall in room.walls)
+    tall = np.maximum(np.abs(np.diff(blobs.tangent, axis=1)[:, 0]), 1e-6)
+    reach = paper.height / tall
+    above = eye_height_m + reach * blobs.tangent.mean(1)
+    return np.asarray((reach < far) & (above > _BELOW_M) & (above < top))
 
 
 def paper_faults(
@@ -205,7 +230,9 @@ def paper_faults(
         fits = not found or as_given.cost <= bound
         return PaperFaults(fits, as_given.cost, redundancy, ())
     best = found[0][0]
-    if best.cost > _EXPLAINED * float(chdtri(max(best.redundancy, 1), _FALSE_ALARM)):
+    if best.missing or best.cost > _EXPLAINED * float(
+        chdtri(max(best.redundancy, 1), _FALSE_ALARM)
+    ):
         return PaperFaults(False, as_given.cost, redundancy, ())
     alike = tuple(fault for solution, fault in found if solution.cost < best.cost + _LEAD)
     return PaperFaults(False, as_given.cost, redundancy, alike)
@@ -260,12 +287,17 @@ class _Pick:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Cost of a hypothesis in chi-square, and what its free values are, mean of the views'."""
+    """
+    Cost of a hypothesis in chi-square, and what its free values are, mean of the views'.
+
+    `missing` papers should be seen, and are not.
+    """
 
     cost: float
     values: FloatArray
     sigmas: FloatArray
     redundancy: int
+    missing: int = 0
 
 
 @dataclass(frozen=True)
@@ -309,12 +341,39 @@ def _hypotheses(room: Room) -> Iterator[_Hypothesis]:
             yield _Hypothesis(kind, k)
         other = (*papers[:k], replace(paper, width=paper.height, height=paper.width))
         yield _Hypothesis('turned', k, replace(room, papers=(*other, *papers[k + 1 :])))
+    yield _Hypothesis('mirrored', -1, _redrawn(room, -1.0, 1.0))
+    yield _Hypothesis('feet', -1, _redrawn(room, _FOOT_M, _FOOT_M))
     if len(papers) > _MOST_SWAPPED:
         return
     colors = [paper.color for paper in papers]
     for order in sorted(set(permutations(colors)) - {tuple(colors)}):
         hung = (replace(p, color=c) for p, c in zip(papers, order, strict=True))
         yield _Hypothesis('swapped', -1, replace(room, papers=tuple(hung)))
+
+
+def _redrawn(room: Room, x: float, yz: float) -> Room:
+    """Room and papers with their axes scaled; mirrored, papers look as on the opposite wall."""
+
+    def ends(wall: Wall) -> tuple[tuple[float, float], tuple[float, float]]:
+        start, end = ((x * at[0], yz * at[1]) for at in (wall.start, wall.end))
+        return (end, start) if x < 0.0 else (start, end)
+
+    walls = [
+        replace(wall, start=start, end=end, height=yz * wall.height)
+        for wall in room.walls
+        for start, end in [ends(wall)]
+    ]
+    papers = [
+        replace(
+            paper,
+            center=(x * paper.center[0], yz * paper.center[1], yz * paper.center[2]),
+            width=yz * paper.width,
+            height=yz * paper.height,
+        )
+        for paper in room.papers
+    ]
+    # Round the room counter-clockwise, in a mirror too.
+    return replace(room, walls=tuple(walls[:: 1 if x > 0.0 else -1]), papers=tuple(papers))
 
 
 class _Trial:
@@ -329,7 +388,7 @@ class _Trial:
     def solve(self, hypothesis: _Hypothesis) -> _Solution | None:
         """Fit all views that show papers, each with the place there that fits best; None: none."""
         room, picks = hypothesis.room or self._room, self._picks
-        if hypothesis.kind == 'swapped':
+        if hypothesis.kind in ('swapped', 'mirrored', 'feet'):
             picks = [list(_picks(view, room)) for view in self._views]
         elif hypothesis.kind == 'camera_height':
             picks = [
@@ -352,8 +411,12 @@ class _Trial:
         if not views:
             return None
         solution = self._fit(hypothesis, views, chosen, room)
-        unlocated = _MISSING * len(room.papers) * (len(picks) - len(views))
-        return replace(solution, cost=solution.cost + unlocated)
+        unlocated = len(room.papers) * (len(picks) - len(views))
+        return replace(
+            solution,
+            cost=solution.cost + _MISSING * unlocated,
+            missing=solution.missing + unlocated,
+        )
 
     def _fit(
         self,
@@ -380,20 +443,20 @@ class _Trial:
 
         state, cost, information = levenberg_marquardt(linearized, start)
         covariance = covariance_of(information)
-        unseen, views_without = 0.0, 0
+        unseen, views_without = 0, 0
         for pick in picks:
             missing = papers_in_view(pick.axis_pose[:2], room) & (np.array(pick.outline) < 0)
             if hypothesis.kind == 'hidden':
                 views_without += 1
                 missing[hypothesis.paper] = False
-            unseen += float(np.sum(missing))
+            unseen += int(np.sum(missing))
         cost += _MISSING * unseen + _HIDDEN * views_without + _BY_FREEDOM * len(free)
         values = state[free]
         if free:
             values = values.reshape(-1, hypothesis.width).mean(axis=0)
         sigmas = np.sqrt(np.diag(covariance)[free[: hypothesis.width]])
         redundancy = model.measured - 3 * len(views) - len(free)
-        return _Solution(cost, values, sigmas, redundancy)
+        return _Solution(cost, values, sigmas, redundancy, unseen)
 
 
 def _picks(view: PaperView, room: Room, rise_m: float = 0.0) -> Iterator[_Pick]:
@@ -549,6 +612,13 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
         pairs = zip(hypothesis.room.papers, room.papers, strict=True)
         other = [f'{h.color} where {p.color} should hang' for h, p in pairs if h.color != p.color]
         text = f'the papers seem swapped, {", ".join(other)}'
+    elif kind == 'mirrored':
+        text = (
+            'the papers hang in mirrored order: on the opposite wall of where room.yaml has them, '
+            'or its plan is mirrored'
+        )
+    elif kind == 'feet':
+        text = 'room.yaml seems to be in feet: its lengths are metres'
     elif kind == 'turned':
         text = f'width and height of the {color} paper seem exchanged in room.yaml'
     elif kind == 'hidden':

@@ -22,7 +22,7 @@ from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.panorama import CylinderImage
-from landmark_nav.learning.reference_area.blobs import ColorSearch
+from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
 from landmark_nav.learning.reference_area.refusals import (
@@ -50,6 +50,7 @@ __all__ = [
     'check_agreement',
     'locate_sweep',
     'optical_height',
+    'papers_fit',
 ]
 
 # What is seen of all of them together, in whole papers.
@@ -139,6 +140,17 @@ def locate_sweep(
     )
 
 
+def papers_fit(
+    sweep: Sweep,
+    view: CylinderImage,
+    room: Room,
+    mount: PanTiltMount,
+    config: ReferenceAreaConfig,
+) -> bool:
+    """Whether papers fit somewhere; arguments as of `locate_sweep`, without its reasons."""
+    return _PaperSearch(sweep, view, room, mount, config).fits_somewhere()
+
+
 class _PaperSearch:
     """The one place where all papers of a room fit what a sweep saw; arguments as above."""
 
@@ -153,8 +165,7 @@ class _PaperSearch:
         self._sweep, self._view, self._room = sweep, view, room
         self._mount, self._config = mount, config
         self.height_m = optical_height(sweep, mount)
-        search = ColorSearch(view)
-        colors = {color: search.blobs(color) for color in {p.color for p in room.papers}}
+        colors = color_blobs(view, {paper.color for paper in room.papers})
         self._blobs = [colors[paper.color] for paper in room.papers]
         self._fitter = PaperFitter(sweep, room, mount, config)
 
@@ -175,6 +186,11 @@ class _PaperSearch:
         if fit is None or not _fits(fit, self._room):
             raise self._refusal(places, [fit] if fit else [])
         return fit
+
+    def fits_somewhere(self) -> bool:
+        """Whether a few frames fit at a place, with the camera as high as given."""
+        places = find_places(self._blobs, self._room, self.height_m)
+        return any(_fits(fit, self._room) for fit in self._tried(places))
 
     def _tried(self, places: list[PaperPlace], rise_m: float = 0.0) -> list[PaperFit]:
         """Fits of few frames at places, the cheapest first, until the rest is hopeless."""

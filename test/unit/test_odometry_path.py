@@ -1,0 +1,76 @@
+"""Jumps of an odometry, and paths whose axes do not go with the yaw."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from landmark_nav.arrays import FloatArray
+from landmark_nav.diagnosis.path import check_jumps, check_path
+from landmark_nav.diagnosis.streams import Stream
+
+TIMES = np.arange(0.0, 20.0, 0.05)
+YAW = 1.2 * np.sin(0.4 * TIMES)
+SPEED = 0.4 * np.sign(np.sin(0.5 * TIMES) + 0.6)
+
+
+def driven(side_rad: FloatArray | float = 0.0) -> FloatArray:
+    """x, y, yaw, speed and yaw rate of a drive forwards and backwards, so far beside the yaw."""
+    steps = 0.05 * SPEED[:, None] * np.stack([np.cos(YAW + side_rad), np.sin(YAW + side_rad)], 1)
+    return np.column_stack([np.cumsum(steps, axis=0), YAW, SPEED, np.gradient(YAW, TIMES)])
+
+
+def stream_of(values: FloatArray) -> Stream:
+    stamps = np.round(1e9 * TIMES).astype(np.int64)
+    return Stream('odom', 'odom', stamps, stamps, values)
+
+
+@pytest.mark.parametrize('side_rad', [0.0, 0.5 * np.pi, np.pi, 3.0 * np.sin(1.7 * TIMES)])
+def test_a_path_in_its_own_axes_passes(side_rad: FloatArray | float) -> None:
+    # Backwards, sideways, and as robots do that drive to all sides.
+    assert check_path(stream_of(driven(side_rad))) is None
+
+
+@pytest.mark.parametrize(
+    ('axes', 'said'),
+    [
+        ([[1, 0], [0, -1]], 'y has'),
+        ([[-1, 0], [0, 1]], 'x has'),
+        ([[0, 1], [1, 0]], 'x and y are exchanged'),
+    ],
+)
+def test_a_mirrored_path_is_named(axes: list[list[int]], said: str) -> None:
+    values = driven()
+    values[:, :2] = values[:, :2] @ np.array(axes)
+    found = check_path(stream_of(values))
+    assert found is not None
+    assert said in found.measured
+
+
+def test_a_straight_path_says_nothing() -> None:
+    values = np.zeros((len(TIMES), 5))
+    values[:, 1] = 0.4 * TIMES
+    assert check_path(stream_of(values)) is None
+
+
+def test_jumps_are_found_with_their_size_and_time() -> None:
+    assert check_jumps(stream_of(driven())) is None
+    values = driven()
+    values[200:, 0] += 0.8
+    found = check_jumps(stream_of(values))
+    assert found is not None
+    assert found.values['metres'] == pytest.approx(0.8, abs=0.05)
+    assert f'{TIMES[200]:.1f} s' in found.measured
+
+
+def test_a_gap_is_no_jump() -> None:
+    kept = np.r_[0:150, 250:400]
+    stream = stream_of(driven()).only(kept)
+    assert check_jumps(stream) is None
+
+
+def test_a_robot_that_drives_off_does_not_jump() -> None:
+    values = driven()
+    values[:300, :2] = 0.0
+    values[300:, :2] -= values[300, :2]
+    assert check_jumps(stream_of(values)) is None
