@@ -172,7 +172,7 @@ class JointLocalizer:
             > abs(self._sample.stamp_ns - frame.stamp_ns)
         ):
             self._set_back()
-        joint = self._line.filter_at(frame.stamp_ns)
+        joint, near = self._line.filter_at(frame.stamp_ns), None
         if is_wide(joint.camera.covariance):
             place = narrowed(
                 self._straight(frame, joint),
@@ -182,8 +182,7 @@ class JointLocalizer:
                 self._config.observation,
             )
             if not isinstance(place, Refusal):
-                self._place(place.estimate, by_camera=True)
-                joint = self._line.filter_at(frame.stamp_ns)
+                joint, near = joint.placed(place.estimate, by_camera=True), place.estimate.pose
         seen = self._look(frame, joint)
         found = seen.detections
         points = ImagePoints.of_pixels(
@@ -198,6 +197,7 @@ class JointLocalizer:
             frame.pan_sigma_rad,
             frame.pan_track,
             self._map.indices(found.missed),
+            near,
         )
         update = self._used(frame.stamp_ns, seen, points)
         if update.status != 'lost' or not self._config.relocalization.when_lost:

@@ -31,7 +31,7 @@ __all__ = ['ImagePoints', 'Projection', 'moved', 'project']
 # calibration; after it the shared map factors.
 POSE, LEAN, SCALE, DRIFT, TURN_SCALE, SLIP, TURN_LOSS, CALIBRATION = 0, 3, 5, 6, 7, 8, 9, 10
 STATES = CALIBRATION + len(NAMES)
-_AXIS, _RPY, _CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
+_AXIS, _RPY, CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
 ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, DELAY = range(CALIBRATION + 9, STATES)
 YAW = _RPY + 2
 
@@ -70,6 +70,9 @@ class ImagePoints:
         Whether the y/z are measured; bearings have none.
     missed : ndarray of int, shape (k,)
         Landmarks that should be in view and were not found.
+    near : ndarray, shape (3,), optional
+        Pose of the base that the image itself shows, where hardly any was known before: it is
+        where the first linearization is, and no measurement.
 
     """
 
@@ -84,6 +87,7 @@ class ImagePoints:
     pan_track: PanTrack | None = None
     rows: bool = True
     missed: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    near: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -103,6 +107,7 @@ class ImagePoints:
         pan_sigma_rad: float = 0.0,
         pan_track: PanTrack | None = None,
         missed: IndexArray | None = None,
+        near: FloatArray | None = None,
     ) -> ImagePoints:
         """Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera."""
         rays = camera.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
@@ -118,6 +123,7 @@ class ImagePoints:
             pan_sigma_rad,
             pan_track,
             missed=np.empty(0, dtype=np.intp) if missed is None else missed,
+            near=near,
         )
 
     @classmethod
@@ -211,7 +217,7 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     turn = _turning(scale * pans, tilt) @ axis_from_base
     away = upright @ leaning.T - state[_AXIS:_RPY]
     inner = (turn @ away[:, :, None])[:, :, 0]
-    outer = inner - state[_CENTER:ROLL]
+    outer = inner - state[CENTER:ROLL]
 
     # Derivatives of `outer`: by x, y, heading, pitch and lean of the base, by the axis and its
     # angles, by the optical centre, by pan and tilt, by the point.

@@ -25,6 +25,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
+    CENTER,
     DELAY,
     ImagePoints,
     LEAN,
@@ -239,7 +240,7 @@ class JointFilter:
         Return the filter of the same robot at another pose.
 
         What was learned of wheels, mount and floor stays. A pose that was found `by_camera` is off
-        by the pan zero, against which its heading is known.
+        by what the camera's place on the base is off by.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
         mine, new = self._state, other._state
@@ -248,8 +249,16 @@ class JointFilter:
         mean[wheels] = mine.mean[wheels]
         covariance[wheels, wheels] = mine.covariance[wheels, wheels]
         if by_camera:
-            covariance[2, wheels] = covariance[wheels, 2] = -covariance[YAW, wheels]
-            covariance[2, 2] += covariance[YAW, YAW]
+            x, y = mean[CALIBRATION : CALIBRATION + 2].tolist()
+            c, s = np.cos(mean[2]), np.sin(mean[2])
+            by_mount = np.zeros((3, STATES - SCALE))
+            by_mount[:2, CALIBRATION - SCALE : CALIBRATION - SCALE + 2] = [[-c, s], [-s, -c]]
+            by_mount[:, YAW - SCALE] = -s * x - c * y, c * x - s * y, -1.0
+            with_mount = by_mount @ covariance[wheels, wheels]
+            covariance[:3, wheels], covariance[wheels, :3] = with_mount, with_mount.T
+            covariance[:3, :3] += with_mount @ by_mount.T
+            # The optical centre was to one side of the axis, then to another.
+            covariance[[0, 1], [0, 1]] += covariance[CENTER, CENTER]
         other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
         return other
 
@@ -433,6 +442,8 @@ class JointFilter:
         noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
         common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2
         mean, looser = prior, np.ones(count)
+        if seen.near is not None:
+            mean = np.concatenate([seen.near, prior[3:]])
         for _ in range(_ITERATIONS):
             points = self._positions[seen.columns] + mean[own]
             points += self._loadings[seen.columns] @ mean[STATES : self._fixed]

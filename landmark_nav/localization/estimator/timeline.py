@@ -59,8 +59,7 @@ class Timeline:
         refusal = self._track.add(sample)
         if refusal is None and self._extrapolated:
             # These images were placed by extrapolation, which this sample replaces.
-            first = len(self._images) - self._extrapolated
-            self._again(first)
+            self._again(len(self._images) - self._extrapolated)
         return refusal
 
     def add_image(self, seen: ImagePoints) -> Update | Refusal:
@@ -120,4 +119,5 @@ class Timeline:
         old = sum(image.stamp_ns < newest - self._window_ns for image in self._images)
         if old:
             del self._images[:old], self._before[:old]
+            self._extrapolated = min(self._extrapolated, len(self._images))
             self._track.trim(self._before[0].stamp_ns)
