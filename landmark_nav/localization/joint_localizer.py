@@ -396,6 +396,7 @@ class JointLocalizer:
             reason,
             joint.with_landmarks(),
             level=protection_level(fused, update),
+            points=points,
         )
 
     def _fusion_update(

@@ -162,6 +162,12 @@ class ImagePoints:
             rows=False,
         )
 
+    @classmethod
+    def nothing(cls, stamp_ns: int) -> ImagePoints:
+        """Return those of an image that shows no landmark."""
+        none = np.empty(0)
+        return cls(stamp_ns, none.astype(np.intp), none.reshape(0, 2), none.reshape(0, 2, 2), none)
+
     def chosen(self, which: npt.NDArray[np.bool_]) -> ImagePoints:
         """Return some of them: `which` (m,) says whether to keep each."""
         return replace(

@@ -12,7 +12,7 @@ allows.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -56,7 +56,7 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['JointFilter', 'Update']
+__all__ = ['JointFilter', 'State', 'Update']
 
 # Iterations of an update, and the change of the position that ends them, metres.
 _ITERATIONS, _CONVERGED_M = 5, 1e-4
@@ -71,11 +71,13 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 _WITNESSES, _INLIER = 3, 0.3
 # An image is a surprise if it is less likely than this.
 _SURPRISE = 1e-3
+# Sigmas of a pose of which nothing is known, metres and radians.
+_ANYWHERE = (3.0, 3.0, 2.0)
 _DRIFTING = slice(SCALE, SLIP)
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class State:
     """All that changes; arrays are never changed in place, so that a copy costs nothing."""
 
     stamp_ns: int
@@ -88,6 +90,8 @@ class _State:
     unseen_m: FloatArray
     way_m: float = 0.0
     seconds: float = 0.0
+    # Derivative of pose, lean and odometry by those after the last image.
+    carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
 
 
 class Update(NamedTuple):
@@ -148,6 +152,11 @@ class JointFilter:
     odometry : OdometryNoiseConfig
         Noise of the wheels.
 
+    Attributes
+    ----------
+    predicted : State
+        What was expected before the last image.
+
     """
 
     def __init__(
@@ -182,7 +191,9 @@ class JointFilter:
         by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
         none = np.empty(0, dtype=np.intp)
         scales = NoiseScales.unknown(self._config.learning_sigma)
-        self._state = _State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
+        self._state = State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
+        # What was expected of the last image.
+        self.predicted = self._state
 
     @property
     def estimate(self) -> PoseEstimate:
@@ -278,13 +289,27 @@ class JointFilter:
         return self._state.scales.factors
 
     @property
-    def snapshot(self) -> _State:
+    def snapshot(self) -> State:
         """Everything that is known; hand it to `restore` to go back."""
         return self._state
 
-    def restore(self, snapshot: _State) -> None:
+    def restore(self, snapshot: State) -> None:
         """Go back to a snapshot."""
         self._state = snapshot
+
+    def mark(self) -> None:
+        """Begin anew to carry along the derivative by the state as it is now."""
+        self._state = replace(self._state, carried=np.eye(CALIBRATION))
+
+    def forget_pose(self) -> None:
+        """Have the robot be anywhere in a large room."""
+        covariance = self._state.covariance.copy()
+        covariance[:3, :3] += np.diag(np.square(_ANYWHERE))
+        self._state = replace(self._state, covariance=covariance)
+
+    def kept(self, way_m: float) -> float:
+        """Share of a landmark's own error that is left after a way."""
+        return float(np.exp(-way_m / self._config.map_memory_m))
 
     def move(self, stamp_ns: int, motion: Motion) -> None:
         """Move on by odometry."""
@@ -335,6 +360,7 @@ class JointFilter:
             scales=scales,
             way_m=state.way_m + way,
             seconds=state.seconds + motion.seconds,
+            carried=by_state @ state.carried,
         )
 
     def observe(self, seen: ImagePoints) -> Update:
@@ -347,22 +373,24 @@ class JointFilter:
         seen = _usable(seen, len(self._positions))
         if not len(seen):
             self._state = replace(self._state, stamp_ns=max(self._state.stamp_ns, seen.stamp_ns))
+            self.predicted = self._state
             return _nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
         if self._config.step_probability and update.surprising:
-            freed, alternative = self._corrected(self._stepped(prior), seen)
+            stepped = self._stepped(prior)
+            freed, alternative = self._corrected(stepped, seen)
             odds = self._config.step_probability / (1.0 - self._config.step_probability)
             agree = int(np.sum(alternative.weight > _INLIER))
             if (
                 agree >= _WITNESSES
                 and alternative.log_evidence + np.log(odds) > update.log_evidence
             ):
-                after, update = freed, alternative._replace(stepped=True)
-        self._state = after
+                prior, after, update = stepped, freed, alternative._replace(stepped=True)
+        self._state, self.predicted = after, prior
         return update
 
-    def _stepped(self, state: _State) -> _State:
+    def _stepped(self, state: State) -> State:
         """Return the state where base, camera or joint delay may have changed."""
         covariance, config = state.covariance.copy(), self._config
         covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
@@ -373,11 +401,11 @@ class JointFilter:
                 covariance[k, k] += sigma**2
         return replace(state, covariance=covariance)
 
-    def _elapsed(self, state: _State) -> _State:
+    def _elapsed(self, state: State) -> State:
         """Let errors of landmarks and mount change by the way and time since the last image."""
         if not (state.way_m or state.seconds):
             return state
-        kept, first = float(np.exp(-state.way_m / self._config.map_memory_m)), self._fixed
+        kept, first = self.kept(state.way_m), self._fixed
         unseen = state.unseen_m + state.way_m
         mean, covariance = state.mean.copy(), state.covariance.copy()
         if state.way_m and len(state.landmarks):
@@ -396,7 +424,7 @@ class JointFilter:
             state, mean=mean, covariance=covariance, unseen_m=unseen, way_m=0.0, seconds=0.0
         )
 
-    def _with_landmarks(self, state: _State, columns: IndexArray) -> _State:
+    def _with_landmarks(self, state: State, columns: IndexArray) -> State:
         """Return the state with the errors of these landmarks, without those that are stale."""
         seen, known = np.zeros((2, len(self._positions)), dtype=np.bool_)
         seen[columns], known[state.landmarks] = True, True
@@ -430,7 +458,7 @@ class JointFilter:
             unseen_m=np.concatenate([unseen[kept], np.zeros(len(new))]),
         )
 
-    def _corrected(self, state: _State, seen: ImagePoints) -> tuple[_State, Update]:
+    def _corrected(self, state: State, seen: ImagePoints) -> tuple[State, Update]:
         """Iterated update, weights and linearisation together."""
         rows = 2 if seen.rows else 1
         count, size = len(seen), len(state.mean)

@@ -31,8 +31,9 @@ _WRONG, _FOUND, _BY_CHANCE = 0.1, 0.8, 0.15
 _WINDOW_SIGMAS, _LEAST_WINDOW = 3.0, 0.02
 # One detection, and all misses of an image, count at most this much: they have causes in common.
 _MOST, _MOST_MISSED = 2.0, 2.0
-# Bounds of the sum, of what one image adds, and of the sum below which a pose is lost, nats.
-_BOUND, _AT_ONCE, _LOST = 8.0, 4.0, -4.0
+# Bounds of the sum and of what one image adds; the sum below which a pose is lost, and what one
+# image adds that speaks against the pose by itself, nats.
+_BOUND, _AT_ONCE, _LOST, _AGAINST = 8.0, 4.0, -4.0, -2.0
 # Without a detection for so long a pose is degraded, seconds.
 _BLIND_S = 1.0
 # Sigmas of a pose that is lost, and of a heading that is degraded.
@@ -92,7 +93,7 @@ class Integrity:
     """Sums up the likelihood ratio of one image after the other."""
 
     def __init__(self) -> None:
-        self._log_ratio = 0.0
+        self._log_ratio, self._newest = 0.0, 0.0
         self._found_ns: int | None = None
         self._stepped = False
 
@@ -111,8 +112,8 @@ class Integrity:
             self._found_ns = max(self._found_ns, stamp_ns)
             self._stepped |= update.stepped
             gained += float(np.minimum(log_ratios(update), _MOST).sum())
-        gained = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
-        self._log_ratio = float(np.clip(self._log_ratio + gained, -_BOUND, _BOUND))
+        self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
+        self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
 
     def status(self, estimate: PoseEstimate) -> tuple[Status, str]:
         """State of a pose, and the reason if it is not OK."""
@@ -125,7 +126,7 @@ class Integrity:
             return Status.LOST, 'images do not show what should be seen from here'
         if position > _LOST_M or heading > _LOST_RAD:
             return Status.LOST, f'sigma {position:.2f} m, {np.degrees(heading):.0f} deg'
-        if self._log_ratio < 0.0:
+        if self._log_ratio < 0.0 or self._newest <= _AGAINST:
             return Status.DEGRADED, 'images show little of what should be seen from here'
         if blind_s > _BLIND_S:
             return Status.DEGRADED, f'no landmark found for {blind_s:.1f} s'

@@ -16,10 +16,21 @@ from landmark_nav.localization.estimator.filter import JointFilter, Update
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
-__all__ = ['Timeline']
+__all__ = ['Timeline', 'move_to']
 
 # Motion is compounded in steps of about this.
 _STEP_NS = 100_000_000
+
+
+def move_to(stamp_ns: int, joint: JointFilter, track: OdometryTrack) -> None:
+    """Move a filter on to a time, as the odometry says."""
+    begin = joint.snapshot.stamp_ns
+    if stamp_ns <= begin:
+        return
+    steps = max(1, round((stamp_ns - begin) / _STEP_NS))
+    times = [begin + (stamp_ns - begin) * k // steps for k in range(steps + 1)]
+    for since, until in pairwise(times):
+        joint.move(until, track.motion(since, until))
 
 
 class Timeline:
@@ -87,7 +98,7 @@ class Timeline:
         other = copy(self._filter)
         at = bisect_right([state.stamp_ns for state in self._before], stamp_ns) - 1
         other.restore(self._before[max(at, 0)])
-        self._move(other, stamp_ns)
+        move_to(stamp_ns, other, self._track)
         return other
 
     def _again(self, first: int) -> Update:
@@ -96,22 +107,13 @@ class Timeline:
         updates = []
         for place in range(first, len(self._images)):
             image = self._images[place]
-            self._move(self._filter, image.stamp_ns)
+            move_to(image.stamp_ns, self._filter, self._track)
             updates.append(self._filter.observe(image))
             self._before[place + 1] = self._filter.snapshot
         ends = self._track.stamps_ns
         last = ends[1] if ends else 0
         self._extrapolated = sum(image.stamp_ns > last for image in self._images)
         return updates[0]
-
-    def _move(self, joint: JointFilter, stamp_ns: int) -> None:
-        begin = joint.snapshot.stamp_ns
-        if stamp_ns <= begin:
-            return
-        steps = max(1, round((stamp_ns - begin) / _STEP_NS))
-        times = [begin + (stamp_ns - begin) * k // steps for k in range(steps + 1)]
-        for since, until in pairwise(times):
-            joint.move(until, self._track.motion(since, until))
 
     def _trim(self) -> None:
         """Forget what is older than the window."""
