@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, NAMES
@@ -58,8 +58,9 @@ from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['JointFilter', 'State', 'Update']
 
-# Iterations of an update, and the change of the position that ends them, metres.
-_ITERATIONS, _CONVERGED_M = 5, 1e-4
+# Iterations of an update, and the change of the pose that ends them, metres and radians: what is
+# not linear in it is a hundredth of the noise.
+_ITERATIONS, _CONVERGED = 5, 3e-3
 # Landmark errors of which less than this share is left are forgotten.
 _STALE = 0.05
 # At most so many landmarks have errors in the state: the cost of an update grows with them.
@@ -507,9 +508,9 @@ class JointFilter:
                     break
             after = prior + with_state @ pull
             after[2] = wrap_rad(after[2])
-            change = np.abs(after[:2] - mean[:2]).max()
+            change = np.abs(after[:3] - mean[:3]).max()
             mean = after
-            if change < _CONVERGED_M:
+            if change < _CONVERGED:
                 break
         gain = with_state @ precision
         corrected = state.covariance - gain @ with_state.T
@@ -591,7 +592,7 @@ def _nothing(seen: ImagePoints) -> Update:
 @lru_cache
 def _surprise(count: int) -> float:
     """Squared innovation, normalised, of so many numbers that is a surprise."""
-    return float(chi2.isf(_SURPRISE, count))
+    return float(chdtri(count, _SURPRISE))
 
 
 def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:

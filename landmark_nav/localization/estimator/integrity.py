@@ -16,7 +16,7 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from landmark_nav.localization.estimator.filter import Update
 from landmark_nav.types import FloatArray, PoseEstimate
@@ -44,10 +44,10 @@ _RISK = 0.01
 _LANDMARK_RISK = 0.05
 # What the noise models leave out, as a factor on sigmas.
 _MODEL = 1.1
-_POSITION = _MODEL * float(np.sqrt(chi2.isf(_RISK, 2)))
-_HEADING = _MODEL * float(norm.isf(0.5 * _RISK))
-_POSITION_WITHOUT = _MODEL * float(np.sqrt(chi2.isf(_RISK / _LANDMARK_RISK, 2)))
-_HEADING_WITHOUT = _MODEL * float(norm.isf(0.5 * _RISK / _LANDMARK_RISK))
+_POSITION = _MODEL * float(np.sqrt(chdtri(2, _RISK)))
+_HEADING = _MODEL * float(-ndtri(0.5 * _RISK))
+_POSITION_WITHOUT = _MODEL * float(np.sqrt(chdtri(2, _RISK / _LANDMARK_RISK)))
+_HEADING_WITHOUT = _MODEL * float(-ndtri(0.5 * _RISK / _LANDMARK_RISK))
 
 
 class Status(Enum):
