@@ -56,7 +56,7 @@ def smooth_run(
         track = OdometryTrack(config.odometry)
         for sample in run.samples:
             track.add(sample)
-        return _of_joint(joint, track, updates, open_, landmark_map)
+        return _of_joint(joint, track, updates, open_)
     return smooth(
         run.start,
         run.samples,
@@ -75,7 +75,6 @@ def _of_joint(
     track: OdometryTrack,
     updates: Sequence[LocalizationUpdate],
     lost: npt.NDArray[np.bool_],
-    landmark_map: LandmarkMap,
 ) -> Smoothed:
     """Line of the joint estimator; where it was lost, nothing is known of the motion."""
     images = []
@@ -89,7 +88,7 @@ def _of_joint(
         np.array([pose.stamp_ns for pose in poses], dtype=np.int64),
         np.array([pose.pose for pose in poses]),
         np.array([pose.covariance for pose in poses]),
-        landmark_map.positions[:, :2],
+        joint.landmarks[:, :2],
         calibration['axis_yaw'][0] - calibration.base.axis_rpy[2],
         calibration['principal_point'][0],
         1,

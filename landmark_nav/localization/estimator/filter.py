@@ -285,6 +285,14 @@ class JointFilter:
         )
 
     @property
+    def landmarks(self) -> FloatArray:
+        """Positions (n, 3) of the landmarks of the map, as far as they are known by now."""
+        state = self._state
+        found = self._positions + self._loadings @ state.mean[STATES : self._fixed]
+        found[state.landmarks] += state.mean[self._fixed :].reshape(-1, 3)
+        return np.asarray(found)
+
+    @property
     def noise_factors(self) -> FloatArray:
         """Factors on the variances of way, turns, slip, floor and detections, (NOISES,)."""
         return self._state.scales.factors
