@@ -65,10 +65,10 @@ def test_an_image_after_blind_motion_tells_nothing_of_the_mount() -> None:
 def test_a_pose_found_by_the_camera_is_off_by_the_mount() -> None:
     joint = driven(simulated(2, TAPE, seconds=4.0)).filter
     exact = 1e-10 * np.eye(3)
-    found = joint.placed(PoseEstimate(0, np.array([2.0, 1.0, 0.7]), exact), by_camera=True)
+    found = joint.placed(PoseEstimate(0, np.array([2.0, 1.0, 0.7]), exact), 0.0)
     center = joint.calibration['center_x'][1]
     # The camera is where it was found; the base, by as much as is not known between them.
-    seen = np.sqrt(np.diag(found.camera.covariance))
+    seen = np.sqrt(np.diag(found.expectation.covariance))
     assert seen[:2] == pytest.approx(center, rel=0.2)
     assert seen[2] < 1e-4
     mount = np.sqrt(np.sum(joint.calibration.sigma_of('axis_x', 2) ** 2))

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, Expectation, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
@@ -29,6 +29,7 @@ from landmark_nav.localization.estimator.factors import (
     DELAY,
     ImagePoints,
     LEAN,
+    LEAST_STEP_S,
     moved,
     project,
     ROLL,
@@ -203,13 +204,8 @@ class JointFilter:
         return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), state.covariance[:3, :3].copy())
 
     @property
-    def camera(self) -> PoseEstimate:
-        """
-        Pose of the base as the camera sees it: by how much landmarks may be off in the next image.
-
-        Position and heading are those of the base; the covariance is that of the pan axis, in the
-        direction of the camera, so that errors of heading and pan zero that cancel are left out.
-        """
+    def expectation(self) -> Expectation:
+        """Where the camera should be: by how much landmarks may be off in the next image."""
         state = self._state
         x, y = state.mean[CALIBRATION : CALIBRATION + 2].tolist()
         c, s = np.cos(state.mean[2]), np.sin(state.mean[2])
@@ -219,18 +215,11 @@ class JointFilter:
         rows[:2, CALIBRATION : CALIBRATION + 2] = [[c, -s], [s, c]]
         rows[2, YAW] = 1.0
         covariance = rows @ state.covariance[:STATES, :STATES] @ rows.T
-        return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), covariance)
-
-    @property
-    def tilt_sigma_rad(self) -> float:
-        """How well it is known how high the camera looks: of base, axis and camera together."""
         which = [LEAN, CALIBRATION + NAMES.index('axis_pitch'), TILT]
-        return float(np.sqrt(max(self._state.covariance[np.ix_(which, which)].sum(), 0.0)))
-
-    def pan_sigma_rad(self, pan_rate_rad_s: float) -> float:
-        """How well the pan is known at this rate, beside the pan zero."""
-        delay = abs(pan_rate_rad_s) * float(np.sqrt(self._state.covariance[DELAY, DELAY]))
-        return float(np.hypot(delay, self._prior.base.pan_sigma_rad))
+        tilt = float(np.sqrt(max(state.covariance[np.ix_(which, which)].sum(), 0.0)))
+        return Expectation(
+            state.stamp_ns, state.mean[:3].copy(), covariance, self.calibration, tilt
+        )
 
     def with_landmarks(self) -> FloatArray:
         """Covariance (3, 2 n) of the pose with x and y of all landmarks."""
@@ -247,12 +236,13 @@ class JointFilter:
         other._state = self._stepped(self._state)
         return other
 
-    def placed(self, start: PoseEstimate, by_camera: bool) -> JointFilter:
+    def placed(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> JointFilter:
         """
         Return the filter of the same robot at another pose.
 
-        What was learned of wheels, mount and floor stays. A pose that was found `by_camera` is off
-        by what the camera's place on the base is off by.
+        What was learned of wheels, mount and floor stays. A pose that the camera found, at this
+        rate to the left, is off by what the camera's place on the base and the delay of the joints
+        are off by.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
         mine, new = self._state, other._state
@@ -260,18 +250,33 @@ class JointFilter:
         wheels = slice(SCALE, STATES)
         mean[wheels] = mine.mean[wheels]
         covariance[wheels, wheels] = mine.covariance[wheels, wheels]
-        if by_camera:
+        if pan_rate_rad_s is not None:
             x, y = mean[CALIBRATION : CALIBRATION + 2].tolist()
             c, s = np.cos(mean[2]), np.sin(mean[2])
             by_mount = np.zeros((3, STATES - SCALE))
             by_mount[:2, CALIBRATION - SCALE : CALIBRATION - SCALE + 2] = [[-c, s], [-s, -c]]
             by_mount[:, YAW - SCALE] = -s * x - c * y, c * x - s * y, -1.0
+            by_mount[:, DELAY - SCALE] = pan_rate_rad_s * by_mount[:, YAW - SCALE]
             with_mount = by_mount @ covariance[wheels, wheels]
             covariance[:3, wheels], covariance[wheels, :3] = with_mount, with_mount.T
             covariance[:3, :3] += with_mount @ by_mount.T
             # The optical centre was to one side of the axis, then to another.
             covariance[[0, 1], [0, 1]] += covariance[CENTER, CENTER]
         other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
+        return other
+
+    def on_map(self, landmark_map: LandmarkMap) -> JointFilter:
+        """Return the filter of the same robot at the same pose, with other landmarks."""
+        other = JointFilter(
+            landmark_map, self.calibration, self.estimate, self._config, self._odometry
+        )
+        mine, new = self._state, other._state
+        mean, covariance = new.mean.copy(), new.covariance.copy()
+        mean[:STATES] = mine.mean[:STATES]
+        covariance[:STATES, :STATES] = mine.covariance[:STATES, :STATES]
+        other._state = replace(
+            new, mean=mean, covariance=covariance, by_noise=mine.by_noise, scales=mine.scales
+        )
         return other
 
     @property
@@ -469,6 +474,9 @@ class JointFilter:
 
     def _corrected(self, state: State, seen: ImagePoints) -> tuple[State, Update]:
         """Iterated update, weights and linearisation together."""
+        late = float(np.sqrt(state.covariance[DELAY, DELAY]))
+        seen = replace(seen, delay_step_s=max(late, LEAST_STEP_S))
+        bend = seen.bend_rad(float(state.mean[DELAY])) * min(1.0, late / LEAST_STEP_S) ** 2
         rows = 2 if seen.rows else 1
         count, size = len(seen), len(state.mean)
         slots = np.empty(len(self._positions), dtype=np.intp)
@@ -477,7 +485,7 @@ class JointFilter:
         each = np.arange(count)
         prior, freedom = state.mean, self._config.tail_freedom
         noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
-        common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2
+        common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2 + bend**2
         mean, looser = prior, np.ones(count)
         if seen.near is not None:
             mean = np.concatenate([seen.near, prior[3:]])

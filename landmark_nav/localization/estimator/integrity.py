@@ -12,6 +12,7 @@ Advanced RAIM User Algorithm, 2015).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -64,6 +65,18 @@ class ProtectionLevel(NamedTuple):
     position_m: float
     heading_rad: float
 
+    def scaled(self, estimate: PoseEstimate) -> PoseEstimate:
+        """
+        Return the pose with a covariance of which one sigma is this level.
+
+        The root of the largest eigenvalue of x and y is the level of the position, the root of
+        the variance of the heading its own.
+        """
+        position, heading = _sigmas(estimate.covariance)
+        by = np.array([self.position_m, self.position_m, self.heading_rad])
+        by /= np.maximum([position, position, heading], 1e-9)
+        return replace(estimate, covariance=estimate.covariance * np.outer(by, by))
+
 
 def protection_level(estimate: PoseEstimate, update: Update | None = None) -> ProtectionLevel:
     """Return the level of a pose, with the last update if there was one."""
@@ -114,6 +127,13 @@ class Integrity:
             gained += float(np.minimum(log_ratios(update), _MOST).sum())
         self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
         self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
+
+    def doubted(self, estimate: PoseEstimate) -> PoseEstimate:
+        """Return a pose as it is to be passed on: one that is lost tells hardly anything."""
+        if self._log_ratio >= _LOST:
+            return estimate
+        unknown = np.diag(np.square([_LOST_M, _LOST_M, _LOST_RAD]))
+        return replace(estimate, covariance=estimate.covariance + unknown)
 
     def status(self, estimate: PoseEstimate) -> tuple[Status, str]:
         """State of a pose, and the reason if it is not OK."""

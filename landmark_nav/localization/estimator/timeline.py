@@ -13,13 +13,15 @@ from itertools import pairwise
 
 from landmark_nav.localization.estimator.factors import ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter, Update
-from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
-__all__ = ['Timeline', 'move_to']
+__all__ = ['REACH_NS', 'Timeline', 'move_to']
 
 # Motion is compounded in steps of about this.
 _STEP_NS = 100_000_000
+# Odometry is kept for so long: a place may be found in an image that old.
+REACH_NS = 10 * 10**9
 
 
 def move_to(stamp_ns: int, joint: JointFilter, track: OdometryTrack) -> None:
@@ -54,11 +56,18 @@ class Timeline:
         self._images: list[ImagePoints] = []
         self._before = [joint.snapshot]
         self._extrapolated = 0
+        self._settle()
 
     @property
     def filter(self) -> JointFilter:
         """The filter, at the newest image."""
         return self._filter
+
+    @property
+    def newest_ns(self) -> int:
+        """Time of the newest image or odometry."""
+        ends, newest = self._track.stamps_ns, self._filter.snapshot.stamp_ns
+        return newest if ends is None else max(newest, ends[1])
 
     @property
     def begin_ns(self) -> int:
@@ -68,9 +77,10 @@ class Timeline:
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what is wrong with the sample, if anything."""
         refusal = self._track.add(sample)
-        if refusal is None and self._extrapolated:
+        if self._extrapolated and (refusal is None or isinstance(refusal, Distrusted)):
             # These images were placed by extrapolation, which this sample replaces.
             self._again(len(self._images) - self._extrapolated)
+        self._settle()
         return refusal
 
     def add_image(self, seen: ImagePoints) -> Update | Refusal:
@@ -88,10 +98,7 @@ class Timeline:
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate:
         """Pose of the base at a time from the first state of the window on; None: the newest."""
-        ends = self._track.stamps_ns
-        newest = self._filter.snapshot.stamp_ns
-        stamp_ns = max(newest, ends[1] if ends else newest) if stamp_ns is None else stamp_ns
-        return self.filter_at(stamp_ns).estimate
+        return self.filter_at(self.newest_ns if stamp_ns is None else stamp_ns).estimate
 
     def filter_at(self, stamp_ns: int) -> JointFilter:
         """Return a copy of the filter, moved to a time from the first state of the window on."""
@@ -122,4 +129,13 @@ class Timeline:
         if old:
             del self._images[:old], self._before[:old]
             self._extrapolated = min(self._extrapolated, len(self._images))
-            self._track.trim(self._before[0].stamp_ns)
+            self._track.trim(self._before[0].stamp_ns - REACH_NS)
+
+    def _settle(self) -> None:
+        """Move on without images: the time that is computed anew stays that of the window."""
+        ends = self._track.stamps_ns
+        begin = 0 if ends is None else ends[1] - self._window_ns
+        if self._before[-1].stamp_ns < begin - _STEP_NS:
+            move_to(begin, self._filter, self._track)
+            self._images, self._before, self._extrapolated = [], [self._filter.snapshot], 0
+            self._track.trim(begin - REACH_NS)
