@@ -19,6 +19,7 @@ from landmark_nav.localization.estimator import (
     Status,
     Update,
 )
+from landmark_nav.localization.estimator.filter import State
 from landmark_nav.localization.estimator.timeline import REACH_NS, Timeline
 from landmark_nav.localization.joint_delay import DOUBT_S, JointDelay, STILL, Swing
 from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
@@ -44,6 +45,8 @@ _LOG = logging.getLogger(__name__)
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
 # Odometry that stays away for so long is said, s.
 _SILENT_S = 0.7
+# Log of the odds from which images speak for a pose beyond doubt.
+_TRUSTED = 4.0
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
 
 
@@ -78,6 +81,8 @@ class JointFusion:
         self._window_s = window_s
         self._track, self._clock = OdometryTrack(self._odometry), ClockWatch()
         self._line: Timeline | None = None
+        # The state when images last spoke for the pose beyond doubt.
+        self._trusted: State | None = None
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
@@ -171,6 +176,8 @@ class JointFusion:
         update = line.add_image(seen)
         self._update = update if isinstance(update, Update) else None
         self._integrity.add(seen.stamp_ns, self._update, len(seen.missed))
+        if self._integrity.log_ratio >= _TRUSTED:
+            self._trusted = line.filter.snapshot
         if self._update is not None and self._update.stepped:
             _LOG.warning('camera or base was turned, and the wheels did not measure it')
         return update
@@ -297,16 +304,19 @@ class JointFusion:
         return late if late.is_known else replace(late, sigma_s=max(late.sigma_s, DOUBT_S))
 
     def _place(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> None:
-        """Be at a pose, with all that was learned of the robot."""
-        if self._line is None:
+        """Be at a pose, with all that was learned of the robot while the pose was right."""
+        lost = self.status_at()[0] is Status.LOST
+        if self._line is None or (lost and self._trusted is None):
             # All images of a swing agree on a heading that late joint states turned.
-            added = sqrt(max(0.0, self._prior_late.sigma_s**2 - self.late.sigma_s**2))
-            prior = self._prior.widened({'joint_delay': added})
-            joint = JointFilter(self._map, prior, start, self._config, self._odometry)
+            prior = self._prior_late.sigma_s**2 - self._prior['joint_delay'][1] ** 2
+            widened = self._prior.widened({'joint_delay': sqrt(max(0.0, prior))})
+            joint = JointFilter(self._map, widened, start, self._config, self._odometry)
         else:
             joint = self._line.filter
-            if pan_rate_rad_s is not None and self.status_at()[0] is Status.LOST:
-                # It was lost for a reason: the camera may have been turned.
+            if lost and self._trusted is not None:
+                # A wrong pose teaches wrong things. It was lost for a reason: the camera may have
+                # been turned.
+                joint.restore(self._trusted)
                 joint = joint.stepped()
         self._begin(joint.placed(start, pan_rate_rad_s))
         self._integrity = Integrity()

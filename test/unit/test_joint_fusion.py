@@ -208,6 +208,29 @@ def test_a_kidnapped_robot_says_that_it_does_not_know_where_it_is() -> None:
     assert fusion.status_at()[0] is not Status.LOST
 
 
+def test_a_wrong_start_teaches_nothing() -> None:
+    drive = simulated(4, seconds=20.0, prior=Calibration.of_mount(MOUNT))
+    fusion, right = fused(drive), fused(drive)
+    images = 0
+    for what in arriving(drive):
+        take(right, what)
+        take(fusion, what)
+        images += not isinstance(what, OdometrySample)
+        now = right.estimate()
+        assert now is not None
+        if images == 40 and not isinstance(what, OdometrySample):
+            aside = np.array([0.8, 0.6, 0.0])
+            wrong = replace(now, pose=now.pose + aside, covariance=1e-4 * np.eye(3))
+            fusion.initialize(wrong)
+        if images > 40 and fusion.status_at()[0] is Status.LOST:
+            fusion.place(replace(now, covariance=1e-4 * np.eye(3)))
+    status, _ = fusion.status_at()
+    assert status is not Status.LOST
+    off = fusion.calibration.values - drive.true.values
+    assert (np.abs(off) < 5.0 * fusion.calibration.sigmas).all()
+    assert np.abs(error(fusion, drive)[:2]).max() < 0.03
+
+
 def test_another_map_leaves_the_pose_and_what_was_learned() -> None:
     drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
     fusion, arrivals = fused(drive), list(arriving(drive))
