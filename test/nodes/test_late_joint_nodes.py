@@ -78,7 +78,7 @@ def true_places(drive: Bag) -> PoseTrack:
     )
 
 
-@pytest.mark.parametrize(('arrive_late', 'estimator'), [(False, 'filter'), (True, 'joint')])
+@pytest.mark.parametrize(('arrive_late', 'estimator'), [(False, 'filter'), (True, 'filter')])
 def test_late_joint_states_are_measured_and_pictures_turned_by_it(
     arrive_late: bool,
     localizing: None,
