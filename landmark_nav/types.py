@@ -321,9 +321,12 @@ class Detections:
     what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
     cross-correlation; `uv_px` (n, 2) the place in the picture and `covariance_px2` (n, 2, 2) its
     covariance, empty where bearings came from elsewhere. `missed` (m,) are the ids of those
-    that should be in view, were looked for and not found. The pan, its rate, sigma and track are
-    of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``; bearings of
-    a pan `pan_delay_s` later.
+    that should be in view, were looked for and not found. `points` (n, 2) are the places in the
+    normalised image, x/z to the right and y/z down, as camera_info has it, `point_covariance`
+    (n, 2, 2) theirs; both are empty where only bearings are known. `near` (3,) is the pose that
+    the image itself shows, where hardly any was known before. The pan, its rate, sigma and track
+    are of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``;
+    bearings of a pan `pan_delay_s` later.
     """
 
     stamp_ns: int
@@ -340,6 +343,9 @@ class Detections:
     joint_delay_s: float = 0.0
     pan_delay_s: float = 0.0
     covariance_px2: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    points: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    point_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    near: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return how many were found."""
@@ -349,4 +355,5 @@ class Detections:
         """Some of them: `which` (n,) says whether to keep each."""
         names = ['ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px']
         names += ['covariance_px2'] if len(self.covariance_px2) else []
+        names += ['points', 'point_covariance'] if len(self.points) else []
         return replace(self, **{name: getattr(self, name)[which] for name in names})

@@ -146,6 +146,11 @@ class Calibration:
             changed[NAMES.index(name)] = value
         return replace(self, values=changed)
 
+    def widened(self, sigmas: Mapping[str, float]) -> Calibration:
+        """Return a copy that is less certain: `sigmas` are added, by name."""
+        added = np.diag([sigmas.get(name, 0.0) ** 2 for name in NAMES])
+        return replace(self, covariance=self.covariance + added)
+
     def unobserved(self, prior: Calibration) -> tuple[str, ...]:
         """Names of what is known hardly better than by `prior`, and is not exact."""
         hardly = (self.sigmas > (1.0 - _OBSERVED) * prior.sigmas) & (prior.sigmas > 0.0)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 import heapq
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.cli.lines import evaluate_line, wrapped
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
@@ -20,11 +22,12 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.odometry.commanded import command_delay_s, integrate_commands
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import rosbag_factory
-from landmark_nav.simulation.setup_documents import robot_document, start_document
+from landmark_nav.simulation.setup_documents import start_document
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import save_map
 from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
+from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.storage.whole import check_new, check_writable, write_whole
 from landmark_nav.types import OdometrySample
 
@@ -32,6 +35,8 @@ __all__ = ['add_arguments', 'run']
 
 # What all bearings of a picture share, as an error of its pan: see config/mrclam.yaml.
 _SHARED_RAD = 0.025
+# Sigmas of the direction in the middle of an image, and of the principal point.
+_MIDDLE_RAD, _PRINCIPAL_POINT = 0.005, 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         raise LandmarkNavError(f'{args.folder}: robot {args.robot}: no truth at the start')
     _write_bag(log, odometry, args.out, args.overwrite)
     save_map(log.landmark_map, landmarks)
-    write_whole(robot, robot_document(PanTiltMount(pan_sigma_rad=_SHARED_RAD)))
+    save_calibration(_mount(), robot)
     write_whole(beginning, start_document(start))
     write_whole(config, shipped_config('mrclam.yaml').read_bytes())
     seen = sum(len(sighting) for sighting in log.sightings)
@@ -111,6 +116,17 @@ def run(args: argparse.Namespace) -> int:
     print(wrapped([told]))
     print(evaluate_line(args.out, landmarks, robot, start, config))
     return 0
+
+
+def _mount() -> Calibration:
+    """Return that of a camera fixed at the base: its lens is known in the middle of an image."""
+    mount = PanTiltMount(pan_sigma_rad=_SHARED_RAD)
+    exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
+    rows = np.zeros((2, len(NAMES)))
+    rows[0, NAMES.index('axis_yaw')] = _MIDDLE_RAD
+    rows[1, NAMES.index('principal_point')] = _PRINCIPAL_POINT
+    rows[1, NAMES.index('axis_yaw')] = -_PRINCIPAL_POINT
+    return replace(exact, covariance=rows.T @ rows)
 
 
 def _write_bag(

@@ -184,7 +184,7 @@ def run(args: argparse.Namespace) -> int:
     if done.calibration is not None:
         report['calibration'] = done.calibration.differences(calibration)
         report['integrity'] = integrity_report(done, errors)
-    smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
+    smoothed = smooth_run(done, landmarks, mount, learned, calibration) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)
         if apart := strays(done, smoothed):

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.metrics import consistency, error_summary, pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.estimator import ImagePoints, JointFilter
+from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.joint_delay import seen_in_time
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
 from landmark_nav.localization.smoother import smooth, Smoothed
 from landmark_nav.types import LandmarkMap
 
@@ -21,7 +28,11 @@ _FAR = 31.8
 
 
 def smooth_run(
-    run: Replay, landmark_map: LandmarkMap, mount: PanTiltMount, config: LocalizationConfig
+    run: Replay,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: LocalizationConfig,
+    calibration: Calibration | None = None,
 ) -> Smoothed:
     """
     Smooth over all detections of a run, those that the filter refused included.
@@ -39,6 +50,13 @@ def smooth_run(
             open_[used : k + 1] = True
         elif update.fusion.degrees:
             used = k + 1
+    if config.estimator == 'joint':
+        prior = calibration or Calibration.of_mount(mount)
+        joint = JointFilter(landmark_map, prior, run.start, config.joint, config.odometry)
+        track = OdometryTrack(config.odometry)
+        for sample in run.samples:
+            track.add(sample)
+        return _of_joint(joint, track, updates, open_)
     return smooth(
         run.start,
         run.samples,
@@ -49,6 +67,31 @@ def smooth_run(
         config.fusion,
         config.odometry,
         open_,
+    )
+
+
+def _of_joint(
+    joint: JointFilter,
+    track: OdometryTrack,
+    updates: Sequence[LocalizationUpdate],
+    lost: npt.NDArray[np.bool_],
+) -> Smoothed:
+    """Line of the joint estimator; where it was lost, nothing is known of the motion."""
+    images = []
+    for update, unknown in zip(updates, lost, strict=True):
+        seen = update.points or ImagePoints.nothing(update.stamp_ns)
+        near = update.fused.pose if unknown else seen.near
+        images.append(replace(seen, stamp_ns=update.stamp_ns, near=near))
+    poses = smoothed_poses(joint, track, images, lost)
+    calibration = joint.calibration
+    return Smoothed(
+        np.array([pose.stamp_ns for pose in poses], dtype=np.int64),
+        np.array([pose.pose for pose in poses]),
+        np.array([pose.covariance for pose in poses]),
+        joint.landmarks[:, :2],
+        calibration['axis_yaw'][0] - calibration.base.axis_rpy[2],
+        calibration['principal_point'][0],
+        1,
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.estimator import EstimatorConfig, ProtectionLevel
+from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints, ProtectionLevel
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.start import Found
@@ -87,6 +87,8 @@ class LocalizationUpdate:
         Result of searching for the place, if that was done.
     level : ProtectionLevel, optional
         What the error of `fused` stays within, with 99 %.
+    points : ImagePoints, optional
+        What the joint estimator was given.
 
     """
 
@@ -100,6 +102,7 @@ class LocalizationUpdate:
     with_landmarks: FloatArray | None = None
     search: PoseEstimate | Refusal | None = None
     level: ProtectionLevel | None = None
+    points: ImagePoints | None = None
 
 
 class Localizer:

@@ -9,6 +9,7 @@ import numpy as np
 
 __all__ = [
     'DETECTIONS',
+    'EXPECTATION',
     'FOUND_PLACE',
     'JOINT_DELAY',
     'LANDMARKS',
@@ -61,8 +62,10 @@ class Layout:
         return np.dtype([*fixed, *repeated])
 
 
-# By how much the stamps of the joints were taken to be late is the same in all rows: as the node
-# was configured, and as was measured beyond that.
+# Image coordinates are normalised, as camera_info has it; a covariance of zero says that there are
+# none. The same in all rows are by how much the stamps of the joints were taken to be late, as the
+# node was configured and as was measured beyond that, and the pose that the image itself shows,
+# all zero if it was not sought.
 DETECTIONS = Layout(
     'detections',
     np.dtype(
@@ -75,9 +78,27 @@ DETECTIONS = Layout(
             ('v', '<f4'),
             ('joint_delay', '<f8'),
             ('pan_delay', '<f8'),
+            ('point', '<f8', (2,)),
+            ('point_covariance', '<f8', (4,)),
+            ('near', '<f8', (3,)),
         ]
     ),
-    optional=('joint_delay', 'pan_delay'),
+    optional=('joint_delay', 'pan_delay', 'point', 'point_covariance', 'near'),
+)
+
+# One point: camera pose, its covariance, speeds of the base, values and sigmas of the calibration.
+EXPECTATION = Layout(
+    'expectation',
+    np.dtype(
+        [
+            ('pose', '<f8', (3,)),
+            ('covariance', '<f8', (9,)),
+            ('speeds', '<f8', (2,)),
+            ('tilt_sigma', '<f8'),
+            ('values', '<f8', (15,)),
+            ('sigmas', '<f8', (15,)),
+        ]
+    ),
 )
 
 JOINT_DELAY = Layout('joint_delay', np.dtype([('delay', '<f8'), ('sigma', '<f8')]))

@@ -8,16 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import NAMES, UNITS
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.localization.estimator import EstimatorConfig, Status
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.late_joints import REACH_S
 from landmark_nav.localization.fusion.spread import SpreadCorrection
-from landmark_nav.localization.fusion.start import Found, with_sigmas
+from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
 from landmark_nav.localization.joint_delay import Swing
+from landmark_nav.localization.joint_fusion import JointFusion
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted
+from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.parameters import Config, parameter
@@ -29,8 +33,15 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.transforms import MapToOdom
-from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate, Refusal
+from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.types import (
+    Detections,
+    JointSample,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
@@ -38,6 +49,11 @@ __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 # long after its picture. So long that is waited for.
 _SWING_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
+_STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
+# A detection of less weight than this is an outlier.
+_OUTLIER = 0.1
+# Sigmas of a value of the calibration from which it is said that robot.yaml is off.
+_BEYOND_DOUBT = 5.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +74,12 @@ class Parameters(Config):
     """Of the node ``odometry_fusion``."""
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
+    estimator: str = parameter(
+        'filter',
+        'what estimates the pose: the filter of bearings, or the joint estimator of pose, '
+        'calibration and map errors; the same as of triangulation_localizer',
+        choices=('filter', 'joint'),
+    )
     map_frame: str = parameter('map', 'frame of odometry/fused')
     start_sigma_m: float = parameter(
         0.3, 'position sigma of an initialpose that comes without one, m', minimum=1e-4
@@ -73,28 +95,39 @@ class Parameters(Config):
         maximum=60.0,
     )
     fusion: LiveFusionConfig = field(default_factory=LiveFusionConfig)
+    joint: EstimatorConfig = field(default_factory=EstimatorConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
 
 
 class OdometryFusionNode(LandmarkNode):
-    """``odom`` and ``detections`` to ``odometry/fused``, by `localization.fusion.PoseFilter`."""
+    """``odom`` and ``detections`` to ``odometry/fused``, by `PoseFilter` or `JointFusion`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('odometry_fusion', 'fusion', **options)
         self._config = self.configure(Parameters)
-        self._mount = load_robot(self.required('robot_file', self._config.robot_file))
+        calibration = load_calibration(self.required('robot_file', self._config.robot_file))
+        self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
-        self._joint_delay = self.advertise('joint_delay')
         self._transform = MapToOdom(self)
         self._spread = SpreadCorrection(self._config.correction_time_s)
-        self._filter = PoseFilter(
-            LandmarkMap(()),
-            self._mount,
-            self._config.fusion,
-            self._config.odometry,
-            self._config.health,
-        )
+        config = self._config
+        self._filter: PoseFilter | JointFusion
+        if config.estimator == 'joint':
+            self._filter = JointFusion(
+                LandmarkMap(()),
+                calibration,
+                config.joint,
+                config.odometry,
+                config.fusion.history_s,
+            )
+            self._expectation = self.advertise('expectation')
+            self._level = self.advertise('odometry_fusion/protection_level')
+        else:
+            self._filter = PoseFilter(
+                LandmarkMap(()), self._mount, config.fusion, config.odometry, config.health
+            )
+            self._joint_delay = self.advertise('joint_delay')
         self._landmarks = 0
         self._accepted = self._rejected = 0
         self._last: OdometrySample | None = None
@@ -109,7 +142,7 @@ class OdometryFusionNode(LandmarkNode):
         self.listen('detections', self._on_detections)
         # Bearings and the poses made of them are the same information: where poses are used,
         # bearings tell what was seen.
-        if self._config.fusion.mode == 'poses':
+        if isinstance(self._filter, PoseFilter) and config.fusion.mode == 'poses':
             self.listen('triangulation/pose', self._on_pose)
         self.listen('initialpose', self._on_initial_pose)
         self.listen('found_place', self._on_found_place)
@@ -121,10 +154,13 @@ class OdometryFusionNode(LandmarkNode):
         # Where odometry stays away nothing moves the filter on, but its time passes.
         silent_ns = round(1e9 * self._config.health.silent_after_s)
         silent = self._last is not None and now_ns - self._last.stamp_ns > silent_ns
-        status, reason = self._filter.status_at(now_ns if silent else None)
+        verdict = self._filter.status_at(now_ns if silent else None)
+        status = _STATUS[verdict[0]] if isinstance(verdict[0], Status) else verdict[0]
+        reason = verdict[1]
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
         values = counts | {'rejected': self._rejected} | self._latency.values() | self._offsets()
-        return Health(_LEVELS[status], (reason or status) + self._delay_advice(), values)
+        advice = self._delay_advice() + self._mount_advice()
+        return Health(_LEVELS[status], (reason or status) + advice, values)
 
     def _now_ns(self) -> int:
         """Time by the clock of the odometry."""
@@ -141,8 +177,24 @@ class OdometryFusionNode(LandmarkNode):
             f'once with {late.delay_s:.4f} more in joint_delay_s of triangulation_localizer'
         )
 
+    def _mount_advice(self) -> str:
+        """By what robot.yaml is off, where that is found out beyond doubt."""
+        if not isinstance(self._filter, JointFusion):
+            return ''
+        known, prior = self._filter.calibration, self._filter.prior
+        off = known.values - prior.values
+        far = np.abs(off) > np.maximum(prior.sigmas, _BEYOND_DOUBT * known.sigmas)
+        names = [
+            f'{name} by {off[k]:+.4f} {UNITS[name]}'
+            for k, name in enumerate(NAMES)
+            if far[k] and name != 'joint_delay'
+        ]
+        return f'; robot.yaml is off, which is put right: {", ".join(names)}' if names else ''
+
     def _offsets(self) -> dict[str, str]:
-        """What is known of constant errors of the camera's direction, each with its sigma."""
+        """What is known of mount, lens and clocks."""
+        if isinstance(self._filter, JointFusion):
+            return _calibration_values(self._filter)
         state = self._filter.state
         if state is None:
             return {}
@@ -170,7 +222,8 @@ class OdometryFusionNode(LandmarkNode):
         decode.check_frame(message.header, self._config.map_frame, 'give it there')
         start = decode.pose_estimate(message)
         start = with_sigmas(start, self._config.start_sigma_m, self._config.start_sigma_rad)
-        self._start(start, 'start')
+        self._filter.initialize(start, self._now_ns())
+        self._started(start, 'start')
         self._told_ns = None if self._last is None else self._now_ns()
         self._waiting = deque(one for one in self._waiting if isinstance(one, Detections))
 
@@ -184,8 +237,7 @@ class OdometryFusionNode(LandmarkNode):
         self._waiting.append(place)
         self._use_waiting()
 
-    def _start(self, start: PoseEstimate, how: str, found: Found | None = None) -> None:
-        self._filter.initialize(start, self._now_ns(), found)
+    def _started(self, start: PoseEstimate, how: str) -> None:
         self._spread.restart()
         x, y, heading = start.pose
         self.get_logger().info(f'{how} at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
@@ -244,6 +296,22 @@ class OdometryFusionNode(LandmarkNode):
 
     def _use(self, found: Detections) -> None:
         joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
+        if isinstance(self._filter, JointFusion):
+            known = None if isinstance(joints, Refusal) else joints
+            update = self._filter.add_detections(found, known)
+            if isinstance(update, Refusal):
+                self.note(f'detections dropped: {update}')
+            else:
+                good = int((update.weight > _OUTLIER).sum())
+                self._accepted += good
+                self._rejected += len(update.weight) - good
+        else:
+            self._use_bearings(self._filter, found, joints)
+        self._corrected(found.stamp_ns)
+
+    def _use_bearings(
+        self, bearings: PoseFilter, found: Detections, joints: JointSample | Refusal
+    ) -> None:
         if not isinstance(joints, Refusal):
             swing = Swing.of(joints, self._mount)
             found = replace(
@@ -253,23 +321,28 @@ class OdometryFusionNode(LandmarkNode):
                 pan_track=swing.track,
                 pan_rad=swing.azimuth_rad,
             )
-        self._count(self._filter.add_detections(found))
-        late = self._filter.late
+        self._count(bearings.add_detections(found))
+        late = bearings.late
         if late.sigma_s:
             self._joint_delay.publish(
                 encode.joint_delay(ros_factory, found.stamp_ns, late.delay_s, late.sigma_s)
             )
-        self._corrected(found.stamp_ns)
 
     def _use_place(self, place: FoundPlace) -> None:
         joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
-        # A track that ends before would say that the pan stood there.
-        known = None if isinstance(joints, Refusal) else Swing.of(joints, self._mount).track
-        track = known if known and known.reaches(REACH_S) else None
-        found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
-        self._start(place, 'found', found)
+        known = None if isinstance(joints, Refusal) else joints
+        if isinstance(self._filter, JointFusion):
+            self._filter.place(place, known, self._now_ns())
+        else:
+            # A track that ends before would say that the pan stood there.
+            swing = None if known is None else Swing.of(known, self._mount).track
+            track = swing if swing and swing.reaches(REACH_S) else None
+            found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
+            self._filter.initialize(place, self._now_ns(), found)
+        self._started(place, 'found')
 
     def _on_pose(self, message: Any) -> None:
+        assert isinstance(self._filter, PoseFilter), 'nobody else listens'
         measured = decode.pose_estimate(message)
         self._count(self._filter.add_pose(measured))
         self._corrected(measured.stamp_ns)
@@ -291,7 +364,32 @@ class OdometryFusionNode(LandmarkNode):
     def _publish(self, estimate: PoseEstimate, sample: OdometrySample) -> None:
         fused = replace(sample, pose_odom_base=estimate.pose)
         frames = {'frame_id': self._config.map_frame, 'child_frame_id': self._mount.base_frame}
+        if isinstance(self._filter, JointFusion):
+            # Before the pose: where somebody has that, the other is known, too.
+            expected = self._filter.expectation(estimate.stamp_ns)
+            if expected is not None:
+                self._expectation.publish(
+                    encode.expectation(ros_factory, expected, sample, self._config.map_frame)
+                )
+            if self._level.get_subscription_count():
+                level = self._filter.level(estimate).scaled(estimate)
+                self._level.publish(encode.pose(ros_factory, level, self._config.map_frame))
         self._fused.publish(encode.odometry(ros_factory, fused, estimate.covariance, **frames))
+
+
+def _calibration_values(joint: JointFusion) -> dict[str, str]:
+    """Prior, value and sigma of what is not exact, and whether the motion has shown it."""
+    delay_s, sigma_s = joint.calibration['joint_delay']
+    values = {'joint_delay_ms': f'{1e3 * delay_s:.2f} +- {1e3 * sigma_s:.2f}'}
+    for name, of in joint.calibration.differences(joint.prior).items():
+        if joint.prior[name][1] > 0.0:
+            prior, value, sigma = (float(of[key]) for key in ('prior', 'value', 'sigma'))
+            known = '' if of['observed'] else ', not observed yet'
+            values[f'calibration/{name}'] = (
+                f'{value:.5f} +- {sigma:.5f} {of["unit"]} '
+                f'(prior {prior:.5f} +- {joint.prior[name][1]:.5f}{known})'
+            )
+    return values
 
 
 def main() -> int:

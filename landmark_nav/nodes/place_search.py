@@ -15,8 +15,8 @@ import time
 import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.height import Lean
 from landmark_nav.localization.joint_delay import Swing
 from landmark_nav.localization.looking import LookingConfig
@@ -87,14 +87,16 @@ class PlaceSearch:
     def __init__(
         self,
         node: LandmarkNode,
-        mount: PanTiltMount,
+        calibration: Calibration,
         config: PlaceSearchConfig,
         map_frame: str,
         fused: Callable[[int, float], PoseEstimate | None],
         odometry: OdometryNoiseConfig,
         looking: LookingConfig,
     ) -> None:
-        self._mount, self._config, self._map_frame = mount, config, map_frame
+        # As far as it is known by now: whoever learns it sets it.
+        self.calibration = calibration
+        self._config, self._map_frame = config, map_frame
         self._fused, self._noise, self._looking = fused, odometry, looking
         self._moves = False
         self.landmarks = LandmarkMap(())
@@ -197,7 +199,7 @@ class PlaceSearch:
                 found.pose,
                 found.covariance,
                 relocalizer.witnesses,
-                Swing.of(frame, self._mount).rate_rad_s,
+                Swing.of(frame, self.calibration.base).rate_rad_s,
                 joint_delay_s,
                 pan_delay_s,
             )
@@ -207,7 +209,8 @@ class PlaceSearch:
         return outcome
 
     def _new_relocalizer(self) -> Relocalizer:
-        return Relocalizer(self.landmarks, self._mount, self._config, self._noise, self._looking)
+        mount = self.calibration.mount
+        return Relocalizer(self.landmarks, mount, self._config, self._noise, self._looking)
 
     async def _search(self) -> str:
         if not self.landmarks.landmarks:

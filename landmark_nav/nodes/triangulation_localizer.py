@@ -11,10 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Expectation
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.detection.aim import degrees_aside
+from landmark_nav.localization.detection.height import Lean
 from landmark_nav.localization.detection.prior import PriorTrack
+from landmark_nav.localization.estimator import EstimatorConfig
 from landmark_nav.localization.joint_delay import in_time, JointDelay
+from landmark_nav.localization.joint_observer import JointObserver, straight
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
@@ -29,7 +33,7 @@ from landmark_nav.ros.newest_first import NewestFirst
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate, Refusal, Triplet
 
 __all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
@@ -48,6 +52,12 @@ class Parameters(ObservationConfig):
     """Of the node ``triangulation_localizer``, beside those of the stages."""
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
+    estimator: str = parameter(
+        'filter',
+        'whose expectations are used: those of the filter of bearings or of the joint estimator; '
+        'the same as of odometry_fusion',
+        choices=('filter', 'joint'),
+    )
     map_frame: str = parameter('map', 'frame of triangulation/pose')
     image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
     joint_delay_s: float = parameter(
@@ -66,25 +76,28 @@ class Parameters(ObservationConfig):
     max_prior_age_s: float = parameter(
         0.5, 'how far odometry/fused may be from a picture, s', minimum=0.0
     )
+    joint: EstimatorConfig = field(default_factory=EstimatorConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     relocalization: PlaceSearchConfig = field(default_factory=PlaceSearchConfig)
 
 
 class TriangulationLocalizerNode(LandmarkNode):
-    """Pictures to ``detections`` and ``triangulation/pose``, by an `Observer`."""
+    """Images to ``detections`` and ``triangulation/pose``, by an observer."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triangulation_localizer', 'detection', **options)
         self._config = self.configure(Parameters)
-        self._mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._calibration = load_calibration(self.required('robot_file', self._config.robot_file))
+        self._mount = self._calibration.mount
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
         self._frames = CameraFrames(self, self._mount, self._config.joint_delay_s)
-        self._prior = PriorTrack(self._config.max_prior_age_s)
+        self._prior = PriorTrack[PoseEstimate](self._config.max_prior_age_s)
+        self._expected = PriorTrack[Expectation](self._config.max_prior_age_s)
         search = self._config.relocalization
         self._search = PlaceSearch(
             self,
-            self._mount,
+            self._calibration,
             search,
             self._config.map_frame,
             self._prior.recent,
@@ -92,7 +105,8 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._config,
         )
         self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
-        self._observer: Observer | None = None
+        self._joint = self._config.estimator == 'joint'
+        self._observer: Observer | JointObserver | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None
         self._late = JointDelay()
@@ -108,7 +122,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         self.listen('odom', self._on_odometry, depth=50)
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
-        self.listen('joint_delay', self._on_joint_delay)
+        if self._joint:
+            self.listen('expectation', self._on_expectation)
+        else:
+            self.listen('joint_delay', self._on_joint_delay)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
@@ -143,6 +160,13 @@ class TriangulationLocalizerNode(LandmarkNode):
         by_chance = JointDelay(0.0, hypot(late.delay_s, late.sigma_s))
         self._late = late if late.matters else by_chance
 
+    def _on_expectation(self, message: Any) -> None:
+        expected, speeds = decode.expectation(message, self._mount)
+        self._expected.add(expected, speeds)
+        self._calibration = self._search.calibration = expected.calibration
+        late = JointDelay(*expected.calibration['joint_delay'])
+        self._late = late if late.matters else JointDelay()
+
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         config = self._config
         try:
@@ -151,7 +175,11 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._health = Health(Level.LOST, f'landmarks dropped: {error}')
             raise
         landmarks = decode.landmark_map(points, atlas)
-        self._observer = Observer(landmarks, self._mount, config, config.odometry)
+        self._observer = (
+            JointObserver(landmarks, self._calibration, config, config.joint, config.odometry)
+            if self._joint
+            else Observer(landmarks, self._mount, config, config.odometry)
+        )
         self._search.use(landmarks)
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no picture yet')
@@ -199,29 +227,37 @@ class TriangulationLocalizerNode(LandmarkNode):
     def _look(self, message: Any) -> bool:
         """Search for the place in a picture; whether it was found."""
         frame, late = self._complete(message, self._search.reaches)
-        assert self._observer is not None, 'pictures come after the map'
-        frame, _ = in_time(frame, late)
-        outcome = self._search.look(
-            frame, self._observer.lean, self._config.joint_delay_s, late.delay_s
-        )
+        observer, lean = self._observer, Lean()
+        if isinstance(observer, Observer):
+            lean = observer.lean
+            frame, _ = in_time(frame, late)
+        else:
+            frame = straight(frame, self._calibration)
+        outcome = self._search.look(frame, lean, self._config.joint_delay_s, late.delay_s)
         found = 'place found, and told on found_place'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)
         if isinstance(outcome, Refusal):
             return False
-        self._observer.turn(*self._search.lean_rad)
+        if isinstance(observer, Observer):
+            observer.turn(*self._search.lean_rad)
         return True
 
     def _observe(self, message: Any) -> Observation:
         stamp = decode.stamp_ns(message.header)
-        frame, late = self._complete(message, self._prior.reaches)
-        prior = self._prior.at(stamp)
-        if isinstance(prior, Refusal):
-            raise LandmarkNavError(str(prior))
         assert self._observer is not None, 'pictures come after the map'
+        track = self._expected if self._joint else self._prior
+        frame, late = self._complete(message, track.reaches)
         while self._odometry:
             self._observer.add_odometry(self._odometry.popleft())
-        seen = self._observer.look(frame, prior, self._triplet, late)
+        prior = track.at(stamp)
+        if isinstance(prior, Refusal):
+            raise LandmarkNavError(str(prior))
+        if isinstance(self._observer, Observer):
+            seen = self._observer.look(frame, prior, self._triplet, late)
+        else:
+            assert isinstance(prior, Expectation), 'of its own track'
+            seen = self._observer.look(frame, prior)
         uv_px = frame.camera.in_full_image(seen.detections.uv_px)
         return replace(seen, detections=replace(seen.detections, uv_px=uv_px))
 
@@ -246,14 +282,15 @@ class TriangulationLocalizerNode(LandmarkNode):
             'stale': self._stale,
         } | self._latency.values()
         knocked = ''
-        if self._observer is not None and self._observer.knocked_up_rad:
-            higher = np.degrees(self._observer.knocked_up_rad)
+        observer = self._observer
+        if isinstance(observer, Observer) and observer.knocked_up_rad:
+            higher = np.degrees(observer.knocked_up_rad)
             values['camera_higher_deg'] = f'{higher:+.2f}'
             side = 'above' if higher > 0.0 else 'below'
             knocked = f'; the camera looks {abs(higher):.2f} deg {side} where its joints say'
-        if self._observer is not None and self._observer.leaning_rad:
+        if isinstance(observer, Observer) and observer.leaning_rad:
             knocked += '; the camera leans {:.1f} deg {}'.format(
-                *degrees_aside(self._observer.leaning_rad)
+                *degrees_aside(observer.leaning_rad)
             )
         if self._triplet is not None:
             values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))

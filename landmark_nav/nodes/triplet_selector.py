@@ -73,6 +73,7 @@ class TripletSelectorNode(LandmarkNode):
         super().__init__('triplet_selector', 'attention', **options)
         self._config = self.configure(Parameters)
         self._mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._calibrated = self._mount
         self._publisher = self.advertise('triplet')
         cloud = message_class('sensor_msgs/msg/PointCloud2')
         self._ranking = self.create_publisher(cloud, '~/ranking', RELIABLE)
@@ -90,6 +91,7 @@ class TripletSelectorNode(LandmarkNode):
         self._yield_until = 0.0
         self._health = Health(Level.DEGRADED, 'waits for its first choice')
         self.listen('odometry/fused', self._on_fused, depth=1)
+        self.listen('expectation', self._on_expectation, depth=1)
         self.listen('detections', self._on_detections)
         listen_for_pan(self, self._mount, self._config.command.type, self._on_command)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
@@ -108,9 +110,15 @@ class TripletSelectorNode(LandmarkNode):
     def _on_fused(self, message: Any) -> None:
         self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
 
+    def _on_expectation(self, message: Any) -> None:
+        """Look where the joint estimator, if that runs, has the camera."""
+        self._calibrated = decode.expectation(message, self._mount)[0].calibration.mount
+        if self._camera is not None:
+            self._camera.mount = self._calibrated
+
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         self._map = decode.landmark_map(points, atlas)
-        self._camera = ActiveCamera(self._map, self._mount, self._config.triplet)
+        self._camera = ActiveCamera(self._map, self._calibrated, self._config.triplet)
 
     def _on_detections(self, message: Any) -> None:
         """Count what was found of what should have been in view."""

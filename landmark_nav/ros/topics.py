@@ -79,6 +79,8 @@ _PROFILES = (
         'triangulation/pose',
         'found_place',
         'odometry/fused',
+        'odometry_fusion/protection_level',
+        'expectation',
         'joint_delay',
     ),
 )

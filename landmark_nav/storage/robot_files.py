@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from landmark_nav.storage.fields import array_field, number_field
 from landmark_nav.storage.reading import read_yaml_mapping
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.storage.whole import write_whole
+from landmark_nav.types import FloatArray
 
 __all__ = ['load_calibration', 'save_calibration']
 
@@ -30,6 +32,8 @@ _SIGMAS |= {f'{name}_sigma': (name,) for name in _SCALARS}
 _OF_AXIS = ('xyz_sigma', 'rpy_sigma')
 # A larger sigma is in another unit.
 _LARGEST = {'m': 1.0, 'rad': 3.2, '1': 1.0, 's': 10.0}
+# Smaller correlations say nothing.
+_LEAST_CORRELATION = 1e-6
 # A larger value is.
 _LARGEST_SCALAR = {'rad': 1.0, '1': 0.5, 's': 10.0}
 
@@ -63,9 +67,31 @@ def load_calibration(path: Path | str) -> Calibration:
                 if abs(values[name]) > _LARGEST_SCALAR[UNITS[name]]:
                     unit = UNITS[name].replace('1', 'a fraction')
                     raise LandmarkNavError(f'robot: {name} is {values[name]:g}: give it in {unit}')
+        alone = Calibration.of_mount(mount, sigmas, values)
+        together = _correlations(document.get('correlations', []))
+        return replace(alone, covariance=np.outer(alone.sigmas, alone.sigmas) * together)
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
-    return Calibration.of_mount(mount, sigmas, values)
+
+
+def _correlations(entries: Any) -> FloatArray:
+    """Return the matrix (15, 15) of correlations, out of entries [name, name, number]."""
+    together = np.eye(len(NAMES))
+    wrong = (
+        f'correlations: give entries [name, name, -1 to 1] of two of {", ".join(NAMES[:2])}, ...'
+    )
+    if not isinstance(entries, list) or len(entries) > len(NAMES) ** 2:
+        raise LandmarkNavError(wrong)
+    for entry in entries:
+        if not isinstance(entry, list) or len(entry) != 3:
+            raise LandmarkNavError(wrong)
+        first, second, value = entry
+        real = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1
+        if first not in NAMES or second not in NAMES or first == second or not real:
+            raise LandmarkNavError(wrong)
+        i, k = NAMES.index(first), NAMES.index(second)
+        together[i, k] = together[k, i] = value
+    return together
 
 
 def _spread(mapping: dict[str, Any], key: str, names: tuple[str, ...], where: str) -> list[float]:
@@ -108,6 +134,14 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     }
     for name in ('camera_roll', *_SCALARS):
         document[name], document[f'{name}_sigma'] = _rounded(value[name]), _rounded(sigma[name])
+    spread = np.maximum(calibration.sigmas, 1e-12)
+    together = calibration.covariance / np.outer(spread, spread)
+    # Rounded toward zero, so that it stays a covariance.
+    document['correlations'] = [
+        [NAMES[i], NAMES[k], float(np.trunc(together[i, k] * 1e9) / 1e9)]
+        for i, k in zip(*np.triu_indices(len(NAMES), 1), strict=True)
+        if abs(together[i, k]) > _LEAST_CORRELATION
+    ]
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True)
     write_whole(Path(path), text)
 

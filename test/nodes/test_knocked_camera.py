@@ -61,8 +61,10 @@ def test_odometry_that_is_doubted_is_fused_all_the_same(domain_id: int, tmp_path
     rng = np.random.default_rng(0)
     context = Context()
     context.init(domain_id=domain_id)
+    given = {'robot_file': str(robot), 'estimator': 'filter'}
     node = OdometryFusionNode(
-        context=context, parameter_overrides=[Parameter('robot_file', value=str(robot))]
+        context=context,
+        parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
     )
     fused: list[Any] = []
     node._fused = SimpleNamespace(publish=fused.append)

@@ -53,7 +53,9 @@ def stamped_late(path: Path, arrive_late: bool) -> Path:
 
 
 @pytest.fixture
-def localizing(learned_map: Path, start: Callable[..., None], client: RobotClient) -> None:
+def localizing(
+    learned_map: Path, start: Callable[..., None], client: RobotClient, estimator: str
+) -> None:
     """Nodes that know the map, and not yet the place."""
     robot = str(RECORDED / 'robot.yaml')
     start(
@@ -62,8 +64,8 @@ def localizing(learned_map: Path, start: Callable[..., None], client: RobotClien
         map_folder=str(learned_map),
         load_on_start=True,
     )
-    start('triangulation_localizer', robot_file=robot)
-    start('odometry_fusion', robot_file=robot)
+    start('triangulation_localizer', robot_file=robot, estimator=estimator)
+    start('odometry_fusion', robot_file=robot, estimator=estimator)
     client.wait(
         lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 60.0, 'the map'
     )
@@ -76,7 +78,7 @@ def true_places(drive: Bag) -> PoseTrack:
     )
 
 
-@pytest.mark.parametrize('arrive_late', [False, True])
+@pytest.mark.parametrize(('arrive_late', 'estimator'), [(False, 'filter'), (True, 'filter')])
 def test_late_joint_states_are_measured_and_pictures_turned_by_it(
     arrive_late: bool,
     localizing: None,
@@ -91,14 +93,12 @@ def test_late_joint_states_are_measured_and_pictures_turned_by_it(
     told = PoseEstimate(begin_ns, pose, np.diag(np.square(START_SIGMA)))
     fused: dict[int, np.ndarray] = {}
     found: dict[int, int] = {}
-    delays: list[tuple[float, float]] = []
 
     def saw(message: Any) -> None:
         detections = decode.detections(message)
         found[detections.stamp_ns] = len(detections)
 
     client.listen('detections', saw)
-    client.listen('joint_delay', lambda message: delays.append(decode.joint_delay(message)))
     player = play(tmp_path / 'drive')
 
     def over() -> bool:
@@ -109,7 +109,8 @@ def test_late_joint_states_are_measured_and_pictures_turned_by_it(
         return player.poll() == 0
 
     client.wait(over, 60.0, 'the end of the drive')
-    delay_s, sigma_s = delays[-1]
+    said = client.said('odometry_fusion').values['joint_delay_ms']
+    delay_s, sigma_s = (1e-3 * float(word) for word in said.split(' +- '))
     assert sigma_s < 0.005
     assert delay_s == pytest.approx(1e-9 * LATE_NS, abs=4.0 * sigma_s + 0.002)
     assert 'ms late, which is put right' in client.said('odometry_fusion').reason
@@ -131,6 +132,7 @@ def test_late_joint_states_are_measured_and_pictures_turned_by_it(
     assert np.mean(np.array(turning) >= 3) > 0.5
 
 
+@pytest.mark.parametrize('estimator', ['filter', 'joint'])
 def test_a_place_that_is_found_is_not_sure_of_a_heading_that_late_joint_states_turned(
     localizing: None,
     client: RobotClient,

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.detection.height import Lean
@@ -62,7 +63,7 @@ def search(
     node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=offer, ended=ended)
     made = PlaceSearch(
         node,
-        PanTiltMount(),
+        Calibration.of_mount(PanTiltMount()),
         PlaceSearchConfig(search_s=0.2),
         'map',
         prior.recent,

@@ -37,10 +37,11 @@ FUSION, LOCALIZER, SELECTOR = 'odometry_fusion', 'triangulation_localizer', 'tri
 
 
 @contextmanager
-def fusion(domain_id: int) -> Iterator[None]:
+def fusion(domain_id: int, estimator: str) -> Iterator[None]:
     """Run the fusion in a process that may end before the others."""
     command = [sys.executable, '-m', f'landmark_nav.nodes.{FUSION}', '--ros-args']
     command += ['-p', f'robot_file:={json.dumps(ROBOT)}', '-p', 'use_sim_time:=true']
+    command += ['-p', f'estimator:={estimator}']
     process = subprocess.Popen(command, env=node_environment(domain_id))
     try:
         yield
@@ -78,7 +79,9 @@ class Watch:
         return bool(np.hypot(*error[:2]) < 0.05 and abs(error[2]) < np.radians(1.0))
 
 
+@pytest.mark.parametrize('estimator', ['filter', 'joint'])
 def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
+    estimator: str,
     start: Callable[..., None],
     client: RobotClient,
     play: Callable[..., Any],
@@ -104,12 +107,12 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
 
     watch = Watch(client, drive)
     tell(whole, 1)
-    for node in (LOCALIZER, SELECTOR):
-        start(node, robot_file=ROBOT, use_sim_time=True)
+    start(LOCALIZER, robot_file=ROBOT, use_sim_time=True, estimator=estimator)
+    start(SELECTOR, robot_file=ROBOT, use_sim_time=True)
     kind, topic = message_class('sensor_msgs/msg/PointCloud2'), f'{SELECTOR}/ranking'
     client._node.create_subscription(kind, topic, ranked.append, 10)
     client._node.create_subscription(kind, f'{SELECTOR}/standing', standing.append, 10)
-    with fusion(domain_id):
+    with fusion(domain_id, estimator):
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map')
         client.wait(said(LOCALIZER, 'no picture'), 30.0, 'what the localizer waits for')
         client.wait(said(SELECTOR, 'no fused pose'), 30.0, 'what the selector waits for')
@@ -125,7 +128,7 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         assert standing[-1].width == len(whole.landmarks)
         # Ages of pictures make sense on the clock of the bag alone.
         client.wait(lambda: 'latency_median_ms' in client.said(LOCALIZER).values, 15.0, 'ages')
-    with fusion(domain_id):
+    with fusion(domain_id, estimator):
         watch.wait(20.0, 'the place after a restart')
         tell(half, 2)
         client.wait(lambda: known() == len(half.landmarks), 15.0, 'the other map')
@@ -139,7 +142,7 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
     # them at the beginning of the drive, not where a slow machine would be by now.
     tell(whole, 3)
     client.status.clear()
-    with fusion(domain_id):
+    with fusion(domain_id, estimator):
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map once more')
         play(drive.path, 0.5)
         watch.wait(20.0, 'the place once more')

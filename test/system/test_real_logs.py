@@ -8,6 +8,7 @@ the same way. So the limit of its heading is wider.
 
 from __future__ import annotations
 
+from dataclasses import replace
 import heapq
 import json
 from pathlib import Path
@@ -23,6 +24,7 @@ from landmark_nav.evaluation.run_report import pose_report, run_errors
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config' / 'mrclam.yaml'
@@ -56,9 +58,13 @@ def test_bearings_keep_commanded_odometry_on_the_floor(shared_data: Path, tmp_pa
     check(json.loads((tmp_path / 'run.json').read_text()), 3)
 
 
-@pytest.mark.parametrize('robot', [1, 2])
+@pytest.mark.parametrize(('robot', 'estimator'), [(1, 'filter'), (2, 'filter'), (3, 'joint')])
 def test_so_do_those_of_other_robots(
-    robot: int, shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    robot: int,
+    estimator: str,
+    shared_data: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As above, but for the bag and what is no pose: two thirds of the time."""
     kept: list[Any] = []
@@ -71,8 +77,9 @@ def test_so_do_those_of_other_robots(
         events,
         posts,
         load_robot(tmp_path / 'log_robot.yaml'),
-        load_config(CONFIG, LocalizationConfig()),
+        replace(load_config(CONFIG, LocalizationConfig()), estimator=estimator),
         np.array(start),
         np.diag([0.05, 0.05, 0.035]) ** 2,
+        load_calibration(tmp_path / 'log_robot.yaml'),
     )
     check(pose_report(run, run_errors(run), posts), robot)

@@ -28,7 +28,7 @@ BELOW = {
     'learning': {*GROUND, 'calibration', 'matching'},
     'localization': {*GROUND, 'calibration', 'matching'},
     'planning': STAGES,
-    'messages': GROUND,
+    'messages': {*GROUND, 'calibration'},
     'storage': {*GROUND, 'calibration', 'messages'},
     'simulation': FILES,
     'upkeep': {*GROUND, 'matching'},

@@ -11,7 +11,7 @@ import pytest
 from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.fusion.start import Found, with_sigmas
+from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.state import (
     BORESIGHT,
     DELAY,
@@ -21,6 +21,7 @@ from landmark_nav.localization.fusion.state import (
 )
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.start import with_sigmas
 from landmark_nav.types import LandmarkMap, PoseEstimate
 
 MAP = landmark_map(10)

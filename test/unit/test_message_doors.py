@@ -15,6 +15,7 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
 from landmark_nav.messages.layouts import (
     DETECTIONS,
+    EXPECTATION,
     FOUND_PLACE,
     JOINT_DELAY,
     LANDMARKS,
@@ -23,7 +24,8 @@ from landmark_nav.messages.layouts import (
 from landmark_nav.types import JointSample, OdometrySample, PoseEstimate
 
 LAYOUTS = {
-    layout.topic: layout for layout in (DETECTIONS, FOUND_PLACE, JOINT_DELAY, LANDMARKS, TRIPLET)
+    layout.topic: layout
+    for layout in (DETECTIONS, EXPECTATION, FOUND_PLACE, JOINT_DELAY, LANDMARKS, TRIPLET)
 }
 HEAD = encode.header(FACTORY, STAMP, 'map')
 INTEGERS, FLOATS = ('i1', 'u1', 'i2', 'u2', 'i4', 'u4'), ('f4', 'f8')
@@ -122,6 +124,10 @@ def values(layout, points=3, **changed):
     return pack_cloud(FACTORY, HEAD, rows)
 
 
+def expectation(msg):
+    return decode.expectation(msg, MOUNT)
+
+
 SKEW = [1.0, 0.0, 0.5, 0.0, 1.0, 0.0, -0.5, 0.0, 1.0]
 BEYOND_ONE = [1.0, 2.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 NEGATIVE = [1e4, 0.0, 0.0, 0.0, 1e4, 0.0, 0.0, 0.0, -1e-9]
@@ -139,6 +145,15 @@ NO_COVARIANCE = [*([value] * 9 for value in NOT_NUMBERS), SKEW, BEYOND_ONE, NEGA
         (decode.detections, DETECTIONS, 3, 'u', [np.nan, np.inf]),
         (decode.detections, DETECTIONS, 3, 'joint_delay', [*NOT_NUMBERS, 60.0]),
         (decode.detections, DETECTIONS, 3, 'pan_delay', [*NOT_NUMBERS, -60.0]),
+        (decode.detections, DETECTIONS, 3, 'point', [[v, 0.0] for v in NOT_NUMBERS]),
+        (decode.detections, DETECTIONS, 3, 'point_covariance', [[1.0, 2.0, 2.0, 1.0]]),
+        (decode.detections, DETECTIONS, 3, 'near', [[v, 0.0, 0.0] for v in NOT_NUMBERS]),
+        (expectation, EXPECTATION, 1, 'pose', NOT_NUMBERS),
+        (expectation, EXPECTATION, 1, 'covariance', NO_COVARIANCE),
+        (expectation, EXPECTATION, 1, 'speeds', NOT_NUMBERS),
+        (expectation, EXPECTATION, 1, 'tilt_sigma', [*NOT_NUMBERS, -1.0]),
+        (expectation, EXPECTATION, 1, 'values', NOT_NUMBERS),
+        (expectation, EXPECTATION, 1, 'sigmas', [*NOT_NUMBERS, -1.0]),
         (decode.triplet, TRIPLET, 3, 'bearing', NOT_NUMBERS),
         (decode.triplet, TRIPLET, 3, 'bearing_sigma', [*NOT_NUMBERS, -1.0]),
         (decode.triplet, TRIPLET, 3, 'pan', NOT_NUMBERS),

@@ -112,3 +112,37 @@ def test_names_what_was_not_observed_and_what_contradicts() -> None:
     assert set(found.contradictions(prior)) == {'axis_x', 'axis_z'}
     row = found.differences(prior)['axis_x']
     assert (row['prior'], row['value'], row['observed']) == (0.1, 0.3, True)
+
+
+def test_what_errs_together_survives_its_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    root = 1e-3 * rng.normal(size=(len(NAMES), 4))
+    before = Calibration(Calibration.of_mount(MOUNT).values, root @ root.T, MOUNT)
+    save_calibration(before, tmp_path / 'robot.yaml')
+    after = load_calibration(tmp_path / 'robot.yaml')
+    assert after.covariance == pytest.approx(before.covariance, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    'entries',
+    [
+        3,
+        [['axis_yaw', 'principal_point']],
+        [['axis_yaw', 'axis_yaw', 0.5]],
+        [['axis_yaw', 'zoom', 0.5]],
+        [['axis_yaw', 'principal_point', 1.5]],
+        [['axis_yaw', 'principal_point', 'much']],
+        [['axis_yaw', 'principal_point', float('nan')]],
+        [[['axis_yaw'], 'principal_point', 0.5]],
+        [
+            ['axis_yaw', 'principal_point', 1.0],
+            ['axis_yaw', 'focal_scale', 1.0],
+            ['principal_point', 'focal_scale', -1.0],
+        ],
+    ],
+)
+def test_correlations_that_are_none_are_refused(entries: object, tmp_path: Path) -> None:
+    file = written(tmp_path, {**ROBOT, 'correlations': entries})
+    with pytest.raises(LandmarkNavError) as error:
+        load_calibration(file)
+    assert len(str(error.value).replace(str(tmp_path), '')) < 200

@@ -9,6 +9,7 @@ most; with any other order or sign by tens.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 import re
@@ -17,12 +18,23 @@ from bare_landmarks import bare_landmark
 import numpy as np
 import pytest
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints, JointFilter
+from landmark_nav.localization.estimator.smoothing import smoothed_poses
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.smoother import smooth
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.three import triangulate_three
-from landmark_nav.types import Detections, FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+)
 
 SUBSETS = np.array(list(combinations(range(4), 3)))
 # Of the bearings at the known places.
@@ -112,6 +124,41 @@ def test_beacons_are_put_right_by_what_is_seen_of_them(
     assert standing_there > 0.11
     assert each_refined < 0.098 < 0.8 * each
     assert standing_refined <= 0.09
+
+
+def test_the_joint_estimator_finds_places_and_beacons(
+    beacons: FloatArray, readings: tuple[FloatArray, FloatArray]
+) -> None:
+    """As above, by the joint estimator; where the robot is carried to, it does not know."""
+    places, bearings = readings
+    standing, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
+    corners = LandmarkMap(
+        tuple(
+            bare_landmark(k, np.array([*place, 0.0]), 0.1**2 * np.eye(3))
+            for k, place in enumerate(beacons[:, :2])
+        )
+    )
+    mount = PanTiltMount(pan_sigma_rad=0.0)
+    config = EstimatorConfig(lean_sigma_rad=0.0, map_memory_m=1e9, learning_sigma=0.0)
+    anywhere = PoseEstimate(0, np.array([3.0, 3.0, 0.0]), 9.0 * np.eye(3))
+    exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
+    joint = JointFilter(corners, exact, anywhere, config)
+    images = [
+        replace(
+            ImagePoints.of_bearings((k + 1) * 10**11, np.arange(4), row, np.full(4, 1e-4), mount),
+            near=near,
+        )
+        for k, (row, near) in enumerate(
+            zip(standing, np.median(subset_poses(beacons[:, :2], standing), axis=1), strict=True)
+        )
+    ]
+    track = OdometryTrack(OdometryNoiseConfig())
+    track.add(OdometrySample(0, np.zeros(3)))
+    poses = smoothed_poses(joint, track, images, np.ones(9, dtype=np.bool_))
+    off = np.array([pose.pose[:2] for pose in poses]) - true
+    assert np.median(np.hypot(*off.T)) < 0.08
+    found = subset_poses(joint.landmarks[:, :2], bearings)
+    assert np.median(np.linalg.norm(found[..., :2] - places[:, None], axis=-1)) < 0.098
 
 
 def test_least_squares_of_all_four(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -18,9 +19,12 @@ _HISTORY = 200
 _AHEAD_NS = 100_000_000
 
 
-class PriorTrack:
+_Pose = TypeVar('_Pose', bound=PoseEstimate)
+
+
+class PriorTrack(Generic[_Pose]):
     """
-    The last fused poses.
+    The last fused poses, with whatever belongs to them.
 
     Parameters
     ----------
@@ -31,9 +35,9 @@ class PriorTrack:
 
     def __init__(self, max_age_s: float) -> None:
         self._max_age_ns = round(1e9 * max_age_s)
-        self._known: deque[tuple[PoseEstimate, float, float]] = deque(maxlen=_HISTORY)
+        self._known: deque[tuple[_Pose, float, float]] = deque(maxlen=_HISTORY)
 
-    def add(self, pose: PoseEstimate, speeds: OdometrySample) -> None:
+    def add(self, pose: _Pose, speeds: OdometrySample) -> None:
         """Take a fused pose and the speeds of the same time."""
         known = (pose, speeds.linear_m_s, speeds.angular_rad_s)
         if self._known and self._known[-1][0].stamp_ns - pose.stamp_ns > self._max_age_ns:
@@ -43,7 +47,7 @@ class PriorTrack:
         else:
             self._known.append(known)
 
-    def recent(self, stamp_ns: int, max_age_s: float | None = None) -> PoseEstimate | None:
+    def recent(self, stamp_ns: int, max_age_s: float | None = None) -> _Pose | None:
         """The last one; None where that is farther from a time than `max_age_s`, or none came."""
         newest = self._known[-1][0] if self._known else None
         age_ns = self._max_age_ns if max_age_s is None else round(1e9 * max_age_s)
@@ -53,7 +57,7 @@ class PriorTrack:
         """Whether a pose is known from which the speeds lead to that time well enough."""
         return bool(self._known) and self._known[-1][0].stamp_ns >= stamp_ns - _AHEAD_NS
 
-    def at(self, stamp_ns: int) -> PoseEstimate | Refusal:
+    def at(self, stamp_ns: int) -> _Pose | Refusal:
         """Pose nearest in time, moved by its own speeds."""
         known = tuple(self._known)
         if not known:

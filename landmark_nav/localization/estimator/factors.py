@@ -24,14 +24,14 @@ from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
 
-__all__ = ['ImagePoints', 'Projection', 'moved', 'project']
+__all__ = ['LEAST_STEP_S', 'ImagePoints', 'Projection', 'moved', 'project']
 
 # Where each block of the state begins: pose of the base; pitch and roll of the base by an uneven
 # floor; scale, drift and turn scale of the odometry, its side slip and the way lost in turns; the
 # calibration; after it the shared map factors.
 POSE, LEAN, SCALE, DRIFT, TURN_SCALE, SLIP, TURN_LOSS, CALIBRATION = 0, 3, 5, 6, 7, 8, 9, 10
 STATES = CALIBRATION + len(NAMES)
-_AXIS, _RPY, _CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
+_AXIS, _RPY, CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
 ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, DELAY = range(CALIBRATION + 9, STATES)
 YAW = _RPY + 2
 
@@ -39,6 +39,8 @@ YAW = _RPY + 2
 _LEAST_DEPTH_M = 0.05
 # Farther from the direction of the camera a bearing is no point of its image.
 _WIDEST_RAD = 1.0
+# Over a shorter time the slope of the pan is mostly noise, seconds.
+LEAST_STEP_S = 0.02
 # Half a pixel each way, to differentiate the lens.
 _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
@@ -70,6 +72,11 @@ class ImagePoints:
         Whether the y/z are measured; bearings have none.
     missed : ndarray of int, shape (k,)
         Landmarks that should be in view and were not found.
+    delay_step_s : float
+        Over which the derivative by the delay is taken: the pan may begin to turn meanwhile.
+    near : ndarray, shape (3,), optional
+        Pose of the base that the image itself shows, where hardly any was known before: it is
+        where the first linearization is, and no measurement.
 
     """
 
@@ -84,6 +91,8 @@ class ImagePoints:
     pan_track: PanTrack | None = None
     rows: bool = True
     missed: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    delay_step_s: float = LEAST_STEP_S
+    near: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -103,6 +112,7 @@ class ImagePoints:
         pan_sigma_rad: float = 0.0,
         pan_track: PanTrack | None = None,
         missed: IndexArray | None = None,
+        near: FloatArray | None = None,
     ) -> ImagePoints:
         """Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera."""
         rays = camera.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
@@ -118,6 +128,7 @@ class ImagePoints:
             pan_sigma_rad,
             pan_track,
             missed=np.empty(0, dtype=np.intp) if missed is None else missed,
+            near=near,
         )
 
     @classmethod
@@ -156,6 +167,12 @@ class ImagePoints:
             rows=False,
         )
 
+    @classmethod
+    def nothing(cls, stamp_ns: int) -> ImagePoints:
+        """Return those of an image that shows no landmark."""
+        none = np.empty(0)
+        return cls(stamp_ns, none.astype(np.intp), none.reshape(0, 2), none.reshape(0, 2, 2), none)
+
     def chosen(self, which: npt.NDArray[np.bool_]) -> ImagePoints:
         """Return some of them: `which` (m,) says whether to keep each."""
         return replace(
@@ -171,9 +188,17 @@ class ImagePoints:
         track = self.pan_track
         if track is None:
             return self.pan_rad + self.pan_rate_rad_s * delay_s, self.pan_rate_rad_s
-        step = 0.02
+        step = self.delay_step_s
         given, before, at, after = track.at([0.0, delay_s - step, delay_s, delay_s + step])
         return self.pan_rad + (at - given), float((after - before) / (2.0 * step))
+
+    def bend_rad(self, delay_s: float) -> float:
+        """By how much the pan deviates from that derivative, a step before and after."""
+        if self.pan_track is None:
+            return 0.0
+        step = self.delay_step_s
+        before, at, after = self.pan_track.at([delay_s - step, delay_s, delay_s + step])
+        return float(0.5 * (after + before) - at)
 
 
 class Projection(NamedTuple):
@@ -211,7 +236,7 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     turn = _turning(scale * pans, tilt) @ axis_from_base
     away = upright @ leaning.T - state[_AXIS:_RPY]
     inner = (turn @ away[:, :, None])[:, :, 0]
-    outer = inner - state[_CENTER:ROLL]
+    outer = inner - state[CENTER:ROLL]
 
     # Derivatives of `outer`: by x, y, heading, pitch and lean of the base, by the axis and its
     # angles, by the optical centre, by pan and tilt, by the point.

@@ -12,22 +12,24 @@ allows.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, Expectation, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
+    CENTER,
     DELAY,
     ImagePoints,
     LEAN,
+    LEAST_STEP_S,
     moved,
     project,
     ROLL,
@@ -55,10 +57,11 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['JointFilter', 'Update']
+__all__ = ['JointFilter', 'State', 'Update']
 
-# Iterations of an update, and the change of the position that ends them, metres.
-_ITERATIONS, _CONVERGED_M = 5, 1e-4
+# Iterations of an update, and the change of the pose that ends them, metres and radians: what is
+# not linear in it is a hundredth of the noise.
+_ITERATIONS, _CONVERGED = 5, 3e-3
 # Landmark errors of which less than this share is left are forgotten.
 _STALE = 0.05
 # At most so many landmarks have errors in the state: the cost of an update grows with them.
@@ -70,11 +73,13 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 _WITNESSES, _INLIER = 3, 0.3
 # An image is a surprise if it is less likely than this.
 _SURPRISE = 1e-3
+# Sigmas of a pose of which nothing is known, metres and radians.
+_ANYWHERE = (3.0, 3.0, 2.0)
 _DRIFTING = slice(SCALE, SLIP)
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class State:
     """All that changes; arrays are never changed in place, so that a copy costs nothing."""
 
     stamp_ns: int
@@ -87,6 +92,8 @@ class _State:
     unseen_m: FloatArray
     way_m: float = 0.0
     seconds: float = 0.0
+    # Derivative of pose, lean and odometry by those after the last image.
+    carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
 
 
 class Update(NamedTuple):
@@ -147,6 +154,11 @@ class JointFilter:
     odometry : OdometryNoiseConfig
         Noise of the wheels.
 
+    Attributes
+    ----------
+    predicted : State
+        What was expected before the last image.
+
     """
 
     def __init__(
@@ -181,7 +193,9 @@ class JointFilter:
         by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
         none = np.empty(0, dtype=np.intp)
         scales = NoiseScales.unknown(self._config.learning_sigma)
-        self._state = _State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
+        self._state = State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
+        # What was expected of the last image.
+        self.predicted = self._state
 
     @property
     def estimate(self) -> PoseEstimate:
@@ -190,13 +204,8 @@ class JointFilter:
         return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), state.covariance[:3, :3].copy())
 
     @property
-    def camera(self) -> PoseEstimate:
-        """
-        Pose of the base as the camera sees it: by how much landmarks may be off in the next image.
-
-        Position and heading are those of the base; the covariance is that of the pan axis, in the
-        direction of the camera, so that errors of heading and pan zero that cancel are left out.
-        """
+    def expectation(self) -> Expectation:
+        """Where the camera should be: by how much landmarks may be off in the next image."""
         state = self._state
         x, y = state.mean[CALIBRATION : CALIBRATION + 2].tolist()
         c, s = np.cos(state.mean[2]), np.sin(state.mean[2])
@@ -206,18 +215,11 @@ class JointFilter:
         rows[:2, CALIBRATION : CALIBRATION + 2] = [[c, -s], [s, c]]
         rows[2, YAW] = 1.0
         covariance = rows @ state.covariance[:STATES, :STATES] @ rows.T
-        return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), covariance)
-
-    @property
-    def tilt_sigma_rad(self) -> float:
-        """How well it is known how high the camera looks: of base, axis and camera together."""
         which = [LEAN, CALIBRATION + NAMES.index('axis_pitch'), TILT]
-        return float(np.sqrt(max(self._state.covariance[np.ix_(which, which)].sum(), 0.0)))
-
-    def pan_sigma_rad(self, pan_rate_rad_s: float) -> float:
-        """How well the pan is known at this rate, beside the pan zero."""
-        delay = abs(pan_rate_rad_s) * float(np.sqrt(self._state.covariance[DELAY, DELAY]))
-        return float(np.hypot(delay, self._prior.base.pan_sigma_rad))
+        tilt = float(np.sqrt(max(state.covariance[np.ix_(which, which)].sum(), 0.0)))
+        return Expectation(
+            state.stamp_ns, state.mean[:3].copy(), covariance, self.calibration, tilt
+        )
 
     def with_landmarks(self) -> FloatArray:
         """Covariance (3, 2 n) of the pose with x and y of all landmarks."""
@@ -234,12 +236,13 @@ class JointFilter:
         other._state = self._stepped(self._state)
         return other
 
-    def placed(self, start: PoseEstimate, by_camera: bool) -> JointFilter:
+    def placed(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> JointFilter:
         """
         Return the filter of the same robot at another pose.
 
-        What was learned of wheels, mount and floor stays. A pose that was found `by_camera` is off
-        by the pan zero, against which its heading is known.
+        What was learned of wheels, mount and floor stays. A pose that the camera found, at this
+        rate to the left, is off by what the camera's place on the base and the delay of the joints
+        are off by.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
         mine, new = self._state, other._state
@@ -247,10 +250,33 @@ class JointFilter:
         wheels = slice(SCALE, STATES)
         mean[wheels] = mine.mean[wheels]
         covariance[wheels, wheels] = mine.covariance[wheels, wheels]
-        if by_camera:
-            covariance[2, wheels] = covariance[wheels, 2] = -covariance[YAW, wheels]
-            covariance[2, 2] += covariance[YAW, YAW]
+        if pan_rate_rad_s is not None:
+            x, y = mean[CALIBRATION : CALIBRATION + 2].tolist()
+            c, s = np.cos(mean[2]), np.sin(mean[2])
+            by_mount = np.zeros((3, STATES - SCALE))
+            by_mount[:2, CALIBRATION - SCALE : CALIBRATION - SCALE + 2] = [[-c, s], [-s, -c]]
+            by_mount[:, YAW - SCALE] = -s * x - c * y, c * x - s * y, -1.0
+            by_mount[:, DELAY - SCALE] = pan_rate_rad_s * by_mount[:, YAW - SCALE]
+            with_mount = by_mount @ covariance[wheels, wheels]
+            covariance[:3, wheels], covariance[wheels, :3] = with_mount, with_mount.T
+            covariance[:3, :3] += with_mount @ by_mount.T
+            # The optical centre was to one side of the axis, then to another.
+            covariance[[0, 1], [0, 1]] += covariance[CENTER, CENTER]
         other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
+        return other
+
+    def on_map(self, landmark_map: LandmarkMap) -> JointFilter:
+        """Return the filter of the same robot at the same pose, with other landmarks."""
+        other = JointFilter(
+            landmark_map, self.calibration, self.estimate, self._config, self._odometry
+        )
+        mine, new = self._state, other._state
+        mean, covariance = new.mean.copy(), new.covariance.copy()
+        mean[:STATES] = mine.mean[:STATES]
+        covariance[:STATES, :STATES] = mine.covariance[:STATES, :STATES]
+        other._state = replace(
+            new, mean=mean, covariance=covariance, by_noise=mine.by_noise, scales=mine.scales
+        )
         return other
 
     @property
@@ -264,18 +290,40 @@ class JointFilter:
         )
 
     @property
+    def landmarks(self) -> FloatArray:
+        """Positions (n, 3) of the landmarks of the map, as far as they are known by now."""
+        state = self._state
+        found = self._positions + self._loadings @ state.mean[STATES : self._fixed]
+        found[state.landmarks] += state.mean[self._fixed :].reshape(-1, 3)
+        return np.asarray(found)
+
+    @property
     def noise_factors(self) -> FloatArray:
         """Factors on the variances of way, turns, slip, floor and detections, (NOISES,)."""
         return self._state.scales.factors
 
     @property
-    def snapshot(self) -> _State:
+    def snapshot(self) -> State:
         """Everything that is known; hand it to `restore` to go back."""
         return self._state
 
-    def restore(self, snapshot: _State) -> None:
+    def restore(self, snapshot: State) -> None:
         """Go back to a snapshot."""
         self._state = snapshot
+
+    def mark(self) -> None:
+        """Begin anew to carry along the derivative by the state as it is now."""
+        self._state = replace(self._state, carried=np.eye(CALIBRATION))
+
+    def forget_pose(self) -> None:
+        """Have the robot be anywhere in a large room."""
+        covariance = self._state.covariance.copy()
+        covariance[:3, :3] += np.diag(np.square(_ANYWHERE))
+        self._state = replace(self._state, covariance=covariance)
+
+    def kept(self, way_m: float) -> float:
+        """Share of a landmark's own error that is left after a way."""
+        return float(np.exp(-way_m / self._config.map_memory_m))
 
     def move(self, stamp_ns: int, motion: Motion) -> None:
         """Move on by odometry."""
@@ -326,6 +374,7 @@ class JointFilter:
             scales=scales,
             way_m=state.way_m + way,
             seconds=state.seconds + motion.seconds,
+            carried=by_state @ state.carried,
         )
 
     def observe(self, seen: ImagePoints) -> Update:
@@ -338,22 +387,24 @@ class JointFilter:
         seen = _usable(seen, len(self._positions))
         if not len(seen):
             self._state = replace(self._state, stamp_ns=max(self._state.stamp_ns, seen.stamp_ns))
+            self.predicted = self._state
             return _nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
         if self._config.step_probability and update.surprising:
-            freed, alternative = self._corrected(self._stepped(prior), seen)
+            stepped = self._stepped(prior)
+            freed, alternative = self._corrected(stepped, seen)
             odds = self._config.step_probability / (1.0 - self._config.step_probability)
             agree = int(np.sum(alternative.weight > _INLIER))
             if (
                 agree >= _WITNESSES
                 and alternative.log_evidence + np.log(odds) > update.log_evidence
             ):
-                after, update = freed, alternative._replace(stepped=True)
-        self._state = after
+                prior, after, update = stepped, freed, alternative._replace(stepped=True)
+        self._state, self.predicted = after, prior
         return update
 
-    def _stepped(self, state: _State) -> _State:
+    def _stepped(self, state: State) -> State:
         """Return the state where base, camera or joint delay may have changed."""
         covariance, config = state.covariance.copy(), self._config
         covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
@@ -364,11 +415,11 @@ class JointFilter:
                 covariance[k, k] += sigma**2
         return replace(state, covariance=covariance)
 
-    def _elapsed(self, state: _State) -> _State:
+    def _elapsed(self, state: State) -> State:
         """Let errors of landmarks and mount change by the way and time since the last image."""
         if not (state.way_m or state.seconds):
             return state
-        kept, first = float(np.exp(-state.way_m / self._config.map_memory_m)), self._fixed
+        kept, first = self.kept(state.way_m), self._fixed
         unseen = state.unseen_m + state.way_m
         mean, covariance = state.mean.copy(), state.covariance.copy()
         if state.way_m and len(state.landmarks):
@@ -387,7 +438,7 @@ class JointFilter:
             state, mean=mean, covariance=covariance, unseen_m=unseen, way_m=0.0, seconds=0.0
         )
 
-    def _with_landmarks(self, state: _State, columns: IndexArray) -> _State:
+    def _with_landmarks(self, state: State, columns: IndexArray) -> State:
         """Return the state with the errors of these landmarks, without those that are stale."""
         seen, known = np.zeros((2, len(self._positions)), dtype=np.bool_)
         seen[columns], known[state.landmarks] = True, True
@@ -421,8 +472,11 @@ class JointFilter:
             unseen_m=np.concatenate([unseen[kept], np.zeros(len(new))]),
         )
 
-    def _corrected(self, state: _State, seen: ImagePoints) -> tuple[_State, Update]:
+    def _corrected(self, state: State, seen: ImagePoints) -> tuple[State, Update]:
         """Iterated update, weights and linearisation together."""
+        late = float(np.sqrt(state.covariance[DELAY, DELAY]))
+        seen = replace(seen, delay_step_s=max(late, LEAST_STEP_S))
+        bend = seen.bend_rad(float(state.mean[DELAY])) * min(1.0, late / LEAST_STEP_S) ** 2
         rows = 2 if seen.rows else 1
         count, size = len(seen), len(state.mean)
         slots = np.empty(len(self._positions), dtype=np.intp)
@@ -431,8 +485,10 @@ class JointFilter:
         each = np.arange(count)
         prior, freedom = state.mean, self._config.tail_freedom
         noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
-        common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2
+        common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2 + bend**2
         mean, looser = prior, np.ones(count)
+        if seen.near is not None:
+            mean = np.concatenate([seen.near, prior[3:]])
         for _ in range(_ITERATIONS):
             points = self._positions[seen.columns] + mean[own]
             points += self._loadings[seen.columns] @ mean[STATES : self._fixed]
@@ -468,9 +524,9 @@ class JointFilter:
                     break
             after = prior + with_state @ pull
             after[2] = wrap_rad(after[2])
-            change = np.abs(after[:2] - mean[:2]).max()
+            change = np.abs(after[:3] - mean[:3]).max()
             mean = after
-            if change < _CONVERGED_M:
+            if change < _CONVERGED:
                 break
         gain = with_state @ precision
         corrected = state.covariance - gain @ with_state.T
@@ -552,7 +608,7 @@ def _nothing(seen: ImagePoints) -> Update:
 @lru_cache
 def _surprise(count: int) -> float:
     """Squared innovation, normalised, of so many numbers that is a surprise."""
-    return float(chi2.isf(_SURPRISE, count))
+    return float(chdtri(count, _SURPRISE))
 
 
 def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:

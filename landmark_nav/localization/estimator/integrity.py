@@ -12,11 +12,12 @@ Advanced RAIM User Algorithm, 2015).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from landmark_nav.localization.estimator.filter import Update
 from landmark_nav.types import FloatArray, PoseEstimate
@@ -31,8 +32,9 @@ _WRONG, _FOUND, _BY_CHANCE = 0.1, 0.8, 0.15
 _WINDOW_SIGMAS, _LEAST_WINDOW = 3.0, 0.02
 # One detection, and all misses of an image, count at most this much: they have causes in common.
 _MOST, _MOST_MISSED = 2.0, 2.0
-# Bounds of the sum, of what one image adds, and of the sum below which a pose is lost, nats.
-_BOUND, _AT_ONCE, _LOST = 8.0, 4.0, -4.0
+# Bounds of the sum and of what one image adds; the sum below which a pose is lost, and what one
+# image adds that speaks against the pose by itself, nats.
+_BOUND, _AT_ONCE, _LOST, _AGAINST = 8.0, 4.0, -4.0, -2.0
 # Without a detection for so long a pose is degraded, seconds.
 _BLIND_S = 1.0
 # Sigmas of a pose that is lost, and of a heading that is degraded.
@@ -43,10 +45,10 @@ _RISK = 0.01
 _LANDMARK_RISK = 0.05
 # What the noise models leave out, as a factor on sigmas.
 _MODEL = 1.1
-_POSITION = _MODEL * float(np.sqrt(chi2.isf(_RISK, 2)))
-_HEADING = _MODEL * float(norm.isf(0.5 * _RISK))
-_POSITION_WITHOUT = _MODEL * float(np.sqrt(chi2.isf(_RISK / _LANDMARK_RISK, 2)))
-_HEADING_WITHOUT = _MODEL * float(norm.isf(0.5 * _RISK / _LANDMARK_RISK))
+_POSITION = _MODEL * float(np.sqrt(chdtri(2, _RISK)))
+_HEADING = _MODEL * float(-ndtri(0.5 * _RISK))
+_POSITION_WITHOUT = _MODEL * float(np.sqrt(chdtri(2, _RISK / _LANDMARK_RISK)))
+_HEADING_WITHOUT = _MODEL * float(-ndtri(0.5 * _RISK / _LANDMARK_RISK))
 
 
 class Status(Enum):
@@ -62,6 +64,18 @@ class ProtectionLevel(NamedTuple):
 
     position_m: float
     heading_rad: float
+
+    def scaled(self, estimate: PoseEstimate) -> PoseEstimate:
+        """
+        Return the pose with a covariance of which one sigma is this level.
+
+        The root of the largest eigenvalue of x and y is the level of the position, the root of
+        the variance of the heading its own.
+        """
+        position, heading = _sigmas(estimate.covariance)
+        by = np.array([self.position_m, self.position_m, self.heading_rad])
+        by /= np.maximum([position, position, heading], 1e-9)
+        return replace(estimate, covariance=estimate.covariance * np.outer(by, by))
 
 
 def protection_level(estimate: PoseEstimate, update: Update | None = None) -> ProtectionLevel:
@@ -92,7 +106,7 @@ class Integrity:
     """Sums up the likelihood ratio of one image after the other."""
 
     def __init__(self) -> None:
-        self._log_ratio = 0.0
+        self._log_ratio, self._newest = 0.0, 0.0
         self._found_ns: int | None = None
         self._stepped = False
 
@@ -111,8 +125,15 @@ class Integrity:
             self._found_ns = max(self._found_ns, stamp_ns)
             self._stepped |= update.stepped
             gained += float(np.minimum(log_ratios(update), _MOST).sum())
-        gained = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
-        self._log_ratio = float(np.clip(self._log_ratio + gained, -_BOUND, _BOUND))
+        self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
+        self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
+
+    def doubted(self, estimate: PoseEstimate) -> PoseEstimate:
+        """Return a pose as it is to be passed on: one that is lost tells hardly anything."""
+        if self._log_ratio >= _LOST:
+            return estimate
+        unknown = np.diag(np.square([_LOST_M, _LOST_M, _LOST_RAD]))
+        return replace(estimate, covariance=estimate.covariance + unknown)
 
     def status(self, estimate: PoseEstimate) -> tuple[Status, str]:
         """State of a pose, and the reason if it is not OK."""
@@ -125,7 +146,7 @@ class Integrity:
             return Status.LOST, 'images do not show what should be seen from here'
         if position > _LOST_M or heading > _LOST_RAD:
             return Status.LOST, f'sigma {position:.2f} m, {np.degrees(heading):.0f} deg'
-        if self._log_ratio < 0.0:
+        if self._log_ratio < 0.0 or self._newest <= _AGAINST:
             return Status.DEGRADED, 'images show little of what should be seen from here'
         if blind_s > _BLIND_S:
             return Status.DEGRADED, f'no landmark found for {blind_s:.1f} s'

@@ -13,13 +13,26 @@ from itertools import pairwise
 
 from landmark_nav.localization.estimator.factors import ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter, Update
-from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
-__all__ = ['Timeline']
+__all__ = ['REACH_NS', 'Timeline', 'move_to']
 
 # Motion is compounded in steps of about this.
 _STEP_NS = 100_000_000
+# Odometry is kept for so long: a place may be found in an image that old.
+REACH_NS = 10 * 10**9
+
+
+def move_to(stamp_ns: int, joint: JointFilter, track: OdometryTrack) -> None:
+    """Move a filter on to a time, as the odometry says."""
+    begin = joint.snapshot.stamp_ns
+    if stamp_ns <= begin:
+        return
+    steps = max(1, round((stamp_ns - begin) / _STEP_NS))
+    times = [begin + (stamp_ns - begin) * k // steps for k in range(steps + 1)]
+    for since, until in pairwise(times):
+        joint.move(until, track.motion(since, until))
 
 
 class Timeline:
@@ -43,11 +56,18 @@ class Timeline:
         self._images: list[ImagePoints] = []
         self._before = [joint.snapshot]
         self._extrapolated = 0
+        self._settle()
 
     @property
     def filter(self) -> JointFilter:
         """The filter, at the newest image."""
         return self._filter
+
+    @property
+    def newest_ns(self) -> int:
+        """Time of the newest image or odometry."""
+        ends, newest = self._track.stamps_ns, self._filter.snapshot.stamp_ns
+        return newest if ends is None else max(newest, ends[1])
 
     @property
     def begin_ns(self) -> int:
@@ -57,10 +77,10 @@ class Timeline:
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Move on; what is wrong with the sample, if anything."""
         refusal = self._track.add(sample)
-        if refusal is None and self._extrapolated:
+        if self._extrapolated and (refusal is None or isinstance(refusal, Distrusted)):
             # These images were placed by extrapolation, which this sample replaces.
-            first = len(self._images) - self._extrapolated
-            self._again(first)
+            self._again(len(self._images) - self._extrapolated)
+        self._settle()
         return refusal
 
     def add_image(self, seen: ImagePoints) -> Update | Refusal:
@@ -78,17 +98,14 @@ class Timeline:
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate:
         """Pose of the base at a time from the first state of the window on; None: the newest."""
-        ends = self._track.stamps_ns
-        newest = self._filter.snapshot.stamp_ns
-        stamp_ns = max(newest, ends[1] if ends else newest) if stamp_ns is None else stamp_ns
-        return self.filter_at(stamp_ns).estimate
+        return self.filter_at(self.newest_ns if stamp_ns is None else stamp_ns).estimate
 
     def filter_at(self, stamp_ns: int) -> JointFilter:
         """Return a copy of the filter, moved to a time from the first state of the window on."""
         other = copy(self._filter)
         at = bisect_right([state.stamp_ns for state in self._before], stamp_ns) - 1
         other.restore(self._before[max(at, 0)])
-        self._move(other, stamp_ns)
+        move_to(stamp_ns, other, self._track)
         return other
 
     def _again(self, first: int) -> Update:
@@ -97,7 +114,7 @@ class Timeline:
         updates = []
         for place in range(first, len(self._images)):
             image = self._images[place]
-            self._move(self._filter, image.stamp_ns)
+            move_to(image.stamp_ns, self._filter, self._track)
             updates.append(self._filter.observe(image))
             self._before[place + 1] = self._filter.snapshot
         ends = self._track.stamps_ns
@@ -105,19 +122,20 @@ class Timeline:
         self._extrapolated = sum(image.stamp_ns > last for image in self._images)
         return updates[0]
 
-    def _move(self, joint: JointFilter, stamp_ns: int) -> None:
-        begin = joint.snapshot.stamp_ns
-        if stamp_ns <= begin:
-            return
-        steps = max(1, round((stamp_ns - begin) / _STEP_NS))
-        times = [begin + (stamp_ns - begin) * k // steps for k in range(steps + 1)]
-        for since, until in pairwise(times):
-            joint.move(until, self._track.motion(since, until))
-
     def _trim(self) -> None:
         """Forget what is older than the window."""
         newest = self._images[-1].stamp_ns
         old = sum(image.stamp_ns < newest - self._window_ns for image in self._images)
         if old:
             del self._images[:old], self._before[:old]
-            self._track.trim(self._before[0].stamp_ns)
+            self._extrapolated = min(self._extrapolated, len(self._images))
+            self._track.trim(self._before[0].stamp_ns - REACH_NS)
+
+    def _settle(self) -> None:
+        """Move on without images: the time that is computed anew stays that of the window."""
+        ends = self._track.stamps_ns
+        begin = 0 if ends is None else ends[1] - self._window_ns
+        if self._before[-1].stamp_ns < begin - _STEP_NS:
+            move_to(begin, self._filter, self._track)
+            self._images, self._before, self._extrapolated = [], [self._filter.snapshot], 0
+            self._track.trim(begin - REACH_NS)

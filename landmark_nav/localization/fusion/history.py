@@ -21,6 +21,7 @@ from landmark_nav.localization.fusion.mixture import Mixture
 from landmark_nav.localization.fusion.stand import doubted_stand
 from landmark_nav.localization.fusion.state import FilterState, measured, POSE, propagate, widened
 from landmark_nav.localization.fusion.update import FusionUpdate
+from landmark_nav.localization.odometry.clock import Ahead
 from landmark_nav.localization.odometry.noise import (
     Motion,
     motion_variances,
@@ -44,11 +45,6 @@ _STRIDE_NS = 100_000_000
 _REACH_NS = 10 * 10**9
 # The robot may have moved while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Ahead(Refusal):
-    """Why a sample is held back, which may be wrong or the first after a pause."""
 
 
 @dataclass(frozen=True, eq=False)

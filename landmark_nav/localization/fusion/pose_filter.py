@@ -23,18 +23,14 @@ from landmark_nav.localization.fusion.history import Ahead, History, Step
 from landmark_nav.localization.fusion.late_joints import found_in_swing, REACH_S
 from landmark_nav.localization.fusion.mixture import Mixture
 from landmark_nav.localization.fusion.recovery import Recovery
-from landmark_nav.localization.fusion.start import (
-    checked_start,
-    Found,
-    is_finite,
-    joints_in_doubt,
-)
+from landmark_nav.localization.fusion.start import Found, joints_in_doubt
 from landmark_nav.localization.fusion.state import FilterState, initial_state, moved_to, with_map
 from landmark_nav.localization.fusion.turn import update_turning
 from landmark_nav.localization.fusion.update import FusionUpdate
 from landmark_nav.localization.fusion.witnesses import Witnesses
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.start import checked_start, is_finite
 from landmark_nav.types import (
     Detections,
     FloatArray,

@@ -54,7 +54,9 @@ class ActiveCamera:
     def __init__(
         self, landmark_map: LandmarkMap, mount: PanTiltMount, config: TripletConfig
     ) -> None:
-        self._map, self._mount, self._config = landmark_map, mount, config
+        self._map, self._config = landmark_map, config
+        # As far as it is known by now: whoever learns it sets it.
+        self.mount = mount
         self.record = FoundRecord(len(landmark_map.landmarks))
         self._chosen: Triplet | None = None
         self._pending: dict[int, int] = {}  # looks in vain at what is still to be seen
@@ -116,9 +118,7 @@ class ActiveCamera:
         # A tour that is done has no claim to be made again; a view is rather kept.
         kept = self._chosen if self._config.views == 'one' else None
         rate, config = self.record.rate, self._config
-        return rank_triplets(
-            prior, self._map, camera, self._mount, config, gaze, kept, rate, among
-        )
+        return rank_triplets(prior, self._map, camera, self.mount, config, gaze, kept, rate, among)
 
     def _towards_pending(self, ranking: Ranking, gaze: Gaze) -> Ranking:
         chosen = ranking.chosen

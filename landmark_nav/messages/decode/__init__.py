@@ -25,7 +25,7 @@ from landmark_nav.messages.decode.joints import (
 )
 from landmark_nav.messages.decode.landmarks import landmark_map
 from landmark_nav.messages.decode.panoramas import panorama
-from landmark_nav.messages.decode.poses import found_place, odometry, pose_estimate
+from landmark_nav.messages.decode.poses import expectation, found_place, odometry, pose_estimate
 
 __all__ = [
     'BitDepth',
@@ -36,6 +36,7 @@ __all__ = [
     'camera_model',
     'check_frame',
     'detections',
+    'expectation',
     'found_place',
     'image',
     'is_unstamped',

@@ -15,6 +15,7 @@ from landmark_nav.messages.decode.headers import (
     seconds,
     stamp_ns,
 )
+from landmark_nav.messages.decode.poses import FARTHEST_M
 from landmark_nav.messages.layouts import DETECTIONS, TRIPLET
 from landmark_nav.types import Detections, Triplet
 
@@ -22,6 +23,8 @@ __all__ = ['detections', 'triplet']
 
 # Bearings may be unwrapped. No sensor is as exact as the root of this, rad.
 _MOST_RAD, _LEAST_VARIANCE = 1e4, 1e-14
+# Nothing is seen 89.9 degrees aside.
+_FARTHEST = 1e3
 
 
 def detections(msg: Any) -> Detections:
@@ -41,6 +44,11 @@ def detections(msg: Any) -> Detections:
     landmark_ids(points['id'], 'detections', unique=False)
     missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
     found = points[~missed]
+    spread = covariances(found['point_covariance'], 'covariance of a point', stamp, 2)
+    # Who measures bearings alone has no image.
+    of_image = bool((np.diagonal(spread, axis1=1, axis2=2) > 0.0).all())
+    places = finite(found['point'], 'detections point', stamp, _FARTHEST)
+    near = finite(points['near'][0] if len(points) else np.zeros(3), 'near', stamp, FARTHEST_M)
     return Detections(
         stamp,
         found['id'],
@@ -51,6 +59,9 @@ def detections(msg: Any) -> Detections:
         points['id'][missed],
         joint_delay_s=configured,
         pan_delay_s=measured,
+        points=places if of_image else places[:0],
+        point_covariance=spread if of_image else spread[:0],
+        near=near if near.any() else None,
     )
 
 

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration, Expectation
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import (
     covariances,
@@ -17,15 +19,24 @@ from landmark_nav.messages.decode.headers import (
     yaw_rad,
 )
 from landmark_nav.messages.found_place import FoundPlace
-from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
+from landmark_nav.messages.layouts import EXPECTATION, FOUND_PLACE, PLANAR
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
-__all__ = ['FARTHEST_M', 'found_place', 'odometry', 'pose_covariance', 'pose_estimate']
+__all__ = [
+    'FARTHEST_M',
+    'expectation',
+    'found_place',
+    'odometry',
+    'pose_covariance',
+    'pose_estimate',
+]
 
 # Half around the earth, m: in UTM coordinates, too, a robot is nearer to their origin.
 FARTHEST_M = 2.0e7
 # Metres or radians per second.
 _FASTEST = 1.0e3
+# Beyond this, metres, radians or seconds, is no value or sigma of a calibration.
+_MOST_OFF = 100.0
 
 
 def odometry(msg: Any) -> OdometrySample:
@@ -93,6 +104,37 @@ def found_place(msg: Any) -> FoundPlace:
         float(finite(first['pan_rate'], 'found_place pan rate', stamp, _FASTEST)),
         *seconds([first['joint_delay'], first['pan_delay']], 'found_place delay', stamp),
     )
+
+
+def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySample]:
+    """
+    Where the camera should be, and the speeds of the base, out of ``expectation``.
+
+    Raises
+    ------
+    LandmarkNavError
+        Fields are missing or of another kind, not one point, or values that are not numbers.
+
+    """
+    points, stamp = unpack_cloud(msg, EXPECTATION), stamp_ns(msg.header)
+    if len(points) != 1:
+        raise LandmarkNavError(f'expectation has {len(points)} points, not 1')
+    first = points[0]
+    pose = finite(first['pose'], 'expectation pose', stamp, FARTHEST_M)
+    sigmas = finite(first['sigmas'], 'calibration sigma', stamp, _MOST_OFF, least=0.0)
+    linear, angular = finite(first['speeds'], 'expectation speed', stamp, _FASTEST).tolist()
+    expected = Expectation(
+        stamp,
+        pose,
+        covariances(first['covariance'], 'expectation covariance', stamp, 3)[0],
+        Calibration(
+            finite(first['values'], 'calibration value', stamp, _MOST_OFF),
+            np.diag(sigmas**2),
+            mount,
+        ),
+        float(finite(first['tilt_sigma'], 'tilt sigma', stamp, _MOST_OFF, least=0.0)),
+    )
+    return expected, OdometrySample(stamp, pose, linear, angular)
 
 
 def _planar(pose: Any, what: str, stamp: int) -> FloatArray:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Expectation
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.messages.encode.headers import (
     header,
@@ -15,10 +16,10 @@ from landmark_nav.messages.encode.headers import (
 )
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.messages.found_place import FoundPlace
-from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
+from landmark_nav.messages.layouts import EXPECTATION, FOUND_PLACE, PLANAR
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
-__all__ = ['found_place', 'odometry', 'pose']
+__all__ = ['expectation', 'found_place', 'odometry', 'pose']
 
 _UNKNOWN: FloatArray = UNKNOWN_VARIANCE * np.eye(3)
 
@@ -84,3 +85,23 @@ def found_place(factory: MessageFactory, place: FoundPlace, frame_id: str = 'map
     points['pan_rate'] = place.pan_rate_rad_s
     points['joint_delay'], points['pan_delay'] = place.joint_delay_s, place.pan_delay_s
     return pack_cloud(factory, header(factory, place.stamp_ns, frame_id), points)
+
+
+def expectation(
+    factory: MessageFactory,
+    expected: Expectation,
+    speeds: OdometrySample,
+    frame_id: str = 'map',
+) -> Any:
+    """Build the PointCloud2 of ``expectation``, one point, with the speeds of its time."""
+    known = expected.calibration
+    point = (
+        expected.pose,
+        expected.covariance.reshape(-1),
+        (speeds.linear_m_s, speeds.angular_rad_s),
+        expected.tilt_sigma_rad,
+        known.values,
+        known.sigmas,
+    )
+    points = np.array([point], dtype=EXPECTATION.fields)
+    return pack_cloud(factory, header(factory, expected.stamp_ns, frame_id), points)

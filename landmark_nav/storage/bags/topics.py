@@ -37,6 +37,8 @@ TOPIC_TYPES = {
     'initialpose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
     'found_place': 'sensor_msgs/msg/PointCloud2',
     'odometry/fused': 'nav_msgs/msg/Odometry',
+    'odometry_fusion/protection_level': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+    'expectation': 'sensor_msgs/msg/PointCloud2',
     'joint_delay': 'sensor_msgs/msg/PointCloud2',
     'tf': 'tf2_msgs/msg/TFMessage',
     'tf_static': 'tf2_msgs/msg/TFMessage',

@@ -1,0 +1,109 @@
+"""
+All poses of a recording, each by what came before it and after.
+
+The filter runs over all of it; then each state is corrected by what the next one turned out to be
+(Rauch, Tung and Striebel, Maximum Likelihood Estimates of Linear Dynamic Systems, AIAA Journal
+3(8), 1965). Landmarks join and leave the state: one that joins says nothing of the state before,
+and one that has left is known no better by what comes later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import pinvh
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints
+from landmark_nav.localization.estimator.filter import JointFilter, State
+from landmark_nav.localization.estimator.timeline import move_to
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.types import FloatArray, PoseEstimate
+
+__all__ = ['smoothed_poses']
+
+# Eigenvalues of a correlation matrix below this are rounding.
+_ROUNDING = 1e-12
+
+
+class _Step(NamedTuple):
+    """State after an image, what the next was expected to be, and the derivative of that."""
+
+    after: State
+    predicted: State
+    by_head: FloatArray
+    kept: float
+
+
+def smoothed_poses(
+    joint: JointFilter,
+    track: OdometryTrack,
+    images: Sequence[ImagePoints],
+    lost: npt.NDArray[np.bool_] | None = None,
+) -> list[PoseEstimate]:
+    """
+    Return the pose at each image, given all of them.
+
+    Parameters
+    ----------
+    joint : JointFilter
+        At the start; afterwards it is at the last image.
+    track : OdometryTrack
+        All odometry.
+    images : sequence of ImagePoints
+        By time.
+    lost : ndarray of bool, shape (n,), optional
+        Before which images nothing is known of the motion.
+
+    """
+    if not images:
+        return []
+    steps: list[_Step] = []
+    for k, seen in enumerate(images):
+        after = joint.snapshot
+        move_to(seen.stamp_ns, joint, track)
+        if lost is not None and lost[k]:
+            joint.forget_pose()
+        moved = joint.snapshot
+        joint.observe(seen)
+        kept = joint.kept(moved.way_m) if joint.predicted.way_m < moved.way_m else 1.0
+        steps.append(_Step(after, joint.predicted, moved.carried, kept))
+        joint.mark()
+    state = joint.snapshot
+    mean, covariance = state.mean, state.covariance
+    found = [(mean, covariance)]
+    for step in steps[:0:-1]:
+        mean, covariance = _backward(step, mean, covariance)
+        found.append((mean, covariance))
+    return [
+        PoseEstimate(seen.stamp_ns, mean[:3], covariance[:3, :3])
+        for seen, (mean, covariance) in zip(images, reversed(found), strict=True)
+    ]
+
+
+def _backward(
+    step: _Step, mean: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Smoothed mean and covariance of a state, given those of the next."""
+    before, after, predicted = step.after.covariance, step.after, step.predicted
+    fixed = len(after.mean) - 3 * len(after.landmarks)
+    together = np.zeros((len(before), len(predicted.mean)))
+    together[:, :CALIBRATION] = before[:, :CALIBRATION] @ step.by_head.T
+    together[:, CALIBRATION:fixed] = before[:, CALIBRATION:fixed]
+    here, there = np.nonzero(after.landmarks[:, None] == predicted.landmarks)
+    for k in range(3):
+        together[:, fixed + 3 * there + k] = step.kept * before[:, fixed + 3 * here + k]
+    # In sigmas; what is exact stays as it is.
+    sigmas = np.sqrt(np.diag(predicted.covariance))
+    scale = np.where(sigmas > 0.0, 1.0 / np.maximum(sigmas, 1e-300), 0.0)
+    alike = pinvh(scale[:, None] * predicted.covariance * scale, rtol=_ROUNDING)
+    gain = (together * scale) @ (alike * scale)
+    off = mean - predicted.mean
+    off[2] = wrap_rad(off[2])
+    smoothed = after.mean + gain @ off
+    smoothed[2] = wrap_rad(smoothed[2])
+    spread = before + gain @ (covariance - predicted.covariance) @ gain.T
+    return smoothed, 0.5 * (spread + spread.T)

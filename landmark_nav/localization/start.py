@@ -1,0 +1,66 @@
+"""Poses to start from, as they are given: checked, and with the sigmas that they lack."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.types import PoseEstimate
+
+__all__ = ['checked_start', 'is_finite', 'with_sigmas']
+
+# Sigmas of x, y, heading of a pose that is not known. Those who tell that by larger numbers leave
+# no digits for what is found.
+_UNKNOWN = np.array([100.0, 100.0, np.pi])
+
+
+def is_finite(estimate: PoseEstimate) -> bool:
+    """Whether a pose and its covariance are numbers."""
+    return bool(np.isfinite(estimate.pose).all() and np.isfinite(estimate.covariance).all())
+
+
+def with_sigmas(start: PoseEstimate, sigma_m: float, sigma_rad: float) -> PoseEstimate:
+    """Return a start with these sigmas of position and heading where its variances are zero."""
+    variance = np.square([sigma_m, sigma_m, sigma_rad])
+    missing = np.where(start.covariance.diagonal() == 0.0, variance, 0.0)
+    return replace(start, covariance=start.covariance + np.diag(missing))
+
+
+def checked_start(
+    start: PoseEstimate, odometry_ns: tuple[int, int] | None, now_ns: int | None
+) -> PoseEstimate:
+    """
+    Return a valid start pose; its stamp is replaced by now if no odometry is near it.
+
+    Its sigmas are those of a pose that is not known at most, 100 m and half a turn.
+
+    Parameters
+    ----------
+    start : PoseEstimate
+        As it was given.
+    odometry_ns : tuple of int or None
+        First and last stamp of the odometry.
+    now_ns : int or None
+        Present time; the last odometry's if that is later.
+
+    Raises
+    ------
+    LandmarkNavError
+        A pose or covariance that is not finite, or a covariance that is not positive.
+
+    """
+    if not is_finite(start):
+        raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')
+    sigmas = np.sqrt(np.maximum(start.covariance.diagonal(), 0.0))
+    share = _UNKNOWN / np.maximum(sigmas, _UNKNOWN)
+    start = replace(start, covariance=start.covariance * np.outer(share, share))
+    if np.linalg.eigvalsh(start.covariance)[0] < -1e-9:
+        raise LandmarkNavError('start pose: its covariance is not positive semidefinite')
+    if odometry_ns is None:
+        return start
+    now_ns = max(odometry_ns[1], now_ns or 0)
+    if odometry_ns[0] <= start.stamp_ns <= max(now_ns, odometry_ns[1] + 10**9):
+        return start
+    return replace(start, stamp_ns=now_ns)

@@ -1,0 +1,100 @@
+"""The joint estimator where odometry stops, and where a pose is found within a wide prior."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from joint_drives import driven, MOUNT, NS, simulated
+import numpy as np
+import pytest
+
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.localization.estimator import ImagePoints, Integrity, JointFilter, Status
+from landmark_nav.localization.estimator.timeline import Timeline
+from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
+
+TAPE = Calibration.of_mount(MOUNT)
+
+
+@pytest.mark.parametrize('gap_s', [0.5, 1.5, 4.0])
+def test_odometry_that_stops_and_comes_back_does_no_harm(gap_s: float) -> None:
+    drive = simulated(12, seconds=14.0)
+    odometry, begin = OdometryNoiseConfig(), round(6.0 * NS)
+    joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
+    line = Timeline(joint, OdometryTrack(odometry), window_s=1.0)
+    stamp, pose, image = 0, np.zeros(3), 0
+    line.add_odometry(OdometrySample(0, pose))
+    for event in drive.events:
+        if isinstance(event, Motion):
+            stamp += round(event.seconds * NS)
+            pose = compose(pose, event.increment)
+            if not begin < stamp < begin + round(gap_s * NS):
+                forward, _, turn = (event.increment / event.seconds).tolist()
+                line.add_odometry(OdometrySample(stamp, pose, forward, turn))
+            continue
+        update = line.add_image(event)
+        assert not isinstance(update, Refusal)
+        assert not update.stepped
+        found = line.estimate(event.stamp_ns)
+        error = found.pose - drive.poses[image]
+        assert error @ np.linalg.solve(found.covariance, error) < 31.8
+        image += 1
+    assert np.hypot(*error[:2]) < 0.02
+
+
+def test_an_image_after_blind_motion_tells_nothing_of_the_mount() -> None:
+    """Only motion that is known parts the place of the axis from that of the base."""
+    drive = simulated(2, TAPE, seconds=4.0)
+    joint = driven(drive).filter
+    before = joint.calibration.sigma_of('axis_x', 2)
+    seen = next(e for e in reversed(drive.events) if isinstance(e, ImagePoints) and len(e) > 4)
+    wide = replace(
+        joint.snapshot,
+        covariance=joint.snapshot.covariance
+        + np.diag([1.0] * 3 + [0.0] * (len(joint.snapshot.mean) - 3)),
+    )
+    joint.restore(wide)
+    joint.observe(replace(seen, near=drive.poses[-1]))
+    assert joint.calibration.sigma_of('axis_x', 2) == pytest.approx(before, rel=0.02)
+    assert np.hypot(*(joint.estimate.pose - drive.poses[-1])[:2]) < 0.05
+
+
+def test_a_pose_found_by_the_camera_is_off_by_the_mount() -> None:
+    joint = driven(simulated(2, TAPE, seconds=4.0)).filter
+    exact = 1e-10 * np.eye(3)
+    found = joint.placed(PoseEstimate(0, np.array([2.0, 1.0, 0.7]), exact), 0.0)
+    center = joint.calibration['center_x'][1]
+    # The camera is where it was found; the base, by as much as is not known between them.
+    seen = np.sqrt(np.diag(found.expectation.covariance))
+    assert seen[:2] == pytest.approx(center, rel=0.2)
+    assert seen[2] < 1e-4
+    mount = np.sqrt(np.sum(joint.calibration.sigma_of('axis_x', 2) ** 2))
+    base = found.estimate.covariance
+    assert np.sqrt(np.trace(base[:2, :2])) > mount
+    assert np.sqrt(base[2, 2]) == pytest.approx(joint.calibration['axis_yaw'][1], rel=0.01)
+
+
+def test_a_wide_prior_needs_only_to_know_where_to_begin() -> None:
+    drive = simulated(5, seconds=4.0, noise=0.0, pixel_sigma=1e-6, map_sigma_m=0.0)
+    exact = Calibration.of_mount(replace(MOUNT, pan_sigma_rad=0.0), dict.fromkeys(NAMES, 0.0))
+    at, seen = next(
+        (k, e)
+        for k, e in enumerate(e for e in drive.events if isinstance(e, ImagePoints))
+        if len(e) > 4
+    )
+    truth = drive.poses[at]
+    start = PoseEstimate(0, np.add(truth, [1.0, -0.7, 1.0]), np.eye(3))
+    joint = JointFilter(drive.landmark_map, exact, start)
+    joint.observe(replace(seen, near=np.add(truth, [0.05, 0.05, -0.03])))
+    assert joint.estimate.pose == pytest.approx(truth, abs=0.01)
+
+
+def test_an_image_without_what_should_be_seen_degrades_at_once() -> None:
+    integrity, good = Integrity(), PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
+    update = driven(simulated(5, seconds=4.0)).updates[-1]
+    for missed, status in ((0, Status.OK), (0, Status.OK), (8, Status.DEGRADED), (0, Status.OK)):
+        integrity.add(0, None if missed else update, missed)
+        assert integrity.status(good)[0] is status
