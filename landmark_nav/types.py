@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray, ImageArray
+from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.pan_track import PanTrack
@@ -142,6 +143,12 @@ class Panorama:
         Of x, y, z, heading.
     quality : PanoramaQuality, optional
         Where it was made here: it does not travel.
+    calibration : Calibration, optional
+        As far as it is known after the sweep. It does not travel either.
+    made_with : ndarray, shape (15,), optional
+        Values of the calibration that the image was made with.
+    by_calibration : ndarray, shape (4, 15), optional
+        Derivative of x, y, z, heading by the calibration; papers locate the camera itself: 0.
 
     """
 
@@ -153,6 +160,9 @@ class Panorama:
     heading_rad: float
     covariance: FloatArray
     quality: PanoramaQuality | None = None
+    calibration: Calibration | None = None
+    made_with: FloatArray | None = None
+    by_calibration: FloatArray | None = None
 
     @property
     def axis(self) -> PoseEstimate:
@@ -224,13 +234,30 @@ class Landmark:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
-    """What was learned, and where; the arrays are stacked over `landmarks` in their order."""
+    """
+    What was learned, and where; the arrays are stacked over `landmarks` in their order.
+
+    `prior` is the calibration that ``robot.yaml`` gave at learning, `calibration` what was learned
+    of it; maps of schema 1 and of others' data have none.
+    """
 
     landmarks: tuple[Landmark, ...]
     frame_id: str = 'map'
     walls: tuple[Wall, ...] = ()
     panorama_poses: tuple[PoseEstimate, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
+    prior: Calibration | None = None
+    calibration: Calibration | None = None
+
+    def calibration_from(self, given: Calibration) -> Calibration:
+        """
+        What is known before a drive with ``robot.yaml`` as `given`.
+
+        That is what learning made of it; another ``robot.yaml`` than at learning counts itself.
+        """
+        if self.prior is None or self.calibration is None or not given.same_as(self.prior):
+            return given
+        return replace(self.calibration, base=given.base)
 
     @cached_property
     def ids(self) -> npt.NDArray[np.int64]:

@@ -132,10 +132,11 @@ def joint_run(
     start: FloatArray,
 ) -> Replay:
     """Drive with the joint estimator."""
-    config = LocalizationConfig(estimator='joint')
-    return replay(
-        events, landmark_map, calibration.mount, config, start, START_COVARIANCE, calibration
+    config, known = (
+        LocalizationConfig(estimator='joint'),
+        landmark_map.calibration_from(calibration),
     )
+    return replay(events, landmark_map, known.mount, config, start, START_COVARIANCE, known)
 
 
 def filter_line(
@@ -224,8 +225,7 @@ def main() -> int:
                 continue
             wrong = right.with_values(**{key: right[key][0] + off for key, off in error.items()})
             maps = {'driving': study_map}
-            # Focal length and delay are no part of the mount that `learn` reads.
-            if not args.driving and wrong.mount != right.mount:
+            if not args.driving and error:
                 maps['both'] = learned(args.study, wrong, Path(scratch) / f'map{len(lines)}')
             for where, landmarks in maps.items():
                 if landmarks is None:

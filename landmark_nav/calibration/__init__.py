@@ -1,5 +1,5 @@
 """How the camera is mounted, and how exactly that is known."""
 
-from landmark_nav.calibration.calibration import Calibration, NAMES, UNITS
+from landmark_nav.calibration.calibration import Calibration, NAMES, shown, UNITS
 
-__all__ = ['NAMES', 'UNITS', 'Calibration']
+__all__ = ['NAMES', 'UNITS', 'Calibration', 'shown']

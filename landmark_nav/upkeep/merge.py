@@ -64,6 +64,8 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
         older.walls,
         (*older.panorama_poses, *newer.panorama_poses),
         {**newer.provenance, **older.provenance, 'merged': '2 maps'},
+        newer.prior,
+        newer.calibration,
     )
 
 

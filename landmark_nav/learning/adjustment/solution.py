@@ -9,7 +9,7 @@ things hang, is estimated from the residuals themselves, room by room.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +66,8 @@ class Adjustment:
         Sigmas found: of azimuths, of tangents, of relief; factors, 1 or more, on the sigmas that
         panoramas say their places have, in plan and in height; how far things hang off all walls,
         how far each wall lies from where the room says, and how differently far things hang.
+    calibration, calibration_covariance : ndarray, shape (c,), (c, c)
+        Values of `CALIBRATED`; none where a panorama does not say what it was made with.
 
     """
 
@@ -77,6 +79,8 @@ class Adjustment:
     off_wall_m: FloatArray
     chi_square: FloatArray
     noise: FloatArray
+    calibration: FloatArray = field(default_factory=lambda: np.zeros(0))
+    calibration_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def hanging_sigma_m(self) -> float:
@@ -159,6 +163,7 @@ def adjust(
         problem.off_wall(points),
         _misfit(problem, at, noise, trusted),
         noise,
+        *problem.calibration(shared, covariance),
     )
 
 

@@ -22,10 +22,15 @@ from landmark_nav.learning.reference_area.location import (
     optical_height,
     SweepPlace,
 )
+from landmark_nav.learning.reference_area.mount_error import MountDisagreement, MountError
+from landmark_nav.learning.reference_area.refusals import WRONG_PRIOR
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS
 
 __all__ = [
     'LEAST_PAPERS',
+    'WRONG_PRIOR',
+    'MountDisagreement',
+    'MountError',
     'PaperFault',
     'PaperFaults',
     'PaperRecord',
