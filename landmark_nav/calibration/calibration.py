@@ -45,7 +45,7 @@ _DEFAULTS = np.array([sigma for _, sigma in _QUANTITIES.values()])
 
 # A calibrated mount is given to a tenth of a millimetre and to 0.006 degrees.
 _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
-# A measurement contradicts a value if it is off by so many standard deviations of their difference.
+# A measurement contradicts a value if it is off by so many sigmas of their difference.
 _CONTRADICTION = 5.0
 # A quantity counts as observed once this share of its prior standard deviation is gone.
 _OBSERVED = 0.3
@@ -68,6 +68,9 @@ class Calibration:
         Of `values`.
     base : PanTiltMount
         Names of frames and joints, noise of the pan.
+    by_map : ndarray, shape (15, m), optional
+        Covariance of `values` with the factors of unit variance that all landmarks of a map share:
+        the map was learned with this calibration.
 
     Raises
     ------
@@ -79,6 +82,7 @@ class Calibration:
     values: FloatArray
     covariance: FloatArray
     base: PanTiltMount = field(default_factory=PanTiltMount)
+    by_map: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -194,7 +198,12 @@ class Calibration:
         gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + covariance)
         left = np.eye(len(prior)) - gain @ rows
         after = left @ prior @ left.T + gain @ covariance @ gain.T
-        return replace(self, values=self.values + gain @ off, covariance=0.5 * (after + after.T))
+        return replace(
+            self,
+            values=self.values + gain @ off,
+            covariance=0.5 * (after + after.T),
+            by_map=None if self.by_map is None else left @ self.by_map,
+        )
 
     def same_as(self, other: Calibration) -> bool:
         """Whether values and sigmas are the same but for rounding in a file."""

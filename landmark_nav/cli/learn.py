@@ -44,7 +44,7 @@ from landmark_nav.storage.setup_files import load_room
 from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
 from landmark_nav.types import Panorama, Sweep
 
-__all__ = ['add_arguments', 'run']
+__all__ = ['LearningStages', 'add_arguments', 'panoramas_of_bag', 'run']
 
 _LOG = logging.getLogger(__name__)
 
@@ -55,7 +55,7 @@ _LEARNING_STAGES = 4
 
 
 @dataclass(frozen=True)
-class _Stages(PanoramaStages, LearningConfig):
+class LearningStages(PanoramaStages, LearningConfig):
     """Parameters of all stages, from sweeps to map: the sections of ``--config``."""
 
 
@@ -93,13 +93,13 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.json)
     room, given = load_room(args.room), load_calibration(args.robot)
     mount = given.mount
-    config = load_config(args.config, _Stages()) if args.config else _Stages()
+    config = load_config(args.config, LearningStages()) if args.config else LearningStages()
     bag = open_bag(args.bag, args)
     log = StageLog()
     with log.measure('checks'):
         refuse_errors(bag, diagnose(bag, mount, room, QUICK))
     with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
-        panoramas, frames = _panoramas(bag, room, given, config, log)
+        panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
         result = learn_from_panoramas(panoramas, room, config, shown)
         learned = result.map.calibration or given
@@ -135,7 +135,7 @@ class _ShownStages(StageLog):
             yield
 
 
-def _panoramas(
+def panoramas_of_bag(
     bag: Bag, room: Room, given: Calibration, config: PanoramaStages, log: StageLog
 ) -> tuple[list[Panorama], list[int]]:
     """Make the panoramas of a bag, each with what those before say, and count their frames."""

@@ -245,7 +245,9 @@ def _calibration(
     # What the base leans on the floor where the panoramas were taken is no part of the mount.
     lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
     covariance[lean, lean] += config.reference_area.horizon_sigma_rad**2 / len(panoramas)
-    return replace(known, values=values, covariance=covariance)
+    by_map = np.zeros((len(NAMES), adjustment.shared_loading.shape[2]))
+    by_map[which] = adjustment.calibration_loading
+    return replace(known, values=values, covariance=covariance, by_map=by_map)
 
 
 def _check(panoramas: Sequence[Panorama]) -> None:

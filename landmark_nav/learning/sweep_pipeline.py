@@ -41,13 +41,13 @@ from landmark_nav.learning.panorama.photometry import even_out, measure_photomet
 from landmark_nav.learning.reference_area import (
     check_agreement,
     locate_sweep,
-    MountDisagreement,
     MountError,
     optical_height,
     PaperRecord,
     ReferenceAreaConfig,
     SweepPlace,
     WRONG_PRIOR,
+    WrongMountError,
 )
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
@@ -66,8 +66,8 @@ _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
 _WORTH_SAYING = 0.02
 # No pose is better known.
 _LEAST_VARIANCE = 1e-10
-# Height and lean that are off by more of the usual standard deviations are measured once more, with
-# those of the robot's file.
+# Height and lean that are off by more of the usual standard deviations are measured once more,
+# with those of the robot's file.
 _WIDER_SIGMAS = 2.0
 # Calibrations that differ by less make one panorama.
 _SAME_PX = 0.2
@@ -124,7 +124,7 @@ def panorama_from_sweep(
     prior = given if isinstance(given, Calibration) else Calibration.of_mount(given)
     try:
         return _made(sweep, room, prior, prior, config, floor_rad, log, papers)
-    except MountDisagreement as error:
+    except WrongMountError as error:
         if not error.found.reasonable:
             raise
         papers.clear()
@@ -186,11 +186,11 @@ def _made(
             faults = papers.faults()
             cause = why or faults.cause or str(error)
             wrong = faults.mount
-            if wrong is None and isinstance(error, MountDisagreement) and not faults.faults:
+            if wrong is None and isinstance(error, WrongMountError) and not faults.faults:
                 wrong = error.found
             if why or wrong is None:
                 raise LandmarkNavError(cause) from error
-            raise MountDisagreement(cause, wrong) from error
+            raise WrongMountError(cause, wrong) from error
     mount, lean = levelled(mount, place.lean_score, place.lean_information, config.calibration)
     with log.measure('calibration'):
         refined = calibrate_sweep(

@@ -54,7 +54,7 @@ def calibration_entry(known: Calibration) -> dict[str, Any]:
         'names': list(NAMES),
         'values': listed(known.values),
         'covariance': listed(known.covariance),
-    }
+    } | ({} if known.by_map is None else {'shared_loading': listed(known.by_map)})
 
 
 def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibration | None:
@@ -65,7 +65,14 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
     if list_field(entry, 'names', where) != list(NAMES):
         raise LandmarkNavError(f'{where}: names must be {", ".join(NAMES)}')
     covariance = covariance_field(entry, 'covariance', len(NAMES), where)
-    return Calibration(array_field(entry, 'values', (len(NAMES),), where), covariance)
+    shared = None
+    if 'shared_loading' in entry:
+        shared = array_field(entry, 'shared_loading', (len(NAMES), None), where)
+        own = np.linalg.eigvalsh(covariance - shared @ shared.T)
+        if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
+            raise LandmarkNavError(f'{where}: covariance is less than shared_loading makes of it')
+    values = array_field(entry, 'values', (len(NAMES),), where)
+    return Calibration(values, covariance, by_map=shared)
 
 
 def patch_name(identity: int) -> str:

@@ -171,6 +171,10 @@ class Problem:
         """Values (c,) of `CALIBRATED` and their covariance (c, c), out of all that is shared."""
         return shared[self._calibrated], covariance[self._calibrated, self._calibrated]
 
+    def calibration_rows(self, root: FloatArray) -> FloatArray:
+        """Rows (c, m) of `CALIBRATED` in a root (m, m) of the covariance of all that is shared."""
+        return root[self._calibrated]
+
     def linearize(self, points: FloatArray, shared: FloatArray) -> Linearized:
         """Residuals and derivatives at landmarks (n, 3) and shared unknowns (m,)."""
         poses = self.poses(shared)[self.view]

@@ -22,14 +22,13 @@ from landmark_nav.learning.reference_area.location import (
     optical_height,
     SweepPlace,
 )
-from landmark_nav.learning.reference_area.mount_error import MountDisagreement, MountError
+from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.refusals import WRONG_PRIOR
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS
 
 __all__ = [
     'LEAST_PAPERS',
     'WRONG_PRIOR',
-    'MountDisagreement',
     'MountError',
     'PaperFault',
     'PaperFaults',
@@ -37,6 +36,7 @@ __all__ = [
     'PaperView',
     'ReferenceAreaConfig',
     'SweepPlace',
+    'WrongMountError',
     'check_agreement',
     'joined',
     'joint_covariance',

@@ -59,8 +59,9 @@ class PaperFit:
     x, y, height, heading; `seen` (papers,) the share of each paper's edges that was found,
     `agreed` (papers,) the share of those that fits; `hang_m` (papers, 2) how far along the wall
     and up each hangs from where it should; `tilt_rad` (2,) of the axis about x and y of the base,
-    and `mount_covariance` (3, 3) of height and that, prior included; `size` the share by which all papers are
-    larger than told, `size_sigma` of that, prior included; `misfit` the mean squared deviation.
+    and `mount_covariance` (3, 3) of height and that, prior included; `size` the share by which all
+    papers are larger than given, `size_sigma` of that, prior included; `misfit` the mean squared
+    deviation.
     """
 
     pose_map_base: FloatArray

@@ -25,7 +25,7 @@ from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
-from landmark_nav.learning.reference_area.mount_error import MountDisagreement, MountError
+from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.refusals import (
     check_prior,
     doubtful_size,
@@ -120,7 +120,7 @@ def locate_sweep(
 
     Raises
     ------
-    MountDisagreement
+    WrongMountError
         Height or lean are off by more.
     LandmarkNavError
         Fewer than three papers in the room or in sight, papers that don't hang as the room says,
@@ -221,7 +221,7 @@ class _PaperSearch:
                 high = locate_sweep(self._sweep, self._view, self._room, self._mount, anywhere)
                 rise_m = high.height_m - self.height_m
                 if abs(rise_m) > WRONG_PRIOR * config.height_sigma_m:
-                    return MountDisagreement(wrong_height(rise_m), MountError(rise_m))
+                    return WrongMountError(wrong_height(rise_m), MountError(rise_m))
         why = why_not(self._blobs, places, fits, self._room, self.height_m, self._fits_at)
         unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '

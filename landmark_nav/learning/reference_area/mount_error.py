@@ -9,7 +9,7 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-__all__ = ['MountDisagreement', 'MountError']
+__all__ = ['MountError', 'WrongMountError']
 
 # What a person may be off by; more is another mistake.
 _MOST_M, _MOST_RAD = 0.3, float(np.radians(10.0))
@@ -32,7 +32,7 @@ class MountError:
         return abs(self.rise_m) < _MOST_M and float(np.hypot(*self.lean_rad)) < _MOST_RAD
 
 
-class MountDisagreement(LandmarkNavError):
+class WrongMountError(LandmarkNavError):
     """Papers fit a mount that is off by `found` from the given one."""
 
     def __init__(self, message: str, found: MountError) -> None:

@@ -14,7 +14,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
-from landmark_nav.learning.reference_area.mount_error import MountDisagreement, MountError
+from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
 from landmark_nav.types import ImageArray
 
@@ -71,7 +71,7 @@ def check_prior(
     leans = np.hypot(*fit.tilt_rad) > most_sigmas * config.horizon_sigma_rad
     if high or leans:
         found = MountError(fit.rise_m, fit.tilt_rad)
-        raise MountDisagreement(wrong_height(fit.rise_m) if high else wrong_lean(fit), found)
+        raise WrongMountError(wrong_height(fit.rise_m) if high else wrong_lean(fit), found)
     hang = np.abs(fit.hang_m).max(axis=1)
     worst = int(np.argmax(hang))
     if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):

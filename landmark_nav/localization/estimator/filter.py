@@ -176,6 +176,11 @@ class JointFilter:
         mean[:3], covariance[:3, :3] = start.pose, start.covariance
         mean[CALIBRATION:STATES] = calibration.values
         covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
+        shared = calibration.by_map
+        if shared is not None and shared.shape[1] == self._fixed - STATES:
+            # The map was learned with this calibration: they err together.
+            covariance[CALIBRATION:STATES, STATES:] = shared
+            covariance[STATES:, CALIBRATION:STATES] = shared.T
         by_noise = np.zeros((NOISES, STATES, STATES))
         by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_sigma**2
         by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
@@ -238,18 +243,27 @@ class JointFilter:
         """
         Return the filter of the same robot at another pose.
 
-        What was learned of wheels, mount and floor stays. A pose that was found `by_camera` is off
-        by the pan zero, against which its heading is known.
+        What was learned of wheels, mount, floor and map stays. A pose that was found `by_camera`
+        is that of the camera less the mount: it is off by what the mount is off by.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
         mine, new = self._state, other._state
         mean, covariance = new.mean.copy(), new.covariance.copy()
-        wheels = slice(SCALE, STATES)
-        mean[wheels] = mine.mean[wheels]
-        covariance[wheels, wheels] = mine.covariance[wheels, wheels]
+        kept, first = slice(SCALE, self._fixed), CALIBRATION
+        mean[kept] = mine.mean[kept]
+        covariance[kept, kept] = mine.covariance[kept, kept]
         if by_camera:
-            covariance[2, wheels] = covariance[wheels, 2] = -covariance[YAW, wheels]
-            covariance[2, 2] += covariance[YAW, YAW]
+            c, s = np.cos(mean[2]), np.sin(mean[2])
+            x, y = mean[first : first + 2].tolist()
+            mounted = np.zeros((3, self._fixed - SCALE))
+            mounted[:2, first - SCALE : first - SCALE + 2] = [[-c, s], [-s, -c]]
+            mounted[:, YAW - SCALE] = -s * x - c * y, c * x - s * y, -1.0
+            covariance[:3, kept] = mounted @ covariance[kept, kept]
+            covariance[kept, :3] = covariance[:3, kept].T
+            covariance[:3, :3] += covariance[:3, kept] @ mounted.T
+            # Where the camera looked meanwhile is not known here.
+            centre = slice(first + 6, first + 8)
+            covariance[[0, 1], [0, 1]] += np.diag(covariance)[centre].max()
         other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
         return other
 
