@@ -221,6 +221,7 @@ def _report(
         'trade_offs': [
             {'quantities': [a, b], 'correlation': value} for a, b, value in trade_offs(found)
         ],
+        'side_slip_bound_rad': work.drives[-1].slip_bound_rad if work.drives else None,
         'contradicted': {name: {'off': off, 'sigma': s} for name, (off, s) in broken.items()},
     }
 
@@ -244,6 +245,12 @@ def _summary(report: dict[str, Any], out: Path) -> str:
         )
     for item in report['unobserved']:
         lines.append(f'{", ".join(item["quantities"])}: record {item["motion"]}')
+    slip = report['side_slip_bound_rad']
+    if slip is not None:
+        lines.append(
+            f'side slip of the wheels leaves {np.degrees(slip):.2f} deg of axis_yaw (pan zero): '
+            'drive straight for longer to know it better'
+        )
     for item in report['trade_offs']:
         a, b = item['quantities']
         what = 'sum' if item['correlation'] < 0.0 else 'difference'

@@ -33,8 +33,8 @@ __all__ = [
     'trade_offs',
 ]
 
-# Papers that hang off by a millimetre tilt a map so much against the floor: no drive shows the axis
-# more upright, radians.
+# Papers that hang off by a millimetre tilt a map so much against the floor, radians: no drive
+# shows the lean of the axis better.
 _LEVEL_RAD = 5e-4
 # Share of the images in which localization may be lost.
 _MOST_LOST = 0.5
@@ -96,6 +96,8 @@ class CalibrationDrive:
         Images since the start, and those in which localization was lost.
     landmark_map : LandmarkMap
         What was looked for.
+    slip_bound_rad : float
+        Sigma of the mean side slip of the wheels, as learned: pan zero is known no better.
 
     """
 
@@ -104,6 +106,7 @@ class CalibrationDrive:
     images: int
     lost: int
     landmark_map: LandmarkMap
+    slip_bound_rad: float
     _measured: tuple[OdometrySample | tuple[ImagePoints, float], ...]
     _config: LocalizationConfig
 
@@ -222,14 +225,13 @@ def calibrate_by_drive(
     level = np.zeros_like(found.covariance)
     # What is exact stays.
     level[lean, lean] = np.where(prior.sigmas[lean] > 0.0, _LEVEL_RAD**2, 0.0)
+    found = replace(found, covariance=found.covariance + level)
+    wheels = localizer.odometry_noise
+    steps = [m.pose_odom_base[:2] for m in measured if isinstance(m, OdometrySample)]
+    way_m = float(np.hypot(*np.diff(np.array(steps).reshape(-1, 2), axis=0).T).sum())
+    slip = wheels.slip_sigma * np.sqrt(2.0 * wheels.slip_length_m / max(way_m, 1e-3))
     return CalibrationDrive(
-        begin,
-        replace(found, covariance=found.covariance + level),
-        images,
-        lost,
-        landmark_map,
-        tuple(measured),
-        config,
+        begin, found, images, lost, landmark_map, float(slip), tuple(measured), config
     )
 
 

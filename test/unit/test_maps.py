@@ -94,7 +94,7 @@ def test_the_file_is_short_lines_and_the_same_every_time(tmp_path):
     assert text == (tmp_path / 'b' / 'map.yaml').read_text()
     assert max(map(len, text.splitlines())) < 120
     assert '  position: [' in text
-    assert text.startswith('schema_version: 1\n')
+    assert text.startswith('schema_version: 2\n')
     names = sorted(p.name for p in (tmp_path / 'a' / 'patches').iterdir())
     assert names == ['000.png', '007.png', '014.png']
     views = sorted(p.name for p in (tmp_path / 'a' / 'views').iterdir())
@@ -156,7 +156,7 @@ def first(key, value):
 @pytest.mark.parametrize(
     ('edit', 'match'),
     [
-        (lambda d: d.update(schema_version=2), 'schema version 2.*reads 1.*update landmark_nav'),
+        (lambda d: d.update(schema_version=3), 'schema version 3.*reads 2.*update landmark_nav'),
         (lambda d: d.update(schema_version='0.9'), r"schema version '0\.9'.*learn the map again"),
         (lambda d: d.pop('schema_version'), 'schema_version is missing'),
         (lambda d: d.pop('landmarks'), 'landmarks is missing'),
