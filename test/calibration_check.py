@@ -8,10 +8,11 @@ of the whole drive and after the first 4 m, the mean NEES with its 95 % interval
 that are off by over 5 sigma while the state is OK. It exits with 1 if the joint estimator misses
 a goal.
 
-``--rooms SEED ...`` simulates rooms instead, with a mount, lens and clock that are drawn at random,
-learns them and calibrates by a drive of at most three minutes. A line gives the errors of lever,
-pan zero, focal length and delay, each with its sigma, the bound of pan zero by side slip, NEES of
-the calibration over its 15 values, and the error of localization over that with the true mount.
+``--rooms SEED ...`` simulates rooms instead, with a mount, lens and clock that are drawn at
+random, learns them and calibrates by a drive of at most three minutes. A line gives the errors of
+lever, pan zero, focal length and delay, each with its sigma, the bound of pan zero by side slip,
+NEES of the calibration over its 15 values, and the errors of localization with the found and with
+the true mount.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import tempfile
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.evaluation.calibration_run import calibrate_by_drive
 from landmark_nav.evaluation.metrics import consistency, pose_errors, silently_wrong
@@ -230,26 +231,24 @@ def learned(study: Path, calibration: Calibration, folder: Path) -> LandmarkMap 
 def drawn_robot(rng: np.random.Generator) -> tuple[Calibration, Calibration]:
     """Return the robot as it is, and as it is given with the sigmas that its errors have."""
     given = Calibration.of_mount(DEFAULT_MOUNT, DRAWN_SIGMAS)
-    off = {name: float(rng.normal(0.0, sigma)) for name, sigma in DRAWN_SIGMAS.items() if sigma}
-    return given.with_values(
-        **{name: given[name][0] + value for name, value in off.items()}
-    ), given
+    drawn = {k: given[k][0] + float(rng.normal(0.0, s)) for k, s in DRAWN_SIGMAS.items()}
+    return given.with_values(**drawn), given
 
 
 def room_line(seed: int, seconds: float, folder: Path) -> str:
     """Simulate a room with a robot that is drawn, learn and calibrate it; a line of figures."""
     true, given = drawn_robot(np.random.default_rng([seed, 70]))
     save_calibration(true, folder / 'true.yaml')
+    folder = folder / 'room'
     where = ['--out', str(folder), '--overwrite', '--seed', str(seed), '--light-change']
-    how = ['--robot', str(folder / 'true.yaml'), '--drive-seconds', str(seconds)]
+    how = ['--robot', str(folder.parent / 'true.yaml'), '--drive-seconds', str(seconds)]
     if landmark_nav(['simulate', *where, *how]):
         return f'{seed}: not simulated'
     room = load_room(folder / 'room.yaml')
 
     def as_given(frame: CameraFrame) -> CameraFrame:
         """Return a frame with the focal length that camera_info of this robot gives."""
-        scale, camera = 1.0 + true['focal_scale'][0], frame.camera
-        return replace(frame, camera=replace(camera, fx=camera.fx / scale, fy=camera.fy / scale))
+        return replace(frame, camera=scaled(frame.camera, 1.0 / (1.0 + true['focal_scale'][0])))
 
     known, panoramas = given, []
     for sweep in read_sweeps(Bag(folder / 'learn'), given.mount):
@@ -273,18 +272,17 @@ def room_line(seed: int, seconds: float, folder: Path) -> str:
         run = replay(events, landmarks, prior.mount, config, start, START_COVARIANCE, prior)
         errors = pose_errors(run.fused, run.truth.at(run.stamps_ns))
         rms.append(1e3 * float(np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))))
-    k = {name: NAMES.index(name) for name in NAMES}
+    lever = f'{1e3 * np.hypot(*off[:2]):5.1f} +- {1e3 * np.hypot(*sigmas[:2]):4.1f} mm'
+    yaw, focal, delay = (
+        shown(off[k], sigmas[k], UNITS[NAMES[k]])
+        for k in map(NAMES.index, ('axis_yaw', 'focal_scale', 'joint_delay'))
+    )
+    scaled = off / sigmas
+    worst = ', '.join(f'{NAMES[k]} {scaled[k]:+.1f}' for k in np.argsort(-np.abs(scaled))[:3])
     return (
-        f'{seed:6d} lever {1e3 * np.hypot(off[0], off[1]):5.1f} +- {1e3 * np.hypot(*sigmas[:2]):4.1f}'
-        f' mm, yaw {np.degrees(off[k["axis_yaw"]]):+.3f} +- {np.degrees(sigmas[k["axis_yaw"]]):.3f}'
-        f' (slip {np.degrees(drive.slip_bound_rad):.3f}) deg, focal '
-        f'{1e2 * off[k["focal_scale"]]:+.3f} +- {1e2 * sigmas[k["focal_scale"]]:.3f} %, delay '
-        f'{1e3 * off[k["joint_delay"]]:+.2f} +- {1e3 * sigmas[k["joint_delay"]]:.2f} ms, NEES '
-        f'{nees:5.1f}; {rms[0]:.1f} mm, {rms[1]:.1f} with the true mount; worst '
-        + ', '.join(
-            f'{NAMES[n]} {off[n] / sigmas[n]:+.1f} s'
-            for n in np.argsort(-np.abs(off / sigmas))[:2]
-        )
+        f'{seed}: lever {lever}, yaw {yaw} (slip {np.degrees(drive.slip_bound_rad):.2f}), '
+        f'focal {focal}, delay {delay}, NEES {nees:.1f}, {rms[0]:.1f} mm ({rms[1]:.1f} with the '
+        f'true mount), most sigmas: {worst}'
     )
 
 

@@ -1,5 +1,5 @@
 """How the camera is mounted, and how exactly that is known."""
 
-from landmark_nav.calibration.calibration import Calibration, NAMES, shown, UNITS
+from landmark_nav.calibration.calibration import Calibration, NAMES, scaled, shown, UNITS
 
-__all__ = ['NAMES', 'UNITS', 'Calibration', 'shown']
+__all__ = ['NAMES', 'UNITS', 'Calibration', 'scaled', 'shown']

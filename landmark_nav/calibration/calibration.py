@@ -18,7 +18,7 @@ from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-__all__ = ['NAMES', 'UNITS', 'Calibration', 'shown']
+__all__ = ['NAMES', 'UNITS', 'Calibration', 'scaled', 'shown']
 
 # Name -> unit, default sigma. A person with a tape and a spirit level is off by 2 cm and 1 degree;
 # lens, clocks and encoders by what their calibrations leave.
@@ -146,12 +146,15 @@ class Calibration:
         return float(self.values[k]), float(self.sigmas[k])
 
     def camera(self, camera: CameraModel) -> CameraModel:
-        """Return the camera with focal length and principal point as calibrated."""
+        """
+        Return the camera with focal length and principal point as calibrated.
+
+        All rays of `camera` are off by the factor: where the lens bends them stays.
+        """
         scale, shift = 1.0 + self['focal_scale'][0], self['principal_point'][0]
         if scale == 1.0 and shift == 0.0:
             return camera
-        cx = camera.cx + shift * camera.fx
-        return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx)
+        return scaled(replace(camera, cx=camera.cx + shift * camera.fx), scale)
 
     def measured(self, name: str, value: float, sigma: float) -> Calibration:
         """Return the calibration after a measurement of one quantity; errors as `observed`."""
@@ -264,6 +267,16 @@ class Calibration:
         """Standard deviations of `count` quantities from `first` on."""
         k = NAMES.index(first)
         return self.sigmas[k : k + count]
+
+
+def scaled(camera: CameraModel, scale: float) -> CameraModel:
+    """Return the camera that sees all tangents smaller by this factor on its focal length."""
+    distortion = camera.distortion
+    if camera.model != 'equidistant':
+        # Powers of the radius that k1, k2, p1, p2, k3 to k6 and s1 to s4 go with.
+        powers = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
+        distortion = tuple(k * scale**n for k, n in zip(distortion, powers, strict=False))
+    return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=distortion)
 
 
 def shown(value: float, sigma: float, unit: str) -> str:

@@ -24,6 +24,9 @@ _QUANTITIES = {
     'forward': ('center_x', False),
     'left': ('center_y', False),
 }
+# The offset of the optical centre shows in how things shift by their distance, which walls tell to
+# this share: furniture is nearer.
+_RANGE_SHARE = 0.03
 # Share of the largest information below which there is none.
 _ROUNDING = 1e-9
 
@@ -53,7 +56,11 @@ def _found(before: Calibration, term: CalibrationTerm) -> tuple[str, float, floa
     """Quantity that a term is an error of, its value and its sigma."""
     name, factor = _QUANTITIES[term.name]
     value = before[name][0]
-    return name, value + term.value * (1.0 + value if factor else 1.0), term.sigma
+    found = value + term.value * (1.0 + value if factor else 1.0)
+    by_range = 0.0
+    if name.startswith('center'):
+        by_range = _RANGE_SHARE * max(abs(found), abs(term.value))
+    return name, found, float(np.hypot(term.sigma, by_range))
 
 
 def as_corrected(
