@@ -127,9 +127,30 @@ def panorama_from_sweep(
     except WrongMountError as error:
         if not error.found.reasonable:
             raise
+        allowed = _not_exact(error, prior, config.reference_area)
         papers.clear()
-        other, wider = mended(prior, error.found), _wider(config, prior)
+        other, wider = mended(prior, allowed), _wider(config, prior)
     return _made(sweep, room, other, prior, wider, floor_rad, log, papers)
+
+
+def _not_exact(
+    error: WrongMountError, prior: Calibration, area: ReferenceAreaConfig
+) -> MountError:
+    """Return what may be mended of a mount: nothing that was given as exact."""
+    rise, lean = _mount_sigmas(prior)
+    found = error.found
+    high = abs(found.rise_m) > WRONG_PRIOR * area.height_sigma_m
+    leans = np.hypot(*found.lean_rad) > WRONG_PRIOR * area.horizon_sigma_rad
+    if (high and not rise) or (leans and not lean):
+        raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
+    return MountError(found.rise_m if rise else 0.0, found.lean_rad * (lean > 0.0))
+
+
+def _mount_sigmas(prior: Calibration) -> tuple[float, float]:
+    """Standard deviations of height and lean of the camera."""
+    height = [NAMES.index(name) for name in HEIGHT]
+    rise = float(np.sqrt(prior.covariance[np.ix_(height, height)].sum()))
+    return rise, float(prior.sigma_of('axis_roll', 2).max())
 
 
 def mended(given: Calibration, found: MountError) -> Calibration:
@@ -142,9 +163,7 @@ def mended(given: Calibration, found: MountError) -> Calibration:
 def _wider(config: PanoramaStages, prior: Calibration) -> PanoramaStages:
     """Parameters with height and lean of the camera as uncertain as the robot's file says."""
     area = config.reference_area
-    height = [NAMES.index(name) for name in HEIGHT]
-    rise = float(np.sqrt(prior.covariance[np.ix_(height, height)].sum()))
-    lean = float(prior.sigma_of('axis_roll', 2).max())
+    rise, lean = _mount_sigmas(prior)
     wider = replace(
         area,
         height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
