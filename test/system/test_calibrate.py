@@ -49,7 +49,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibrat
                 str(folder / 'c.json'),
                 '--figure',
                 str(folder / 'residuals.png'),
-            ]  # fmt: skip
+            ]
         )
         == 0
     )
