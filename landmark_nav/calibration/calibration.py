@@ -47,6 +47,8 @@ _DEFAULTS = np.array([sigma for _, sigma in _QUANTITIES.values()])
 _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
 # A measurement contradicts a value if it is off by so many sigmas of their difference.
 _CONTRADICTION = 5.0
+# A difference is worth a word from this share of the prior standard deviation on.
+_WORTH_SAYING = 0.3
 # A quantity counts as observed once this share of its prior standard deviation is gone.
 _OBSERVED = 0.3
 
@@ -236,7 +238,8 @@ class Calibration:
         """
         What was found, and surely differs from what was given, in words; empty if nothing does.
 
-        Height counts as one: images do not tell the parts that make it up.
+        Differences far below the prior standard deviation are none. Height counts as one: images
+        do not tell the parts that make it up.
         """
         words = []
         for what, names in (('height', ('axis_z', 'center_z')), *((n, (n,)) for n in NAMES)):
@@ -245,7 +248,8 @@ class Calibration:
             row = np.isin(NAMES, names)
             off = float((self.values - prior.values)[row].sum())
             sigma = float(np.sqrt(max(self.covariance[np.ix_(row, row)].sum(), 0.0)))
-            if abs(off) > sigmas * sigma + 1e-9:
+            given = float(np.sqrt(prior.covariance[np.ix_(row, row)].sum()))
+            if abs(off) > max(sigmas * sigma, _WORTH_SAYING * given) + 1e-9:
                 words.append(f'{what} {shown(off, sigma, UNITS[names[0]])}')
         return ', '.join(words)
 
