@@ -189,7 +189,7 @@ def calibrate_by_drive(
                 continue
             images += 1
             lost += update.status == 'lost'
-            found = update.observation.detections
+            seen = update.observation.detections
             if begin is None:
                 begin = update.fused
                 # What was driven before is of no use.
@@ -197,16 +197,16 @@ def calibrate_by_drive(
                 measured = list(odometry[-1:])
             points = ImagePoints.of_pixels(
                 event.stamp_ns,
-                landmark_map.indices(found.ids),
-                found.uv_px,
-                found.covariance_px2,
+                landmark_map.indices(seen.ids),
+                seen.uv_px,
+                seen.covariance_px2,
                 event.camera,
                 event.pan_rad,
                 event.tilt_rad,
                 event.pan_rate_rad_s,
                 event.pan_sigma_rad,
                 event.pan_track,
-                landmark_map.indices(found.missed),
+                landmark_map.indices(seen.missed),
             )
             measured.append((points, event.camera.fx))
     if not moved or not (images or searched):
