@@ -277,8 +277,10 @@ def room_line(seed: int, seconds: float, folder: Path) -> str:
         shown(off[k], sigmas[k], UNITS[NAMES[k]])
         for k in map(NAMES.index, ('axis_yaw', 'focal_scale', 'joint_delay'))
     )
-    scaled = off / sigmas
-    worst = ', '.join(f'{NAMES[k]} {scaled[k]:+.1f}' for k in np.argsort(-np.abs(scaled))[:3])
+    off_sigmas = off / sigmas
+    worst = ', '.join(
+        f'{NAMES[k]} {off_sigmas[k]:+.1f}' for k in np.argsort(-np.abs(off_sigmas))[:3]
+    )
     return (
         f'{seed}: lever {lever}, yaw {yaw} (slip {np.degrees(drive.slip_bound_rad):.2f}), '
         f'focal {focal}, delay {delay}, NEES {nees:.1f}, {rms[0]:.1f} mm ({rms[1]:.1f} with the '
