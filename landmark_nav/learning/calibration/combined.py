@@ -132,9 +132,11 @@ def with_papers(
     size, axes = np.linalg.eigh(information)
     if size[-1] <= 0.0:
         return known
-    # Directions that papers do not show get next to no information.
-    size = np.maximum(size, _ROUNDING * size[-1])
+    # Directions that papers do not show get next to no information, and no value.
+    shows = size > _ROUNDING * size[-1]
+    size = np.where(shows, size, _ROUNDING * size[-1])
     covariance = (axes / size) @ axes.T
+    score = axes @ (shows * (axes.T @ score))
     rows = np.zeros((3, len(NAMES)))
     rows[0, [NAMES.index(name) for name in HEIGHT]] = 1.0
     lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]

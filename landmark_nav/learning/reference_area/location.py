@@ -136,7 +136,9 @@ def locate_sweep(
     fit = papers.fit()
     check_prior(fit, room, config, most_sigmas)
     inverse = covariance_of(fit.mount_covariance[1:, 1:])
-    of_mount = covariance_of(fit.mount_covariance)
+    # The misfit makes all of the covariance larger, the prior's share of it too.
+    scatter = max(1.0, fit.misfit)
+    of_mount = covariance_of(fit.mount_covariance / scatter)
     prior = np.array([config.height_sigma_m, *[config.horizon_sigma_rad] * 2]) ** -2.0
     return SweepPlace(
         fit.pose_map_base,
@@ -145,8 +147,8 @@ def locate_sweep(
         inverse @ fit.tilt_rad,
         inverse - np.eye(2) / config.horizon_sigma_rad**2,
         doubtful_size(fit, config),
-        of_mount @ [fit.rise_m, *fit.tilt_rad],
-        of_mount - np.diag(prior),
+        of_mount @ [fit.rise_m, *fit.tilt_rad] / scatter,
+        (of_mount - np.diag(prior)) / scatter,
     )
 
 
