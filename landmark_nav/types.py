@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+import math
 
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray, ImageArray
+from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.pan_track import PanTrack
@@ -24,6 +26,7 @@ __all__ = [
     'CameraFrame',
     'Candidate',
     'Detections',
+    'Expectation',
     'FloatArray',
     'ImageArray',
     'JointSample',
@@ -57,6 +60,50 @@ class PoseEstimate:
     stamp_ns: int
     pose: FloatArray
     covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation(PoseEstimate):
+    """
+    Pose of the base at a time, and the calibration: what a search for landmarks needs.
+
+    The covariance is that of the pan axis in the direction of the camera: errors of heading and
+    pan zero that cancel are left out.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Its standard deviations count, not its correlations.
+    tilt_sigma_rad : float
+        How well it is known how high the camera looks: of base, axis and camera together.
+
+    """
+
+    calibration: Calibration
+    tilt_sigma_rad: float
+
+    def pan_sigma_rad(self, pan_rate_rad_s: float) -> float:
+        """How well the pan is known at this rate, beside the pan zero."""
+        delay = abs(pan_rate_rad_s) * self.calibration['joint_delay'][1]
+        return math.hypot(delay, self.calibration.base.pan_sigma_rad)
+
+    def stepped(self, sigma_m: float, sigma_rad: float, sigma_s: float) -> Expectation:
+        """
+        Return what is expected if base, camera or joint delay have changed by so much.
+
+        What is exact stays.
+        """
+        known = self.calibration
+        steps = {'camera_roll': sigma_rad, 'camera_tilt': sigma_rad, 'axis_yaw': sigma_rad}
+        steps['joint_delay'] = sigma_s
+        steps = {name: step for name, step in steps.items() if known[name][1] > 0.0}
+        turns = 1.0 + ('axis_yaw' in steps)
+        return replace(
+            self,
+            covariance=self.covariance + np.diag([sigma_m**2, sigma_m**2, turns * sigma_rad**2]),
+            calibration=known.widened(steps),
+            tilt_sigma_rad=math.hypot(self.tilt_sigma_rad, steps.get('camera_tilt', 0.0)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +189,12 @@ class Panorama:
         Of x, y, z, heading.
     quality : PanoramaQuality, optional
         Where it was made here: it does not travel.
+    calibration : Calibration, optional
+        As far as it is known after the sweep. It does not travel either.
+    made_with : ndarray, shape (15,), optional
+        Values of the calibration that the image was made with.
+    by_calibration : ndarray, shape (4, 15), optional
+        Derivative of x, y, z, heading by the calibration; papers locate the camera itself: 0.
 
     """
 
@@ -153,6 +206,9 @@ class Panorama:
     heading_rad: float
     covariance: FloatArray
     quality: PanoramaQuality | None = None
+    calibration: Calibration | None = None
+    made_with: FloatArray | None = None
+    by_calibration: FloatArray | None = None
 
     @property
     def axis(self) -> PoseEstimate:
@@ -224,13 +280,30 @@ class Landmark:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
-    """What was learned, and where; the arrays are stacked over `landmarks` in their order."""
+    """
+    What was learned, and where; the arrays are stacked over `landmarks` in their order.
+
+    `prior` is the calibration that ``robot.yaml`` gave at learning, `calibration` what was learned
+    of it; maps of schema 1 and of others' data have none.
+    """
 
     landmarks: tuple[Landmark, ...]
     frame_id: str = 'map'
     walls: tuple[Wall, ...] = ()
     panorama_poses: tuple[PoseEstimate, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
+    prior: Calibration | None = None
+    calibration: Calibration | None = None
+
+    def calibration_from(self, given: Calibration) -> Calibration:
+        """
+        What is known before a drive with ``robot.yaml`` as `given`.
+
+        That is what learning made of it; another ``robot.yaml`` than at learning counts itself.
+        """
+        if self.prior is None or self.calibration is None or not given.same_as(self.prior):
+            return given
+        return replace(self.calibration, base=given.base)
 
     @cached_property
     def ids(self) -> npt.NDArray[np.int64]:

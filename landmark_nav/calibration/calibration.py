@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.types import FloatArray
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-__all__ = ['NAMES', 'UNITS', 'Calibration']
+__all__ = ['NAMES', 'UNITS', 'Calibration', 'scaled', 'shown']
 
 # Name -> unit, default sigma. A person with a tape and a spirit level is off by 2 cm and 1 degree;
 # lens, clocks and encoders by what their calibrations leave.
@@ -45,6 +45,10 @@ _DEFAULTS = np.array([sigma for _, sigma in _QUANTITIES.values()])
 
 # A calibrated mount is given to a tenth of a millimetre and to 0.006 degrees.
 _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
+# A measurement contradicts a value if it is off by so many sigmas of their difference.
+_CONTRADICTION = 5.0
+# A difference is worth a word from this share of the prior standard deviation on.
+_WORTH_SAYING = 0.3
 # A quantity counts as observed once this share of its prior standard deviation is gone.
 _OBSERVED = 0.3
 
@@ -66,6 +70,9 @@ class Calibration:
         Of `values`.
     base : PanTiltMount
         Names of frames and joints, noise of the pan.
+    by_map : ndarray, shape (15, m), optional
+        Covariance of `values` with the factors of unit variance that all landmarks of a map share:
+        the map was learned with this calibration.
 
     Raises
     ------
@@ -77,6 +84,7 @@ class Calibration:
     values: FloatArray
     covariance: FloatArray
     base: PanTiltMount = field(default_factory=PanTiltMount)
+    by_map: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -139,6 +147,76 @@ class Calibration:
         k = NAMES.index(name)
         return float(self.values[k]), float(self.sigmas[k])
 
+    def camera(self, camera: CameraModel) -> CameraModel:
+        """
+        Return the camera with focal length and principal point as calibrated.
+
+        All rays of `camera` are off by the factor: where the lens bends them stays.
+        """
+        scale, shift = 1.0 + self['focal_scale'][0], self['principal_point'][0]
+        if scale == 1.0 and shift == 0.0:
+            return camera
+        return scaled(replace(camera, cx=camera.cx + shift * camera.fx), scale)
+
+    def measured(self, name: str, value: float, sigma: float) -> Calibration:
+        """Return the calibration after a measurement of one quantity; errors as `observed`."""
+        row = (np.array(NAMES) == name).astype(np.float64)
+        return self.observed(row[None], np.array([value]), np.array([[sigma**2]]))
+
+    def observed(
+        self, rows: FloatArray, values: FloatArray, covariance: FloatArray
+    ) -> Calibration:
+        """
+        Return the calibration after a measurement of sums of quantities.
+
+        What contradicts the values that were given counts by itself: their error was given too
+        small.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (m, 15)
+            What was measured: its derivatives.
+        values, covariance : ndarray, shape (m,), (m, m)
+            Of the measurement.
+
+        Raises
+        ------
+        LandmarkNavError
+            It contradicts what is given as exact.
+
+        """
+        prior, off = self.covariance.copy(), values - rows @ self.values
+        known = np.einsum('mi,ij,mj->m', rows, prior, rows)
+        sigmas = np.sqrt(np.diag(covariance))
+        for row, size, spread, sigma in zip(rows, off, known, sigmas, strict=True):
+            if abs(size) <= _CONTRADICTION * np.hypot(sigma, np.sqrt(max(spread, 0.0))):
+                continue
+            names = [name for name, part in zip(NAMES, row, strict=True) if abs(part) > 0.5]
+            if spread <= 0.0:
+                raise LandmarkNavError(
+                    f'robot.yaml gives {" and ".join(names)} as exact (sigma 0), and the images '
+                    f'show {shown(size, sigma, UNITS[names[0]])} beside it: mend the value, or '
+                    'give a sigma'
+                )
+            loose = row**2 * (np.diag(prior) > 0.0)
+            prior += np.diag(loose * size**2 / loose.sum())
+        gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + covariance)
+        left = np.eye(len(prior)) - gain @ rows
+        after = left @ prior @ left.T + gain @ covariance @ gain.T
+        return replace(
+            self,
+            values=self.values + gain @ off,
+            covariance=0.5 * (after + after.T),
+            by_map=None if self.by_map is None else left @ self.by_map,
+        )
+
+    def same_as(self, other: Calibration) -> bool:
+        """Whether values and sigmas are the same but for rounding in a file."""
+        return bool(
+            np.allclose(self.values, other.values, rtol=0.0, atol=1e-8)
+            and np.allclose(self.sigmas, other.sigmas, rtol=0.0, atol=1e-8)
+        )
+
     def with_values(self, **values: float) -> Calibration:
         """Return a copy with other values, by name."""
         changed = self.values.copy()
@@ -161,6 +239,25 @@ class Calibration:
         off = np.abs(self.values - prior.values) > sigmas * prior.sigmas + 1e-12
         return tuple(name for name, far in zip(NAMES, off, strict=True) if far)
 
+    def surprises(self, prior: Calibration, sigmas: float = 3.0) -> str:
+        """
+        What was found, and surely differs from what was given, in words; empty if nothing does.
+
+        Differences far below the prior standard deviation are none. Height counts as one: images
+        do not tell the parts that make it up.
+        """
+        words = []
+        for what, names in (('height', ('axis_z', 'center_z')), *((n, (n,)) for n in NAMES)):
+            if what in ('axis_z', 'center_z'):
+                continue
+            row = np.isin(NAMES, names)
+            off = float((self.values - prior.values)[row].sum())
+            sigma = float(np.sqrt(max(self.covariance[np.ix_(row, row)].sum(), 0.0)))
+            given = float(np.sqrt(prior.covariance[np.ix_(row, row)].sum()))
+            if abs(off) > max(sigmas * sigma, _WORTH_SAYING * given) + 1e-9:
+                words.append(f'{what} {shown(off, sigma, UNITS[names[0]])}')
+        return ', '.join(words)
+
     def differences(self, prior: Calibration) -> dict[str, dict[str, float | bool | str]]:
         """Table for people and programs: prior, value, sigma, unit, observed, by name."""
         hidden = self.unobserved(prior)
@@ -179,3 +276,21 @@ class Calibration:
         """Standard deviations of `count` quantities from `first` on."""
         k = NAMES.index(first)
         return self.sigmas[k : k + count]
+
+
+def scaled(camera: CameraModel, scale: float) -> CameraModel:
+    """Return the camera that sees all tangents smaller by this factor on its focal length."""
+    distortion = camera.distortion
+    if camera.model != 'equidistant':
+        # Powers of the radius that k1, k2, p1, p2, k3 to k6 and s1 to s4 go with.
+        powers = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
+        distortion = tuple(k * scale**n for k, n in zip(distortion, powers, strict=False))
+    return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=distortion)
+
+
+def shown(value: float, sigma: float, unit: str) -> str:
+    """A difference with its sigma, for people."""
+    factor, name = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms')}.get(
+        unit, (100.0, '%')
+    )
+    return f'{factor * value:+.2f} +- {factor * sigma:.2f} {name}'

@@ -117,7 +117,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f'--report {args.report}: reports are written as .html')
     figures_in = [args.out / name for name in _FIGURES.values()] if args.out else []
     check_writable(*figures_in, args.json, args.report, args.tum and args.tum / 'fused.tum')
-    calibration, landmarks = load_calibration(args.robot), load_map(args.map)
+    landmarks = load_map(args.map)
+    calibration = landmarks.calibration_from(load_calibration(args.robot))
     mount = calibration.mount
     start, covariance = _start(args, landmarks)
     if not landmarks.landmarks:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 import json
@@ -14,6 +14,7 @@ from pathlib import Path
 import time
 from typing import Any
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import wrapped
@@ -24,7 +25,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
 from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
@@ -39,11 +39,12 @@ from landmark_nav.learning.sweep_pipeline import record_papers
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import MAP_FILES, write_map
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
 from landmark_nav.types import Panorama, Sweep
 
-__all__ = ['add_arguments', 'run']
+__all__ = ['LearningStages', 'add_arguments', 'panoramas_of_bag', 'run']
 
 _LOG = logging.getLogger(__name__)
 
@@ -54,7 +55,7 @@ _LEARNING_STAGES = 4
 
 
 @dataclass(frozen=True)
-class _Stages(PanoramaStages, LearningConfig):
+class LearningStages(PanoramaStages, LearningConfig):
     """Parameters of all stages, from sweeps to map: the sections of ``--config``."""
 
 
@@ -90,16 +91,21 @@ def run(args: argparse.Namespace) -> int:
     """Learn, draw, write; nothing is written unless all went well."""
     begin = time.perf_counter()
     check_writable(args.json)
-    room, mount = load_room(args.room), load_robot(args.robot)
-    config = load_config(args.config, _Stages()) if args.config else _Stages()
+    room, given = load_room(args.room), load_calibration(args.robot)
+    mount = given.mount
+    config = load_config(args.config, LearningStages()) if args.config else LearningStages()
     bag = open_bag(args.bag, args)
     log = StageLog()
     with log.measure('checks'):
         refuse_errors(bag, diagnose(bag, mount, room, QUICK))
     with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
-        panoramas, frames = _panoramas(bag, room, mount, config, log)
+        panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
         result = learn_from_panoramas(panoramas, room, config, shown)
+        learned = result.map.calibration or given
+        if off := learned.surprises(given):
+            _LOG.warning('%s: the sweeps show, and use, %s more than it gives', args.robot, off)
+        result = replace(result, map=replace(result.map, prior=given))
         result.map.provenance.update(_provenance(args))
         with shown.measure('drawing'):  # one more than the bar has: it is gone by then
             _draw(result, room, folder)
@@ -129,42 +135,43 @@ class _ShownStages(StageLog):
             yield
 
 
-def _panoramas(
-    bag: Bag, room: Room, mount: PanTiltMount, config: PanoramaStages, log: StageLog
+def panoramas_of_bag(
+    bag: Bag, room: Room, given: Calibration, config: PanoramaStages, log: StageLog
 ) -> tuple[list[Panorama], list[int]]:
-    """Make the panoramas of a bag, and count the frames of each."""
+    """Make the panoramas of a bag, each with what those before say, and count their frames."""
     trajectory = bag.find('sweep/trajectory')
     total = bag.counts[trajectory] if trajectory else None
     panoramas: list[Panorama] = []
     frames: list[int] = []
     papers = PaperRecord(room, config.reference_area)
-    sweeps = progress(read_sweeps(bag, mount), 'panoramas', total)
+    sweeps, known = progress(read_sweeps(bag, given.mount), 'panoramas', total), given
     while True:
         with log.measure('reading'):
             sweep = next(sweeps, None)
         if sweep is None:
             break
         try:
-            panoramas.append(panorama_from_sweep(sweep, room, mount, config, log, papers))
+            panoramas.append(panorama_from_sweep(sweep, room, known, config, log, papers))
         except LandmarkNavError as error:
-            cause = _cause(papers, sweeps, mount)
+            cause = _cause(papers, sweeps, known)
             which = f'sweep {len(frames) + 1} (of {sweep.stamp_ns * 1e-9:.1f} s)'
             raise LandmarkNavError(
                 f'{bag.path}: {cause}' if cause else f'{bag.path}: {which}: {error}'
             ) from error
+        known = panoramas[-1].calibration or known
         frames.append(len(sweep.frames))
     if doubt := papers.faults().text:
         _LOG.warning('%s', doubt)
     return panoramas, frames
 
 
-def _cause(papers: PaperRecord, sweeps: Iterator[Sweep], mount: PanTiltMount) -> str:
+def _cause(papers: PaperRecord, sweeps: Iterator[Sweep], known: Calibration) -> str:
     """What is wrong with papers that did not fit in one sweep, by those that follow as well."""
     if not len(papers):
         return ''
     with suppress(LandmarkNavError):
         for sweep in islice(sweeps, _MORE_SWEEPS):
-            record_papers(sweep, mount, papers)
+            record_papers(sweep, known, papers)
     return papers.faults().cause
 
 
@@ -207,12 +214,6 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
                 f'{before["error_heading_deg"]:.3f} deg'
             )
         lines.append(f'  panorama: {panorama.quality}')
-    terms = [t for p in panoramas if p.quality is not None for t in p.quality.calibration]
-    if any(t.used for t in terms if t.name.startswith('axis')):
-        lines.append(
-            'the pan axis leans about x (roll) and y (pitch) of the base, see above: set pan_axis '
-            'rpy in robot.yaml, which navigation goes by'
-        )
     walls = ', '.join(f'{wall} {count}' for wall, count in report['landmarks_per_wall'].items())
     lines.append(
         f'{report["elected"]} landmarks of {report["candidates"]} candidates '

@@ -31,6 +31,7 @@ __all__ = ['main']
 COMMANDS = {
     'demo': ('demo', 'learn, drive and localize with a simulated robot (ROS)'),
     'learn': ('learn', 'make a map out of a bag of sweeps'),
+    'calibrate': ('calibrate', 'a better robot.yaml out of sweeps and drives'),
     'check': ('check', 'say what is wrong with a recording'),
     'evaluate': ('evaluate', 'run a drive bag through the localizer and measure its errors'),
     'panorama': ('panorama', 'make a panorama out of a sweep'),
@@ -48,7 +49,7 @@ COMMANDS = {
 }
 
 # Options that name what is written.
-_OUTPUTS = {'out', 'json', 'report', 'tum'}
+_OUTPUTS = {'out', 'json', 'report', 'tum', 'figure'}
 
 # Distributions that are not called as the module they hold.
 _DISTRIBUTIONS = {'cv2': 'opencv-python-headless', 'yaml': 'PyYAML'}
@@ -150,7 +151,9 @@ def _check_apart(args: argparse.Namespace) -> None:
     files = {name: path for name, path in given.items() if os.path.isfile(path)}
     for output in _OUTPUTS & set(files):
         for name in set(files) - _OUTPUTS:
-            if os.path.samefile(files[output], files[name]):
+            # A command may write anew what it improves.
+            replaced = output == 'out' and name == given.get('replaces')
+            if not replaced and os.path.samefile(files[output], files[name]):
                 raise UsageError(f'--{output} {files[output]}: is read, too: take another name')
 
 

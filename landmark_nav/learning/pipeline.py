@@ -14,12 +14,14 @@ import logging
 import cv2
 import numpy as np
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import (
     adjust,
     Adjustment,
     AdjustmentConfig,
+    CALIBRATED,
     told_by_sizes,
     WallFitConfig,
 )
@@ -173,7 +175,11 @@ def learn_from_panoramas(
         )
     return LearningResult(
         LandmarkMap(
-            tuple(landmarks), room.frame_id, room.walls, tuple(view.axis for view in adjusted)
+            tuple(landmarks),
+            room.frame_id,
+            room.walls,
+            tuple(view.axis for view in adjusted),
+            calibration=_calibration(panoramas, adjustment, config),
         ),
         adjusted,
         candidates,
@@ -222,6 +228,26 @@ def _adjusted(
         config.election.max_depth_sigma_m,
     )
     return adjustment, free, residuals, hidden
+
+
+def _calibration(
+    panoramas: Sequence[Panorama], adjustment: Adjustment, config: LearningConfig
+) -> Calibration | None:
+    """Calibration after the last panorama, with what the adjustment found in all of them."""
+    known = panoramas[-1].calibration
+    if known is None or not len(adjustment.calibration):
+        return known
+    which = [NAMES.index(name) for name in CALIBRATED]
+    values, covariance = known.values.copy(), known.covariance.copy()
+    values[which] = adjustment.calibration
+    covariance[which] = covariance[:, which] = 0.0
+    covariance[np.ix_(which, which)] = adjustment.calibration_covariance
+    # What the base leans on the floor where the panoramas were taken is no part of the mount.
+    lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
+    covariance[lean, lean] += config.reference_area.horizon_sigma_rad**2 / len(panoramas)
+    by_map = np.zeros((len(NAMES), adjustment.shared_loading.shape[2]))
+    by_map[which] = adjustment.calibration_loading
+    return replace(known, values=values, covariance=covariance, by_map=by_map)
 
 
 def _check(panoramas: Sequence[Panorama]) -> None:

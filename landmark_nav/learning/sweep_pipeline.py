@@ -14,6 +14,7 @@ import logging
 import cv2
 import numpy as np
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
@@ -25,7 +26,14 @@ from landmark_nav.learning.calibration import (
     moved_px,
     SweepCalibration,
 )
-from landmark_nav.learning.calibration.lean import levelled
+from landmark_nav.learning.calibration.combined import (
+    as_calibrated,
+    as_corrected,
+    HEIGHT,
+    with_papers,
+    with_terms,
+)
+from landmark_nav.learning.calibration.lean import leant, levelled
 from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
@@ -33,17 +41,20 @@ from landmark_nav.learning.panorama.photometry import even_out, measure_photomet
 from landmark_nav.learning.reference_area import (
     check_agreement,
     locate_sweep,
+    MountError,
     optical_height,
     PaperRecord,
     ReferenceAreaConfig,
     SweepPlace,
+    WRONG_PRIOR,
+    WrongMountError,
 )
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import FloatArray, Panorama, PoseEstimate, Sweep
 
-__all__ = ['PanoramaStages', 'panorama_from_sweep', 'record_papers', 'tenengrad']
+__all__ = ['PanoramaStages', 'mended', 'panorama_from_sweep', 'record_papers', 'tenengrad']
 
 _LOG = logging.getLogger(__name__)
 
@@ -55,6 +66,9 @@ _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
 _WORTH_SAYING = 0.02
 # No pose is better known.
 _LEAST_VARIANCE = 1e-10
+# Height and lean that are off by more of the usual standard deviations are measured once more,
+# with those of the robot's file.
+_WIDER_SIGMAS = 2.0
 # Calibrations that differ by less make one panorama.
 _SAME_PX = 0.2
 
@@ -71,7 +85,7 @@ class PanoramaStages(Config):
 def panorama_from_sweep(
     sweep: Sweep,
     room: Room,
-    mount: PanTiltMount,
+    given: Calibration | PanTiltMount,
     config: PanoramaStages,
     log: StageLog | None = None,
     papers: PaperRecord | None = None,
@@ -79,12 +93,17 @@ def panorama_from_sweep(
     """
     Make the panorama of a sweep and find where it was taken.
 
+    Height and lean of the camera that papers show otherwise than given are used, as far as
+    a person with a tape and a spirit level may be off by them.
+
     Parameters
     ----------
     sweep : Sweep
         Frames of one turn, or of a part of one; its place too, if it is known from elsewhere.
     room : Room
         Walls and reference papers.
+    given : Calibration or PanTiltMount
+        What is known of the robot: the prior. A mount has default standard deviations.
     log : StageLog, optional
         Where times go.
     papers : PaperRecord, optional
@@ -93,14 +112,78 @@ def panorama_from_sweep(
     Raises
     ------
     LandmarkNavError
-        No frames, a pan that does not turn as reported, a camera that is mounted otherwise than
-        given, or papers that do not give one place.
+        No frames, a pan that does not turn as reported, a camera that is mounted quite otherwise
+        than given, or otherwise than given as exact, or papers that do not give one place.
 
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
     log = log or StageLog()
     papers = PaperRecord(room, config.reference_area) if papers is None else papers
+    floor_rad = config.reference_area.horizon_sigma_rad
+    prior = given if isinstance(given, Calibration) else Calibration.of_mount(given)
+    try:
+        return _made(sweep, room, prior, prior, config, floor_rad, log, papers)
+    except WrongMountError as error:
+        if not error.found.reasonable:
+            raise
+        allowed = _not_exact(error, prior, config.reference_area)
+        papers.clear()
+        other, wider = mended(prior, allowed), _wider(config, prior)
+    return _made(sweep, room, other, prior, wider, floor_rad, log, papers)
+
+
+def _not_exact(
+    error: WrongMountError, prior: Calibration, area: ReferenceAreaConfig
+) -> MountError:
+    """Return what may be mended of a mount: nothing that was given as exact."""
+    rise, lean = _mount_sigmas(prior)
+    found = error.found
+    high = abs(found.rise_m) > WRONG_PRIOR * area.height_sigma_m
+    leans = np.hypot(*found.lean_rad) > WRONG_PRIOR * area.horizon_sigma_rad
+    if (high and not rise) or (leans and not lean):
+        raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
+    return MountError(found.rise_m if rise else 0.0, found.lean_rad * (lean > 0.0))
+
+
+def _mount_sigmas(prior: Calibration) -> tuple[float, float]:
+    """Standard deviations of height and lean of the camera."""
+    height = [NAMES.index(name) for name in HEIGHT]
+    rise = float(np.sqrt(prior.covariance[np.ix_(height, height)].sum()))
+    return rise, float(prior.sigma_of('axis_roll', 2).max())
+
+
+def mended(given: Calibration, found: MountError) -> Calibration:
+    """Return the calibration with height and lean of the pan axis as they were found."""
+    roll, pitch, _ = leant(given.mount, found.lean_rad).axis_rpy
+    height = given['axis_z'][0] + found.rise_m
+    return given.with_values(axis_z=height, axis_roll=roll, axis_pitch=pitch)
+
+
+def _wider(config: PanoramaStages, prior: Calibration) -> PanoramaStages:
+    """Parameters with height and lean of the camera as uncertain as the robot's file says."""
+    area = config.reference_area
+    rise, lean = _mount_sigmas(prior)
+    wider = replace(
+        area,
+        height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
+        horizon_sigma_rad=float(np.hypot(area.horizon_sigma_rad, lean)),
+    )
+    return replace(config, reference_area=wider)
+
+
+def _made(
+    taken: Sweep,
+    room: Room,
+    used: Calibration,
+    prior: Calibration,
+    config: PanoramaStages,
+    floor_rad: float,
+    log: StageLog,
+    papers: PaperRecord,
+) -> Panorama:
+    """Panorama of a sweep with the calibration `used`; `prior` is what is known of it."""
+    sweep, mount = as_calibrated(taken, used), used.mount
     with log.measure('calibration'):
         try:
             check_turn(sweep, mount)
@@ -116,10 +199,17 @@ def panorama_from_sweep(
     with log.measure('reference_area'):
         papers.add(view, optical_height(found.sweep, found.mount))
         try:
-            place = _place(view, found, room, config)
+            place = _place(view, found, room, config, prior, used is not prior)
         except LandmarkNavError as error:
             why = why_overturned(sweep, room, mount, config.reference_area)
-            raise LandmarkNavError(why or papers.faults().cause or str(error)) from error
+            faults = papers.faults()
+            cause = why or faults.cause or str(error)
+            wrong = faults.mount
+            if wrong is None and isinstance(error, WrongMountError) and not faults.faults:
+                wrong = error.found
+            if why or wrong is None:
+                raise LandmarkNavError(cause) from error
+            raise WrongMountError(cause, wrong) from error
     mount, lean = levelled(mount, place.lean_score, place.lean_information, config.calibration)
     with log.measure('calibration'):
         refined = calibrate_sweep(
@@ -130,12 +220,21 @@ def panorama_from_sweep(
     if stands_otherwise or off_axis or moved_px(found, refined) > _SAME_PX:
         found = refined
         with log.measure('reference_area'):
-            place = _place(view, found, room, config)
+            place = _place(view, found, room, config, prior, used is not prior)
         with log.measure('panorama'):
             view = _view(found, photometry, config, _range_of_azimuth(place, found, room))
     found = refined
     for doubt in filter(None, [place.doubt, _wrong_focal(found.quality)]):
         _LOG.warning('%s', doubt)
+    by_calibration = _by_calibration(place, found)
+    terms = found.quality.calibration
+    made = as_corrected(used, terms, found.mount)
+    known = prior
+    if config.calibration.enabled:
+        known = with_papers(
+            with_terms(prior, used, terms), made, place.mount_score, place.mount_information,
+            floor_rad,
+        )  # fmt: skip
     return Panorama(
         sweep.stamp_ns,
         view.image,
@@ -143,10 +242,14 @@ def panorama_from_sweep(
         view.cylinder,
         _axis(place, found.mount),
         float(place.pose_map_base[2]),
-        _axis_covariance(place, found.mount),
+        _axis_covariance(place, found.mount)
+        + by_calibration @ known.covariance @ by_calibration.T,
         replace(found.quality, calibration=(*found.quality.calibration, *lean)).of(
             tenengrad(view), photometry.vignetting, photometry.gain_spread
         ),
+        known,
+        made.values,
+        by_calibration,
     )
 
 
@@ -162,8 +265,9 @@ def _wrong_focal(quality: PanoramaQuality) -> str:
     return ''
 
 
-def record_papers(sweep: Sweep, mount: PanTiltMount, papers: PaperRecord) -> None:
+def record_papers(sweep: Sweep, given: Calibration, papers: PaperRecord) -> None:
     """Add what a sweep shows of the papers to a record, without finding its pose."""
+    sweep, mount = as_calibrated(sweep, given), given.mount
     view = synthesize_cylinder(sweep, mount, PanoramaConfig(blend='feather'))
     papers.add(view, optical_height(sweep, mount))
 
@@ -214,18 +318,37 @@ def _range_of_ray(
     return range_m
 
 
+def _by_calibration(place: SweepPlace, found: SweepCalibration) -> FloatArray:
+    """Derivative (4, 15) of the viewpoint; papers locate the camera itself."""
+    jacobian = np.zeros((4, len(NAMES)))
+    if found.sweep.pose_map_base is not None:
+        jacobian[:2, :2] = se2.rotation(place.pose_map_base[2])
+        jacobian[3, NAMES.index('axis_yaw')] = 1.0
+        jacobian[2, [NAMES.index(name) for name in HEIGHT]] = 1.0
+    return jacobian
+
+
 def _place(
-    view: CylinderImage, found: SweepCalibration, room: Room, config: PanoramaStages
+    view: CylinderImage,
+    found: SweepCalibration,
+    room: Room,
+    config: PanoramaStages,
+    prior: Calibration,
+    wide: bool,
 ) -> SweepPlace:
     known = found.sweep.pose_map_base
     if known is None:
-        return locate_sweep(found.sweep, view, room, found.mount, config.reference_area)
+        most = WRONG_PRIOR if wide else _WIDER_SIGMAS
+        return locate_sweep(found.sweep, view, room, found.mount, config.reference_area, most)
     covariance = np.zeros((4, 4))
     plane = np.ix_([0, 1, 3], [0, 1, 3])
     covariance[plane] = _given_covariance(known)
+    place = SweepPlace(known.pose, optical_height(found.sweep, found.mount), covariance)
+    mounted = _by_calibration(place, found)
+    uncertain = covariance + mounted @ prior.covariance @ mounted.T
     check_agreement(
         known.pose,
-        covariance[plane],
+        uncertain[plane],
         found.sweep,
         view,
         room,
@@ -233,7 +356,7 @@ def _place(
         config.reference_area,
     )
     covariance[2, 2] = config.reference_area.height_sigma_m**2
-    return SweepPlace(known.pose, optical_height(found.sweep, found.mount), covariance)
+    return place
 
 
 def _given_covariance(known: PoseEstimate) -> FloatArray:

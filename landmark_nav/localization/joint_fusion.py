@@ -8,7 +8,7 @@ from math import sqrt
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, Expectation
+from landmark_nav.calibration import Calibration
 from landmark_nav.localization.estimator import (
     EstimatorConfig,
     ImagePoints,
@@ -29,6 +29,7 @@ from landmark_nav.localization.start import checked_start
 from landmark_nav.types import (
     CameraFrame,
     Detections,
+    Expectation,
     FloatArray,
     JointSample,
     LandmarkMap,

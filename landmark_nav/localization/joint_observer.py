@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration, Expectation
+from landmark_nav.calibration import Calibration
 from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
@@ -30,6 +30,7 @@ from landmark_nav.localization.wide import is_wide
 from landmark_nav.types import (
     CameraFrame,
     Detections,
+    Expectation,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,

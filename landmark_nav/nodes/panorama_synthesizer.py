@@ -23,7 +23,8 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import ImageArray, PoseEstimate, Sweep
 
 __all__ = ['PanoramaSynthesizerNode', 'Parameters', 'main']
@@ -49,7 +50,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
     def __init__(self, **options: Any) -> None:
         super().__init__('panorama_synthesizer', 'panorama', **options)
         self._config = self.configure(Parameters)
-        self._mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._known = load_calibration(self.required('robot_file', self._config.robot_file))
         self._room = load_room(self.required('room_file', self._config.room_file))
         self._outputs = [
             self.advertise(name)
@@ -106,8 +107,9 @@ class PanoramaSynthesizerNode(LandmarkNode):
             start = time.monotonic()
             sweep = self._sweep(message)
             view = panorama_from_sweep(
-                sweep, self._room, self._mount, self._config, papers=self._papers
+                sweep, self._room, self._known, self._config, papers=self._papers
             )
+            self._known = view.calibration or self._known
             doubt = self._papers.faults().text
         except LandmarkNavError as error:
             self._health = Health(Level.LOST, str(error))
@@ -141,7 +143,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
 
     def _sweep(self, message: Any) -> Sweep:
         """Wait for its frames, then join those that came with their angles."""
-        trajectory = decode.sweep_trajectory(message, self._mount)
+        trajectory = decode.sweep_trajectory(message, self._known.mount)
         deadline = time.monotonic() + self._config.late_frames_s
         while True:
             with self._lock:

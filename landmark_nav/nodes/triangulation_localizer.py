@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import Expectation
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.detection.aim import degrees_aside
 from landmark_nav.localization.detection.height import Lean
@@ -34,7 +33,14 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate, Refusal, Triplet
+from landmark_nav.types import (
+    CameraFrame,
+    Expectation,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+    Triplet,
+)
 
 __all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
 

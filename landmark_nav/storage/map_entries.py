@@ -9,19 +9,30 @@ from typing import Any
 import cv2
 import numpy as np
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.storage.fields import (
     array_field,
     covariance_field,
     integer_field,
+    list_field,
     name_field,
     number_field,
 )
 from landmark_nav.storage.reading import read_image
 from landmark_nav.types import FloatArray, ImageArray, Landmark
 
-__all__ = ['described', 'landmark_of', 'listed', 'patch_name', 'patch_reader', 'view_name']
+__all__ = [
+    'calibration_entry',
+    'calibration_of',
+    'described',
+    'landmark_of',
+    'listed',
+    'patch_name',
+    'patch_reader',
+    'view_name',
+]
 
 # Numbers written by hand may miss what they stand for by this share of the largest one.
 _ROUNDING = 1e-6
@@ -35,6 +46,33 @@ def listed(values: Any) -> list[Any]:
     """Plain numbers, nested as the array is."""
     listed: list[Any] = np.asarray(values, dtype=np.float64).tolist()
     return listed
+
+
+def calibration_entry(known: Calibration) -> dict[str, Any]:
+    """Values and covariance, in the order of `names`."""
+    return {
+        'names': list(NAMES),
+        'values': listed(known.values),
+        'covariance': listed(known.covariance),
+    } | ({} if known.by_map is None else {'shared_loading': listed(known.by_map)})
+
+
+def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibration | None:
+    """Calibration of an entry that may be absent; its frames and joints are those of the robot."""
+    if document.get(key) is None:
+        return None
+    entry, where = document[key], f'{where}: {key}'
+    if list_field(entry, 'names', where) != list(NAMES):
+        raise LandmarkNavError(f'{where}: names must be {", ".join(NAMES)}')
+    covariance = covariance_field(entry, 'covariance', len(NAMES), where)
+    shared = None
+    if 'shared_loading' in entry:
+        shared = array_field(entry, 'shared_loading', (len(NAMES), None), where)
+        own = np.linalg.eigvalsh(covariance - shared @ shared.T)
+        if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
+            raise LandmarkNavError(f'{where}: covariance is less than shared_loading makes of it')
+    values = array_field(entry, 'values', (len(NAMES),), where)
+    return Calibration(values, covariance, by_map=shared)
 
 
 def patch_name(identity: int) -> str:

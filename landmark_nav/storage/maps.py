@@ -25,6 +25,8 @@ from landmark_nav.storage.fields import (
     name_field,
 )
 from landmark_nav.storage.map_entries import (
+    calibration_entry,
+    calibration_of,
     described,
     landmark_of,
     listed,
@@ -39,7 +41,9 @@ from landmark_nav.types import LandmarkMap, PoseEstimate
 
 __all__ = ['MAP_DATA', 'MAP_FILES', 'SCHEMA_VERSION', 'load_map', 'save_map', 'write_map']
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+# Read too: version 1 has no calibration.
+_READ = (1, SCHEMA_VERSION)
 
 # What this package writes into a map folder, for `whole_folder`: the map, and figures of it.
 MAP_DATA = ('map.yaml', 'patches', 'views')
@@ -89,6 +93,10 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
         ],
         'landmarks': [described(landmark) for landmark in landmarks.landmarks],
     }
+    for name in ('prior', 'calibration'):
+        known = getattr(landmarks, name)
+        if known is not None:
+            document[name] = calibration_entry(known)
     text = yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
     (folder / 'map.yaml').write_text(text, encoding='utf-8')
     pictures = {
@@ -148,6 +156,7 @@ def load_map(folder: Path | str) -> LandmarkMap:
             for k, entry in enumerate(list_field(document, 'panorama_poses', where))
         ),
         {str(key): str(value) for key, value in provenance.items()},
+        *(calibration_of(document, name, where) for name in ('prior', 'calibration')),
     )
 
 
@@ -162,7 +171,7 @@ def _no_map(folder: Path) -> str:
 
 def _check_version(document: dict[str, Any], path: Path) -> None:
     version = field(document, 'schema_version', str(path))
-    if version == SCHEMA_VERSION:
+    if version in _READ and not isinstance(version, bool):
         return
     newer = isinstance(version, int) and version > SCHEMA_VERSION
     remedy = 'update landmark_nav' if newer else 'learn the map again with `landmark-nav learn`'

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap
 from landmark_nav.upkeep.comparison import (
@@ -64,6 +65,8 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
         older.walls,
         (*older.panorama_poses, *newer.panorama_poses),
         {**newer.provenance, **older.provenance, 'merged': '2 maps'},
+        newer.prior,
+        _shifted(newer.calibration, factors_older),
     )
 
 
@@ -92,6 +95,13 @@ def _check_same_room(a: LandmarkMap, b: LandmarkMap) -> None:
             f'both maps were learned from the sweep of {min(common) * 1e-9:.3f} s, so their '
             'errors are not independent: learn one map of all sweeps instead'
         )
+
+
+def _shifted(known: Calibration | None, factors: int) -> Calibration | None:
+    """Calibration of the newer map, whose factors come after so many of the older one."""
+    if known is None or known.by_map is None:
+        return known
+    return replace(known, by_map=np.pad(known.by_map, ((0, 0), (factors, 0))))
 
 
 def _check_agreement(comparison: Comparison) -> None:

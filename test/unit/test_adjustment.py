@@ -25,7 +25,10 @@ from hung_rooms import (
 import numpy as np
 from scipy.optimize import least_squares
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.learning.adjustment import CALIBRATED
 from landmark_nav.learning.adjustment.problem import Problem, wall_stretches
 from landmark_nav.types import FloatArray
 
@@ -142,3 +145,56 @@ def test_a_third_view_helps() -> None:
     assert three.poses.shape == (3, 4)
     np.testing.assert_allclose(three.positions, world.points, atol=1e-6)
     assert np.trace(three.own_covariance.sum(0)) < np.trace(two.own_covariance.sum(0))
+
+
+def test_a_calibration_that_is_off_is_found_and_errs_as_it_says() -> None:
+    """The optical centre is off: things seem aside and nearer, the more the nearer they are."""
+    rng = np.random.default_rng(5)
+    prior = Calibration.of_mount(
+        PanTiltMount(),
+        {'camera_tilt': 1e-4, 'focal_scale': 1e-4, 'axis_roll': 1e-4, 'axis_pitch': 1e-4},
+    )
+    which = [NAMES.index(name) for name in CALIBRATED]
+    errors, of_landmarks, of_both = [], [], []
+    for _ in range(40):
+        world = world_of(rng, 24)
+        forward, left = rng.normal(0.0, 0.02, 2)
+        sightings = []
+        for point, group in zip(world.points, sightings_of(world, rng), strict=True):
+            reach = [np.hypot(*(point - world.poses[s.panorama, :3])[:2]) for s in group]
+            sightings.append(
+                [
+                    replace(
+                        s,
+                        azimuth_rad=s.azimuth_rad - left / r,
+                        tangent=s.tangent * (1.0 + forward / r),
+                    )
+                    for s, r in zip(group, reach, strict=True)
+                ]
+            )
+        views = [
+            replace(p, calibration=prior, made_with=prior.values)
+            for p in panoramas_at(told_poses(world, rng))
+        ]
+        found = adjusted(world, sightings, world.points, views)
+        off = found.calibration - prior.values[which] - [forward, left, 0.0, 0.0, 0.0, 0.0]
+        errors.append(off[:2] / np.sqrt(np.diag(found.calibration_covariance)[:2]))
+        error = found.positions - world.points
+        of_landmarks.append(nees(error, total_covariance(found)).mean())
+        # Landmarks and calibration err together as the loadings say.
+        loading = found.shared_loading[0]
+        joint = np.block(
+            [
+                [total_covariance(found)[0], loading @ found.calibration_loading[:2].T],
+                [
+                    found.calibration_loading[:2] @ loading.T,
+                    found.calibration_covariance[:2, :2],
+                ],
+            ]
+        )
+        both = np.concatenate([error[0], off[:2]])
+        of_both.append(both @ np.linalg.solve(joint, both))
+        assert np.sqrt(found.calibration_covariance[1, 1]) < 0.015
+    assert 0.6 < np.mean(np.square(errors)) < 1.5
+    assert 0.7 < np.mean(of_landmarks) / 3.0 < 1.3
+    assert 0.6 < np.mean(of_both) / 5.0 < 1.5

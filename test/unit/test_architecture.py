@@ -11,9 +11,18 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 
 # Part of the package -> the parts below it. Learning and localization do not know each other, and
 # no stage knows files, ROS or the command line.
-GROUND = {'arrays', 'errors', 'image_codec', 'parameters', 'geometry', 'quality', 'types'}
-STAGES = {*GROUND, 'calibration', 'matching', 'learning', 'localization'}
-FILES = {*GROUND, 'calibration', 'messages', 'storage'}
+GROUND = {
+    'arrays',
+    'calibration',
+    'errors',
+    'geometry',
+    'image_codec',
+    'parameters',
+    'quality',
+    'types',
+}
+STAGES = {*GROUND, 'matching', 'learning', 'localization'}
+FILES = {*GROUND, 'messages', 'storage'}
 RUN = {'ros', 'signals', 'threads'}
 BELOW = {
     'errors': set[str](),
@@ -22,14 +31,14 @@ BELOW = {
     'image_codec': {'errors'},
     'geometry': {'arrays', 'errors'},
     'quality': set(),
-    'types': {'arrays', 'errors', 'geometry', 'quality'},
-    'calibration': GROUND,
+    'calibration': {'arrays', 'errors', 'geometry'},
+    'types': {'arrays', 'calibration', 'errors', 'geometry', 'quality'},
     'matching': GROUND,
-    'learning': {*GROUND, 'calibration', 'matching'},
-    'localization': {*GROUND, 'calibration', 'matching'},
+    'learning': {*GROUND, 'matching'},
+    'localization': {*GROUND, 'matching'},
     'planning': STAGES,
-    'messages': {*GROUND, 'calibration'},
-    'storage': {*GROUND, 'calibration', 'messages'},
+    'messages': GROUND,
+    'storage': {*GROUND, 'messages'},
     'simulation': FILES,
     'upkeep': {*GROUND, 'matching'},
     'diagnosis': {*STAGES, *FILES},

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -71,7 +72,7 @@ def test_learn_takes_parameters_of_all_its_stages(
 
     def panorama_from_sweep(*arguments: Any) -> object:
         met.append(arguments[3])
-        return object()
+        return SimpleNamespace(calibration=None)
 
     def learn_from_panoramas(panoramas: Any, room: Any, config: Any, log: Any) -> None:
         met.append(config)

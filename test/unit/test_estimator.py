@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from joint_drives import driven, MOUNT, NS, simulated
+from joint_drives import driven, MOUNT, NS, point_map, simulated
 import numpy as np
 import pytest
 
@@ -396,3 +396,30 @@ def test_the_protection_level_holds() -> None:
             ratios.append(level.position_m / off)
     assert (np.mean(inside, axis=0) > 0.98).all()
     assert np.median(ratios) < 4.0
+
+
+def test_a_pose_that_the_camera_found_is_off_by_what_the_mount_is_off_by() -> None:
+    rng, squares = np.random.default_rng(8), []
+    # Small, so that squares of the errors do not count.
+    sigmas = dict.fromkeys(('axis_x', 'axis_y', 'axis_yaw'), 0.002)
+    sigmas |= {'center_x': 0.0, 'center_y': 0.0}
+    prior = Calibration.of_mount(PanTiltMount((0.2, 0.1, 1.0), (0.0, 0.0, 0.1)), sigmas)
+    which = [NAMES.index(name) for name in ('axis_x', 'axis_y', 'axis_yaw')]
+    states = [0, 1, 2, *(CALIBRATION + k for k in which)]
+    landmarks = point_map(rng)
+    for _ in range(200):
+        true = rng.multivariate_normal(prior.values, prior.covariance)[which]
+        base = rng.uniform(-2.0, 2.0, 3)
+        axis = compose(base, true)
+        given = prior.values[which]
+        heading = axis[2] - given[2]
+        c, s = np.cos(heading), np.sin(heading)
+        found = np.array([*(axis[:2] - np.array([[c, -s], [s, c]]) @ given[:2]), heading])
+        place = PoseEstimate(0, found, 1e-12 * np.eye(3))
+        joint = JointFilter(landmarks, prior, place).placed(place, 0.0)
+        error = np.concatenate([found - base, given - true])
+        error[2] = np.arctan2(np.sin(error[2]), np.cos(error[2]))
+        covariance = joint.snapshot.covariance[np.ix_(states, states)] + 1e-10 * np.eye(6)
+        squares.append(error @ np.linalg.solve(covariance, error))
+    # The pose has no errors of its own: three numbers are drawn.
+    assert 2.5 < np.mean(squares) < 3.6

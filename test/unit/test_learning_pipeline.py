@@ -19,6 +19,7 @@ from scenes import (
 )
 from scipy.spatial.transform import Rotation
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -224,8 +225,9 @@ def test_a_place_that_papers_contradict_is_refused() -> None:
             0, POSES[0] + [0.1, 0.0, 0.0], np.diag([0.01, 0.01, 0.004]) ** 2
         ),
     )
+    exact = Calibration.exact(MOUNT)
     with pytest.raises(LandmarkNavError, match=r'sweep/pose and the papers disagree by \d'):
-        panorama_from_sweep(away, ROOM, MOUNT, PanoramaStages())
+        panorama_from_sweep(away, ROOM, exact, PanoramaStages())
     near = replace(
         away, pose_map_base=PoseEstimate(0, POSES[0], np.diag([0.01, 0.01, 0.004]) ** 2)
     )
@@ -238,17 +240,55 @@ def test_an_axis_that_leans_untold_is_levelled(panoramas: list[Panorama]) -> Non
     panorama = panorama_from_sweep(sweep_at(POSES[0], mount), ROOM, MOUNT, PanoramaStages())
     error = panorama.center_map - axis_of(POSES[0])
     assert np.abs(error[:2]).max() < 0.015
-    assert panorama.quality is not None
-    terms = [t for t in panorama.quality.calibration if t.name in ('axis_roll', 'axis_pitch')]
-    assert len(terms) == 2
-    for term, true in zip(terms, lean, strict=True):
-        assert term.used
-        assert abs(term.value - true) < 3.5 * term.sigma
+    assert panorama.calibration is not None
+    for name, true in zip(('axis_roll', 'axis_pitch'), lean, strict=True):
+        value, sigma = panorama.calibration[name]
+        assert abs(value - true) < 3.5 * sigma
+        assert sigma < 0.5 * Calibration.of_mount(MOUNT)[name][1]
     # It shows what a level camera shows, but for what of the lean is not known.
     horizons = [round(p.cylinder.cy) for p in (panorama, panoramas[0])]
     here = panorama.image[horizons[0] - 30 : horizons[0] + 30]
     level = panoramas[0].image[horizons[1] - 30 : horizons[1] + 30]
     assert np.median(cv2.absdiff(here, level)) <= 3.0
+
+
+@pytest.mark.parametrize(
+    ('rise_m', 'lean_deg'), [(0.04, (0.0, 0.0)), (-0.015, (0.4, 0.0)), (0.1, (-1.0, 2.5))]
+)
+def test_height_and_lean_that_papers_show_are_used(
+    rise_m: float, lean_deg: tuple[float, float]
+) -> None:
+    """Panoramas are taken where they are, and say what the mount is, whatever was given."""
+    x, y, z = MOUNT.axis_xyz
+    true = replace(
+        MOUNT, axis_xyz=(x, y, z + rise_m), axis_rpy=(*np.radians(lean_deg).tolist(), 0.0)
+    )
+    panorama = panorama_from_sweep(sweep_at(POSES[0], true), ROOM, MOUNT, PanoramaStages())
+    error = panorama.center_map - axis_of(POSES[0]) - [0.0, 0.0, rise_m]
+    assert np.abs(error[:2]).max() < 0.015
+    assert abs(error[2]) < 4.0 * np.sqrt(panorama.covariance[2, 2])
+    found = panorama.calibration
+    assert found is not None
+    for name, angle in zip(('axis_roll', 'axis_pitch'), np.radians(lean_deg), strict=True):
+        assert abs(found[name][0] - angle) < 3.5 * found[name][1]
+    height = [NAMES.index(name) for name in ('axis_z', 'center_z')]
+    sigma = np.sqrt(found.covariance[np.ix_(height, height)].sum())
+    assert sigma < 0.7 * np.sqrt(2.0) * 0.02
+    assert abs(found.values[height].sum() - z - rise_m) < 3.5 * sigma
+
+
+@pytest.mark.parametrize('off', [{'rise_m': 0.5}, {'rise_m': 0.06, 'sigma': 0.0}])
+def test_a_mount_beyond_reason_or_against_a_promise_is_refused(off: dict[str, float]) -> None:
+    x, y, z = MOUNT.axis_xyz
+    true = replace(MOUNT, axis_xyz=(x, y, z + off['rise_m']))
+    known = Calibration.of_mount(MOUNT)
+    if 'sigma' in off:
+        known = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, off['sigma']))
+    with pytest.raises(LandmarkNavError) as caught:
+        panorama_from_sweep(sweep_at(POSES[0], true), ROOM, known, PanoramaStages())
+    assert len(str(caught.value)) < 250
+    if 'sigma' in off:
+        assert 'exact' in str(caught.value)
 
 
 @pytest.mark.parametrize('yaw', [0.0, 2.0])

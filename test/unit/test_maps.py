@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import load_map, save_map
@@ -94,7 +96,7 @@ def test_the_file_is_short_lines_and_the_same_every_time(tmp_path):
     assert text == (tmp_path / 'b' / 'map.yaml').read_text()
     assert max(map(len, text.splitlines())) < 120
     assert '  position: [' in text
-    assert text.startswith('schema_version: 1\n')
+    assert text.startswith('schema_version: 2\n')
     names = sorted(p.name for p in (tmp_path / 'a' / 'patches').iterdir())
     assert names == ['000.png', '007.png', '014.png']
     views = sorted(p.name for p in (tmp_path / 'a' / 'views').iterdir())
@@ -156,7 +158,7 @@ def first(key, value):
 @pytest.mark.parametrize(
     ('edit', 'match'),
     [
-        (lambda d: d.update(schema_version=2), 'schema version 2.*reads 1.*update landmark_nav'),
+        (lambda d: d.update(schema_version=3), 'schema version 3.*reads 2.*update landmark_nav'),
         (lambda d: d.update(schema_version='0.9'), r"schema version '0\.9'.*learn the map again"),
         (lambda d: d.pop('schema_version'), 'schema_version is missing'),
         (lambda d: d.pop('landmarks'), 'landmarks is missing'),
@@ -236,3 +238,53 @@ def test_missing_parts_are_named(tmp_path):
     (folder / 'map.yaml').write_text('- a\n: b')
     with pytest.raises(LandmarkNavError, match='not YAML'):
         load_map(folder)
+
+
+def test_a_map_holds_the_calibration_of_its_learning(tmp_path):
+    rng = np.random.default_rng(3)
+    prior = Calibration.of_mount(PanTiltMount((0.1, 0.0, 1.2)))
+    root = 1e-3 * rng.normal(size=(len(NAMES), len(NAMES)))
+    found = Calibration(prior.values + 0.01, root @ root.T, by_map=0.5 * root[:, :4])
+    learned = replace(make_map(factors=4), prior=prior, calibration=found)
+    save_map(learned, tmp_path / 'map')
+    loaded = load_map(tmp_path / 'map')
+    for name in ('values', 'covariance', 'by_map'):
+        np.testing.assert_array_equal(getattr(loaded.calibration, name), getattr(found, name))
+    robot = Calibration.of_mount(PanTiltMount((0.1, 0.0, 1.2), base_frame='base'))
+    known = loaded.calibration_from(robot)
+    np.testing.assert_array_equal(known.values, found.values)
+    assert known.mount.base_frame == 'base'
+    # A robot.yaml that was changed since counts by itself.
+    changed = robot.with_values(axis_x=0.12)
+    assert loaded.calibration_from(changed) is changed
+
+
+def test_a_map_of_schema_1_is_read(tmp_path):
+    save_map(make_map(), tmp_path / 'map')
+    path = tmp_path / 'map' / 'map.yaml'
+    path.write_text(path.read_text().replace('schema_version: 2', 'schema_version: 1'))
+    given = Calibration.of_mount(PanTiltMount())
+    assert load_map(tmp_path / 'map').calibration_from(given) is given
+
+
+@pytest.mark.parametrize(
+    'spoil',
+    [
+        lambda entry: entry.pop('values'),
+        lambda entry: entry.update(names=['axis_x']),
+        lambda entry: entry['covariance'][0].pop(),
+        lambda entry: entry.update(values=[float('nan')] * len(NAMES)),
+        lambda entry: entry.update(shared_loading=[[1.0]] * len(NAMES)),
+        lambda entry: entry.clear(),
+    ],
+)
+def test_a_spoilt_calibration_is_named(tmp_path, spoil):
+    prior = Calibration.of_mount(PanTiltMount())
+    save_map(replace(make_map(), prior=prior, calibration=prior), tmp_path / 'map')
+    path = tmp_path / 'map' / 'map.yaml'
+    document = yaml.safe_load(path.read_text())
+    spoil(document['calibration'])
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(LandmarkNavError, match='calibration') as caught:
+        load_map(tmp_path / 'map')
+    assert '\n' not in str(caught.value)

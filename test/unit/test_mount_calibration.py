@@ -146,3 +146,37 @@ def test_correlations_that_are_none_are_refused(entries: object, tmp_path: Path)
     with pytest.raises(LandmarkNavError) as error:
         load_calibration(file)
     assert len(str(error.value).replace(str(tmp_path), '')) < 200
+
+
+def test_a_measurement_is_weighed_against_what_is_known() -> None:
+    prior = Calibration.of_mount(MOUNT, {'axis_yaw': 0.02})
+    found = prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.01, 0.02)
+    assert found['axis_yaw'] == pytest.approx((MOUNT.axis_rpy[2] + 0.005, 0.02 / np.sqrt(2.0)))
+    others = [k for k, name in enumerate(NAMES) if name != 'axis_yaw']
+    np.testing.assert_array_equal(found.values[others], prior.values[others])
+
+
+def test_a_sum_moves_its_parts_and_their_difference_stays_unknown() -> None:
+    prior = Calibration.of_mount(MOUNT)
+    row = np.isin(NAMES, ('axis_z', 'center_z')).astype(float)
+    total = float(row @ prior.values) + 0.03
+    found = prior.observed(row[None], np.array([total]), np.array([[1e-6]]))
+    assert row @ found.values == pytest.approx(total, abs=1e-4)
+    assert np.sqrt(row @ found.covariance @ row) == pytest.approx(1e-3, rel=0.01)
+    assert found['axis_z'][1] > 0.01
+
+
+def test_what_contradicts_the_given_sigma_counts_by_itself() -> None:
+    prior = Calibration.of_mount(MOUNT, {'axis_yaw': 0.001})
+    found = prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.1, 0.002)
+    assert found['axis_yaw'][0] == pytest.approx(MOUNT.axis_rpy[2] + 0.1, abs=1e-3)
+    assert found['axis_yaw'][1] < 0.0021
+    assert 'axis_yaw' in found.surprises(prior)
+
+
+def test_what_is_exact_stays_or_is_contradicted() -> None:
+    prior = Calibration.of_mount(MOUNT, {'axis_yaw': 0.0})
+    near = prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.001, 0.001)
+    assert near['axis_yaw'] == (MOUNT.axis_rpy[2], 0.0)
+    with pytest.raises(LandmarkNavError, match=r'axis_yaw as exact.*\+5\.7'):
+        prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.1, 0.001)

@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from landmark_nav.learning.adjustment.config import AdjustmentConfig, WallFitConfig
+from landmark_nav.learning.adjustment.problem import CALIBRATED
 from landmark_nav.learning.adjustment.sizes import told_by_sizes
 from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 
-__all__ = ['Adjustment', 'AdjustmentConfig', 'WallFitConfig', 'adjust', 'told_by_sizes']
+__all__ = [
+    'CALIBRATED',
+    'Adjustment',
+    'AdjustmentConfig',
+    'WallFitConfig',
+    'adjust',
+    'told_by_sizes',
+]

@@ -2,7 +2,8 @@
 The measurements of an adjustment, linearized, and their normal equations.
 
 Unknowns are the landmarks, and what they share: poses of panoramas, for each wall how far things
-hang before it on average, and for each stretch of a wall how far what hangs there does. Landmarks
+hang before it on average, for each stretch of a wall how far what hangs there does, and the
+calibration of the robot. Landmarks
 are eliminated first (Schur complement; Triggs et al., Bundle Adjustment, 2000): each meets the
 shared ones alone, so that the sparse structure is a stack of blocks of 3 x 3.
 """
@@ -16,17 +17,29 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
+from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.calibration.combined import lean_axes
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.stereo.wall_patch import Sighting
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['Linearized', 'NormalEquations', 'Problem', 'wall_stretches']
+__all__ = ['CALIBRATED', 'Linearized', 'NormalEquations', 'Problem', 'wall_stretches']
 
 # x, y, z, heading of each panorama; after all of them, how far things hang off each wall, then
-# how much farther they do on each stretch of one.
+# how much farther they do on each stretch of one; then what panoramas show of the calibration.
 _POSE = 4
+CALIBRATED = (
+    'center_x',
+    'center_y',
+    'camera_tilt',
+    'focal_scale',
+    'axis_roll',
+    'axis_pitch',
+)
+# No calibration is better known than this, metres, radians or a share.
+_LEAST_ERROR = 1e-7
 # Nothing is nearer to a panorama, metres.
 _NEAREST_M = 0.01
 # Share of the information of its wall by which a landmark stays where it is.
@@ -130,9 +143,11 @@ class Problem:
         plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
         # What all walls have in common, each wall alone, and each stretch of one.
         self._hanging = np.outer(plane, plane), np.diag(plane), np.diag(1.0 - plane)
-        self.prior = np.append(poses.ravel(), np.zeros(len(plane)))
+        self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
+        self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known])
         self._poses = slice(0, poses.size)
-        self._walls = slice(poses.size, len(self.prior))
+        self._walls = slice(poses.size, poses.size + len(plane))
+        self._calibrated = slice(self._walls.stop, len(self.prior))
         self._places = places
         self._height = np.arange(poses.size) % _POSE == 2
 
@@ -149,6 +164,16 @@ class Problem:
         blocks = covariance[self._poses, self._poses].reshape(self.views, _POSE, self.views, _POSE)
         diagonal = np.arange(self.views)
         return np.asarray(blocks[diagonal, :, diagonal])
+
+    def calibration(
+        self, shared: FloatArray, covariance: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Values (c,) of `CALIBRATED` and their covariance (c, c), out of all that is shared."""
+        return shared[self._calibrated], covariance[self._calibrated, self._calibrated]
+
+    def calibration_rows(self, root: FloatArray) -> FloatArray:
+        """Rows (c, m) of `CALIBRATED` in a root (m, m) of the covariance of all that is shared."""
+        return root[self._calibrated]
 
     def linearize(self, points: FloatArray, shared: FloatArray) -> Linearized:
         """Residuals and derivatives at landmarks (n, 3) and shared unknowns (m,)."""
@@ -170,9 +195,33 @@ class Problem:
         by_pose[rows, :, self.view, :3] = -by_point
         by_pose[rows, 0, self.view, 3] = -1.0
         by_shared[..., self._poses] = by_pose.reshape(len(d), 2, -1)
+        if len(self._calibration):
+            by_errors = self._by_errors(reach)
+            by_shared[..., self._calibrated] = by_errors
+            error = shared[self._calibrated] - self._made_with[self.view]
+            seen -= np.einsum('kic,kc->ki', by_errors, error)
         return Linearized(
             seen, self._hangs @ shared[self._walls] - self.off_wall(points), by_point, by_shared
         )
+
+    def _by_errors(self, reach: FloatArray) -> FloatArray:
+        """Derivatives (k, 2, c) of azimuths and tangents by errors of the calibration."""
+        azimuth, tangent = self._seen.T
+        cos, sin, square = np.cos(azimuth), np.sin(azimuth), 1.0 + tangent**2
+        # By small turns of the pan axis about x and y of the base.
+        turned = np.stack(
+            [
+                np.stack([tangent * cos, tangent * sin], 1),
+                np.stack([-sin, cos], 1) * square[:, None],
+            ],
+            1,
+        )
+        out = np.zeros((len(reach), 2, len(CALIBRATED)))
+        # A camera before the axis is nearer, one to its left sees things more to the right.
+        out[:, 1, 0], out[:, 0, 1] = tangent / reach, -1.0 / reach
+        out[:, 1, 2], out[:, 1, 3] = -square, tangent
+        out[:, :, 4:] = turned @ self._mounted
+        return out
 
     def normal_equations(
         self,
@@ -231,7 +280,8 @@ class Problem:
         plan, height, *hanging = spread
         factor = np.where(self._height, height, plan)
         off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
-        return np.asarray(block_diag(self._places * np.outer(factor, factor), off_walls))
+        places = self._places * np.outer(factor, factor)
+        return np.asarray(block_diag(places, off_walls, self._calibration))
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray
@@ -296,3 +346,22 @@ def _sum_by(index: npt.NDArray[np.intp], values: FloatArray, count: int) -> Floa
     out = np.zeros((count, *values.shape[1:]))
     np.add.at(out, index, values)
     return out
+
+
+def _calibration(
+    panoramas: Sequence[Panorama],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """
+    What is known of the calibration of all panoramas, and what each was made with.
+
+    Axes (2, 2) of roll and pitch of the pan axis in the base; values (c,) and covariance (c, c) of
+    `CALIBRATED`; values (views, c) that the panoramas were made with. c is 0 where one of them
+    came without.
+    """
+    known, made_with = panoramas[-1].calibration, [p.made_with for p in panoramas]
+    made = np.array([values for values in made_with if values is not None])
+    if known is None or len(made) < len(panoramas):
+        return np.eye(2), np.zeros(0), np.zeros((0, 0)), np.zeros((len(panoramas), 0))
+    which = [NAMES.index(name) for name in CALIBRATED]
+    covariance = known.covariance[np.ix_(which, which)] + _LEAST_ERROR**2 * np.eye(len(which))
+    return lean_axes(known), known.values[which], covariance, made[:, which]

@@ -9,7 +9,7 @@ things hang, is estimated from the residuals themselves, room by room.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +66,10 @@ class Adjustment:
         Sigmas found: of azimuths, of tangents, of relief; factors, 1 or more, on the sigmas that
         panoramas say their places have, in plan and in height; how far things hang off all walls,
         how far each wall lies from where the room says, and how differently far things hang.
+    calibration, calibration_covariance : ndarray, shape (c,), (c, c)
+        Values of `CALIBRATED`; none where a panorama does not say what it was made with.
+    calibration_loading : ndarray, shape (c, m)
+        How the factors of `shared_loading` move them.
 
     """
 
@@ -77,6 +81,9 @@ class Adjustment:
     off_wall_m: FloatArray
     chi_square: FloatArray
     noise: FloatArray
+    calibration: FloatArray = field(default_factory=lambda: np.zeros(0))
+    calibration_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    calibration_loading: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def hanging_sigma_m(self) -> float:
@@ -149,7 +156,8 @@ def adjust(
         at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
     )
     covariance = equations.shared_covariance()
-    shared_loading, rest = _main_factors(-equations.gain @ root_of(covariance))
+    root = root_of(covariance)
+    shared_loading, rest, axes = _main_factors(-equations.gain @ root)
     return Adjustment(
         points,
         say[:, None, None] * equations.own_covariance() + rest,
@@ -159,6 +167,8 @@ def adjust(
         problem.off_wall(points),
         _misfit(problem, at, noise, trusted),
         noise,
+        *problem.calibration(shared, covariance),
+        problem.calibration_rows(root) @ axes,
     )
 
 
@@ -213,17 +223,19 @@ def _step(
     return *there, float(moved)
 
 
-def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
-    Loadings (n, 3, m) by fewer factors (n, 3, f), and what is left of the covariances (n, 3, 3).
+    Loadings (n, 3, m) by fewer factors (n, 3, f), what is left of the covariances (n, 3, 3).
+
+    Also the axes (m, f) of these factors.
 
     Poses and walls move many landmarks; how one picture hangs moves its own by a tenth of that.
     """
     count = len(loading)
-    turned, size, _ = np.linalg.svd(loading.reshape(3 * count, -1), full_matrices=False)
+    turned, size, axes = np.linalg.svd(loading.reshape(3 * count, -1), full_matrices=False)
     factors = (turned * size).reshape(count, 3, -1)
     rest = factors[..., _MOST_FACTORS:]
-    return factors[..., :_MOST_FACTORS], rest @ rest.swapaxes(-1, -2)
+    return factors[..., :_MOST_FACTORS], rest @ rest.swapaxes(-1, -2), axes[:_MOST_FACTORS].T
 
 
 def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray
 
-__all__ = ['levelled']
+__all__ = ['leant', 'levelled']
 
 # Less information than that, 1 / rad^2, is none: rounding, where no paper was measured.
 _LEAST_INFORMATION = 1e-3
@@ -56,6 +56,11 @@ def levelled(
     )
     if not significant:
         return mount, terms
-    turned = Rotation.from_rotvec([*lean, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
+    return leant(mount, lean), terms
+
+
+def leant(mount: PanTiltMount, lean_rad: FloatArray) -> PanTiltMount:
+    """Turn the pan axis by small angles (2,) about x and y of the base."""
+    turned = Rotation.from_rotvec([*lean_rad, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
     roll, pitch, yaw = Rotation.from_matrix(turned).as_euler('xyz').tolist()
-    return replace(mount, axis_rpy=(roll, pitch, yaw)), terms
+    return replace(mount, axis_rpy=(roll, pitch, yaw))

@@ -23,16 +23,21 @@ from landmark_nav.learning.reference_area.location import (
     papers_fit,
     SweepPlace,
 )
+from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
+from landmark_nav.learning.reference_area.refusals import WRONG_PRIOR
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS
 
 __all__ = [
     'LEAST_PAPERS',
+    'WRONG_PRIOR',
+    'MountError',
     'PaperFault',
     'PaperFaults',
     'PaperRecord',
     'PaperView',
     'ReferenceAreaConfig',
     'SweepPlace',
+    'WrongMountError',
     'check_agreement',
     'joined',
     'joint_covariance',

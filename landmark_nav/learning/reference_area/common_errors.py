@@ -152,7 +152,21 @@ def joined(alone: FloatArray, loading: FloatArray) -> FloatArray:
 def _loading(
     panorama: Panorama, covariance: FloatArray, room: Room, config: ReferenceAreaConfig
 ) -> FloatArray:
-    """How factors that sweeps have in common move one, (4, 1 + 2 k)."""
+    """How factors that sweeps have in common move one: its mount (c), papers (1 + 2 k)."""
+    mounted = np.zeros((4, 0))
+    if panorama.by_calibration is not None and panorama.calibration is not None:
+        known = panorama.calibration
+        mounted = panorama.by_calibration @ root_of(known.covariance)
+    loading = np.hstack([mounted, _by_papers(panorama, covariance, room, config)])
+    half = solve_triangular(root_of(covariance), loading, lower=True)
+    share = float(np.linalg.norm(half, 2) ** 2)
+    return np.asarray(loading * np.sqrt(_MOST / max(share, _MOST)))
+
+
+def _by_papers(
+    panorama: Panorama, covariance: FloatArray, room: Room, config: ReferenceAreaConfig
+) -> FloatArray:
+    """How papers that hang elsewhere move a panorama, (4, 1 + 2 k)."""
     loading = np.zeros((4, 1 + 2 * len(room.papers)))
     if len(room.papers) < LEAST_PAPERS:
         return loading
@@ -163,9 +177,7 @@ def _loading(
         # A place that is better known than papers would tell it was told by something else.
         ratio = eigh(covariance[_PLAN], told[0], eigvals_only=True)[-1]
         loading[_X_Y_HEADING] = min(1.0, ratio) * by_papers[0]
-    half = solve_triangular(root_of(covariance), loading, lower=True)
-    share = float(np.linalg.norm(half, 2) ** 2)
-    return np.asarray(loading * np.sqrt(_MOST / max(share, _MOST)))
+    return loading
 
 
 def _papers(room: Room) -> tuple[FloatArray, FloatArray, FloatArray]:

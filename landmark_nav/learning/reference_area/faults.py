@@ -24,6 +24,7 @@ from landmark_nav.learning.least_squares import covariance_of, levenberg_marquar
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.mount_error import MountError
 from landmark_nav.learning.reference_area.outlines import outline_blobs, PaperOutlines
 from landmark_nav.learning.reference_area.search import (
     find_places,
@@ -101,7 +102,8 @@ class PaperFault:
     `paper` -1: 'swapped' (colours), 'mirrored', 'feet' (the unit), 'camera_height', 'lean'
     (of the pan axis), 'focal' or 'sizes'.
     `value` and `sigma` are true minus given in metres, radians or shares, 0 where `kind` says it
-    all. `gain` is by how much chi-square falls without the fault; `text` says it.
+    all. `gain` is by how much chi-square falls without the fault; `text` says it; `mount` is what
+    it says of the mount.
     """
 
     kind: str
@@ -110,6 +112,7 @@ class PaperFault:
     sigma: float
     gain: float
     text: str
+    mount: MountError | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +139,12 @@ class PaperFaults:
             'the papers look otherwise than room.yaml gives them, by more than one error '
             'explains: measure all of them again, and see that nobody hides them'
         )
+
+    @property
+    def mount(self) -> MountError | None:
+        """What is wrong with the mount, if nothing else explains the papers as well."""
+        blamed = [fault.mount for fault in self.faults]
+        return blamed[0] if blamed and None not in blamed else None
 
     @property
     def cause(self) -> str:
@@ -267,6 +276,10 @@ class PaperRecord:
         if len(self._room.papers) >= LEAST_PAPERS:
             self._views.append(view_papers(view, self._room, eye_height_m))
             del self._views[:-_MOST_VIEWS]
+
+    def clear(self) -> None:
+        """Forget all sweeps: they were seen with another mount."""
+        self._views.clear()
 
     def faults(self) -> PaperFaults:
         """What is wrong with the papers; the last sweep alone says it where others disagree."""
@@ -631,7 +644,16 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
         text = _WORDS[kind][int(value < 0.0)].format(amount)
         if k >= 0:
             text = f'the {color} paper {text} than room.yaml gives'
-    return PaperFault(kind, k, value, sigma, gain, text)
+    return PaperFault(kind, k, value, sigma, gain, text, _mount_error(kind, solution))
+
+
+def _mount_error(kind: str, solution: _Solution) -> MountError | None:
+    """What a fault says of the mount."""
+    if kind == 'lean':
+        return MountError(lean_rad=solution.values)
+    if kind == 'camera_height':
+        return MountError(float(solution.values[0]))
+    return None
 
 
 # What is said of faults with a value that is positive, and negative.

@@ -59,8 +59,9 @@ class PaperFit:
     x, y, height, heading; `seen` (papers,) the share of each paper's edges that was found,
     `agreed` (papers,) the share of those that fits; `hang_m` (papers, 2) how far along the wall
     and up each hangs from where it should; `tilt_rad` (2,) of the axis about x and y of the base,
-    and `tilt_covariance` (2, 2) of that, prior included; `size` the share by which all papers are
-    larger than told, `size_sigma` of that, prior included; `misfit` the mean squared deviation.
+    and `mount_covariance` (3, 3) of height and that, prior included; `size` the share by which all
+    papers are larger than given, `size_sigma` of that, prior included; `misfit` the mean squared
+    deviation.
     """
 
     pose_map_base: FloatArray
@@ -70,7 +71,7 @@ class PaperFit:
     agreed: FloatArray
     hang_m: FloatArray
     tilt_rad: FloatArray
-    tilt_covariance: FloatArray
+    mount_covariance: FloatArray
     size: float
     size_sigma: float
     misfit: float
@@ -284,7 +285,7 @@ class PaperFitter:
         model, by_color = self._model, m.bright == 0
         found = np.bincount(m.paper[by_color], minlength=model.papers)
         agreed = by_color & (doubtful < _SURELY_WRONG)
-        order, tilt = [0, 1, 3, 2], slice(4, 6)
+        order, tilt, mount = [0, 1, 3, 2], slice(4, 6), slice(RISE, 6)
         return PaperFit(
             state[:3].copy(),
             float(state[RISE]),
@@ -293,7 +294,7 @@ class PaperFitter:
             np.bincount(m.paper[agreed], minlength=model.papers) / np.maximum(found, 1),
             model.hang(state).copy(),
             state[tilt].copy(),
-            covariance[tilt, tilt],
+            covariance[mount, mount],
             float(state[SIZE]),
             float(np.sqrt(covariance[SIZE, SIZE])),
             misfit,

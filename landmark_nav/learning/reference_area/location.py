@@ -25,7 +25,9 @@ from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
+from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.refusals import (
+    check_prior,
     doubtful_size,
     is_grey,
     LEAST_AGREED,
@@ -35,7 +37,6 @@ from landmark_nav.learning.reference_area.refusals import (
     WITHOUT_COLOR,
     wrong_height,
     WRONG_PRIOR,
-    wrong_prior,
 )
 from landmark_nav.learning.reference_area.search import (
     find_places,
@@ -78,7 +79,8 @@ class SweepPlace:
     `pose_map_base` (3,) and `height_m` of the optical centre, `covariance` (4, 4) of x, y, z,
     heading. `lean_score` (2,) and `lean_information` (2, 2) say how the pan axis leans about x
     and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes them. `doubt`
-    says if sizes and distances of papers do not go together.
+    says if sizes and distances of papers do not go together. `mount_score` (3,) and
+    `mount_information` (3, 3) say it of height and lean together.
     """
 
     pose_map_base: FloatArray
@@ -87,6 +89,8 @@ class SweepPlace:
     lean_score: FloatArray = field(default_factory=lambda: np.zeros(2))
     lean_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     doubt: str = ''
+    mount_score: FloatArray = field(default_factory=lambda: np.zeros(3))
+    mount_information: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 def locate_sweep(
@@ -95,6 +99,7 @@ def locate_sweep(
     room: Room,
     mount: PanTiltMount,
     config: ReferenceAreaConfig,
+    most_sigmas: float = WRONG_PRIOR,
 ) -> SweepPlace:
     """
     Measure the place of a sweep from the reference papers.
@@ -111,9 +116,13 @@ def locate_sweep(
         Pan axis in the base frame.
     config : ReferenceAreaConfig
         Prior standard deviations.
+    most_sigmas : float
+        By how many of them height and lean of the camera may be off.
 
     Raises
     ------
+    WrongMountError
+        Height or lean are off by more.
     LandmarkNavError
         Fewer than three papers in the room or in sight, papers that don't hang as the room says,
         or more than one place fits.
@@ -126,10 +135,12 @@ def locate_sweep(
         )
     papers = _PaperSearch(sweep, view, room, mount, config)
     fit = papers.fit()
-    wrong = wrong_prior(fit, room, config)
-    if wrong:
-        raise LandmarkNavError(wrong)
-    inverse = covariance_of(fit.tilt_covariance)
+    check_prior(fit, room, config, most_sigmas)
+    inverse = covariance_of(fit.mount_covariance[1:, 1:])
+    # The misfit makes all of the covariance larger, the prior's share of it too.
+    scatter = max(1.0, fit.misfit)
+    of_mount = covariance_of(fit.mount_covariance / scatter)
+    prior = np.array([config.height_sigma_m, *[config.horizon_sigma_rad] * 2]) ** -2.0
     return SweepPlace(
         fit.pose_map_base,
         papers.height_m + fit.rise_m,
@@ -137,6 +148,8 @@ def locate_sweep(
         inverse @ fit.tilt_rad,
         inverse - np.eye(2) / config.horizon_sigma_rad**2,
         doubtful_size(fit, config),
+        of_mount @ [fit.rise_m, *fit.tilt_rad] / scatter,
+        (of_mount - np.diag(prior)) / scatter,
     )
 
 
@@ -226,7 +239,7 @@ class _PaperSearch:
                 high = locate_sweep(self._sweep, self._view, self._room, self._mount, anywhere)
                 rise_m = high.height_m - self.height_m
                 if abs(rise_m) > WRONG_PRIOR * config.height_sigma_m:
-                    return LandmarkNavError(wrong_height(rise_m))
+                    return WrongMountError(wrong_height(rise_m), MountError(rise_m))
         why = why_not(self._blobs, places, fits, self._room, self.height_m, self._fits_at)
         unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '

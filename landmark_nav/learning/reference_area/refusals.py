@@ -9,10 +9,12 @@ from itertools import permutations
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
+from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
 from landmark_nav.types import ImageArray
 
@@ -20,13 +22,13 @@ __all__ = [
     'LEAST_AGREED',
     'WITHOUT_COLOR',
     'WRONG_PRIOR',
+    'check_prior',
     'doubtful_size',
     'is_grey',
     'measured_papers',
     'place_text',
     'why_not',
     'wrong_height',
-    'wrong_prior',
 ]
 
 # Shares of a paper's edges: what must be found of it, and what of that must fit.
@@ -61,26 +63,33 @@ def place_text(fit: PaperFit) -> str:
     return f'{x:.2f} m, {y:.2f} m, {np.degrees(heading):.0f} deg'
 
 
-def wrong_prior(fit: PaperFit, room: Room, config: ReferenceAreaConfig) -> str | None:
-    """What was taken as nearly known and turns out to be wrong; None if nothing does."""
-    if abs(fit.rise_m) > WRONG_PRIOR * config.height_sigma_m:
-        return wrong_height(fit.rise_m)
-    if np.hypot(*fit.tilt_rad) > WRONG_PRIOR * config.horizon_sigma_rad:
-        roll, pitch = np.degrees(fit.tilt_rad)
-        return (
-            f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
-            'base from what robot.yaml says, as the papers show it: level the robot, or set '
-            'pan_axis rpy'
-        )
+def check_prior(
+    fit: PaperFit, room: Room, config: ReferenceAreaConfig, most_sigmas: float
+) -> None:
+    """`LandmarkNavError` if what was taken as nearly known turns out to be wrong."""
+    high = abs(fit.rise_m) > most_sigmas * config.height_sigma_m
+    leans = np.hypot(*fit.tilt_rad) > most_sigmas * config.horizon_sigma_rad
+    if high or leans:
+        found = MountError(fit.rise_m, fit.tilt_rad)
+        raise WrongMountError(wrong_height(fit.rise_m) if high else wrong_lean(fit), found)
     hang = np.abs(fit.hang_m).max(axis=1)
     worst = int(np.argmax(hang))
     if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):
-        return (
+        raise LandmarkNavError(
             f'the papers do not fit together, by {100 * hang[worst]:.1f} cm (at the '
             f'{room.papers[worst].color} one, but any may be wrong): measure all again, or '
             'uncover the papers and sweep again if somebody hid a part of one'
         )
-    return None
+
+
+def wrong_lean(fit: PaperFit) -> str:
+    """What to do about a pan axis that leans from what is given."""
+    roll, pitch = np.degrees(fit.tilt_rad)
+    return (
+        f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
+        'base from what robot.yaml says, as the papers show it: level the robot, or set '
+        'pan_axis rpy'
+    )
 
 
 def doubtful_size(fit: PaperFit, config: ReferenceAreaConfig) -> str:

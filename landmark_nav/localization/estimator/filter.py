@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration, Expectation, NAMES
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
@@ -55,7 +55,7 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
     sensed_variances,
 )
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import Expectation, FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = ['JointFilter', 'State', 'Update']
 
@@ -188,6 +188,11 @@ class JointFilter:
         mean[:3], covariance[:3, :3] = start.pose, start.covariance
         mean[CALIBRATION:STATES] = calibration.values
         covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
+        shared = calibration.by_map
+        if shared is not None and shared.shape[1] == self._fixed - STATES:
+            # The map was learned with this calibration: they err together.
+            covariance[CALIBRATION:STATES, STATES:] = shared
+            covariance[STATES:, CALIBRATION:STATES] = shared.T
         by_noise = np.zeros((NOISES, STATES, STATES))
         by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_sigma**2
         by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
@@ -240,28 +245,27 @@ class JointFilter:
         """
         Return the filter of the same robot at another pose.
 
-        What was learned of wheels, mount and floor stays. A pose that the camera found, at this
-        rate to the left, is off by what the camera's place on the base and the delay of the joints
-        are off by.
+        What was learned of wheels, mount, floor and map stays. A pose that the camera found,
+        turning at this rate to the left, is off by what mount and joint delay are off by.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
         mine, new = self._state, other._state
         mean, covariance = new.mean.copy(), new.covariance.copy()
-        wheels = slice(SCALE, STATES)
-        mean[wheels] = mine.mean[wheels]
-        covariance[wheels, wheels] = mine.covariance[wheels, wheels]
+        kept = slice(SCALE, self._fixed)
+        mean[kept] = mine.mean[kept]
+        covariance[kept, kept] = mine.covariance[kept, kept]
         if pan_rate_rad_s is not None:
             x, y = mean[CALIBRATION : CALIBRATION + 2].tolist()
             c, s = np.cos(mean[2]), np.sin(mean[2])
-            by_mount = np.zeros((3, STATES - SCALE))
+            by_mount = np.zeros((3, self._fixed - SCALE))
             by_mount[:2, CALIBRATION - SCALE : CALIBRATION - SCALE + 2] = [[-c, s], [-s, -c]]
             by_mount[:, YAW - SCALE] = -s * x - c * y, c * x - s * y, -1.0
             by_mount[:, DELAY - SCALE] = pan_rate_rad_s * by_mount[:, YAW - SCALE]
-            with_mount = by_mount @ covariance[wheels, wheels]
-            covariance[:3, wheels], covariance[wheels, :3] = with_mount, with_mount.T
+            with_mount = by_mount @ covariance[kept, kept]
+            covariance[:3, kept], covariance[kept, :3] = with_mount, with_mount.T
             covariance[:3, :3] += with_mount @ by_mount.T
             # The optical centre was to one side of the axis, then to another.
-            covariance[[0, 1], [0, 1]] += covariance[CENTER, CENTER]
+            covariance[[0, 1], [0, 1]] += np.diag(covariance)[CENTER : CENTER + 2].max()
         other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
         return other
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, Expectation
+from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.clouds import unpack_cloud
@@ -20,7 +20,7 @@ from landmark_nav.messages.decode.headers import (
 )
 from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.messages.layouts import EXPECTATION, FOUND_PLACE, PLANAR
-from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
+from landmark_nav.types import Expectation, FloatArray, OdometrySample, PoseEstimate
 
 __all__ = [
     'FARTHEST_M',

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import Expectation
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.messages.encode.headers import (
     header,
@@ -17,7 +16,7 @@ from landmark_nav.messages.encode.headers import (
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.messages.found_place import FoundPlace
 from landmark_nav.messages.layouts import EXPECTATION, FOUND_PLACE, PLANAR
-from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
+from landmark_nav.types import Expectation, FloatArray, OdometrySample, PoseEstimate
 
 __all__ = ['expectation', 'found_place', 'odometry', 'pose']
 

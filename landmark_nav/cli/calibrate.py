@@ -1,0 +1,264 @@
+"""`landmark-nav calibrate`: a better robot.yaml out of sweeps and drives."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, field, replace
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
+from landmark_nav.cli.bags import add_topic_argument, open_bag
+from landmark_nav.cli.check import refuse_errors
+from landmark_nav.cli.learn import LearningStages, panoramas_of_bag
+from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.progress import progress
+from landmark_nav.diagnosis import diagnose, QUICK
+from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.evaluation.calibration_run import (
+    advice,
+    broken_promises,
+    calibrate_by_drive,
+    CalibrationDrive,
+    trade_offs,
+)
+from landmark_nav.evaluation.figures.residual_figure import draw_residuals
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.pipeline import learn_from_panoramas
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration, save_calibration
+from landmark_nav.storage.setup_files import load_room
+from landmark_nav.storage.whole import check_new, check_writable, write_whole
+from landmark_nav.types import LandmarkMap, Panorama
+
+__all__ = ['add_arguments', 'run']
+
+_LOG = logging.getLogger(__name__)
+
+# Fewer panoramas make no map.
+_LEAST_PANORAMAS = 2
+
+
+@dataclass
+class _Work:
+    """What is known so far."""
+
+    known: Calibration
+    landmarks: LandmarkMap | None
+    panoramas: list[Panorama] = field(default_factory=list)
+    drives: list[CalibrationDrive] = field(default_factory=list)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Estimate how the camera is mounted out of sweeps, drives or both, and write a robot.yaml '
+        'with standard deviations. Sweeps need --room; a drive needs --map, or two sweeps in the '
+        'bags to learn one from. Sweeps are used first, in the order of the bags.'
+    )
+    parser.add_argument('bags', metavar='BAG', nargs='+', help='bag with sweeps or a drive')
+    add_topic_argument(parser)
+    parser.add_argument(
+        '--robot', required=True, metavar='F', help='robot.yaml: what is known before'
+    )
+    parser.add_argument('--room', metavar='F', help='room.yaml: walls and papers')
+    parser.add_argument('--map', metavar='MAP', help='map folder, of learn')
+    parser.add_argument(
+        '--out', required=True, metavar='F', type=Path, help='robot.yaml to write; may be --robot'
+    )
+    add_overwrite(parser)
+    parser.add_argument('--json', metavar='F', type=Path, help='write the table to F')
+    parser.add_argument(
+        '--figure',
+        metavar='F.png',
+        type=Path,
+        help='draw the residuals of the last drive before and after',
+    )
+    parser.set_defaults(replaces='robot')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Calibrate; nothing is written unless all went well."""
+    check_writable(args.out, args.json, args.figure)
+    check_new(args.overwrite, args.out)
+    given = load_calibration(args.robot)
+    room = load_room(args.room) if args.room else None
+    landmarks = load_map(args.map) if args.map else None
+    bags = [open_bag(path, args) for path in args.bags]
+    sweeps = [bag for bag in bags if bag.find('sweep/trajectory')]
+    drives = [bag for bag in bags if _is_drive(bag)]
+    for bag in bags:
+        if bag not in sweeps and bag not in drives:
+            raise LandmarkNavError(
+                f'{bag.path}: holds no sweep and no drive (images with odometry): take another'
+            )
+    if sweeps and room is None and not (drives and landmarks):
+        raise UsageError(f'{sweeps[0].path}: sweeps need --room')
+    if args.figure and not drives:
+        raise UsageError('--figure: there is no drive to draw residuals of')
+
+    # A map of the same robot.yaml holds what its sweeps showed: they count once.
+    work = _Work(given if sweeps and room else _from_map(landmarks, given), landmarks)
+    if room is not None:
+        _use_sweeps(work, sweeps, room, bool(drives))
+    for bag in drives:
+        _use_drive(work, bag)
+    found = work.known
+    hidden = found.unobserved(given)
+    if len(hidden) + int(np.sum(given.sigmas == 0.0)) == len(NAMES):
+        raise LandmarkNavError(
+            'the recording shows nothing of the mount, as if the robot stood still: record '
+            + '; '.join(motion for motion, _ in advice(hidden)[:3])
+        )
+    broken = broken_promises(work.drives[-1], given) if work.drives else {}
+    for name, (off, sigma) in broken.items():
+        _LOG.warning(
+            '%s: %s is given as exact (sigma 0), and the drive shows %s beside it: it stays',
+            args.robot, name, shown(off, sigma, UNITS[name]),
+        )  # fmt: skip
+    report = _report(work, given, broken)
+    if work.drives:
+        last = work.drives[-1]
+        _, before = last.again(_as_exact(given))
+        _, after = last.again(_as_exact(found))
+        report['residual_px'] = {
+            name: None if np.isnan(residuals.rms_px).any() else residuals.rms_px.tolist()
+            for name, residuals in (('before', before), ('after', after))
+        }
+        if args.figure:
+            draw_residuals(before, after, args.figure)
+    save_calibration(found, args.out)
+    if args.json:
+        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+    print(_summary(report, args.out))
+    return 0
+
+
+def _is_drive(bag: Bag) -> bool:
+    images = bag.find('camera/image_raw') or bag.find('camera/image_raw/compressed')
+    return bool(images and bag.find('odom'))
+
+
+def _from_map(landmarks: LandmarkMap | None, given: Calibration) -> Calibration:
+    return given if landmarks is None else landmarks.calibration_from(given)
+
+
+def _as_exact(known: Calibration) -> Calibration:
+    return replace(known, covariance=np.zeros_like(known.covariance), by_map=None)
+
+
+def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
+    """Calibrate by sweeps; learn a map from them if one is needed and there is none."""
+    config = LearningStages()
+    for bag in bags:
+        refuse_errors(bag, diagnose(bag, work.known.mount, room, QUICK))
+        panoramas, _ = panoramas_of_bag(bag, room, work.known, config, StageLog())
+        work.panoramas += panoramas
+        if panoramas:
+            work.known = panoramas[-1].calibration or work.known
+    if len(work.panoramas) < _LEAST_PANORAMAS or (work.landmarks is not None and mapped):
+        return
+    learned = learn_from_panoramas(work.panoramas, room, config).map
+    work.known = learned.calibration or work.known
+    work.landmarks = learned
+
+
+def _use_drive(work: _Work, bag: Bag) -> None:
+    """Calibrate by a drive, from what is known before it."""
+    landmarks, known = work.landmarks, work.known
+    if landmarks is None or not landmarks.landmarks:
+        raise LandmarkNavError(
+            f'{bag.path}: a drive needs a map: give --map, or --room and a bag with two sweeps'
+        )
+    room = Room(landmarks.walls) if landmarks.walls else None
+    diagnosis = diagnose(bag, known.mount, room, QUICK)
+    refuse_errors(bag, diagnosis)
+    late = diagnosis.delays
+    if late.joints_s:
+        known = known.measured('joint_delay', late.joints_s, max(late.pan_sigma_s, 1e-3))
+    events = sensor_events(bag, known.mount, 0.0, late.images_s, late.odometry_s)
+    total = bag.counts[bag.require('odom')]
+    shown_events = progress(events, 'calibrating', 2 * total)
+    config = LocalizationConfig(estimator='joint')
+    try:
+        drive = calibrate_by_drive(shown_events, landmarks, known, config)
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{bag.path}: {error}') from error
+    work.drives.append(drive)
+    work.known = drive.calibration
+
+
+def _report(
+    work: _Work, given: Calibration, broken: dict[str, tuple[float, float]]
+) -> dict[str, Any]:
+    found = work.known
+    table: dict[str, dict[str, Any]] = {
+        name: dict(row) for name, row in found.differences(given).items()
+    }
+    for name, row in table.items():
+        sigma = given[name][1]
+        row['prior_sigma'] = sigma
+        row['difference_sigmas'] = (row['value'] - row['prior']) / sigma if sigma else None
+    return {
+        'schema': 1,
+        'sweeps': len(work.panoramas),
+        'drives': len(work.drives),
+        'images': sum(drive.images for drive in work.drives),
+        'lost': sum(drive.lost for drive in work.drives),
+        'calibration': table,
+        'unobserved': [
+            {'motion': motion, 'quantities': list(names)}
+            for motion, names in advice(found.unobserved(given))
+        ],
+        'trade_offs': [
+            {'quantities': [a, b], 'correlation': value} for a, b, value in trade_offs(found)
+        ],
+        'side_slip_bound_rad': work.drives[-1].slip_bound_rad if work.drives else None,
+        'contradicted': {name: {'off': off, 'sigma': s} for name, (off, s) in broken.items()},
+    }
+
+
+def _summary(report: dict[str, Any], out: Path) -> str:
+    lines = [
+        f'{report["sweeps"]} sweeps, {report["drives"]} drives with {report["images"]} images, '
+        f'localization lost in {report["lost"]}',
+        f'{"":16}{"prior":>12}{"found":>12}{"sigma":>10}     {"prior sigmas off":>16}',
+    ]
+    for name, row in report['calibration'].items():
+        factor, unit = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms')}.get(
+            row['unit'], (1e2, '%')
+        )
+        off = row['difference_sigmas']
+        lines.append(
+            f'{name:16}{factor * row["prior"]:12.3f}{factor * row["value"]:12.3f}'
+            f'{factor * row["sigma"]:10.3f} {unit:4}'
+            + (f'{off:16.1f}' if off is not None else f'{"exact":>16}')
+            + ('' if row['observed'] or off is None else '   not shown')
+        )
+    for item in report['unobserved']:
+        lines.append(f'{", ".join(item["quantities"])}: record {item["motion"]}')
+    slip = report['side_slip_bound_rad']
+    if slip is not None:
+        lines.append(
+            f'side slip of the wheels leaves {np.degrees(slip):.2f} deg of axis_yaw (pan zero): '
+            'drive straight for longer to know it better'
+        )
+    for item in report['trade_offs']:
+        a, b = item['quantities']
+        what = 'sum' if item['correlation'] < 0.0 else 'difference'
+        lines.append(f'{a} and {b} look alike here: their {what} is known better than each')
+    residual = report.get('residual_px')
+    if residual and residual['before'] and residual['after']:
+        texts = (f'{r:.2f} -> {s:.2f}' for r, s in zip(*residual.values(), strict=True))
+        right, down = texts
+        lines.append(f'residuals of landmarks in images: {right} px to the right, {down} px down')
+    lines.append(f'written to {out}')
+    return wrapped(lines)

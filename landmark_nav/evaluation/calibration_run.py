@@ -1,0 +1,278 @@
+"""Calibration of a robot out of recorded drives: what it is, how sure, and what it explains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.localization.estimator import ImagePoints, JointFilter
+from landmark_nav.localization.estimator.timeline import Timeline
+from landmark_nav.localization.joint_localizer import JointLocalizer
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
+from landmark_nav.storage.bags import SensorEvent
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+__all__ = [
+    'CalibrationDrive',
+    'Residuals',
+    'advice',
+    'broken_promises',
+    'calibrate_by_drive',
+    'trade_offs',
+]
+
+# Papers that hang off by a millimetre tilt a map so much against the floor, radians: no drive
+# shows the lean of the axis better.
+_LEVEL_RAD = 5e-4
+# Share of the images in which localization may be lost.
+_MOST_LOST = 0.5
+# Quantities that are so much correlated show together only.
+_TRADES_OFF = 0.9
+# A value that was given as exact is contradicted by so many sigmas.
+_CONTRADICTION = 5.0
+# Motion -> quantities that it shows.
+_SHOWN_BY = {
+    'a turn on the spot in view of mapped landmarks, to both sides': ('axis_x', 'axis_y'),
+    'several straight metres': ('axis_yaw',),
+    'a sweep with papers in view, or landmarks near by and far away': (
+        'axis_z',
+        'center_z',
+        'axis_roll',
+        'axis_pitch',
+    ),
+    'a sweep near textured walls': ('center_x', 'center_y'),
+    'a sweep over a full turn': ('pan_scale', 'focal_scale', 'camera_roll', 'camera_tilt'),
+    'images during pan motion, slow and fast, in both directions': ('joint_delay',),
+    'the same landmarks at the left and at the right border of the image': ('principal_point',),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """
+    Measured minus predicted points of landmarks in the images of a drive.
+
+    `seconds` (m,) since its first image, `points_px` (m, 2) to the right and down, `weights` (m,)
+    near 0 for outliers.
+    """
+
+    seconds: FloatArray
+    points_px: FloatArray
+    weights: FloatArray
+
+    @property
+    def rms_px(self) -> FloatArray:
+        """Weighted root mean square to the right and down, (2,); NaN without any."""
+        total = self.weights.sum()
+        if not total:
+            return np.full(2, np.nan)
+        return np.asarray(np.sqrt(self.weights @ self.points_px**2 / total))
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationDrive:
+    """
+    A drive through the joint estimator.
+
+    Parameters
+    ----------
+    start : PoseEstimate
+        Pose at the first image in which landmarks were found.
+    calibration : Calibration
+        As estimated by the end.
+    images, lost : int
+        Images since the start, and those in which localization was lost.
+    landmark_map : LandmarkMap
+        What was looked for.
+    slip_bound_rad : float
+        Sigma of the mean side slip of the wheels, as learned: pan zero is known no better.
+
+    """
+
+    start: PoseEstimate
+    calibration: Calibration
+    images: int
+    lost: int
+    landmark_map: LandmarkMap
+    slip_bound_rad: float
+    _measured: tuple[OdometrySample | tuple[ImagePoints, float], ...]
+    _config: LocalizationConfig
+
+    def again(self, calibration: Calibration) -> tuple[Calibration, Residuals]:
+        """Use the same detections with another prior; what came of it, and the residuals."""
+        config = self._config
+        joint = JointFilter(
+            self.landmark_map, calibration, self.start, config.joint, config.odometry
+        )
+        line = Timeline(joint, OdometryTrack(config.odometry), config.fusion.history_s)
+        seconds, points, weights = [], [], []
+        for measured in self._measured:
+            if isinstance(measured, OdometrySample):
+                line.add_odometry(measured)
+                continue
+            seen, focal_px = measured
+            update = line.add_image(seen)
+            if isinstance(update, Refusal) or not len(update.columns):
+                continue
+            since_s = 1e-9 * (update.stamp_ns - self.start.stamp_ns)
+            seconds.append(np.full(len(update.columns), since_s))
+            points.append(focal_px * update.residual)
+            weights.append(update.weight)
+        none = [np.empty(0)]
+        return line.filter.calibration, Residuals(
+            np.concatenate(seconds or none),
+            np.concatenate(points or [np.empty((0, 2))]),
+            np.concatenate(weights or none),
+        )
+
+
+def calibrate_by_drive(
+    events: Iterable[SensorEvent],
+    landmark_map: LandmarkMap,
+    prior: Calibration,
+    config: LocalizationConfig,
+    start: PoseEstimate | None = None,
+) -> CalibrationDrive:
+    """
+    Estimate the calibration over a drive.
+
+    Parameters
+    ----------
+    events : iterable of SensorEvent
+        What was sensed; ground truth is not used.
+    landmark_map : LandmarkMap
+        Map of the room.
+    prior : Calibration
+        What is known before.
+    config : LocalizationConfig
+        Of the joint estimator.
+    start : PoseEstimate, optional
+        Pose at the start; without it the robot finds its own pose.
+
+    Raises
+    ------
+    LandmarkNavError
+        No image or odometry, no pose found, or a drive that does not fit the map.
+
+    """
+    localizer = JointLocalizer(landmark_map, prior, config)
+    measured: list[OdometrySample | tuple[ImagePoints, float]] = []
+    begin: PoseEstimate | None = None
+    images = lost = searched = 0
+    moved = False
+    refusal = Refusal('no image')
+    for event in events:
+        if start is not None and isinstance(event, OdometrySample | CameraFrame):
+            localizer.initialize(replace(start, stamp_ns=event.stamp_ns))
+            start = None
+        if isinstance(event, OdometrySample):
+            localizer.add_odometry(event)
+            measured.append(event)
+            moved = True
+        elif isinstance(event, CameraFrame):
+            update = localizer.add_frame(event)
+            if not isinstance(update, LocalizationUpdate):
+                searched += 1
+                refusal = update if isinstance(update, Refusal) else refusal
+                continue
+            images += 1
+            lost += update.status == 'lost'
+            seen = update.observation.detections
+            if begin is None:
+                begin = update.fused
+                # What was driven before is of no use.
+                odometry = [m for m in measured if isinstance(m, OdometrySample)]
+                measured = list(odometry[-1:])
+            points = ImagePoints.of_pixels(
+                event.stamp_ns,
+                landmark_map.indices(seen.ids),
+                seen.uv_px,
+                seen.covariance_px2,
+                event.camera,
+                event.pan_rad,
+                event.tilt_rad,
+                event.pan_rate_rad_s,
+                event.pan_sigma_rad,
+                event.pan_track,
+                landmark_map.indices(seen.missed),
+            )
+            measured.append((points, event.camera.fx))
+    if not moved or not (images or searched):
+        raise LandmarkNavError('the drive holds no image or no odometry: nothing to calibrate by')
+    if begin is None:
+        raise LandmarkNavError(
+            f'the pose was not found in {searched} images ({refusal}): is the map of this room?'
+        )
+    if lost > _MOST_LOST * images:
+        raise LandmarkNavError(
+            f'localization is lost in {lost} of {images} images: is the map of this room, and '
+            'camera_info of this camera?'
+        )
+    found = localizer.calibration
+    lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
+    level = np.zeros_like(found.covariance)
+    # What is exact stays.
+    level[lean, lean] = np.where(prior.sigmas[lean] > 0.0, _LEVEL_RAD**2, 0.0)
+    found = replace(found, covariance=found.covariance + level)
+    wheels = localizer.odometry_noise
+    steps = [m.pose_odom_base[:2] for m in measured if isinstance(m, OdometrySample)]
+    way_m = float(np.hypot(*np.diff(np.array(steps).reshape(-1, 2), axis=0).T).sum())
+    slip = wheels.slip_sigma * np.sqrt(2.0 * wheels.slip_length_m / max(way_m, 1e-3))
+    return CalibrationDrive(
+        begin, found, images, lost, landmark_map, float(slip), tuple(measured), config
+    )
+
+
+def broken_promises(drive: CalibrationDrive, given: Calibration) -> dict[str, tuple[float, float]]:
+    """
+    Quantities that were given as exact and that a drive shows to be off: true minus given, sigma.
+
+    The detections are used once more with the default sigmas of these quantities.
+    """
+    exact = {name for name in NAMES if given[name][1] == 0.0}
+    if not exact:
+        return {}
+    default = Calibration.of_mount(given.mount)
+    loose = given.covariance + np.diag(
+        [default[name][1] ** 2 if name in exact else 0.0 for name in NAMES]
+    )
+    found, _ = drive.again(replace(given, covariance=loose))
+    off = {name: (found[name][0] - given[name][0], found[name][1]) for name in exact}
+    return {
+        name: off[name]
+        for name in NAMES
+        if name in exact and abs(off[name][0]) > _CONTRADICTION * off[name][1]
+    }
+
+
+def advice(unobserved: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
+    """Motions that would show what was not observed, and what of it."""
+    wanted = [
+        (motion, tuple(name for name in shown if name in unobserved))
+        for motion, shown in _SHOWN_BY.items()
+    ]
+    return [(motion, names) for motion, names in wanted if names]
+
+
+def trade_offs(found: Calibration) -> list[tuple[str, str, float]]:
+    """Pairs of quantities whose errors look alike in the recording, and their correlation."""
+    sigmas = np.where(found.sigmas > 0.0, found.sigmas, 1.0)
+    correlation = found.covariance / np.outer(sigmas, sigmas)
+    return [
+        (NAMES[i], NAMES[j], float(correlation[i, j]))
+        for i in range(len(NAMES))
+        for j in range(i + 1, len(NAMES))
+        if abs(correlation[i, j]) > _TRADES_OFF
+    ]

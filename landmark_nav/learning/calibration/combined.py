@@ -1,0 +1,155 @@
+"""What a sweep says of the calibration of the robot, joined with what is known of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.quality import CalibrationTerm
+from landmark_nav.types import FloatArray, Sweep
+
+__all__ = ['HEIGHT', 'as_calibrated', 'as_corrected', 'lean_axes', 'with_papers', 'with_terms']
+
+# What makes up the height of the camera: images show the sum.
+HEIGHT = ('axis_z', 'center_z')
+# Term of a sweep -> the quantity that it is an error of, and whether it is a factor.
+_QUANTITIES = {
+    'focal_length': ('focal_scale', True),
+    'pan_scale': ('pan_scale', True),
+    'tilt': ('camera_tilt', False),
+    'roll': ('camera_roll', False),
+    'forward': ('center_x', False),
+    'left': ('center_y', False),
+}
+# The offset of the optical centre shows in how things shift by their distance, which walls tell to
+# this share: furniture is nearer.
+_RANGE_SHARE = 0.03
+# Share of the largest information below which there is none.
+_ROUNDING = 1e-9
+
+
+def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
+    """Return a sweep with camera and joints as calibrated."""
+    pan_scale, tilt = 1.0 + calibration['pan_scale'][0], calibration['camera_tilt'][0]
+    cameras: dict[CameraModel, CameraModel] = {}
+    for frame in sweep.frames:
+        if frame.camera not in cameras:
+            cameras[frame.camera] = calibration.camera(frame.camera)
+    return replace(
+        sweep,
+        frames=tuple(
+            replace(
+                frame,
+                camera=cameras[frame.camera],
+                pan_rad=frame.pan_rad * pan_scale,
+                tilt_rad=frame.tilt_rad + tilt,
+            )
+            for frame in sweep.frames
+        ),
+    )
+
+
+def _found(before: Calibration, term: CalibrationTerm) -> tuple[str, float, float]:
+    """Quantity that a term is an error of, its value and its sigma."""
+    name, factor = _QUANTITIES[term.name]
+    value = before[name][0]
+    found = value + term.value * (1.0 + value if factor else 1.0)
+    by_range = 0.0
+    if name.startswith('center'):
+        by_range = _RANGE_SHARE * max(abs(found), abs(term.value))
+    return name, found, float(np.hypot(term.sigma, by_range))
+
+
+def as_corrected(
+    before: Calibration, terms: tuple[CalibrationTerm, ...], mount: PanTiltMount
+) -> Calibration:
+    """Calibration that a panorama was made with: that before, terms that are used, its axis."""
+    values = dict(zip(('axis_roll', 'axis_pitch', 'axis_yaw'), mount.axis_rpy, strict=True))
+    for term in terms:
+        if term.used and term.name in _QUANTITIES:
+            name, value, _ = _found(before, term)
+            values[name] = value
+    return before.with_values(**values)
+
+
+def with_terms(
+    known: Calibration, before: Calibration, terms: tuple[CalibrationTerm, ...]
+) -> Calibration:
+    """
+    Join what the overlaps of a sweep show with what was known.
+
+    Parameters
+    ----------
+    known : Calibration
+        Before the sweep.
+    before : Calibration
+        That the sweep was taken to have: terms are errors of it.
+    terms : tuple of CalibrationTerm
+        Used in the panorama or not.
+
+    Raises
+    ------
+    LandmarkNavError
+        A term contradicts what is exact.
+
+    """
+    for term in terms:
+        if term.name in _QUANTITIES:
+            known = known.measured(*_found(before, term))
+    return known
+
+
+def with_papers(
+    known: Calibration,
+    used: Calibration,
+    score: FloatArray,
+    information: FloatArray,
+    floor_rad: float,
+) -> Calibration:
+    """
+    Join what papers show of height and lean of the pan axis with what was known.
+
+    Parameters
+    ----------
+    known : Calibration
+        Before.
+    used : Calibration
+        That papers were measured with.
+    score, information : ndarray, shape (3,), (3, 3)
+        Of height and of small turns about x and y of the base, in information form.
+    floor_rad : float
+        Sigma by which the base leans on the floor.
+
+    Raises
+    ------
+    LandmarkNavError
+        It contradicts what is exact.
+
+    """
+    size, axes = np.linalg.eigh(information)
+    if size[-1] <= 0.0:
+        return known
+    # Directions that papers do not show get next to no information, and no value.
+    shows = size > _ROUNDING * size[-1]
+    size = np.where(shows, size, _ROUNDING * size[-1])
+    covariance = (axes / size) @ axes.T
+    score = axes @ (shows * (axes.T @ score))
+    rows = np.zeros((3, len(NAMES)))
+    rows[0, [NAMES.index(name) for name in HEIGHT]] = 1.0
+    lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
+    rows[1:, lean] = lean_axes(used)
+    values = rows @ used.values + covariance @ score
+    covariance[1:, 1:] += floor_rad**2 * np.eye(2)
+    # In roll and pitch, as they are called.
+    turn = np.eye(3)
+    turn[1:, 1:] = lean_axes(used).T
+    return known.observed(turn @ rows, turn @ values, turn @ covariance @ turn.T)
+
+
+def lean_axes(calibration: Calibration) -> FloatArray:
+    """Turns about x and y of the base (2, 2) by roll and pitch of the pan axis."""
+    yaw = calibration['axis_yaw'][0]
+    return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])

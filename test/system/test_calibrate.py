@@ -1,0 +1,146 @@
+"""`landmark-nav calibrate` on the recorded room of bags/: what it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.cli.main import main
+from landmark_nav.storage.bags import Bag, BagWriter
+from landmark_nav.storage.robot_files import load_calibration, save_calibration
+
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
+ROOM, LEARN, DRIVE = (str(BAGS / name) for name in ('room.yaml', 'learn', 'drive'))
+DEGREE = np.pi / 180.0
+OFF = {
+    'axis_x': 0.03,
+    'axis_z': 0.03,
+    'axis_pitch': 0.8 * DEGREE,
+    'axis_yaw': 0.7 * DEGREE,
+    'center_x': 0.02,
+    'camera_roll': -0.8 * DEGREE,
+}
+
+
+@pytest.fixture(scope='module')
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, Calibration]:
+    """Folder with what came of a robot.yaml that is off; the right calibration, the given one."""
+    folder = tmp_path_factory.mktemp('calibrate')
+    right = load_calibration(BAGS / 'robot.yaml')
+    given = right.with_values(**{name: right[name][0] + off for name, off in OFF.items()})
+    save_calibration(given, folder / 'robot.yaml')
+    assert (
+        main(
+            [
+                'calibrate',
+                LEARN,
+                DRIVE,
+                '--room',
+                ROOM,
+                '--robot',
+                str(folder / 'robot.yaml'),
+                '--out',
+                str(folder / 'better.yaml'),
+                '--json',
+                str(folder / 'c.json'),
+                '--figure',
+                str(folder / 'residuals.png'),
+            ]
+        )
+        == 0
+    )
+    return folder, right, given
+
+
+def test_errors_of_the_mount_are_found(
+    calibrated: tuple[Path, Calibration, Calibration],
+) -> None:
+    folder, right, given = calibrated
+    found = load_calibration(folder / 'better.yaml')
+    for name in OFF:
+        error, sigma = found[name][0] - right[name][0], found[name][1]
+        assert abs(error) < 4.0 * sigma, name
+    for name in ('axis_pitch', 'center_x', 'camera_roll'):
+        assert abs(found[name][0] - right[name][0]) < 0.3 * abs(OFF[name]), name
+        assert found[name][1] < 0.3 * given[name][1]
+    # Images show the height of the camera, not of its parts.
+    height = sum(found[name][0] - right[name][0] for name in ('axis_z', 'center_z'))
+    assert abs(height) < 0.012
+
+
+def test_the_report_says_what_was_shown(
+    calibrated: tuple[Path, Calibration, Calibration],
+) -> None:
+    folder, _, given = calibrated
+    report = json.loads((folder / 'c.json').read_text())
+    assert set(report['calibration']) == set(NAMES)
+    row = report['calibration']['camera_roll']
+    assert row['prior'] == pytest.approx(given['camera_roll'][0], abs=1e-8)
+    assert row['observed']
+    assert abs(row['difference_sigmas']) < 3.0
+    before, after = (np.hypot(*report['residual_px'][key]) for key in ('before', 'after'))
+    assert after < before
+    assert {'axis_z', 'center_z'} <= {
+        name for pair in report['trade_offs'] for name in pair['quantities']
+    }
+    assert (folder / 'residuals.png').stat().st_size > 1000
+
+
+def test_a_file_is_replaced_only_on_demand(
+    calibrated: tuple[Path, Calibration, Calibration], tmp_path: Path
+) -> None:
+    robot = tmp_path / 'robot.yaml'
+    text = (calibrated[0] / 'robot.yaml').read_text()
+    robot.write_text(text)
+    args = ['calibrate', LEARN, '--room', ROOM, '--robot', str(robot), '--out', str(robot)]
+    assert main(args) == 1
+    assert robot.read_text() == text
+    assert main([*args, '--overwrite']) == 0
+    found = load_calibration(robot)
+    # Sweeps do not move the robot.
+    assert found['axis_x'][1] == pytest.approx(0.02)
+    assert found['camera_roll'][1] < 0.002
+
+
+def said(capsys: pytest.CaptureFixture[str], out: Path, *args: str) -> str:
+    """What an error says, in one line; nothing was written."""
+    status = main(['calibrate', *args, '--robot', str(BAGS / 'robot.yaml'), '--out', str(out)])
+    assert status in (1, 2)
+    assert not out.exists()
+    lines = [line for line in capsys.readouterr().err.splitlines() if 'WARNING' not in line]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_what_cannot_be_calibrated_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / 'out.yaml'
+    assert 'needs a map' in said(capsys, out, DRIVE)
+    assert '--room' in said(capsys, out, LEARN)
+    assert 'nowhere' in said(capsys, out, str(tmp_path / 'nowhere'))
+
+
+def test_what_a_robot_that_stands_does_not_show_stays_as_given(tmp_path: Path) -> None:
+    """The first third of a second of a drive: nothing of lever and pan zero."""
+    bag = Bag(BAGS / 'drive')
+    with BagWriter(tmp_path / 'still') as still:
+        messages = list(bag.messages())
+        for message in messages:
+            if message.stamp_ns < messages[0].stamp_ns + 3 * 10**8:
+                still.write(message.topic, message.message, message.stamp_ns)
+    robot, out = str(BAGS / 'robot.yaml'), tmp_path / 'out.yaml'
+    args = ['calibrate', LEARN, str(tmp_path / 'still'), '--room', ROOM, '--robot', robot]
+    assert main([*args, '--out', str(out), '--json', str(tmp_path / 'c.json')]) == 0
+    given, found = load_calibration(robot), load_calibration(out)
+    hidden = ('axis_x', 'axis_y', 'axis_yaw')
+    for name in hidden:
+        assert found[name][1] > 0.6 * given[name][1], name
+        assert abs(found[name][0] - given[name][0]) < 2.0 * given[name][1], name
+    report = json.loads((tmp_path / 'c.json').read_text())
+    named = {name for item in report['unobserved'] for name in item['quantities']}
+    assert {'axis_x', 'axis_yaw'} <= named
