@@ -31,6 +31,7 @@ __all__ = [
     'LandmarkMap',
     'OdometrySample',
     'Panorama',
+    'PlaceChain',
     'PoseEstimate',
     'Refusal',
     'Sweep',
@@ -56,6 +57,18 @@ class PoseEstimate:
 
     stamp_ns: int
     pose: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceChain:
+    """
+    Poses of the base (v, 3) where sweeps were taken, in the frame of the first one.
+
+    `covariance` (3 v, 3 v) is joint: errors of one way go on in all later poses.
+    """
+
+    poses: FloatArray
     covariance: FloatArray
 
 
