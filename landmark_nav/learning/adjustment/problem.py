@@ -128,8 +128,13 @@ class Problem:
             [np.eye(len(room.walls))[self.wall], np.eye(int(stretch.max()) + 1)[stretch]]
         )
         plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
+        # A wall whose sigma is given is off by that; the others by what is estimated of all.
+        given = np.zeros(len(plane))
+        given[: len(room.walls)] = [wall.sigma_m or 0.0 for wall in room.walls]
+        self._given = np.diag(given**2)
+        alone = plane * (given == 0.0)
         # What all walls have in common, each wall alone, and each stretch of one.
-        self._hanging = np.outer(plane, plane), np.diag(plane), np.diag(1.0 - plane)
+        self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
         self.prior = np.append(poses.ravel(), np.zeros(len(plane)))
         self._poses = slice(0, poses.size)
         self._walls = slice(poses.size, len(self.prior))
@@ -231,7 +236,9 @@ class Problem:
         plan, height, *hanging = spread
         factor = np.where(self._height, height, plan)
         off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
-        return np.asarray(block_diag(self._places * np.outer(factor, factor), off_walls))
+        return np.asarray(
+            block_diag(self._places * np.outer(factor, factor), off_walls + self._given)
+        )
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray

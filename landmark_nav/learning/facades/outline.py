@@ -1,0 +1,162 @@
+"""
+The room that facades make: its outline where it closes, and what stands inside.
+
+Seen from where the sweeps were taken, the farthest facade in each direction is the outline.
+Neighbours meet in a corner where their planes do; otherwise a wall without landmarks joins them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.learning.facades.config import FacadesConfig
+from landmark_nav.learning.facades.planes import Facade
+from landmark_nav.types import FloatArray
+
+__all__ = ['room_of']
+
+_RAYS = 1440
+# A facade goes on a little beyond its last point; a corner is no farther from what is seen of its
+# two walls than this.
+_BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
+# Shorter pieces are left out; what stands inside is so thick.
+_SHORTEST_M, _THICK_M = 0.03, 0.02
+# What does not reach so far above the eye hides little; facades end so far above what is seen.
+_OVER_EYE_M, _ABOVE_M = 0.2, 0.3
+
+
+def room_of(
+    facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig, frame_id: str
+) -> Room:
+    """
+    Make a room of facades.
+
+    Parameters
+    ----------
+    facades : sequence of Facade
+        What was found.
+    eyes : ndarray, shape (v, 3)
+        Viewpoints of the sweeps, in map.
+    config : FacadesConfig
+        How high and how certain walls are.
+    frame_id : str
+        Frame of the map.
+
+    Raises
+    ------
+    LandmarkNavError
+        They do not surround the sweeps, not even with what joins them.
+
+    """
+    tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
+    corners = _corners(tall, _runs(tall, eyes[:, :2].mean(0)))
+    if len(corners) < 3:
+        raise LandmarkNavError(
+            f'{len(facades)} flat surfaces were found, which make no room: take sweeps that see '
+            'more textured walls, or give room.yaml'
+        )
+    height = max([config.wall_height_m, *(f.high_m + _ABOVE_M for f in facades)])
+    walls: list[Wall] = []
+    for k, (point, facade) in enumerate(corners):
+        end = corners[(k + 1) % len(corners)][0]
+        walls.append(_wall(facade, len(walls), point, end, height, config))
+    try:
+        room = Room(tuple(walls), (), frame_id)
+    except LandmarkNavError as error:
+        raise LandmarkNavError(
+            f'the flat surfaces found make no closed room ({error}): take another sweep, or give '
+            'room.yaml'
+        ) from error
+    used = {facade for _, facade in corners}
+    for k, facade in enumerate(tall):
+        if k not in used and room.contains(np.array([facade.start, facade.end])).all():
+            room = _with_island(room, facade, k, config)
+    return room
+
+
+def _wall(
+    facade: int, number: int, start: FloatArray, end: FloatArray, height: float, config: FacadesConfig
+) -> Wall:
+    name = f'facade{facade + 1}' if facade >= 0 else 'gap'
+    ends = [(float(p[0]), float(p[1])) for p in (start, end)]
+    sigma = config.sigma_m * (1.0 if facade >= 0 else 3.0)
+    return Wall(f'{name}_{number + 1}', *ends, height, sigma)
+
+
+def _runs(facades: Sequence[Facade], middle: FloatArray) -> list[int]:
+    """Facades of the outline, counter-clockwise, each once a run."""
+    azimuth = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
+    ray = np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
+    farthest, which = np.zeros(_RAYS), np.full(_RAYS, -1)
+    for k, facade in enumerate(facades):
+        facing = ray @ facade.normal
+        with np.errstate(divide='ignore', invalid='ignore'):
+            reach = (facade.start - middle) @ facade.normal / facing
+            along = (middle + reach[:, None] * ray - facade.start) @ facade.along
+        hit = (facing < 0.0) & (reach > farthest)
+        hit &= (along > -_BEYOND_M) & (along < facade.length_m + _BEYOND_M)
+        farthest[hit], which[hit] = reach[hit], k
+    seen = which[which >= 0]
+    if not len(seen):
+        return []
+    new = np.flatnonzero(seen != np.roll(seen, 1))
+    return [int(k) for k in (seen[new] if len(new) else seen[:1])]
+
+
+def _corners(facades: Sequence[Facade], runs: Sequence[int]) -> list[tuple[FloatArray, int]]:
+    """Points of the outline, each with the facade that starts there; -1 for what joins two."""
+    if len(runs) < 2:
+        return []
+    corners: list[tuple[FloatArray, int]] = []
+    for first, second in zip(runs, [*runs[1:], runs[0]], strict=True):
+        one, other = facades[first], facades[second]
+        corner = _crossing(one, other)
+        if corner is not None and _fits(corner, one.end, other.start):
+            corners.append((corner, second))
+        else:
+            corners += [(one.end, -1), (other.start, second)]
+    kept: list[tuple[FloatArray, int]] = []
+    for point, facade in corners:
+        if kept and np.hypot(*(point - kept[-1][0])) < _SHORTEST_M:
+            kept[-1] = (kept[-1][0], facade)
+        else:
+            kept.append((point, facade))
+    return kept
+
+
+def _crossing(one: Facade, other: Facade) -> FloatArray | None:
+    sine = float(one.along[0] * other.along[1] - one.along[1] * other.along[0])
+    if abs(sine) < 0.2:
+        return None
+    off = other.start - one.start
+    t = (off[0] * other.along[1] - off[1] * other.along[0]) / sine
+    return np.asarray(one.start + t * one.along)
+
+
+def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:
+    """Whether a corner is near to what is seen of both walls."""
+    return bool(
+        np.hypot(*(corner - end)) < _FARTHEST_CORNER_M
+        and np.hypot(*(corner - start)) < _FARTHEST_CORNER_M
+    )
+
+
+def _with_island(
+    room: Room, facade: Facade, k: int, config: FacadesConfig
+) -> Room:
+    """The room with a thin box behind a facade, unless it crosses what is there."""
+    back = -_THICK_M * facade.normal
+    points = [facade.start, facade.end, facade.end + back, facade.start + back]
+    height = facade.high_m + _ABOVE_M
+    box = [
+        _wall(k if n == 0 else -1, len(room.walls) + n, points[n], points[(n + 1) % 4], height, config)
+        for n in range(4)
+    ]
+    try:
+        return Room((*room.walls, *box), room.papers, room.frame_id)
+    except LandmarkNavError:
+        return room
