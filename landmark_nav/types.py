@@ -245,6 +245,11 @@ class LandmarkMap:
     panorama_poses: tuple[PoseEstimate, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def has_own_frame(self) -> bool:
+        """Whether its frame and scale are its own, as it was learned without a plan."""
+        return 'frame' in self.provenance
+
     @cached_property
     def ids(self) -> npt.NDArray[np.int64]:
         """Landmark ids, (n,)."""

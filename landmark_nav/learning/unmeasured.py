@@ -6,16 +6,17 @@ The frame of the map is that of the base at the first sweep.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-import logging
 
 import cv2
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.calibration.lean import levelled
 from landmark_nav.learning.facades import (
     FacadesConfig,
     find_facades,
@@ -30,16 +31,21 @@ from landmark_nav.learning.relative_pose import (
 )
 from landmark_nav.learning.relative_pose.epipolar import center
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import (
+    panorama_from_sweep,
+    PanoramaStages,
+    unplaced_panorama,
+)
 from landmark_nav.parameters import Config
-from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain
+from landmark_nav.types import FloatArray, Panorama, PlaceChain, PoseEstimate, Sweep
 
-__all__ = ['Located', 'UnmeasuredConfig', 'locate']
-
-_LOG = logging.getLogger(__name__)
+__all__ = ['Located', 'UnmeasuredConfig', 'locate', 'locate_sweeps']
 
 # How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
 _SEARCH_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
+# Covariance of a pose that is only given to know how far the walls are.
+_KNOWN = np.diag([1e-4, 1e-4, 1e-6])
 # The scale is taken as it is, up to this: relief would shrink with it, and speak for less.
 _FIXED_SCALE = 1e-5
 
@@ -58,7 +64,7 @@ class Located:
     Panoramas with poses, the room found around them, and what their poses share.
 
     `places` (4 v, 4 v) is the joint covariance of the viewpoints by odometry, were the scale
-    known: nothing that the panoramas show depends on it, see `with_scale`.
+    known: the map is right in its own metre, which is off by `scale_sigma`.
     """
 
     panoramas: tuple[Panorama, ...]
@@ -74,21 +80,6 @@ class Located:
         plan = chain[1:, :2, 1:, :2].reshape(2 * count - 2, 2 * count - 2)
         way = self.poses.states[1:, :2].ravel()
         return float(1.0 / np.sqrt(way @ np.linalg.solve(plan, way)))
-
-    def with_scale(self, landmarks: LandmarkMap) -> LandmarkMap:
-        """Add the error of the scale to a map: one more factor that all landmarks share."""
-        origin, sigma = self.panoramas[0].center_map, self.scale_sigma
-        scaled = []
-        for landmark in landmarks.landmarks:
-            factor = sigma * (landmark.position - origin)[:, None]
-            scaled.append(
-                replace(
-                    landmark,
-                    covariance=landmark.covariance + factor @ factor.T,
-                    shared_loading=np.hstack([landmark.shared_loading, factor]),
-                )
-            )
-        return replace(landmarks, landmarks=tuple(scaled))
 
 
 def locate(
@@ -156,6 +147,64 @@ def locate(
     return Located(tuple(located), room, _viewpoints(poses, lever, rise), poses)
 
 
+def locate_sweeps(
+    sweeps: Callable[[], Iterator[Sweep]],
+    known: Callable[[Sequence[Sweep]], PlaceChain],
+    mount: PanTiltMount,
+    stages: PanoramaStages,
+    config: UnmeasuredConfig,
+    log: StageLog,
+) -> Located:
+    """
+    Make panoramas of sweeps, and find where they were taken and the walls around.
+
+    Twice, as calibration takes the distance of the walls: sweeps are large, and read again.
+
+    Parameters
+    ----------
+    sweeps : callable
+        Reads them; always the same ones.
+    known : callable
+        What is known of their poses, by sweeps without their frames.
+    mount : PanTiltMount
+        How the camera is mounted.
+    stages, config : PanoramaStages, UnmeasuredConfig
+        Parameters of the stages.
+    log : StageLog
+        Where times go.
+
+    Raises
+    ------
+    LandmarkNavError
+        As `locate`, and what makes no panorama.
+
+    """
+    panoramas, stamped = [], []
+    for sweep in sweeps():
+        panoramas.append(unplaced_panorama(sweep, mount, stages, log))
+        stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
+    places = known(stamped)
+    lever = np.array([*mount.axis_xyz[:2], panoramas[0].center_map[2]])
+    located = locate(panoramas, places, lever, config, log)
+    again = [
+        panorama_from_sweep(
+            replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, state[:3], _KNOWN)),
+            located.room,
+            levelled(mount, information @ state[4:], information, stages.calibration)[0],
+            stages,
+            log,
+        )
+        for sweep, state, information in zip(
+            sweeps(), located.poses.states, located.poses.tilt_information, strict=True
+        )
+    ]
+    if all(
+        np.array_equal(new.image, old.image) for new, old in zip(again, panoramas, strict=True)
+    ):
+        return located
+    return locate(again, places, lever, config, log)
+
+
 def _viewpoints(poses: RelativePoses, lever: FloatArray, rise_sigma_m: float) -> FloatArray:
     """Joint covariance (4 v, 4 v) of x, y, z, heading of viewpoints by odometry."""
     count = len(poses.states)
@@ -174,6 +223,4 @@ def _viewpoints(poses: RelativePoses, lever: FloatArray, rise_sigma_m: float) ->
     way[:, :2] = poses.states[:, :2] - poses.states[0, :2]
     growth = way.ravel() / np.sum(way**2)
     along = joint @ growth
-    return np.asarray(
-        joint - np.outer(along, along) / (growth @ along + _FIXED_SCALE**2)
-    )
+    return np.asarray(joint - np.outer(along, along) / (growth @ along + _FIXED_SCALE**2))

@@ -79,7 +79,12 @@ def room_of(
 
 
 def _wall(
-    facade: int, number: int, start: FloatArray, end: FloatArray, height: float, config: FacadesConfig
+    facade: int,
+    number: int,
+    start: FloatArray,
+    end: FloatArray,
+    height: float,
+    config: FacadesConfig,
 ) -> Wall:
     name = f'facade{facade + 1}' if facade >= 0 else 'gap'
     ends = [(float(p[0]), float(p[1])) for p in (start, end)]
@@ -145,15 +150,20 @@ def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:
     )
 
 
-def _with_island(
-    room: Room, facade: Facade, k: int, config: FacadesConfig
-) -> Room:
+def _with_island(room: Room, facade: Facade, k: int, config: FacadesConfig) -> Room:
     """The room with a thin box behind a facade, unless it crosses what is there."""
     back = -_THICK_M * facade.normal
     points = [facade.start, facade.end, facade.end + back, facade.start + back]
     height = facade.high_m + _ABOVE_M
     box = [
-        _wall(k if n == 0 else -1, len(room.walls) + n, points[n], points[(n + 1) % 4], height, config)
+        _wall(
+            k if n == 0 else -1,
+            len(room.walls) + n,
+            points[n],
+            points[(n + 1) % 4],
+            height,
+            config,
+        )
         for n in range(4)
     ]
     try:

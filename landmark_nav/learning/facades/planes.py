@@ -78,9 +78,7 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
             found.append(left.chosen(members))
         left = left.chosen(~(members | _covered(left, facade, config)))
     facades = _joined(found, config)
-    return sorted(
-        (f for f in facades if not _seen_through(f, points)), key=lambda f: -f.cells
-    )
+    return sorted((f for f in facades if not _seen_through(f, points)), key=lambda f: -f.cells)
 
 
 def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:

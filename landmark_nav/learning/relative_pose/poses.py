@@ -17,6 +17,7 @@ from scipy.special import chdtri
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import relative
+from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
@@ -57,6 +58,8 @@ class RelativePoses:
         Matches that agree.
     inflation : float
         Factor by which that covariance had to grow, at least 1.
+    tilt_information : ndarray, shape (v, 2, 2)
+        Of the tilt of each sweep.
 
     """
 
@@ -64,6 +67,7 @@ class RelativePoses:
     places: PlaceChain
     pairs: tuple[RayPairs, ...]
     inflation: float
+    tilt_information: FloatArray
 
 
 def relative_poses(
@@ -93,9 +97,7 @@ def relative_poses(
     found: dict[tuple[int, int], TwoViews] = {}
     for i, j in _neighbours(places.poses):
         matches = alike(features[i], features[j], config.max_ratio)
-        pairs = RayPairs(
-            i, j, features[i].rays[matches[:, 0]], features[j].rays[matches[:, 1]]
-        )
+        pairs = RayPairs(i, j, features[i].rays[matches[:, 0]], features[j].rays[matches[:, 1]])
         ranked = hypotheses(pairs, config)
         if _stands_out(ranked, config):
             turn = turn_support(pairs, ranked[0].heading_rad, config.direction_sigma_rad)
@@ -107,11 +109,15 @@ def relative_poses(
             found[i, j] = ranked[0]
     start = _placed(found, places, lever)
     fit, inflation, pairs_along = _fitted(start, found, features, places, lever, config)
+    count = len(fit.states)
+    covariance = covariance_of(fit.information).reshape(count, STATE, count, STATE)
+    tilts = np.array([covariance_of(covariance[k, 4:, k, 4:]) for k in range(count)])
     return RelativePoses(
         fit.states,
         PlaceChain(places.poses, inflation * places.covariance),
         tuple(p.chosen(which) for p, which in zip(pairs_along, fit.agrees, strict=True)),
         inflation,
+        tilts,
     )
 
 
@@ -136,6 +142,7 @@ def _placed(
     """States (v, 6) along the pairs with most support, as far apart as was known before."""
     count = len(places.poses)
     states = np.zeros((count, STATE))
+    states[0, :3] = places.poses[0]
     placed = {0}
     while len(placed) < count:
         ways = [e for e in found if (e[0] in placed) != (e[1] in placed)]
@@ -179,9 +186,7 @@ def _fitted(
     prior[:, :3] = places.poses
     inflation, states = 1.0, start
     for _ in range(3):
-        pairs = [
-            matches_along(i, j, states, features, lever, config) for i, j in sorted(found)
-        ]
+        pairs = [matches_along(i, j, states, features, lever, config) for i, j in sorted(found)]
         covariance = _prior_covariance(inflation * places.covariance, config)
         fit = fit_poses(states, pairs, lever, config.direction_sigma_rad, prior, covariance)
         states = fit.states
