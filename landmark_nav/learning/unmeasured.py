@@ -143,8 +143,8 @@ def locate(
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
-    rise = config.relative_pose.rise_sigma_m
-    return Located(tuple(located), room, _viewpoints(poses, lever, rise), poses)
+    shared = _viewpoints(poses, eyes, lever, config.relative_pose)
+    return Located(tuple(located), room, shared, poses)
 
 
 def locate_sweeps(
@@ -205,8 +205,10 @@ def locate_sweeps(
     return locate(again, places, lever, config, log)
 
 
-def _viewpoints(poses: RelativePoses, lever: FloatArray, rise_sigma_m: float) -> FloatArray:
-    """Joint covariance (4 v, 4 v) of x, y, z, heading of viewpoints by odometry."""
+def _viewpoints(
+    poses: RelativePoses, eyes: FloatArray, lever: FloatArray, config: RelativePoseConfig
+) -> FloatArray:
+    """Joint covariance (4 v, 4 v) of x, y, z, heading of viewpoints, were the scale known."""
     count = len(poses.states)
     jacobian = np.zeros((count, 4, count, 3))
     for k, state in enumerate(poses.states):
@@ -216,11 +218,16 @@ def _viewpoints(poses: RelativePoses, lever: FloatArray, rise_sigma_m: float) ->
     flat = jacobian.reshape(4 * count, 3 * count)
     joint = flat @ poses.places.covariance @ flat.T
     heights = 4 * np.arange(1, count) + 2
-    joint[heights, heights] += rise_sigma_m**2
+    joint[heights, heights] += config.rise_sigma_m**2
     joint += _LEAST_VARIANCE * np.eye(4 * count)
     # By how much of itself the way from the first sweep grows if the viewpoints move.
     way = np.zeros((count, 4))
-    way[:, :2] = poses.states[:, :2] - poses.states[0, :2]
+    way[:, :2] = (eyes - eyes[0])[:, :2]
     growth = way.ravel() / np.sum(way**2)
     along = joint @ growth
-    return np.asarray(joint - np.outer(along, along) / (growth @ along + _FIXED_SCALE**2))
+    joint -= np.outer(along, along) / (growth @ along + _FIXED_SCALE**2)
+    # Where the camera points at pan 0 is not exactly known: all turns about the first viewpoint.
+    turn = np.zeros((count, 4))
+    turn[:, :2] = (eyes - eyes[0])[:, :2] @ rotation(np.pi / 2).T
+    turn[:, 3] = 1.0
+    return np.asarray(joint + config.heading_sigma_rad**2 * np.outer(turn, turn))

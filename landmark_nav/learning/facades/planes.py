@@ -27,7 +27,7 @@ _FLOOR_M = 0.08
 _REFITS = 4
 # Points so near to a facade are of it and of no other one, metres.
 _TAKEN_M = 0.06
-# Stretches of one facade have about the same normal; what is farther behind one is seen through it.
+# Stretches of one facade have about this normal in common; what is farther behind is seen through.
 _SAME_NORMAL, _BEHIND_M = 0.98, 0.2
 
 

@@ -29,6 +29,12 @@ class RelativePoseConfig(Config):
     rise_sigma_m: float = parameter(
         0.003, 'standard deviation of the height of a sweep', minimum=1e-5, maximum=0.5
     )
+    heading_sigma_rad: float = parameter(
+        1e-3,
+        'standard deviation of where the camera points at pan 0, which all sweeps share',
+        minimum=0,
+        maximum=0.2,
+    )
     min_matches: int = parameter(
         20, 'least matches that agree on a relative pose', minimum=8, maximum=10000
     )

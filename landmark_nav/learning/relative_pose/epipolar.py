@@ -20,7 +20,7 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['STATE', 'EpipolarFit', 'RayPairs', 'fit_poses', 'misses']
 
-# Of each sweep: x, y, heading of the base, height above the others, tilt about x and y of the base.
+# Of each sweep: x, y, heading of the base, height above the others, tilt about x and y.
 STATE = 6
 # Misses, in standard deviations, beyond which a match counts next to nothing: at first and later.
 _DOUBT_AT_FIRST, _DOUBT, _STEPS = 16.0, 2.0, 6
