@@ -130,8 +130,9 @@ def run(args: argparse.Namespace) -> int:
     if args.config:
         config = load_config(args.config, config)
 
-    room = Room(landmarks.walls) if landmarks.walls else None
-    diagnosis = diagnose(bag, mount, room, QUICK)
+    # Walls that were found, not measured, say nothing of units.
+    measured = landmarks.walls and not landmarks.has_own_frame
+    diagnosis = diagnose(bag, mount, Room(landmarks.walls) if measured else None, QUICK)
     refuse_errors(bag, diagnosis)
     late = diagnosis.delays
     # What was measured is not known exactly.

@@ -37,7 +37,12 @@ from landmark_nav.learning.pipeline import (
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import record_papers
-from landmark_nav.learning.unmeasured import locate_sweeps, Located, UnmeasuredConfig
+from landmark_nav.learning.unmeasured import (
+    learn_located,
+    locate_sweeps,
+    Located,
+    UnmeasuredConfig,
+)
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.config_files import load_config
@@ -112,15 +117,17 @@ def run(args: argparse.Namespace) -> int:
     with log.measure('checks'):
         refuse_errors(bag, diagnose(bag, mount, room, QUICK))
     with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
-        places, found = None, {}
+        located, found = None, {}
         if room is None:
             located, frames = _located(bag, mount, config, log)
-            panoramas, room, places = list(located.panoramas), located.room, located.places
-            found = _found(bag, located)
+            panoramas, room, found = list(located.panoramas), located.room, _found(bag, located)
         else:
             panoramas, frames = _panoramas(bag, room, mount, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
-        result = learn_from_panoramas(panoramas, room, config, shown, places)
+        if located is None:
+            result = learn_from_panoramas(panoramas, room, config, shown)
+        else:
+            result = learn_located(located, config, config.unmeasured, shown)
         result.map.provenance.update(_provenance(args) | found)
         with shown.measure('drawing'):  # one more than the bar has: it is gone by then
             _draw(result, room, folder)

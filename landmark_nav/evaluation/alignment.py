@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.metrics import error_summary
+from landmark_nav.evaluation.metrics import error_summary, pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors, RunErrors
 from landmark_nav.evaluation.tracks import PoseTrack
@@ -64,8 +64,30 @@ def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
     """A run with its ground truth in the frame of the map, its errors, and how it was aligned."""
     poses = np.where(run.lost[:, None], np.nan, run.fused)
     found = align(poses, run.truth.at(run.stamps_ns), scaled)
-    moved = replace(run, truth=found.in_map(run.truth, scaled))
+    truth = found.in_map(run.truth, scaled)
+    if scaled:
+        truth = _likeliest(run, truth, poses)
+    moved = replace(run, truth=truth)
     return moved, run_errors(moved), found
+
+
+def _likeliest(run: Replay, truth: PoseTrack, poses: FloatArray) -> PoseTrack:
+    """
+    Ground truth moved, turned and scaled a little more, to where it is likeliest.
+
+    Headings and covariances have a say in that: where a map has its frame is no error of poses.
+    """
+    errors = pose_errors(poses, truth.at(run.stamps_ns))
+    known = np.isfinite(errors).all(1)
+    at, information = poses[known], np.linalg.inv(run.fused_covariances[known])
+    by_frame = np.zeros((len(at), 3, 4))
+    by_frame[:, 0, 0] = by_frame[:, 1, 1] = by_frame[:, 2, 2] = 1.0
+    by_frame[:, 0, 2], by_frame[:, 1, 2] = -at[:, 1], at[:, 0]
+    by_frame[:, :2, 3] = at[:, :2]
+    normal = np.einsum('nki,nkl,nlj->ij', by_frame, information, by_frame)
+    pull = np.einsum('nki,nkl,nl->i', by_frame, information, errors[known])
+    *moved, grown = np.linalg.solve(normal, pull).tolist()
+    return truth.seen_from(se2.inverse(np.array(moved)), 1.0 + grown)
 
 
 def aligned_report(rigid: RunErrors, in_metre: RunErrors, alignment: Alignment) -> dict[str, Any]:

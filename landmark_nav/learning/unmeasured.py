@@ -23,6 +23,11 @@ from landmark_nav.learning.facades import (
     room_of,
     seen_points,
 )
+from landmark_nav.learning.pipeline import (
+    learn_from_panoramas,
+    LearningConfig,
+    LearningResult,
+)
 from landmark_nav.learning.relative_pose import (
     find_features,
     relative_poses,
@@ -36,10 +41,10 @@ from landmark_nav.learning.sweep_pipeline import (
     PanoramaStages,
     unplaced_panorama,
 )
-from landmark_nav.parameters import Config
-from landmark_nav.types import FloatArray, Panorama, PlaceChain, PoseEstimate, Sweep
+from landmark_nav.parameters import Config, parameter
+from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, PoseEstimate, Sweep
 
-__all__ = ['Located', 'UnmeasuredConfig', 'locate', 'locate_sweeps']
+__all__ = ['Located', 'UnmeasuredConfig', 'learn_located', 'locate', 'locate_sweeps']
 
 # How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
 _SEARCH_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
@@ -54,6 +59,13 @@ _FIXED_SCALE = 1e-5
 class UnmeasuredConfig(Config):
     """Parameters of the stages that replace a plan."""
 
+    camera_weight: float = parameter(
+        100.0,
+        'as in the section adjustment, where no place was measured: what the azimuths of one '
+        'panorama err in common, residuals do not show',
+        minimum=1e-3,
+        maximum=1e9,
+    )
     relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
     facades: FacadesConfig = field(default_factory=FacadesConfig)
 
@@ -205,6 +217,19 @@ def locate_sweeps(
     return locate(again, places, lever, config, log)
 
 
+def learn_located(
+    located: Located,
+    config: LearningConfig,
+    unmeasured: UnmeasuredConfig,
+    log: StageLog | None = None,
+) -> LearningResult:
+    """Learn landmarks on the walls that were found; as `learn_from_panoramas`."""
+    adjustment = replace(config.adjustment, camera_weight=unmeasured.camera_weight)
+    config = replace(config, adjustment=adjustment)
+    result = learn_from_panoramas(located.panoramas, located.room, config, log, located.places)
+    return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
+
+
 def _viewpoints(
     poses: RelativePoses, eyes: FloatArray, lever: FloatArray, config: RelativePoseConfig
 ) -> FloatArray:
@@ -225,9 +250,26 @@ def _viewpoints(
     way[:, :2] = (eyes - eyes[0])[:, :2]
     growth = way.ravel() / np.sum(way**2)
     along = joint @ growth
-    joint -= np.outer(along, along) / (growth @ along + _FIXED_SCALE**2)
-    # Where the camera points at pan 0 is not exactly known: all turns about the first viewpoint.
-    turn = np.zeros((count, 4))
-    turn[:, :2] = (eyes - eyes[0])[:, :2] @ rotation(np.pi / 2).T
-    turn[:, 3] = 1.0
-    return np.asarray(joint + config.heading_sigma_rad**2 * np.outer(turn, turn))
+    return np.asarray(joint - np.outer(along, along) / (growth @ along + _FIXED_SCALE**2))
+
+
+def _turned(landmarks: LandmarkMap, sigma_rad: float) -> LandmarkMap:
+    """
+    Add a factor that all landmarks share: where the camera points at pan 0 is not exactly known.
+
+    All turns about the first viewpoint by it; nothing that the panoramas show depends on that.
+    """
+    origin = landmarks.panorama_poses[0].pose
+    turned = []
+    for k in landmarks.landmarks:
+        factor = np.zeros((3, 1))
+        factor[:2, 0] = sigma_rad * rotation(np.pi / 2) @ (k.position - [*origin[:2], 0.0])[:2]
+        loading = np.hstack([k.shared_loading, factor])
+        turned.append(
+            replace(k, covariance=k.covariance + factor @ factor.T, shared_loading=loading)
+        )
+    poses = []
+    for pose in landmarks.panorama_poses:
+        moved = np.append(rotation(np.pi / 2) @ (pose.pose - origin)[:2], 1.0) * sigma_rad
+        poses.append(replace(pose, covariance=pose.covariance + np.outer(moved, moved)))
+    return replace(landmarks, landmarks=tuple(turned), panorama_poses=tuple(poses))

@@ -17,7 +17,7 @@ class FacadesConfig(Config):
         0.015, 'how far off its plane things on a facade are', minimum=1e-4, maximum=0.5
     )
     min_cells: int = parameter(
-        8, 'least cells of 10 cm x 10 cm of a facade that hold points', minimum=3, maximum=1000
+        12, 'least cells of 10 cm x 10 cm of a facade that hold points', minimum=3, maximum=1000
     )
     min_length_m: float = parameter(0.4, 'least length', minimum=0.05, maximum=10)
     max_gap_m: float = parameter(
@@ -27,6 +27,6 @@ class FacadesConfig(Config):
         2.5, 'height that walls have at least, as nothing shows their top', minimum=0.5, maximum=50
     )
     sigma_m: float = parameter(
-        0.1, 'standard deviation of a facade that is found, before adjustment', minimum=1e-3
+        0.03, 'standard deviation of a facade that is found, before adjustment', minimum=1e-3
     )
     max_facades: int = parameter(24, 'most facades of a room', minimum=3, maximum=200)

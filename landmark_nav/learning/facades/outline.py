@@ -72,9 +72,9 @@ def room_of(
             'room.yaml'
         ) from error
     used = {facade for _, facade in corners}
-    for k, facade in enumerate(tall):
-        if k not in used and room.contains(np.array([facade.start, facade.end])).all():
-            room = _with_island(room, facade, k, config)
+    for k, inner in enumerate(tall):
+        if k not in used and room.contains(np.array([inner.start, inner.end])).all():
+            room = _with_island(room, inner, k, config)
     return room
 
 
@@ -87,9 +87,9 @@ def _wall(
     config: FacadesConfig,
 ) -> Wall:
     name = f'facade{facade + 1}' if facade >= 0 else 'gap'
-    ends = [(float(p[0]), float(p[1])) for p in (start, end)]
+    first, last = ((float(p[0]), float(p[1])) for p in (start, end))
     sigma = config.sigma_m * (1.0 if facade >= 0 else 3.0)
-    return Wall(f'{name}_{number + 1}', *ends, height, sigma)
+    return Wall(f'{name}_{number + 1}', first, last, height, sigma)
 
 
 def _runs(facades: Sequence[Facade], middle: FloatArray) -> list[int]:
@@ -130,6 +130,8 @@ def _corners(facades: Sequence[Facade], runs: Sequence[int]) -> list[tuple[Float
             kept[-1] = (kept[-1][0], facade)
         else:
             kept.append((point, facade))
+    if len(kept) > 1 and np.hypot(*(kept[-1][0] - kept[0][0])) < _SHORTEST_M:
+        kept.pop()
     return kept
 
 

@@ -99,13 +99,14 @@ def relative_poses(
         matches = alike(features[i], features[j], config.max_ratio)
         pairs = RayPairs(i, j, features[i].rays[matches[:, 0]], features[j].rays[matches[:, 1]])
         ranked = hypotheses(pairs, config)
+        turn = turn_support(pairs, config.direction_sigma_rad)
+        agreed = ranked[0].support if ranked else 0
+        if turn >= max(config.min_matches, _NO_WAY * agreed):
+            raise LandmarkNavError(
+                f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: take another '
+                'sweep 1 to 3 m away'
+            )
         if _stands_out(ranked, config):
-            turn = turn_support(pairs, ranked[0].heading_rad, config.direction_sigma_rad)
-            if turn > _NO_WAY * ranked[0].support:
-                raise LandmarkNavError(
-                    f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: '
-                    'take another sweep 1 to 3 m away'
-                )
             found[i, j] = ranked[0]
     start = _placed(found, places, lever)
     fit, inflation, pairs_along = _fitted(start, found, features, places, lever, config)

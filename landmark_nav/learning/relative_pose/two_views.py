@@ -16,7 +16,7 @@ from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import fit_poses, RayPairs, STATE
 from landmark_nav.types import FloatArray
 
-__all__ = ['TwoViews', 'hypotheses']
+__all__ = ['TwoViews', 'hypotheses', 'turn_support']
 
 # Grid of headings and directions that is tried, and how far off a match then may be.
 _GRID, _TOLERANCE = 120, 0.02
@@ -63,13 +63,14 @@ def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
     return sorted(found, key=lambda pose: -pose.support)
 
 
-def turn_support(pairs: RayPairs, heading_rad: float, sigma_rad: float) -> int:
-    """How many matches a turn to `heading_rad` alone explains: without a way there is no more."""
+def turn_support(pairs: RayPairs, sigma_rad: float) -> int:
+    """How many matches one turn alone explains: without a way there is no more."""
     azimuth, other = (np.arctan2(r[:, 1], r[:, 0]) for r in (pairs.rays, pairs.other_rays))
-    off = np.hypot(
-        wrap_rad(other + heading_rad - azimuth), pairs.other_rays[:, 2] - pairs.rays[:, 2]
-    )
-    return int(np.sum(off < _TURN_SIGMAS * sigma_rad))
+    bound = _TURN_SIGMAS * sigma_rad
+    level = np.abs(pairs.other_rays[:, 2] - pairs.rays[:, 2]) < bound
+    turn = (azimuth - other)[level]
+    alike = np.abs(wrap_rad(turn[:, None] - turn)) < bound
+    return int(alike.sum(1).max(initial=0))
 
 
 def _votes(pairs: RayPairs, angles: FloatArray) -> FloatArray:
