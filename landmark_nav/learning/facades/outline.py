@@ -25,6 +25,8 @@ _RAYS = 1440
 _BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
 # Shorter pieces are left out; what stands inside is so thick.
 _SHORTEST_M, _THICK_M = 0.03, 0.02
+# What nothing is seen of goes around the sweeps where it is wider than this.
+_WIDE_RAD = 2.0
 # What does not reach so far above the eye hides little; facades end so far above what is seen.
 _OVER_EYE_M, _ABOVE_M = 0.2, 0.3
 
@@ -53,7 +55,8 @@ def room_of(
 
     """
     tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
-    corners = _corners(tall, _runs(tall, eyes[:, :2].mean(0)))
+    middle = eyes[:, :2].mean(0)
+    corners = _corners(tall, _runs(tall, middle), middle)
     if len(corners) < 3:
         raise LandmarkNavError(
             f'{len(facades)} flat surfaces were found, which make no room: take sweeps that see '
@@ -71,6 +74,11 @@ def room_of(
             f'the flat surfaces found make no closed room ({error}): take another sweep, or give '
             'room.yaml'
         ) from error
+    if not room.contains(eyes[:, :2]).all():
+        raise LandmarkNavError(
+            f'the {len(tall)} flat surfaces found do not surround the sweeps: take another sweep '
+            'that sees more textured walls, or give room.yaml'
+        )
     used = {facade for _, facade in corners}
     for k, inner in enumerate(tall):
         if k not in used and room.contains(np.array([inner.start, inner.end])).all():
@@ -112,7 +120,9 @@ def _runs(facades: Sequence[Facade], middle: FloatArray) -> list[int]:
     return [int(k) for k in (seen[new] if len(new) else seen[:1])]
 
 
-def _corners(facades: Sequence[Facade], runs: Sequence[int]) -> list[tuple[FloatArray, int]]:
+def _corners(
+    facades: Sequence[Facade], runs: Sequence[int], middle: FloatArray
+) -> list[tuple[FloatArray, int]]:
     """Points of the outline, each with the facade that starts there; -1 for what joins two."""
     if len(runs) < 2:
         return []
@@ -123,7 +133,8 @@ def _corners(facades: Sequence[Facade], runs: Sequence[int]) -> list[tuple[Float
         if corner is not None and _fits(corner, one.end, other.start):
             corners.append((corner, second))
         else:
-            corners += [(one.end, -1), (other.start, second)]
+            around = [(point, -1) for point in _around(one.end, other.start, middle)]
+            corners += [(one.end, -1), *around, (other.start, second)]
     kept: list[tuple[FloatArray, int]] = []
     for point, facade in corners:
         if kept and np.hypot(*(point - kept[-1][0])) < _SHORTEST_M:
@@ -133,6 +144,18 @@ def _corners(facades: Sequence[Facade], runs: Sequence[int]) -> list[tuple[Float
     if len(kept) > 1 and np.hypot(*(kept[-1][0] - kept[0][0])) < _SHORTEST_M:
         kept.pop()
     return kept
+
+
+def _around(end: FloatArray, start: FloatArray, middle: FloatArray) -> list[FloatArray]:
+    """Points that lead from `end` to `start` counter-clockwise about the middle, if that is far."""
+    first, last = end - middle, start - middle
+    azimuth = np.arctan2(first[1], first[0])
+    turn = (np.arctan2(last[1], last[0]) - azimuth) % (2.0 * np.pi)
+    if turn < _WIDE_RAD:
+        return []
+    angles = azimuth + np.linspace(0.0, turn, 2 + int(turn / _WIDE_RAD * 2.0))[1:-1]
+    reach = max(float(np.hypot(*first)), float(np.hypot(*last)))
+    return list(middle + reach * np.stack([np.cos(angles), np.sin(angles)], 1))
 
 
 def _crossing(one: Facade, other: Facade) -> FloatArray | None:
