@@ -43,9 +43,7 @@ def test_outline_of_a_room_is_found(corners: FloatArray, seed: int) -> None:
     xyz[:, :2] = xyz[:, :2] @ rotation.T
     eyes = EYES.copy()
     eyes[:, :2] = np.array([[1.5, 1.5], [2.5, 1.8]]) @ rotation.T
-    points = SeenPoints(
-        xyz, seen(xyz).covariance, np.broadcast_to(eyes[0], xyz.shape)
-    )
+    points = SeenPoints(xyz, seen(xyz).covariance, np.broadcast_to(eyes[0], xyz.shape))
     room = room_of(find_facades(points, CONFIG), eyes, CONFIG, 'map')
     found = np.array([wall.start for wall in room.walls]) @ rotation
     away = np.linalg.norm(found[:, None] - corners, axis=-1)
@@ -55,14 +53,18 @@ def test_outline_of_a_room_is_found(corners: FloatArray, seed: int) -> None:
 
 def test_scattered_points_make_no_facade() -> None:
     rng = np.random.default_rng(4)
-    xyz = np.column_stack([rng.uniform(0, 6, 150), rng.uniform(0, 4, 150), rng.uniform(0.2, 2.2, 150)])
+    xyz = np.column_stack(
+        [rng.uniform(0, 6, 150), rng.uniform(0, 4, 150), rng.uniform(0.2, 2.2, 150)]
+    )
     assert find_facades(seen(xyz), CONFIG) == []
 
 
 def test_what_is_seen_through_is_no_facade() -> None:
     """A few points in line, in front of a wall that is seen between them."""
     rng = np.random.default_rng(5)
-    line = np.column_stack([np.linspace(2.0, 5.0, 16), np.full(16, 2.8), rng.uniform(0.6, 2.0, 16)])
+    line = np.column_stack(
+        [np.linspace(2.0, 5.0, 16), np.full(16, 2.8), rng.uniform(0.6, 2.0, 16)]
+    )
     wall = on_walls(RECTANGLE, rng, 120)
     facades = find_facades(seen(np.vstack([wall, line])), CONFIG)
     assert len(facades) == 4
@@ -71,7 +73,11 @@ def test_what_is_seen_through_is_no_facade() -> None:
 def test_front_of_a_cupboard_stands_in_the_room() -> None:
     rng = np.random.default_rng(6)
     front = np.column_stack(
-        [np.full(80, 5.4) + rng.normal(0, 0.005, 80), rng.uniform(2.2, 3.4, 80), rng.uniform(0.2, 1.9, 80)]
+        [
+            np.full(80, 5.4) + rng.normal(0, 0.005, 80),
+            rng.uniform(2.2, 3.4, 80),
+            rng.uniform(0.2, 1.9, 80),
+        ]
     )
     walls = on_walls(RECTANGLE, rng)
     hidden = (walls[:, 0] > 5.5) & (walls[:, 1] > 2.1)

@@ -53,7 +53,9 @@ def features(
         rays /= np.hypot(rays[:, 0], rays[:, 1])[:, None]
         azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + rng.normal(0, NOISE_RAD, len(rays))
         tangent = rays[:, 2] + rng.normal(0, NOISE_RAD, len(rays))
-        look = np.vstack([looks + 0.3 * rng.normal(size=looks.shape), rng.normal(size=(strangers, 64))])
+        look = np.vstack(
+            [looks + 0.3 * rng.normal(size=looks.shape), rng.normal(size=(strangers, 64))]
+        )
         look /= np.linalg.norm(look, axis=1)[:, None]
         order = rng.permutation(len(rays))
         rays = np.column_stack([np.cos(azimuth), np.sin(azimuth), tangent])

@@ -104,15 +104,18 @@ def _runs(facades: Sequence[Facade], middle: FloatArray) -> list[int]:
     """Facades of the outline, counter-clockwise, each once a run."""
     azimuth = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
     ray = np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
-    farthest, which = np.zeros(_RAYS), np.full(_RAYS, -1)
-    for k, facade in enumerate(facades):
-        facing = ray @ facade.normal
-        with np.errstate(divide='ignore', invalid='ignore'):
-            reach = (facade.start - middle) @ facade.normal / facing
-            along = (middle + reach[:, None] * ray - facade.start) @ facade.along
-        hit = (facing < 0.0) & (reach > farthest)
-        hit &= (along > -_BEYOND_M) & (along < facade.length_m + _BEYOND_M)
-        farthest[hit], which[hit] = reach[hit], k
+    which = np.full(_RAYS, -1)
+    # Beyond its last point a facade counts only where there is no other one.
+    for beyond_m in (0.0, _BEYOND_M):
+        farthest, unseen = np.zeros(_RAYS), which < 0
+        for k, facade in enumerate(facades):
+            facing = ray @ facade.normal
+            with np.errstate(divide='ignore', invalid='ignore'):
+                reach = (facade.start - middle) @ facade.normal / facing
+                along = (middle + reach[:, None] * ray - facade.start) @ facade.along
+            hit = unseen & (facing < 0.0) & (reach > farthest)
+            hit &= (along > -beyond_m) & (along < facade.length_m + beyond_m)
+            farthest[hit], which[hit] = reach[hit], k
     seen = which[which >= 0]
     if not len(seen):
         return []
