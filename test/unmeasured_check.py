@@ -1,8 +1,9 @@
 """
 Learning without a plan: scale from odometry between the sweeps, one line a room.
 
-``python test/unmeasured_check.py --seeds 801 802`` simulates rooms; ``--study`` takes the study's recording. The odometry is put into
-the sweeps by ``../shared/tools/add_odometry.py``. Exits with 1 if a room misses a bound, or is refused.
+``python test/unmeasured_check.py --seeds 801 802`` simulates rooms; ``--study`` takes the study's
+recording. ``../shared/tools/add_odometry.py`` puts odometry between the sweeps. Exits with 1 if a
+room misses a bound, or is refused.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ def test_poses_are_recovered_and_scale_is_that_of_odometry(count: int) -> None:
 
 
 def test_heading_that_slipped_is_recovered_with_less_certain_scale() -> None:
-    slipped = POSES[:2] + [[0, 0, 0], [0.05, -0.2, 0.12]]
+    slipped = POSES[:2] + np.array([[0, 0, 0], [0.05, -0.2, 0.12]])
     result = found(POSES[:2], slipped, seed=5)
     assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.2
     assert result.inflation > 1.0
