@@ -150,7 +150,7 @@ def _corners(
 
 
 def _around(end: FloatArray, start: FloatArray, middle: FloatArray) -> list[FloatArray]:
-    """Points that lead from `end` to `start` counter-clockwise about the middle, if that is far."""
+    """Points that lead from `end` to `start` counter-clockwise, if that is a wide turn."""
     first, last = end - middle, start - middle
     azimuth = np.arctan2(first[1], first[0])
     turn = (np.arctan2(last[1], last[0]) - azimuth) % (2.0 * np.pi)
