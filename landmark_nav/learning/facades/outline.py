@@ -8,9 +8,11 @@ Neighbours meet in a corner where their planes do; otherwise a wall without land
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.facades.config import FacadesConfig
@@ -56,24 +58,15 @@ def room_of(
     """
     tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
     middle = eyes[:, :2].mean(0)
-    corners = _corners(tall, _runs(tall, middle), middle)
-    if len(corners) < 3:
-        raise LandmarkNavError(
-            f'{len(facades)} flat surfaces were found, which make no room: take sweeps that see '
-            'more textured walls, or give room.yaml'
-        )
+    which, points = _seen(tall, middle)
     height = max([config.wall_height_m, *(f.high_m + _ABOVE_M for f in facades)])
-    walls: list[Wall] = []
-    for k, (point, facade) in enumerate(corners):
-        end = corners[(k + 1) % len(corners)][0]
-        walls.append(_wall(facade, len(walls), point, end, height, config))
+    corners = _corners(tall, which, middle)
     try:
-        room = Room(tuple(walls), (), frame_id)
-    except LandmarkNavError as error:
-        raise LandmarkNavError(
-            f'the flat surfaces found make no closed room ({error}): take another sweep, or give '
-            'room.yaml'
-        ) from error
+        room = _closed(corners, height, config, frame_id)
+    except LandmarkNavError:
+        # Planes that are uncertain meet anywhere; what is seen in order never crosses.
+        corners = _seen_corners(which, points, middle)
+        room = _closed(corners, height, config, frame_id)
     if not room.contains(eyes[:, :2]).all():
         raise LandmarkNavError(
             f'the {len(tall)} flat surfaces found do not surround the sweeps: take another sweep '
@@ -84,6 +77,24 @@ def room_of(
         if k not in used and room.contains(np.array([inner.start, inner.end])).all():
             room = _with_island(room, inner, k, config)
     return room
+
+
+def _closed(
+    corners: Sequence[tuple[FloatArray, int]], height: float, config: FacadesConfig, frame_id: str
+) -> Room:
+    """Room of corners, if there are enough and its walls do not cross."""
+    if len(corners) >= 3:
+        ends = [point for point, _ in [*corners[1:], corners[0]]]
+        walls = tuple(
+            _wall(facade, k, start, end, height, config)
+            for k, ((start, facade), end) in enumerate(zip(corners, ends, strict=True))
+        )
+        with suppress(LandmarkNavError):
+            return Room(walls, (), frame_id)
+    raise LandmarkNavError(
+        'the flat surfaces that were found make no room: take sweeps that see more textured '
+        'walls, or give room.yaml'
+    )
 
 
 def _wall(
@@ -100,14 +111,14 @@ def _wall(
     return Wall(f'{name}_{number + 1}', first, last, height, sigma)
 
 
-def _runs(facades: Sequence[Facade], middle: FloatArray) -> list[int]:
-    """Facades of the outline, counter-clockwise, each once a run."""
+def _seen(facades: Sequence[Facade], middle: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """The farthest facade along rays (n,), counter-clockwise, -1 for none, and where (n, 2)."""
     azimuth = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
     ray = np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
-    which = np.full(_RAYS, -1)
+    which, farthest = np.full(_RAYS, -1), np.zeros(_RAYS)
     # Beyond its last point a facade counts only where there is no other one.
     for beyond_m in (0.0, _BEYOND_M):
-        farthest, unseen = np.zeros(_RAYS), which < 0
+        unseen = which < 0
         for k, facade in enumerate(facades):
             facing = ray @ facade.normal
             with np.errstate(divide='ignore', invalid='ignore'):
@@ -116,17 +127,15 @@ def _runs(facades: Sequence[Facade], middle: FloatArray) -> list[int]:
             hit = unseen & (facing < 0.0) & (reach > farthest)
             hit &= (along > -beyond_m) & (along < facade.length_m + beyond_m)
             farthest[hit], which[hit] = reach[hit], k
-    seen = which[which >= 0]
-    if not len(seen):
-        return []
-    new = np.flatnonzero(seen != np.roll(seen, 1))
-    return [int(k) for k in (seen[new] if len(new) else seen[:1])]
+    return which, middle + farthest[:, None] * ray
 
 
 def _corners(
-    facades: Sequence[Facade], runs: Sequence[int], middle: FloatArray
+    facades: Sequence[Facade], which: IndexArray, middle: FloatArray
 ) -> list[tuple[FloatArray, int]]:
     """Points of the outline, each with the facade that starts there; -1 for what joins two."""
+    seen = which[which >= 0]
+    runs = seen[np.flatnonzero(seen != np.roll(seen, 1))].tolist()
     if len(runs) < 2:
         return []
     corners: list[tuple[FloatArray, int]] = []
@@ -138,6 +147,30 @@ def _corners(
         else:
             around = [(point, -1) for point in _around(one.end, other.start, middle)]
             corners += [(one.end, -1), *around, (other.start, second)]
+    return _without_short(corners)
+
+
+def _seen_corners(
+    which: IndexArray, points: FloatArray, middle: FloatArray
+) -> list[tuple[FloatArray, int]]:
+    """The same, where each facade ends where another one begins to be seen."""
+    starts = np.flatnonzero(which != np.roll(which, 1))
+    runs = [
+        (points[begin], points[end - 1], int(which[begin]))
+        for begin, end in zip(starts, np.roll(starts, -1), strict=True)
+        if which[begin] >= 0
+    ]
+    if len(runs) < 2:
+        return []
+    corners: list[tuple[FloatArray, int]] = []
+    for k, (start, end, facade) in enumerate(runs):
+        corners += [(start, facade), (end, -1)]
+        around = _around(end, runs[(k + 1) % len(runs)][0], middle)
+        corners += [(point, -1) for point in around]
+    return _without_short(corners)
+
+
+def _without_short(corners: list[tuple[FloatArray, int]]) -> list[tuple[FloatArray, int]]:
     kept: list[tuple[FloatArray, int]] = []
     for point, facade in corners:
         if kept and np.hypot(*(point - kept[-1][0])) < _SHORTEST_M:
