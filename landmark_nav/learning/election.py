@@ -107,7 +107,7 @@ def elect(
         patch = patches[k]
         others = [s.panorama for s in sightings[k] if s.panorama != patch.source]
         refusal = _refuse(
-            patch, k, adjustment, depth_sigma[k], panoramas[patch.source],
+            patch, k, adjustment, covariance[k], depth_sigma[k], panoramas[patch.source],
             [panoramas[other] for other in others], config,
         )  # fmt: skip
         if refusal is None and any(
@@ -143,6 +143,7 @@ def _refuse(
     patch: WallPatch,
     k: int,
     adjustment: Adjustment,
+    covariance: FloatArray,
     depth_sigma: float,
     panorama: Panorama,
     others: Sequence[Panorama],
@@ -157,8 +158,7 @@ def _refuse(
     # The wall would draw to it whatever stands there.
     if depth_sigma > config.max_depth_sigma_m:
         return Refusal('too little parallax', f'{depth_sigma * 100:.1f} cm of doubt in its depth')
-    # What all landmarks share, such as the scale, is no reason to refuse one.
-    sigma = float(np.sqrt(np.linalg.eigvalsh(adjustment.own_covariance[k])[-1]))
+    sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
     if sigma > config.max_sigma_m:
         return Refusal('place too uncertain', f'{sigma * 100:.1f} cm')
     ray = panorama.center_map[:2] - adjustment.positions[k, :2]
