@@ -21,7 +21,7 @@ NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector tri
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \
+.PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation unmeasured \
 	latency papers bad-sweeps spoiled faults calibration fuzz config test-oldest test-colcon clean
 
 install: .venv/installed
@@ -93,6 +93,11 @@ papers: install
 # Sweeps that went wrong, through `learn`: a map that is right, or a clear refusal.
 bad-sweeps: install
 	$(BIN)/python test/bad_sweeps_check.py
+
+# Learning without a plan: simulated rooms, and the study; scale from odometry.
+UNMEASURED ?= 801 802 803
+unmeasured: install
+	$(BIN)/python test/unmeasured_check.py --study --seeds $(UNMEASURED)
 
 # Errors of robot.yaml at driving and at learning, on the study: the joint estimator beside the filter.
 calibration: install

@@ -34,6 +34,7 @@ __all__ = [
     'LandmarkMap',
     'OdometrySample',
     'Panorama',
+    'PlaceChain',
     'PoseEstimate',
     'Refusal',
     'Sweep',
@@ -104,6 +105,18 @@ class Expectation(PoseEstimate):
             calibration=known.widened(steps),
             tilt_sigma_rad=math.hypot(self.tilt_sigma_rad, steps.get('camera_tilt', 0.0)),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceChain:
+    """
+    Poses of the base (v, 3) where sweeps were taken, in the frame of the first one.
+
+    `covariance` (3 v, 3 v) is joint: errors of one way go on in all later poses.
+    """
+
+    poses: FloatArray
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,6 +317,11 @@ class LandmarkMap:
         if self.prior is None or self.calibration is None or not given.same_as(self.prior):
             return given
         return replace(self.calibration, base=given.base)
+
+    @property
+    def has_own_frame(self) -> bool:
+        """Whether its frame and scale are its own, as it was learned without a plan."""
+        return 'frame' in self.provenance
 
     @cached_property
     def ids(self) -> npt.NDArray[np.int64]:

@@ -18,6 +18,7 @@ from landmark_nav.cli.progress import progress
 from landmark_nav.cli.run_summary import run_summary
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.evaluation.alignment import aligned, aligned_report
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
@@ -130,8 +131,9 @@ def run(args: argparse.Namespace) -> int:
     if args.config:
         config = load_config(args.config, config)
 
-    room = Room(landmarks.walls) if landmarks.walls else None
-    diagnosis = diagnose(bag, mount, room, QUICK)
+    # Walls that were found, not measured, say nothing of units.
+    measured = landmarks.walls and not landmarks.has_own_frame
+    diagnosis = diagnose(bag, mount, Room(landmarks.walls) if measured else None, QUICK)
     refuse_errors(bag, diagnosis)
     late = diagnosis.delays
     # What was measured is not known exactly.
@@ -170,8 +172,12 @@ def run(args: argparse.Namespace) -> int:
             bag.warn(f'{said} in the end, and not all the time: look at their clock')
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
-    check_truth_frame(bag, landmarks.frame_id)
-    errors = run_errors(done)
+    own_frame = landmarks.has_own_frame and len(done.truth) > 0
+    if own_frame:
+        rigid, (done, errors, alignment) = aligned(done, scaled=False)[1], aligned(done, True)
+    else:
+        check_truth_frame(bag, landmarks.frame_id)
+        errors = run_errors(done)
     if len(done.truth) and np.isnan(errors.fused).all():
         begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
         bag.warn(
@@ -180,6 +186,8 @@ def run(args: argparse.Namespace) -> int:
         )
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report(done, errors, landmarks, mount, learned)
+    if own_frame:
+        report |= aligned_report(rigid, errors, alignment)
     report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
     report['checks'] = [finding.report() for finding in diagnosis.findings]
     if done.calibration is not None:

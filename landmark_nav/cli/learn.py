@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 import json
@@ -17,6 +17,7 @@ from typing import Any
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
+from landmark_nav.cli.known_places import known_places, scale_source
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
@@ -25,6 +26,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
 from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
@@ -36,13 +38,20 @@ from landmark_nav.learning.pipeline import (
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import record_papers
+from landmark_nav.learning.unmeasured import (
+    learn_located,
+    locate_sweeps,
+    Located,
+    UnmeasuredConfig,
+)
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.storage.setup_files import load_room
+from landmark_nav.storage.setup_files import load_room, room_text
 from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
-from landmark_nav.types import Panorama, Sweep
+from landmark_nav.types import Panorama, PlaceChain, Sweep
 
 __all__ = ['LearningStages', 'add_arguments', 'panoramas_of_bag', 'run']
 
@@ -58,6 +67,9 @@ _LEARNING_STAGES = 4
 class LearningStages(PanoramaStages, LearningConfig):
     """Parameters of all stages, from sweeps to map: the sections of ``--config``."""
 
+    unmeasured: UnmeasuredConfig = field(default_factory=UnmeasuredConfig)
+    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""
@@ -68,7 +80,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('bag', metavar='BAG', help='bag with sweeps')
     add_topic_argument(parser)
-    parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')
+    parser.add_argument(
+        '--room',
+        metavar='F',
+        help='room.yaml: walls and papers (default: walls are found, the scale is that of '
+        'sweep/pose or odom, the frame that of the first sweep)',
+    )
+    parser.add_argument(
+        '--walls-out', metavar='F', type=Path, help='write the walls that were found as room.yaml'
+    )
     parser.add_argument(
         '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
     )
@@ -80,7 +100,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--config',
         metavar='F',
         help='parameters that differ from the defaults: YAML with the sections panorama, '
-        'calibration, reference_area, attention, stereo, adjustment, wall_fit and election',
+        'calibration, reference_area, attention, stereo, adjustment, wall_fit, election, '
+        'unmeasured and odometry',
     )
     parser.add_argument(
         '--json', metavar='F', type=Path, help='write counts, errors and times to F'
@@ -90,8 +111,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Learn, draw, write; nothing is written unless all went well."""
     begin = time.perf_counter()
-    check_writable(args.json)
-    room, given = load_room(args.room), load_calibration(args.robot)
+    check_writable(args.json, args.walls_out)
+    room = load_room(args.room) if args.room else None
+    given = load_calibration(args.robot)
     mount = given.mount
     config = load_config(args.config, LearningStages()) if args.config else LearningStages()
     bag = open_bag(args.bag, args)
@@ -99,21 +121,36 @@ def run(args: argparse.Namespace) -> int:
     with log.measure('checks'):
         refuse_errors(bag, diagnose(bag, mount, room, QUICK))
     with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
-        panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
+        located, found = None, {}
+        if room is None:
+            located, frames = _located(bag, mount, config, log)
+            panoramas, room, found = list(located.panoramas), located.room, _found(bag, located)
+        else:
+            panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
-        result = learn_from_panoramas(panoramas, room, config, shown)
+        if located is None:
+            result = learn_from_panoramas(panoramas, room, config, shown)
+        else:
+            result = learn_located(located, config, config.unmeasured, shown)
         learned = result.map.calibration or given
         if off := learned.surprises(given):
             _LOG.warning('%s: the sweeps show, and use, %s more than it gives', args.robot, off)
         result = replace(result, map=replace(result.map, prior=given))
-        result.map.provenance.update(_provenance(args))
+        result.map.provenance.update(_provenance(args) | found)
         with shown.measure('drawing'):  # one more than the bar has: it is gone by then
             _draw(result, room, folder)
         write_map(result.map, folder)
-    check_truth_frame(bag, room.frame_id)
     truth = truth_of_bag(bag)
+    if result.map.has_own_frame:
+        truth = truth.seen_from(truth.at([panoramas[0].stamp_ns])[0])
+    else:
+        check_truth_frame(bag, room.frame_id)
     seconds = time.perf_counter() - begin
     report = learning_report(result, panoramas, frames, truth, mount, log, seconds)
+    if found:
+        report['unmeasured'] = found
+    if args.walls_out:
+        write_whole(args.walls_out, room_text(room))
     if args.json:
         write_whole(args.json, json.dumps(report, indent=2) + '\n')
     print(_summary(report, result.panoramas, args.out))
@@ -133,6 +170,32 @@ class _ShownStages(StageLog):
         next(self._steps, None)
         with super().measure(stage):
             yield
+
+
+def _located(
+    bag: Bag, mount: PanTiltMount, config: LearningStages, log: StageLog
+) -> tuple[Located, list[int]]:
+    """Panoramas of a bag, where they were taken and the walls around; frames of each."""
+    scale_source(bag)
+    frames: list[int] = []
+
+    def sweeps() -> Iterator[Sweep]:
+        frames.clear()
+        for sweep in progress(read_sweeps(bag, mount), 'panoramas'):
+            frames.append(len(sweep.frames))
+            yield sweep
+
+    def known(stamped: Sequence[Sweep]) -> PlaceChain:
+        return known_places(bag, stamped, config.odometry)
+
+    return locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
+
+
+def _found(bag: Bag, located: Located) -> dict[str, str]:
+    """What a map that was learned without a plan says of its frame and scale."""
+    source = scale_source(bag)
+    own = {'frame': 'base_link at the first sweep'} if source == 'odom' else {}
+    return {**own, 'scale': source, 'scale_sigma': f'{located.scale_sigma:.5f}'}
 
 
 def panoramas_of_bag(
@@ -189,7 +252,7 @@ def _provenance(args: argparse.Namespace) -> dict[str, str]:
         release = 'not installed'
     return {
         'learned_from': Path(args.bag).name,
-        'room': Path(args.room).name,
+        'room': Path(args.room).name if args.room else 'none: walls found',
         'robot': Path(args.robot).name,
         'landmark_nav': release,
     }
@@ -215,6 +278,11 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
             )
         lines.append(f'  panorama: {panorama.quality}')
     walls = ', '.join(f'{wall} {count}' for wall, count in report['landmarks_per_wall'].items())
+    if found := report.get('unmeasured'):
+        lines.append(
+            f'no room.yaml: scale from {found["scale"]}, good to '
+            f'{100 * float(found["scale_sigma"]):.1f} %; frame: {found.get("frame", "as given")}'
+        )
     lines.append(
         f'{report["elected"]} landmarks of {report["candidates"]} candidates '
         f'({report["reconstructed"]} reconstructed): {walls}'

@@ -23,6 +23,12 @@ def run_summary(report: Mapping[str, Any]) -> str:
     known = report['fused']['position_rmse_m'] is not None
     lines = [f'WARNING: {report["warning"]}'] if report['warning'] else []
     lines += error_table(report) if known else ['no errors: no ground truth at the pictures']
+    if report.get('aligned'):
+        left = cell(report['fused_after_scale']['position_rmse_m'], 100.0, 2)
+        lines.append(
+            f'the map has a frame of its own: errors after one rigid alignment. Its metre is '
+            f'{report["scale"]:.4f} m long; after scaling, the RMSE of fused is {left} cm'
+        )
     if report['found'] is not None:
         x, y, heading = report['found']['pose']
         lines.append(

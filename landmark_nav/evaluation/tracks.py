@@ -44,6 +44,11 @@ class PoseTrack:
         """Return how many poses there are."""
         return len(self.stamps_ns)
 
+    def seen_from(self, pose: FloatArray, scale: float = 1.0) -> PoseTrack:
+        """The track in the frame of a pose (3,), its ways `scale` times as long."""
+        poses = se2.relative(pose, self.poses)
+        return PoseTrack(self.stamps_ns, poses * [scale, scale, 1.0])
+
     def carry(self, known: PoseTrack) -> PoseTrack:
         """Carry `known` poses on, each until the next one, as this track moves; NaN beyond it."""
         inside = (self.stamps_ns > known.stamps_ns[0]) & (self.stamps_ns < known.stamps_ns[-1])

@@ -21,12 +21,17 @@ _SLACK_M = 0.08
 
 @dataclass(frozen=True)
 class Wall:
-    """A wall from `start` to `end` (x, y in map, metres); the room lies to its left."""
+    """
+    A wall from `start` to `end` (x, y in map, metres); the room lies to its left.
+
+    `sigma_m` says how far off it may be, if that is known; without it walls are measured well.
+    """
 
     id: str
     start: tuple[float, float]
     end: tuple[float, float]
     height: float
+    sigma_m: float | None = None
 
     @property
     def length(self) -> float:

@@ -42,6 +42,7 @@ from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaSt
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
     Candidate,
+    FloatArray,
     Landmark,
     LandmarkMap,
     Panorama,
@@ -106,9 +107,24 @@ def learn_from_panoramas(
     room: Room,
     config: LearningConfig,
     log: StageLog | None = None,
+    places: FloatArray | None = None,
 ) -> LearningResult:
     """
     Learn landmarks from two panoramas or more.
+
+    Parameters
+    ----------
+    panoramas : sequence of Panorama
+        From v places.
+    room : Room
+        Walls, given or found.
+    config : LearningConfig
+        Parameters of the stages.
+    log : StageLog, optional
+        Where times go.
+    places : ndarray, shape (4 v, 4 v), optional
+        Joint covariance of the viewpoints before there are sightings; without it they were
+        measured from papers, or each for itself.
 
     Raises
     ------
@@ -135,7 +151,9 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        adjustment, free, residuals, hidden = _adjusted(found, panoramas, room, config)
+        if places is None:
+            places = joint_covariance(panoramas, room, config.reference_area)
+        adjustment, free, residuals, hidden = _adjusted(found, panoramas, places, room, config)
     uneven = doubtful_walls(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
     )
@@ -192,10 +210,13 @@ def learn_from_panoramas(
 
 
 def _adjusted(
-    found: Found, panoramas: Sequence[Panorama], room: Room, config: LearningConfig
+    found: Found,
+    panoramas: Sequence[Panorama],
+    places: FloatArray,
+    room: Room,
+    config: LearningConfig,
 ) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...], str]:
     """Adjust with the walls and without; how far before each wall things lie, and what is odd."""
-    places = joint_covariance(panoramas, room, config.reference_area)
     without_walls = replace(
         config.adjustment,
         relief_sigma_m=_NO_WALL_M,

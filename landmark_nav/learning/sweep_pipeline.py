@@ -54,7 +54,14 @@ from landmark_nav.parameters import Config
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import FloatArray, Panorama, PoseEstimate, Sweep
 
-__all__ = ['PanoramaStages', 'mended', 'panorama_from_sweep', 'record_papers', 'tenengrad']
+__all__ = [
+    'PanoramaStages',
+    'mended',
+    'panorama_from_sweep',
+    'record_papers',
+    'tenengrad',
+    'unplaced_panorama',
+]
 
 _LOG = logging.getLogger(__name__)
 
@@ -250,6 +257,41 @@ def _made(
         known,
         made.values,
         by_calibration,
+    )
+
+
+def unplaced_panorama(
+    sweep: Sweep, mount: PanTiltMount, config: PanoramaStages, log: StageLog
+) -> Panorama:
+    """
+    Make the panorama of a sweep of which no place is known: its pose is that in the base frame.
+
+    Raises
+    ------
+    LandmarkNavError
+        No frames, or a pan that does not turn as reported.
+
+    """
+    if not sweep.frames:
+        raise LandmarkNavError('the sweep has no frames: take it again')
+    with log.measure('calibration'):
+        check_turn(sweep, mount)
+        found = calibrate_sweep(sweep, mount, config.calibration)
+    with log.measure('panorama'):
+        photometry = Photometry.none(len(sweep.frames))
+        if config.panorama.even_out:
+            photometry = measure_photometry(found.sweep, found.mount)
+        view = _view(found, photometry, config)
+    place = SweepPlace(np.zeros(3), optical_height(found.sweep, found.mount), np.eye(4))
+    return Panorama(
+        sweep.stamp_ns,
+        view.image,
+        view.mask,
+        view.cylinder,
+        _axis(place, found.mount),
+        0.0,
+        place.covariance,
+        found.quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread),
     )
 
 

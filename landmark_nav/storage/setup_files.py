@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -22,7 +23,15 @@ from landmark_nav.storage.fields import (
 )
 from landmark_nav.storage.reading import read_yaml_mapping
 
-__all__ = ['load_camera', 'load_robot', 'load_room', 'wall_entry', 'wall_of', 'walls_field']
+__all__ = [
+    'load_camera',
+    'load_robot',
+    'load_room',
+    'room_text',
+    'wall_entry',
+    'wall_of',
+    'walls_field',
+]
 
 # Walls and papers are measured to a few centimetres, with the papers perhaps on a frame; what is
 # farther off its wall was not measured but mistaken.
@@ -33,6 +42,8 @@ _MAX_WALLS, _MAX_PAPERS = 1000, 100
 
 # What is longer or higher, or farther from the base, is told in another unit.
 _MAX_WALL_M, _MAX_HEIGHT_M, _MAX_MOUNT_M = 1000.0, 50.0, 10.0
+# A wall that may be off by more says nothing.
+_MAX_WALL_SIGMA_M = 1.0
 
 # Angles beyond half a turn, with some digits cut off, were written in degrees.
 _HALF_TURN_RAD = 3.15
@@ -97,19 +108,36 @@ def walls_field(mapping: Any, where: str) -> tuple[Wall, ...]:
 def wall_of(entry: Any, where: str) -> Wall:
     """Wall of an entry of a room or a map."""
     if isinstance(entry, dict):
-        check_spelling(entry, ('id', 'start', 'end', 'height'), where)
+        check_spelling(entry, ('id', 'start', 'end', 'height', 'sigma_m'), where)
     return Wall(
         name_field(entry, 'id', where),
         _point(entry, 'start', 2, where),
         _point(entry, 'end', 2, where),
         number_field(entry, 'height', where),
+        _wall_sigma(entry, where) if 'sigma_m' in entry else None,
     )
+
+
+def _wall_sigma(entry: dict[str, Any], where: str) -> float:
+    sigma = number_field(entry, 'sigma_m', where)
+    if not 0.0 < sigma <= _MAX_WALL_SIGMA_M:
+        raise LandmarkNavError(
+            f'{where}: sigma_m is {sigma:g}: take more than 0, up to {_MAX_WALL_SIGMA_M:g} m'
+        )
+    return sigma
 
 
 def wall_entry(wall: Wall) -> dict[str, Any]:
     """Entry of a wall in a room or a map."""
     start, end = ([float(value) for value in point] for point in (wall.start, wall.end))
-    return {'id': wall.id, 'start': start, 'end': end, 'height': float(wall.height)}
+    entry = {'id': wall.id, 'start': start, 'end': end, 'height': float(wall.height)}
+    return entry if wall.sigma_m is None else {**entry, 'sigma_m': float(wall.sigma_m)}
+
+
+def room_text(room: Room) -> str:
+    """`room.yaml` of the walls of a room."""
+    document = {'frame_id': room.frame_id, 'walls': [wall_entry(wall) for wall in room.walls]}
+    return yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
 
 
 def _paper(document: Any, where: str) -> Paper:

@@ -141,8 +141,13 @@ class Problem:
             [np.eye(len(room.walls))[self.wall], np.eye(int(stretch.max()) + 1)[stretch]]
         )
         plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
+        # A wall whose sigma is given is off by that; the others by what is estimated of all.
+        given = np.zeros(len(plane))
+        given[: len(room.walls)] = [wall.sigma_m or 0.0 for wall in room.walls]
+        self._given = np.diag(given**2)
+        alone = plane * (given == 0.0)
         # What all walls have in common, each wall alone, and each stretch of one.
-        self._hanging = np.outer(plane, plane), np.diag(plane), np.diag(1.0 - plane)
+        self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
         self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
         self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known])
         self._poses = slice(0, poses.size)
@@ -281,7 +286,7 @@ class Problem:
         factor = np.where(self._height, height, plan)
         off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
         places = self._places * np.outer(factor, factor)
-        return np.asarray(block_diag(places, off_walls, self._calibration))
+        return np.asarray(block_diag(places, off_walls + self._given, self._calibration))
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray

@@ -89,7 +89,8 @@ def check_walls(
     doubts: list[str] = []
     for k, on in _judged(free, walls, room, _MIN_PATCHES, elsewhere=True):
         things = _things(free, room, k, on, expected.hanging_length_m)
-        sigma = float(np.linalg.norm(_shared(free, room, k, on)))
+        shared = np.linalg.norm(_shared(free, room, k, on))
+        sigma = float(np.hypot(shared, room.walls[k].sigma_m or 0.0))
         complaint = _complaint(things, sigma, expected.hanging_sigma_m, int(on.sum()), config)
         if complaint:
             wall, before = room.walls[k], np.median(free.off_wall_m[on]) > _ELSEWHERE_M[0]
@@ -109,7 +110,8 @@ class WallResidual:
     """
     How far before a wall lies what hangs there, median of its `stretches` with patches.
 
-    `shared` (m,) makes up its covariance, beside that of how differently far things hang.
+    `shared` (m,) makes up its covariance, beside that of how differently far things hang;
+    `wall_sigma_m` is how far off the wall may be, if the room says that.
     """
 
     wall_id: str
@@ -117,6 +119,7 @@ class WallResidual:
     stretches: int
     off_m: float
     shared: FloatArray
+    wall_sigma_m: float | None = None
 
     @property
     def sigma_m(self) -> float:
@@ -135,8 +138,11 @@ def wall_residuals(
     for k, on in _judged(adjustment, walls, room, _FEW):
         off = _things(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
         shared = _shared(adjustment, room, k, on)
+        wall = room.walls[k]
         residuals.append(
-            WallResidual(room.walls[k].id, int(on.sum()), len(off), float(np.median(off)), shared)
+            WallResidual(
+                wall.id, int(on.sum()), len(off), float(np.median(off)), shared, wall.sigma_m
+            )
         )
     return tuple(residuals)
 
@@ -170,13 +176,15 @@ def doubtful_walls(
     off = np.array([residual.off_m for residual in residuals])
     shared = np.stack([residual.shared for residual in residuals])
     stretches = np.array([residual.stretches for residual in residuals])
+    walls = np.array([residual.wall_sigma_m or 0.0 for residual in residuals])
+    measured = np.where(walls > 0.0, walls, expected.wall_sigma_m)
     # A median is that much less certain than a mean.
-    apart = expected.wall_sigma_m**2 + 0.5 * np.pi * hanging_sigma_m**2 / stretches
+    apart = measured**2 + 0.5 * np.pi * hanging_sigma_m**2 / stretches
     inverse = covariance_of(shared @ shared.T + np.diag(apart))
     left = off - np.sum(inverse @ off) / inverse.sum()
     likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
     # One thing may hang as far as its frame is deep; many do not on average.
-    slack = 2.0 * np.sqrt(np.sum(shared**2, 1) + hanging_sigma_m**2 / stretches**2)
+    slack = 2.0 * np.sqrt(np.sum(shared**2, 1) + hanging_sigma_m**2 / stretches**2 + walls**2)
     near = (off >= -config.max_behind_m - slack) & (off <= config.max_before_m + slack)
     if likely and near.all():
         return ''

@@ -10,6 +10,7 @@ and Bishop, SIGGRAPH 1995, give the curve; on the wall it is a short straight li
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -84,6 +85,12 @@ def match_in(
     Without parallax, and as far away, nothing tells what lies on the wall from what stands before.
     """
     here, there = panoramas[patch.source], panoramas[other]
+    if sigma := room.walls[patch.wall].sigma_m:
+        config = replace(
+            config,
+            before_wall_m=config.before_wall_m + _SIGMAS * sigma,
+            behind_wall_m=config.behind_wall_m + _SIGMAS * sigma,
+        )
     if not room.visible(there.center_map[:2], patch.position[:2]):
         return Refusal('hidden from the other place')
     to_here = here.center_map - patch.position

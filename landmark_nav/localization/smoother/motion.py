@@ -9,16 +9,16 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.se2 import compose, rotation
+from landmark_nav.geometry.se2 import compose, compose_jacobians, rotation
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
     motion_variances,
     OdometryNoiseConfig,
 )
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.types import FloatArray, OdometrySample
+from landmark_nav.types import FloatArray, OdometrySample, PlaceChain
 
-__all__ = ['Motions', 'motions_between']
+__all__ = ['Motions', 'chained', 'motions_between']
 
 # Motion is compounded in steps of about this, each an arc.
 _STEP_NS = 50_000_000
@@ -103,3 +103,27 @@ def _between(
     jitter = jitter_variances(track.motion(int(times_ns[0]), int(times_ns[-1])))
     covariance += np.diag(jitter + _LEAST_VARIANCE)
     return pose[-1], np.sum(effect @ shifted, axis=0), covariance
+
+
+def chained(motions: Motions, config: OdometryNoiseConfig) -> PlaceChain:
+    """
+    Poses at all times in the frame of the first, with the errors that they share.
+
+    Systematic errors of the wheels are the same on all ways (Smith, Self and Cheeseman, 1990).
+    """
+    count = len(motions.increment) + 1
+    poses = np.zeros((count, 3))
+    # How systematic errors, and the random ones of each way, move each pose.
+    bias_sigma = np.array([*config.bias_sigmas, config.turn_loss_sigma_m_per_rad])
+    loading = np.zeros((count, 3, len(bias_sigma) + 3 * len(motions.increment)))
+    for k, (step, by_bias, covariance) in enumerate(
+        zip(motions.increment, motions.by_bias, motions.covariance, strict=True)
+    ):
+        by_pose, by_step = compose_jacobians(poses[k], step)
+        poses[k + 1] = compose(poses[k], step)
+        own = len(bias_sigma) + 3 * k
+        loading[k + 1] = by_pose @ loading[k]
+        loading[k + 1, :, : len(bias_sigma)] += by_step @ by_bias * bias_sigma
+        loading[k + 1, :, own : own + 3] += by_step @ np.linalg.cholesky(covariance)
+    flat = loading.reshape(3 * count, -1)
+    return PlaceChain(poses, flat @ flat.T)

@@ -1,0 +1,10 @@
+"""Walls found, not given: flat vertical surfaces, and the room that they make."""
+
+from __future__ import annotations
+
+from landmark_nav.learning.facades.config import FacadesConfig
+from landmark_nav.learning.facades.outline import room_of
+from landmark_nav.learning.facades.planes import Facade, find_facades
+from landmark_nav.learning.facades.points import seen_points, SeenPoints
+
+__all__ = ['Facade', 'FacadesConfig', 'SeenPoints', 'find_facades', 'room_of', 'seen_points']

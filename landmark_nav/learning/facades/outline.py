@@ -1,0 +1,233 @@
+"""
+The room that facades make: its outline where it closes, and what stands inside.
+
+Seen from where the sweeps were taken, the farthest facade in each direction is the outline.
+Neighbours meet in a corner where their planes do; otherwise a wall without landmarks joins them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from landmark_nav.arrays import IndexArray
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.learning.facades.config import FacadesConfig
+from landmark_nav.learning.facades.planes import Facade
+from landmark_nav.types import FloatArray
+
+__all__ = ['room_of']
+
+_RAYS = 1440
+# A facade goes on a little beyond its last point; a corner is no farther from what is seen of its
+# two walls than this.
+_BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
+# Shorter pieces are left out; what stands inside is so thick.
+_SHORTEST_M, _THICK_M = 0.03, 0.02
+# What nothing is seen of goes around the sweeps where it is wider than this.
+_WIDE_RAD = 2.0
+# What does not reach so far above the eye hides little; facades end so far above what is seen.
+_OVER_EYE_M, _ABOVE_M = 0.2, 0.3
+
+
+def room_of(
+    facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig, frame_id: str
+) -> Room:
+    """
+    Make a room of facades.
+
+    Parameters
+    ----------
+    facades : sequence of Facade
+        What was found.
+    eyes : ndarray, shape (v, 3)
+        Viewpoints of the sweeps, in map.
+    config : FacadesConfig
+        How high and how certain walls are.
+    frame_id : str
+        Frame of the map.
+
+    Raises
+    ------
+    LandmarkNavError
+        They do not surround the sweeps, not even with what joins them.
+
+    """
+    tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
+    middle = eyes[:, :2].mean(0)
+    which, points = _seen(tall, middle)
+    height = max([config.wall_height_m, *(f.high_m + _ABOVE_M for f in facades)])
+    corners = _corners(tall, which, middle)
+    try:
+        room = _closed(corners, height, config, frame_id)
+    except LandmarkNavError:
+        # Planes that are uncertain meet anywhere; what is seen in order never crosses.
+        corners = _seen_corners(which, points, middle)
+        room = _closed(corners, height, config, frame_id)
+    if not room.contains(eyes[:, :2]).all():
+        raise LandmarkNavError(
+            f'the {len(tall)} flat surfaces found do not surround the sweeps: take another sweep '
+            'that sees more textured walls, or give room.yaml'
+        )
+    used = {facade for _, facade in corners}
+    for k, inner in enumerate(tall):
+        if k not in used and room.contains(np.array([inner.start, inner.end])).all():
+            room = _with_island(room, inner, k, config)
+    return room
+
+
+def _closed(
+    corners: Sequence[tuple[FloatArray, int]], height: float, config: FacadesConfig, frame_id: str
+) -> Room:
+    """Room of corners, if there are enough and its walls do not cross."""
+    if len(corners) >= 3:
+        ends = [point for point, _ in [*corners[1:], corners[0]]]
+        walls = tuple(
+            _wall(facade, k, start, end, height, config)
+            for k, ((start, facade), end) in enumerate(zip(corners, ends, strict=True))
+        )
+        with suppress(LandmarkNavError):
+            return Room(walls, (), frame_id)
+    raise LandmarkNavError(
+        'the flat surfaces that were found make no room: take sweeps that see more textured '
+        'walls, or give room.yaml'
+    )
+
+
+def _wall(
+    facade: int,
+    number: int,
+    start: FloatArray,
+    end: FloatArray,
+    height: float,
+    config: FacadesConfig,
+) -> Wall:
+    name = f'facade{facade + 1}' if facade >= 0 else 'gap'
+    first, last = ((float(p[0]), float(p[1])) for p in (start, end))
+    sigma = config.sigma_m * (1.0 if facade >= 0 else 3.0)
+    return Wall(f'{name}_{number + 1}', first, last, height, sigma)
+
+
+def _seen(facades: Sequence[Facade], middle: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """The farthest facade along rays (n,), counter-clockwise, -1 for none, and where (n, 2)."""
+    azimuth = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
+    ray = np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
+    which, farthest = np.full(_RAYS, -1), np.zeros(_RAYS)
+    # Beyond its last point a facade counts only where there is no other one.
+    for beyond_m in (0.0, _BEYOND_M):
+        unseen = which < 0
+        for k, facade in enumerate(facades):
+            facing = ray @ facade.normal
+            with np.errstate(divide='ignore', invalid='ignore'):
+                reach = (facade.start - middle) @ facade.normal / facing
+                along = (middle + reach[:, None] * ray - facade.start) @ facade.along
+            hit = unseen & (facing < 0.0) & (reach > farthest)
+            hit &= (along > -beyond_m) & (along < facade.length_m + beyond_m)
+            farthest[hit], which[hit] = reach[hit], k
+    return which, middle + farthest[:, None] * ray
+
+
+def _corners(
+    facades: Sequence[Facade], which: IndexArray, middle: FloatArray
+) -> list[tuple[FloatArray, int]]:
+    """Points of the outline, each with the facade that starts there; -1 for what joins two."""
+    seen = which[which >= 0]
+    runs = seen[np.flatnonzero(seen != np.roll(seen, 1))].tolist()
+    if len(runs) < 2:
+        return []
+    corners: list[tuple[FloatArray, int]] = []
+    for first, second in zip(runs, [*runs[1:], runs[0]], strict=True):
+        one, other = facades[first], facades[second]
+        corner = _crossing(one, other)
+        if corner is not None and _fits(corner, one.end, other.start):
+            corners.append((corner, second))
+        else:
+            around = [(point, -1) for point in _around(one.end, other.start, middle)]
+            corners += [(one.end, -1), *around, (other.start, second)]
+    return _without_short(corners)
+
+
+def _seen_corners(
+    which: IndexArray, points: FloatArray, middle: FloatArray
+) -> list[tuple[FloatArray, int]]:
+    """The same, where each facade ends where another one begins to be seen."""
+    starts = np.flatnonzero(which != np.roll(which, 1))
+    runs = [
+        (points[begin], points[end - 1], int(which[begin]))
+        for begin, end in zip(starts, np.roll(starts, -1), strict=True)
+        if which[begin] >= 0
+    ]
+    if len(runs) < 2:
+        return []
+    corners: list[tuple[FloatArray, int]] = []
+    for k, (start, end, facade) in enumerate(runs):
+        corners += [(start, facade), (end, -1)]
+        around = _around(end, runs[(k + 1) % len(runs)][0], middle)
+        corners += [(point, -1) for point in around]
+    return _without_short(corners)
+
+
+def _without_short(corners: list[tuple[FloatArray, int]]) -> list[tuple[FloatArray, int]]:
+    kept: list[tuple[FloatArray, int]] = []
+    for point, facade in corners:
+        if kept and np.hypot(*(point - kept[-1][0])) < _SHORTEST_M:
+            kept[-1] = (kept[-1][0], facade)
+        else:
+            kept.append((point, facade))
+    if len(kept) > 1 and np.hypot(*(kept[-1][0] - kept[0][0])) < _SHORTEST_M:
+        kept.pop()
+    return kept
+
+
+def _around(end: FloatArray, start: FloatArray, middle: FloatArray) -> list[FloatArray]:
+    """Points that lead from `end` to `start` counter-clockwise, if that is a wide turn."""
+    first, last = end - middle, start - middle
+    azimuth = np.arctan2(first[1], first[0])
+    turn = (np.arctan2(last[1], last[0]) - azimuth) % (2.0 * np.pi)
+    if turn < _WIDE_RAD:
+        return []
+    angles = azimuth + np.linspace(0.0, turn, 2 + int(turn / _WIDE_RAD * 2.0))[1:-1]
+    reach = max(float(np.hypot(*first)), float(np.hypot(*last)))
+    return list(middle + reach * np.stack([np.cos(angles), np.sin(angles)], 1))
+
+
+def _crossing(one: Facade, other: Facade) -> FloatArray | None:
+    sine = float(one.along[0] * other.along[1] - one.along[1] * other.along[0])
+    if abs(sine) < 0.2:
+        return None
+    off = other.start - one.start
+    t = (off[0] * other.along[1] - off[1] * other.along[0]) / sine
+    return np.asarray(one.start + t * one.along)
+
+
+def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:
+    """Whether a corner is near to what is seen of both walls."""
+    return bool(
+        np.hypot(*(corner - end)) < _FARTHEST_CORNER_M
+        and np.hypot(*(corner - start)) < _FARTHEST_CORNER_M
+    )
+
+
+def _with_island(room: Room, facade: Facade, k: int, config: FacadesConfig) -> Room:
+    """The room with a thin box behind a facade, unless it crosses what is there."""
+    back = -_THICK_M * facade.normal
+    points = [facade.start, facade.end, facade.end + back, facade.start + back]
+    height = facade.high_m + _ABOVE_M
+    box = [
+        _wall(
+            k if n == 0 else -1,
+            len(room.walls) + n,
+            points[n],
+            points[(n + 1) % 4],
+            height,
+            config,
+        )
+        for n in range(4)
+    ]
+    try:
+        return Room((*room.walls, *box), room.papers, room.frame_id)
+    except LandmarkNavError:
+        return room

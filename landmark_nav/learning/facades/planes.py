@@ -1,0 +1,207 @@
+"""
+Flat vertical surfaces among points: lines in plan that many points share.
+
+One after the other, the line with most support (RANSAC; Fischler and Bolles, 1981), where support
+is counted in cells of the surface, so that one object full of texture is no wall.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.arrays import BoolArray
+from landmark_nav.learning.facades.config import FacadesConfig
+from landmark_nav.learning.facades.points import SeenPoints
+from landmark_nav.types import FloatArray
+
+__all__ = ['Facade', 'find_facades', 'refit']
+
+_TRIALS, _SEED = 600, 5
+# A second point of a trial is this near to the first, metres; inliers are so many sigmas off.
+_REACH_M, _INLIER_SIGMAS = 3.0, 2.5
+_CELL_M = 0.1
+# What lies lower is floor.
+_FLOOR_M = 0.08
+_REFITS = 4
+# Points so near to a facade are of it and of no other one, metres.
+_TAKEN_M = 0.06
+# Stretches of one facade have about this normal in common; what is farther behind is seen through.
+_SAME_NORMAL, _BEHIND_M = 0.98, 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Facade:
+    """
+    A vertical rectangle: from `start` to `end` (2,) in map, with the room to its left.
+
+    `low_m` and `high_m` are the heights between which it was seen, `cells` how much of it, and
+    `sigma_m` how well its points determine its plane.
+    """
+
+    start: FloatArray
+    end: FloatArray
+    low_m: float
+    high_m: float
+    cells: int
+    sigma_m: float
+
+    @property
+    def along(self) -> FloatArray:
+        """Unit vector from start to end, (2,)."""
+        side = self.end - self.start
+        return np.asarray(side / np.hypot(*side))
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal into the room, (2,)."""
+        return np.array([-self.along[1], self.along[0]])
+
+    @property
+    def length_m(self) -> float:
+        """Length, metres."""
+        return float(np.hypot(*(self.end - self.start)))
+
+
+def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
+    """Find facades among points, those with most support first."""
+    left = points.chosen(points.positions[:, 2] > _FLOOR_M)
+    rng = np.random.default_rng(_SEED)
+    found: list[SeenPoints] = []
+    while len(found) < config.max_facades and len(left) >= config.min_cells:
+        members = _best_line(left, config, rng)
+        if members is None:
+            break
+        facade = refit(left.chosen(members), config)
+        if facade.cells >= config.min_cells and facade.length_m >= config.min_length_m:
+            found.append(left.chosen(members))
+        left = left.chosen(~(members | _covered(left, facade, config)))
+    facades = _joined(found, config)
+    return sorted((f for f in facades if not _seen_through(f, points)), key=lambda f: -f.cells)
+
+
+def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
+    """Facades, those joined that are stretches of one."""
+    facades = [refit(members, config) for members in found]
+    k = 0
+    while k < len(facades):
+        for j in range(k + 1, len(facades)):
+            if facades[k].normal @ facades[j].normal < _SAME_NORMAL:
+                continue
+            both = SeenPoints.joined([found[k], found[j]])
+            whole = refit(both, config)
+            ends = np.array([p for f in (facades[k], facades[j]) for p in (f.start, f.end)])
+            if np.abs((ends - whole.start) @ whole.normal).max() < _TAKEN_M:
+                found[k], facades[k] = both, whole
+                del found[j], facades[j]
+                break
+        else:
+            k += 1
+    return facades
+
+
+def _seen_through(facade: Facade, points: SeenPoints) -> bool:
+    """Whether more is seen behind a facade, through it, than on it."""
+    eye, ray = points.viewpoints, points.positions - points.viewpoints
+    ahead = (eye[:, :2] - facade.start) @ facade.normal
+    with np.errstate(divide='ignore', invalid='ignore'):
+        share = -ahead / (ray[:, :2] @ facade.normal)
+    hit = eye + share[:, None] * ray
+    along = (hit[:, :2] - facade.start) @ facade.along
+    depth = (1.0 - share) * np.hypot(ray[:, 0], ray[:, 1])
+    through = (ahead > 0.0) & (share > 0.0) & (depth > _BEHIND_M)
+    through &= (along > 0.0) & (along < facade.length_m)
+    through &= (hit[:, 2] > facade.low_m) & (hit[:, 2] < facade.high_m)
+    off = points.positions[through]
+    return _cells(off[:, :2] @ facade.along, off[:, 2]) > facade.cells
+
+
+def refit(members: SeenPoints, config: FacadesConfig) -> Facade:
+    """Facade through points, most of which lie on it."""
+    weight = np.ones(len(members))
+    xy = members.positions[:, :2]
+    for _ in range(_REFITS):
+        middle = np.average(xy, axis=0, weights=weight)
+        off = xy - middle
+        _, vectors = np.linalg.eigh((weight[:, None] * off).T @ off)
+        normal = vectors[:, 0]
+        variance = _variance(members, normal, config)
+        miss = off @ normal
+        weight = 1.0 / variance / (1.0 + miss**2 / variance / 4.0) ** 2
+    eye = members.viewpoints[:, :2].mean(0)
+    normal = normal if (eye - middle) @ normal > 0.0 else -normal
+    along = np.array([normal[1], -normal[0]])
+    kept = miss**2 < _INLIER_SIGMAS**2 * variance
+    kept = kept if kept.any() else np.ones(len(xy), dtype=bool)
+    t = off[kept] @ along
+    z = members.positions[kept, 2]
+    return Facade(
+        middle + t.min() * along,
+        middle + t.max() * along,
+        float(z.min()),
+        float(z.max()),
+        _cells(t, z),
+        float(np.sqrt(1.0 / np.sum(weight))),
+    )
+
+
+def _variance(points: SeenPoints, normal: FloatArray, config: FacadesConfig) -> FloatArray:
+    return np.asarray(
+        np.einsum('i,nij,j->n', normal, points.covariance, normal) + config.relief_m**2
+    )
+
+
+def _cells(along: FloatArray, height: FloatArray) -> int:
+    """How many cells of a surface hold points."""
+    cells = np.floor(np.stack([along, height], 1) / _CELL_M).astype(int)
+    return len(np.unique(cells, axis=0))
+
+
+def _best_line(
+    points: SeenPoints, config: FacadesConfig, rng: np.random.Generator
+) -> BoolArray | None:
+    """Which points (n,) lie on the stretch of line that most cells support."""
+    xy = points.positions[:, :2]
+    best, most = None, 0.0
+    apart = np.linalg.norm(xy[:, None] - xy, axis=-1)
+    partners = (apart > _CELL_M) & (apart < _REACH_M)
+    for first in rng.integers(len(xy), size=_TRIALS):
+        near = np.flatnonzero(partners[first])
+        if not len(near):
+            continue
+        side = xy[rng.choice(near)] - xy[first]
+        along = side / np.hypot(*side)
+        normal = np.array([-along[1], along[0]])
+        off = xy - xy[first]
+        ahead = (points.viewpoints[:, :2] - xy[first]) @ normal
+        miss = (off @ normal) ** 2 / _variance(points, normal, config)
+        on = (miss < _INLIER_SIGMAS**2) & (np.sign(ahead) == np.sign(ahead[first]))
+        on = _stretch(off @ along, on, config.max_gap_m)
+        cells = _cells((off @ along)[on], points.positions[on, 2])
+        support = cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))
+        if support > most:
+            best, most = on, support
+    return best if most >= 0.4 * config.min_cells else None
+
+
+def _stretch(along: FloatArray, on: BoolArray, max_gap_m: float) -> BoolArray:
+    """The points of the longest populated stretch among those on a line."""
+    index = np.flatnonzero(on)
+    index = index[np.argsort(along[index], kind='stable')]
+    breaks = np.flatnonzero(np.diff(along[index]) > max_gap_m) + 1
+    part = max(np.split(index, breaks), key=len)
+    kept = np.zeros(len(along), dtype=bool)
+    kept[part] = True
+    return kept
+
+
+def _covered(points: SeenPoints, facade: Facade, config: FacadesConfig) -> BoolArray:
+    """Which points (n,) a facade explains."""
+    off = points.positions[:, :2] - facade.start
+    along = off @ facade.along
+    inside = (along > -_CELL_M) & (along < facade.length_m + _CELL_M)
+    bound = np.maximum(
+        _INLIER_SIGMAS * np.sqrt(_variance(points, facade.normal, config)), _TAKEN_M
+    )
+    return np.asarray(inside & (np.abs(off @ facade.normal) < bound))

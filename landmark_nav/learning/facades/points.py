@@ -1,0 +1,96 @@
+"""Where matched features are, by the poses of the panoramas that show them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.arrays import BoolArray
+from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
+from landmark_nav.types import FloatArray
+
+__all__ = ['SeenPoints', 'seen_points']
+
+# Depth that is less certain says nothing of a facade, m; what is seen in two directions that
+# differ by less has no depth, rad.
+_MAX_SIGMA_M, _LEAST_PARALLAX = 0.15, 0.035
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoints:
+    """
+    Points (n, 3) in map, their covariance in plan (n, 2, 2), and one viewpoint of each (n, 3).
+
+    Errors of the poses are not in the covariance: all points share them.
+    """
+
+    positions: FloatArray
+    covariance: FloatArray
+    viewpoints: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.positions)
+
+    @classmethod
+    def joined(cls, parts: Sequence[SeenPoints]) -> SeenPoints:
+        """All points of several."""
+        return cls(
+            np.concatenate([p.positions for p in parts]),
+            np.concatenate([p.covariance for p in parts]),
+            np.concatenate([p.viewpoints for p in parts]),
+        )
+
+    def chosen(self, which: BoolArray) -> SeenPoints:
+        """Some of them."""
+        return SeenPoints(self.positions[which], self.covariance[which], self.viewpoints[which])
+
+
+def seen_points(
+    states: FloatArray, pairs: Sequence[RayPairs], lever: FloatArray, sigma_rad: float
+) -> SeenPoints:
+    """
+    Intersect the rays of matches in plan.
+
+    Parameters
+    ----------
+    states : ndarray, shape (v, 6)
+        Of the sweeps, as `relative_poses` finds them.
+    pairs : sequence of RayPairs
+        Matches that agree with them.
+    lever : ndarray, shape (3,)
+        Viewpoint in the base frame.
+    sigma_rad : float
+        Standard deviation of a direction.
+
+    """
+    return SeenPoints.joined([_intersected(states, p, lever, sigma_rad) for p in pairs])
+
+
+def _intersected(
+    states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
+) -> SeenPoints:
+    here, there = (center(states[k], lever) for k in (pairs.one, pairs.other))
+    w = turned(states[pairs.one], pairs.rays)
+    v = turned(states[pairs.other], pairs.other_rays)
+    w, v = (r / np.hypot(r[:, 0], r[:, 1])[:, None] for r in (w, v))
+    way = there - here
+    sine = w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        reach = (way[0] * v[:, 1] - way[1] * v[:, 0]) / sine
+        reach_there = (way[0] * w[:, 1] - way[1] * w[:, 0]) / sine
+        first, second = here + reach[:, None] * w, there + reach_there[:, None] * v
+        along = (reach_there * sigma_rad / sine) ** 2, (reach * sigma_rad / sine) ** 2
+    covariance = (
+        along[1][:, None, None] * v[:, :2, None] * v[:, None, :2]
+        + along[0][:, None, None] * w[:, :2, None] * w[:, None, :2]
+    )
+    certain = (np.abs(sine) > np.sin(_LEAST_PARALLAX)) & (reach > 0.0) & (reach_there > 0.0)
+    certain &= np.sqrt(covariance[:, 0, 0] + covariance[:, 1, 1]) < _MAX_SIGMA_M
+    return SeenPoints(
+        0.5 * (first + second)[certain],
+        covariance[certain],
+        np.broadcast_to(here, first.shape)[certain],
+    )

@@ -1,0 +1,15 @@
+"""Poses of sweeps relative to each other, from what their panoramas both show."""
+
+from __future__ import annotations
+
+from landmark_nav.learning.relative_pose.config import RelativePoseConfig
+from landmark_nav.learning.relative_pose.features import Features, find_features
+from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
+
+__all__ = [
+    'Features',
+    'RelativePoseConfig',
+    'RelativePoses',
+    'find_features',
+    'relative_poses',
+]

@@ -1,0 +1,183 @@
+"""
+Epipolar constraints between panoramas, and the poses of sweeps that satisfy them.
+
+Two rays to one point and the way between the panoramas lie in one plane: ``b . (w1 x w2) = 0``
+(McMillan and Bishop, SIGGRAPH 1995). Points are not needed, so that the unknowns are poses alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.arrays import BoolArray
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.learning.least_squares import levenberg_marquardt, root_of
+from landmark_nav.types import FloatArray
+
+__all__ = ['STATE', 'EpipolarFit', 'RayPairs', 'fit_poses', 'misses']
+
+# Of each sweep: x, y, heading of the base, height above the others, tilt about x and y.
+STATE = 6
+# Misses, in standard deviations, beyond which a match counts next to nothing: at first and later.
+_DOUBT_AT_FIRST, _DOUBT, _STEPS = 16.0, 2.0, 6
+# What misses by fewer standard deviations agrees; of directions so far apart it may be a point.
+_AGREES, _LEAST_PARALLAX = 3.0, 1e-4
+_NOTHING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class RayPairs:
+    """Matches between the views `one` and `other`: rays (m, 3) of each in its base frame."""
+
+    one: int
+    other: int
+    rays: FloatArray
+    other_rays: FloatArray
+
+    def chosen(self, which: BoolArray) -> RayPairs:
+        """Some of them."""
+        return RayPairs(self.one, self.other, self.rays[which], self.other_rays[which])
+
+
+@dataclass(frozen=True, eq=False)
+class EpipolarFit:
+    """
+    States (v, 6) of sweeps and their information (6 v, 6 v); what agrees of each set of matches.
+
+    `prior_cost` is the squared misfit of what was known of poses before.
+    """
+
+    states: FloatArray
+    information: FloatArray
+    agrees: tuple[BoolArray, ...]
+    prior_cost: float
+
+
+def turned(state: FloatArray, rays: FloatArray) -> FloatArray:
+    """Rays (m, 3) of the base frame in map, for a sweep's state (6,); tilts are small."""
+    roll, pitch = state[4], state[5]
+    tilt = np.array([[1.0, 0.0, pitch], [0.0, 1.0, -roll], [-pitch, roll, 1.0]])
+    return np.asarray(rays @ tilt.T @ rot_z(state[2]).T)
+
+
+def center(state: FloatArray, lever: FloatArray) -> FloatArray:
+    """Viewpoint (3,) of a sweep's state (6,); `lever` (3,) is the viewpoint in the base frame."""
+    return np.asarray(rot_z(state[2]) @ lever + [state[0], state[1], state[3]])
+
+
+def misses(
+    states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """
+    How far rays miss each other, in standard deviations (Sampson's approximation).
+
+    Returns
+    -------
+    misses : ndarray, shape (m,)
+    jacobian : ndarray, shape (m, 2, 6)
+        By the states of both views.
+    before : ndarray of bool, shape (m,)
+        Whether the rays meet before both viewpoints.
+
+    """
+    state, other = states[pairs.one], states[pairs.other]
+    w, v = turned(state, pairs.rays), turned(other, pairs.other_rays)
+    here, there = center(state, lever), center(other, lever)
+    way = there - here
+    normal = np.cross(w, v)
+    off = normal @ way
+    by_w, by_v = np.cross(v, way), np.cross(way, w)
+    # Azimuth and tangent of either ray err alike.
+    variance = sum(
+        np.sum(by * across, 1) ** 2 + by[:, 2] ** 2
+        for by, across in ((by_w, _across(w)), (by_v, _across(v)))
+    )
+    scale = 1.0 / (sigma_rad * np.sqrt(variance) + _NOTHING)
+    # The length of the way does not matter.
+    normal -= np.outer(off / max(float(way @ way), _NOTHING), way)
+    jacobian = np.empty((len(w), 2, STATE))
+    for k, (at, by, ray, sign) in enumerate(((state, by_w, w, -1.0), (other, by_v, v, 1.0))):
+        turn = np.cross(ray, by)
+        arm = rot_z(at[2]) @ lever
+        jacobian[:, k, :2] = sign * normal[:, :2]
+        jacobian[:, k, 2] = turn[:, 2] + sign * (normal[:, 1] * arm[0] - normal[:, 0] * arm[1])
+        jacobian[:, k, 3] = sign * normal[:, 2]
+        jacobian[:, k, 4:] = (turn @ rot_z(at[2]))[:, :2]
+    # In plan: the rays meet ahead of both.
+    parallax = w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]
+    ahead = way[0] * v[:, 1] - way[1] * v[:, 0]
+    ahead_there = way[0] * w[:, 1] - way[1] * w[:, 0]
+    before = (parallax * ahead > 0.0) & (parallax * ahead_there > 0.0)
+    before &= np.abs(parallax) > _LEAST_PARALLAX
+    return off * scale, jacobian * scale[:, None, None], before
+
+
+def _across(rays: FloatArray) -> FloatArray:
+    return np.stack([-rays[:, 1], rays[:, 0], np.zeros(len(rays))], 1)
+
+
+def fit_poses(
+    start: FloatArray,
+    pairs: Sequence[RayPairs],
+    lever: FloatArray,
+    sigma_rad: float,
+    prior: FloatArray,
+    prior_covariance: FloatArray,
+) -> EpipolarFit:
+    """
+    Fit the states of sweeps to matches, some of them false, and to what is known before.
+
+    A weight that falls faster than the pull grows (Geman and McClure), stricter with each step.
+
+    Parameters
+    ----------
+    start : ndarray, shape (v, 6)
+        Where to begin.
+    pairs : sequence of RayPairs
+        Matches between views.
+    lever : ndarray, shape (3,)
+        Viewpoint in the base frame.
+    sigma_rad : float
+        Standard deviation of the direction of a ray.
+    prior, prior_covariance : ndarray, shape (v, 6), (6 v, 6 v)
+        What is known of the states before.
+
+    """
+    views = len(start)
+    whiten = np.linalg.inv(root_of(prior_covariance))
+    states, information = start, np.eye(STATE * views)
+
+    def off_prior(state: FloatArray) -> FloatArray:
+        off = state - prior
+        off[:, 2] = wrap_rad(off[:, 2])
+        return np.asarray(whiten @ off.ravel())
+
+    for doubt in np.geomspace(_DOUBT_AT_FIRST, _DOUBT, _STEPS):
+        found = [misses(states, p, lever, sigma_rad) for p in pairs]
+        weights = [
+            np.where(before, 1.0, 1e-3) / (1.0 + (off / doubt) ** 2) for off, _, before in found
+        ]
+
+        def linearize(flat: FloatArray) -> tuple[FloatArray, FloatArray]:
+            at = flat.reshape(views, STATE)
+            rows, slopes = [off_prior(at)], [whiten]
+            for p, weight in zip(pairs, weights, strict=True):  # noqa: B023
+                off, jacobian, _ = misses(at, p, lever, sigma_rad)
+                slope = np.zeros((len(off), views, STATE))
+                slope[:, p.one], slope[:, p.other] = jacobian[:, 0], jacobian[:, 1]
+                rows.append(weight * off)
+                slopes.append(weight[:, None] * slope.reshape(len(off), -1))
+            return np.concatenate(rows), np.concatenate(slopes)
+
+        flat, _, information = levenberg_marquardt(linearize, states.ravel())
+        states = flat.reshape(views, STATE)
+    agrees = []
+    for p in pairs:
+        off, _, before = misses(states, p, lever, sigma_rad)
+        agrees.append(before & (np.abs(off) < _AGREES))
+    prior_off = off_prior(states)
+    return EpipolarFit(states, information, tuple(agrees), float(prior_off @ prior_off))

@@ -1,0 +1,119 @@
+"""
+Relative pose of two panoramas from nothing but matches: heading and direction of the way.
+
+The camera is at one height everywhere, so that each match says something of heading and direction
+at once, and all pairs of both can be tried.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.learning.relative_pose.config import RelativePoseConfig
+from landmark_nav.learning.relative_pose.epipolar import fit_poses, RayPairs, STATE
+from landmark_nav.types import FloatArray
+
+__all__ = ['TwoViews', 'hypotheses', 'turn_support']
+
+# Grid of headings and directions that is tried, and how far off a match then may be.
+_GRID, _TOLERANCE = 120, 0.02
+# The most distinct matches are tried; so many of the best places are refined.
+_MOST_TRIED, _REFINED = 600, 10
+# Refined poses that differ by less are one, radians.
+_SAME_RAD = 0.07
+# A turn alone explains matches that are off by fewer standard deviations than this.
+_TURN_SIGMAS = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class TwoViews:
+    """
+    A relative pose without scale.
+
+    `heading_rad` is that of the second base in the first; `direction_rad` that of the way between
+    their viewpoints in the first; `tilt_rad` (2,) of the second against the first; `support` how
+    many matches agree.
+    """
+
+    heading_rad: float
+    direction_rad: float
+    tilt_rad: FloatArray
+    support: int
+
+
+def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
+    """Relative poses that matches, the most distinct first, support: the best one first."""
+    if len(pairs.rays) < config.min_matches:
+        return []
+    angles = 2.0 * np.pi * np.arange(_GRID) / _GRID
+    votes = _votes(pairs, angles)
+    found: list[TwoViews] = []
+    for _ in range(_REFINED):
+        heading, direction = np.unravel_index(int(np.argmax(votes)), votes.shape)
+        if votes[heading, direction] <= 0.0:
+            break
+        around = (np.arange(-2, 3) + heading) % _GRID, (np.arange(-2, 3) + direction) % _GRID
+        votes[np.ix_(*around)] = 0.0
+        refined = _refined(pairs, angles[heading], angles[direction], config)
+        if not any(_same(refined, other) for other in found):
+            found.append(refined)
+    return sorted(found, key=lambda pose: -pose.support)
+
+
+def turn_support(pairs: RayPairs, sigma_rad: float) -> int:
+    """How many matches one turn alone explains: without a way there is no more."""
+    azimuth, other = (np.arctan2(r[:, 1], r[:, 0]) for r in (pairs.rays, pairs.other_rays))
+    bound = _TURN_SIGMAS * sigma_rad
+    level = np.abs(pairs.other_rays[:, 2] - pairs.rays[:, 2]) < bound
+    turn = (azimuth - other)[level]
+    alike = np.abs(wrap_rad(turn[:, None] - turn)) < bound
+    return int(alike.sum(1).max(initial=0))
+
+
+def _votes(pairs: RayPairs, angles: FloatArray) -> FloatArray:
+    """How well matches agree on each heading and direction, (n, n)."""
+    azimuth, other = (
+        np.arctan2(r[:_MOST_TRIED, 1], r[:_MOST_TRIED, 0]).astype(np.float32)
+        for r in (pairs.rays, pairs.other_rays)
+    )
+    tangent, other_tangent = (
+        r[:_MOST_TRIED, 2].astype(np.float32) for r in (pairs.rays, pairs.other_rays)
+    )
+    away = np.sin(azimuth - angles[:, None].astype(np.float32))
+    votes = np.zeros((len(angles), len(angles)))
+    for k, heading in enumerate(angles.astype(np.float32)):
+        there = np.sin(other + heading - angles[:, None].astype(np.float32))
+        parallax = np.sin(other + heading - azimuth)
+        off = (tangent * there - other_tangent * away) ** 2 / (away**2 + there**2 + 1e-9)
+        before = (away * there > 0.0) & (parallax * away > 0.0)
+        votes[k] = np.sum(before * np.maximum(0.0, 1.0 - off / _TOLERANCE**2), axis=1)
+    return votes
+
+
+def _refined(
+    pairs: RayPairs, heading: float, direction: float, config: RelativePoseConfig
+) -> TwoViews:
+    prior = np.zeros((2, STATE))
+    prior[1, :3] = np.cos(direction), np.sin(direction), heading
+    rise, tilt = config.rise_sigma_m, config.tilt_sigma_rad
+    sigma = np.array([[1e-6] * STATE, [1.0, 1.0, 10.0, rise, tilt, tilt]]).ravel()
+    fit = fit_poses(
+        prior,
+        [RayPairs(0, 1, pairs.rays, pairs.other_rays)],
+        np.zeros(3),
+        config.direction_sigma_rad,
+        prior,
+        np.diag(sigma**2),
+    )
+    x, y, turn, _, *lean = fit.states[1]
+    return TwoViews(
+        float(wrap_rad(turn)), float(np.arctan2(y, x)), np.array(lean), int(fit.agrees[0].sum())
+    )
+
+
+def _same(one: TwoViews, other: TwoViews) -> bool:
+    apart = [one.heading_rad - other.heading_rad, one.direction_rad - other.direction_rad]
+    return bool(np.abs(wrap_rad(np.array(apart))).max() < _SAME_RAD)

@@ -1,0 +1,275 @@
+"""
+Panoramas without a plan: poses from what they share and from odometry, walls from what they show.
+
+The frame of the map is that of the base at the first sweep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import rotation
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.calibration.lean import levelled
+from landmark_nav.learning.facades import (
+    FacadesConfig,
+    find_facades,
+    room_of,
+    seen_points,
+)
+from landmark_nav.learning.pipeline import (
+    learn_from_panoramas,
+    LearningConfig,
+    LearningResult,
+)
+from landmark_nav.learning.relative_pose import (
+    find_features,
+    relative_poses,
+    RelativePoseConfig,
+    RelativePoses,
+)
+from landmark_nav.learning.relative_pose.epipolar import center
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import (
+    panorama_from_sweep,
+    PanoramaStages,
+    unplaced_panorama,
+)
+from landmark_nav.parameters import Config, parameter
+from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, PoseEstimate, Sweep
+
+__all__ = ['Located', 'UnmeasuredConfig', 'learn_located', 'locate', 'locate_sweeps']
+
+# How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
+_SEARCH_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
+_LEAST_VARIANCE = 1e-10
+# Covariance of a pose that is only given to know how far the walls are.
+_KNOWN = np.diag([1e-4, 1e-4, 1e-6])
+# The scale is taken as it is, up to this: relief would shrink with it, and speak for less.
+_FIXED_SCALE = 1e-5
+
+
+@dataclass(frozen=True)
+class UnmeasuredConfig(Config):
+    """Parameters of the stages that replace a plan."""
+
+    camera_weight: float = parameter(
+        100.0,
+        'as in the section adjustment, where no place was measured: what the azimuths of one '
+        'panorama err in common, residuals do not show',
+        minimum=1e-3,
+        maximum=1e9,
+    )
+    relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
+    facades: FacadesConfig = field(default_factory=FacadesConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """
+    Panoramas with poses, the room found around them, and what their poses share.
+
+    `places` (4 v, 4 v) is the joint covariance of the viewpoints by odometry, were the scale
+    known: the map is right in its own metre, which is off by `scale_sigma`.
+    """
+
+    panoramas: tuple[Panorama, ...]
+    room: Room
+    places: FloatArray
+    poses: RelativePoses
+
+    @property
+    def scale_sigma(self) -> float:
+        """Relative standard deviation of the scale, by odometry."""
+        count = len(self.poses.states)
+        chain = self.poses.places.covariance.reshape(count, 3, count, 3)
+        plan = chain[1:, :2, 1:, :2].reshape(2 * count - 2, 2 * count - 2)
+        way = self.poses.states[1:, :2].ravel()
+        return float(1.0 / np.sqrt(way @ np.linalg.solve(plan, way)))
+
+
+def locate(
+    panoramas: Sequence[Panorama],
+    places: PlaceChain,
+    lever: FloatArray,
+    config: UnmeasuredConfig,
+    log: StageLog | None = None,
+) -> Located:
+    """
+    Find where panoramas were taken, and the walls around.
+
+    Parameters
+    ----------
+    panoramas : sequence of Panorama
+        Their poses do not matter.
+    places : PlaceChain
+        Poses of the base by odometry: they give the scale.
+    lever : ndarray, shape (3,)
+        Viewpoint in the base frame, metres.
+    config : UnmeasuredConfig
+        Parameters of the stages.
+    log : StageLog, optional
+        Where times go.
+
+    Raises
+    ------
+    LandmarkNavError
+        One panorama, or panoramas that share too little or contradict odometry; no walls.
+
+    """
+    if len(panoramas) < 2:
+        raise LandmarkNavError(
+            f'learning needs two panoramas from different places, not {len(panoramas)}: '
+            'take another sweep 1 to 3 m away'
+        )
+    log = log or StageLog()
+    with log.measure('relative_poses'):
+        features = [
+            find_features(
+                np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY)),
+                p.mask,
+                p.cylinder,
+                config.relative_pose.features,
+            )
+            for p in panoramas
+        ]
+        poses = relative_poses(features, places, lever, config.relative_pose)
+    with log.measure('facades'):
+        sigma = config.relative_pose.direction_sigma_rad
+        points = seen_points(poses.states, poses.pairs, lever, sigma)
+        eyes = np.array([center(state, lever) for state in poses.states])
+        facades = find_facades(points, config.facades)
+        room = room_of(facades, eyes, config.facades, 'map')
+    located = [
+        replace(
+            p,
+            center_map=eye,
+            heading_rad=float(state[2]),
+            covariance=np.diag(_SEARCH_SIGMA**2),
+        )
+        for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
+    ]
+    shared = _viewpoints(poses, eyes, lever, config.relative_pose)
+    return Located(tuple(located), room, shared, poses)
+
+
+def locate_sweeps(
+    sweeps: Callable[[], Iterator[Sweep]],
+    known: Callable[[Sequence[Sweep]], PlaceChain],
+    mount: PanTiltMount,
+    stages: PanoramaStages,
+    config: UnmeasuredConfig,
+    log: StageLog,
+) -> Located:
+    """
+    Make panoramas of sweeps, and find where they were taken and the walls around.
+
+    Twice, as calibration takes the distance of the walls: sweeps are large, and read again.
+
+    Parameters
+    ----------
+    sweeps : callable
+        Reads them; always the same ones.
+    known : callable
+        What is known of their poses, by sweeps without their frames.
+    mount : PanTiltMount
+        How the camera is mounted.
+    stages, config : PanoramaStages, UnmeasuredConfig
+        Parameters of the stages.
+    log : StageLog
+        Where times go.
+
+    Raises
+    ------
+    LandmarkNavError
+        As `locate`, and what makes no panorama.
+
+    """
+    panoramas, stamped = [], []
+    for sweep in sweeps():
+        panoramas.append(unplaced_panorama(sweep, mount, stages, log))
+        stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
+    places = known(stamped)
+    lever = np.array([*mount.axis_xyz[:2], panoramas[0].center_map[2]])
+    located = locate(panoramas, places, lever, config, log)
+    again = [
+        panorama_from_sweep(
+            replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, state[:3], _KNOWN)),
+            located.room,
+            levelled(mount, information @ state[4:], information, stages.calibration)[0],
+            stages,
+            log,
+        )
+        for sweep, state, information in zip(
+            sweeps(), located.poses.states, located.poses.tilt_information, strict=True
+        )
+    ]
+    if all(
+        np.array_equal(new.image, old.image) for new, old in zip(again, panoramas, strict=True)
+    ):
+        return located
+    return locate(again, places, lever, config, log)
+
+
+def learn_located(
+    located: Located,
+    config: LearningConfig,
+    unmeasured: UnmeasuredConfig,
+    log: StageLog | None = None,
+) -> LearningResult:
+    """Learn landmarks on the walls that were found; as `learn_from_panoramas`."""
+    adjustment = replace(config.adjustment, camera_weight=unmeasured.camera_weight)
+    config = replace(config, adjustment=adjustment)
+    result = learn_from_panoramas(located.panoramas, located.room, config, log, located.places)
+    return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
+
+
+def _viewpoints(
+    poses: RelativePoses, eyes: FloatArray, lever: FloatArray, config: RelativePoseConfig
+) -> FloatArray:
+    """Joint covariance (4 v, 4 v) of x, y, z, heading of viewpoints, were the scale known."""
+    count = len(poses.states)
+    jacobian = np.zeros((count, 4, count, 3))
+    for k, state in enumerate(poses.states):
+        jacobian[k, :2, k, :2] = np.eye(2)
+        jacobian[k, :2, k, 2] = rotation(state[2] + np.pi / 2) @ lever[:2]
+        jacobian[k, 3, k, 2] = 1.0
+    flat = jacobian.reshape(4 * count, 3 * count)
+    joint = flat @ poses.places.covariance @ flat.T
+    heights = 4 * np.arange(1, count) + 2
+    joint[heights, heights] += config.rise_sigma_m**2
+    joint += _LEAST_VARIANCE * np.eye(4 * count)
+    # By how much of itself the way from the first sweep grows if the viewpoints move.
+    way = np.zeros((count, 4))
+    way[:, :2] = (eyes - eyes[0])[:, :2]
+    growth = way.ravel() / np.sum(way**2)
+    along = joint @ growth
+    return np.asarray(joint - np.outer(along, along) / (growth @ along + _FIXED_SCALE**2))
+
+
+def _turned(landmarks: LandmarkMap, sigma_rad: float) -> LandmarkMap:
+    """
+    Add a factor that all landmarks share: where the camera points at pan 0 is not exactly known.
+
+    All turns about the first viewpoint by it; nothing that the panoramas show depends on that.
+    """
+    origin = landmarks.panorama_poses[0].pose
+    turned = []
+    for k in landmarks.landmarks:
+        factor = np.zeros((3, 1))
+        factor[:2, 0] = sigma_rad * rotation(np.pi / 2) @ (k.position - [*origin[:2], 0.0])[:2]
+        loading = np.hstack([k.shared_loading, factor])
+        turned.append(
+            replace(k, covariance=k.covariance + factor @ factor.T, shared_loading=loading)
+        )
+    poses = []
+    for pose in landmarks.panorama_poses:
+        moved = np.append(rotation(np.pi / 2) @ (pose.pose - origin)[:2], 1.0) * sigma_rad
+        poses.append(replace(pose, covariance=pose.covariance + np.outer(moved, moved)))
+    return replace(landmarks, landmarks=tuple(turned), panorama_poses=tuple(poses))

@@ -1,0 +1,108 @@
+"""Learning without a plan, from sweeps with odometry between them, through the commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from landmark_nav.cli.main import main
+from landmark_nav.evaluation.true_places import truth_of_bag
+from landmark_nav.geometry import se2
+from landmark_nav.messages import encode
+from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.storage.bags import Bag, BagWriter
+from landmark_nav.storage.setup_files import load_room
+from landmark_nav.types import OdometrySample
+
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
+ROBOT = str(BAGS / 'robot.yaml')
+SCALE, STEP_NS = 1.02, 50_000_000
+
+
+def with_odometry(source: Path, path: Path) -> Path:
+    """A bag of two sweeps with odometry whose ways are too long by `SCALE`."""
+    truth = truth_of_bag(Bag(source))
+    first, last = truth.poses[0], truth.poses[-1]
+    moves = int(np.flatnonzero(np.hypot(*(truth.poses - first)[:, :2].T) > 0.05)[0])
+    begin, end = int(truth.stamps_ns[moves - 1]), int(truth.stamps_ns[moves])
+    stamps = np.arange(truth.stamps_ns[0] - STEP_NS, truth.stamps_ns[-1] + STEP_NS, STEP_NS)
+    share = np.clip((stamps - begin) / (end - begin), 0.0, 1.0)
+    way = se2.relative(first, last)
+    poses = share[:, None] * way * [SCALE, SCALE, 1.0]
+    factory = rosbag_factory()
+    with BagWriter(path) as bag:
+        for entry in Bag(source).messages():
+            bag.write_serialized(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
+        for stamp, pose in zip(stamps.tolist(), poses, strict=True):
+            bag.write('odom', encode.odometry(factory, OdometrySample(stamp, pose)), stamp)
+    return path
+
+
+@pytest.fixture(scope='module')
+def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    out = tmp_path_factory.mktemp('unmeasured')
+    sweeps = with_odometry(BAGS / 'learn', out / 'sweeps')
+    words = ['learn', str(sweeps), '--robot', ROBOT, '--out', str(out / 'map')]
+    words += ['--json', str(out / 'learn.json'), '--walls-out', str(out / 'room.yaml')]
+    assert main(words) == 0
+    return json.loads((out / 'learn.json').read_text()), out
+
+
+def test_shape_is_right_and_scale_that_of_odometry(
+    learned: tuple[dict[str, Any], Path],
+) -> None:
+    truth = truth_of_bag(Bag(BAGS / 'learn'))
+    expected = se2.relative(truth.poses[0], truth.poses[-1])
+    x, y, heading = learned[0]['sweeps'][1]['pose']
+    assert np.hypot(x, y) / np.hypot(*expected[:2]) == pytest.approx(SCALE, abs=0.004)
+    assert np.arctan2(y, x) == pytest.approx(np.arctan2(*expected[1::-1]), abs=3e-3)
+    assert heading == pytest.approx(expected[2], abs=2e-3)
+    assert learned[0]['unmeasured']['scale'] == 'odom'
+    assert learned[0]['elected'] >= 40
+
+
+def test_walls_found_are_those_of_the_room(learned: tuple[dict[str, Any], Path]) -> None:
+    true = load_room(BAGS / 'room.yaml')
+    found = load_room(learned[1] / 'room.yaml')
+    first = truth_of_bag(Bag(BAGS / 'learn')).poses[0]
+    with_landmarks = learned[0]['landmarks_per_wall']
+    assert len(with_landmarks) >= 3
+    for wall in found.walls:
+        if with_landmarks.get(wall.id, 0) < 5:
+            continue
+        assert wall.sigma_m is not None
+        middle = np.mean([wall.start, wall.end], 0) / SCALE
+        normal = se2.rotation(first[2]) @ wall.normal[:2]
+        at = se2.transform_points(first, middle)
+        alike = true.normals[:, :2] @ normal > np.cos(0.01)
+        starts = np.array([w.start for w in true.walls])
+        off = np.abs(np.sum((at - starts) * true.normals[:, :2], 1))
+        assert off[alike].min() < 0.03, wall.id
+
+
+def test_the_map_serves_a_drive(learned: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+    first = truth_of_bag(Bag(BAGS / 'learn')).poses[0]
+    start = se2.relative(first, json.loads((BAGS / 'start.json').read_text())['pose'])
+    words = ['evaluate', str(BAGS / 'drive'), '--map', str(learned[1] / 'map'), '--robot', ROBOT]
+    words += ['--start', *map(str, start.tolist()), '--json', str(tmp_path / 'run.json')]
+    assert main(words) == 0
+    run = json.loads((tmp_path / 'run.json').read_text())
+    assert run['aligned']
+    assert run['scale'] == pytest.approx(SCALE, abs=0.006)
+    assert run['fused_after_scale']['position_rmse_m'] < 0.012
+    assert run['fused']['position_rmse_m'] > run['fused_after_scale']['position_rmse_m']
+    assert run['availability'] > 0.9
+
+
+def test_without_any_scale_the_ways_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
+    assert main(words) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert all(way in line for way in ('odom', 'sweep/pose', '--room'))
+    assert not (tmp_path / 'map').exists()

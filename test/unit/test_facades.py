@@ -1,0 +1,96 @@
+"""Walls out of points: where there are some, and none where there are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.learning.facades import FacadesConfig, find_facades, room_of, SeenPoints
+from landmark_nav.types import FloatArray
+
+CONFIG = FacadesConfig()
+EYES = np.array([[1.5, 1.5, 1.1], [3.5, 2.0, 1.1]])
+RECTANGLE = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
+ELL = np.array([[0, 0], [6, 0], [6, 2.5], [3.5, 2.5], [3.5, 4.5], [0, 4.5]], dtype=float)
+
+
+def seen(xyz: FloatArray, sigma_m: float = 0.01) -> SeenPoints:
+    covariance = np.broadcast_to(sigma_m**2 * np.eye(2), (len(xyz), 2, 2))
+    return SeenPoints(xyz, covariance, np.broadcast_to(EYES[0], xyz.shape))
+
+
+def on_walls(
+    corners: FloatArray, rng: np.random.Generator, per_wall: int = 60, sigma_m: float = 0.01
+) -> FloatArray:
+    """Points on the walls of an outline, with noise."""
+    parts = []
+    for start, end in zip(corners, np.roll(corners, -1, 0), strict=True):
+        along = rng.uniform(0.05, 0.95, per_wall)[:, None]
+        xy = start + along * (end - start) + rng.normal(0, sigma_m, (per_wall, 2))
+        parts.append(np.column_stack([xy, rng.uniform(0.5, 2.2, per_wall)]))
+    return np.vstack(parts)
+
+
+@pytest.mark.parametrize('corners', [RECTANGLE, ELL], ids=['rectangle', 'L'])
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_outline_of_a_room_is_found(corners: FloatArray, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turn = rng.uniform(-np.pi, np.pi)
+    stray = np.column_stack([rng.uniform(0.5, 5.5, (40, 2)), rng.uniform(0.2, 2.2, 40)])
+    xyz = np.vstack([on_walls(corners, rng), stray])
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    xyz[:, :2] = xyz[:, :2] @ rotation.T
+    eyes = EYES.copy()
+    eyes[:, :2] = np.array([[1.5, 1.5], [2.5, 1.8]]) @ rotation.T
+    points = SeenPoints(xyz, seen(xyz).covariance, np.broadcast_to(eyes[0], xyz.shape))
+    room = room_of(find_facades(points, CONFIG), eyes, CONFIG, 'map')
+    found = np.array([wall.start for wall in room.walls]) @ rotation
+    away = np.linalg.norm(found[:, None] - corners, axis=-1)
+    assert len(found) == len(corners)
+    assert away.min(0).max() < 0.03
+
+
+def test_scattered_points_make_no_facade() -> None:
+    rng = np.random.default_rng(4)
+    xyz = np.column_stack(
+        [rng.uniform(0, 6, 150), rng.uniform(0, 4, 150), rng.uniform(0.2, 2.2, 150)]
+    )
+    assert find_facades(seen(xyz), CONFIG) == []
+
+
+def test_what_is_seen_through_is_no_facade() -> None:
+    """A few points in line, in front of a wall that is seen between them."""
+    rng = np.random.default_rng(5)
+    line = np.column_stack(
+        [np.linspace(2.0, 5.0, 16), np.full(16, 2.8), rng.uniform(0.6, 2.0, 16)]
+    )
+    wall = on_walls(RECTANGLE, rng, 120)
+    facades = find_facades(seen(np.vstack([wall, line])), CONFIG)
+    assert len(facades) == 4
+
+
+def test_front_of_a_cupboard_stands_in_the_room() -> None:
+    rng = np.random.default_rng(6)
+    front = np.column_stack(
+        [
+            np.full(80, 5.4) + rng.normal(0, 0.005, 80),
+            rng.uniform(2.2, 3.4, 80),
+            rng.uniform(0.2, 1.9, 80),
+        ]
+    )
+    walls = on_walls(RECTANGLE, rng)
+    hidden = (walls[:, 0] > 5.5) & (walls[:, 1] > 2.1)
+    facades = find_facades(seen(np.vstack([walls[~hidden], front])), CONFIG)
+    room = room_of(facades, EYES, CONFIG, 'map')
+    assert not room.visible(EYES[0, :2], [5.9, 2.9])
+    assert room.visible(EYES[0, :2], [5.38, 2.9])
+    assert room.visible(EYES[0, :2], [3.0, 3.9])
+
+
+def test_too_few_walls_are_no_room() -> None:
+    rng = np.random.default_rng(7)
+    one = on_walls(RECTANGLE[:2], rng)[:60]
+    facades = find_facades(seen(one), CONFIG)
+    with pytest.raises(LandmarkNavError, match='make no'):
+        room_of(facades, EYES, CONFIG, 'map')

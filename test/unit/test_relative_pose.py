@@ -1,0 +1,155 @@
+"""Relative poses of panoramas: known poses are recovered from matches, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.learning.relative_pose import (
+    Features,
+    relative_poses,
+    RelativePoseConfig,
+    RelativePoses,
+)
+from landmark_nav.learning.relative_pose.epipolar import misses, RayPairs
+from landmark_nav.types import FloatArray, PlaceChain
+
+CONFIG = RelativePoseConfig()
+LEVER = np.array([0.08, 0.02, 1.1])
+POSES = np.array([[0.0, 0.0, 0.0], [1.8, 0.6, 0.5], [2.4, -0.9, -2.0]])
+NOISE_RAD = 1e-3
+
+
+def room_points(rng: np.random.Generator, count: int) -> FloatArray:
+    """Points on the walls of a room of 7 m x 5 m around the poses."""
+    along, height = rng.uniform(0.0, 24.0, count), rng.uniform(0.2, 2.3, count)
+    corners = np.array([[-2.0, -2.5], [5.0, -2.5], [5.0, 2.5], [-2.0, 2.5], [-2.0, -2.5]])
+    ends = np.array([0.0, 7.0, 12.0, 19.0, 24.0])
+    xy = np.stack([np.interp(along, ends, corners[:, k]) for k in (0, 1)], 1)
+    return np.column_stack([xy, height])
+
+
+def features(
+    poses: FloatArray,
+    points: FloatArray,
+    rng: np.random.Generator,
+    strangers: int = 60,
+    tilt: FloatArray | None = None,
+) -> list[Features]:
+    """What panoramas at poses see of points, with noise, and as many features of their own."""
+    looks = rng.normal(size=(len(points), 64))
+    seen = []
+    for k, pose in enumerate(poses):
+        eye = rot_z(pose[2]) @ LEVER + [*pose[:2], 0.0]
+        rays = (points - eye) @ rot_z(pose[2])
+        if tilt is not None:
+            rays = rays - np.cross(np.append(tilt[k], 0.0), rays)
+        own = rng.normal(size=(strangers, 3)) * [1.0, 1.0, 0.3]
+        rays = np.vstack([rays, own])
+        rays /= np.hypot(rays[:, 0], rays[:, 1])[:, None]
+        azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + rng.normal(0, NOISE_RAD, len(rays))
+        tangent = rays[:, 2] + rng.normal(0, NOISE_RAD, len(rays))
+        look = np.vstack(
+            [looks + 0.3 * rng.normal(size=looks.shape), rng.normal(size=(strangers, 64))]
+        )
+        look /= np.linalg.norm(look, axis=1)[:, None]
+        order = rng.permutation(len(rays))
+        rays = np.column_stack([np.cos(azimuth), np.sin(azimuth), tangent])
+        seen.append(Features(rays[order], look[order].astype(np.float32)))
+    return seen
+
+
+def odometry(poses: FloatArray, sigma_m: float = 0.06, sigma_rad: float = 0.03) -> PlaceChain:
+    sigma = np.tile([sigma_m, sigma_m, sigma_rad], len(poses))
+    sigma[:3] = 0.0
+    return PlaceChain(poses, np.diag(sigma**2))
+
+
+def found(poses: FloatArray, known: FloatArray, seed: int, sigma_m: float = 0.06) -> RelativePoses:
+    rng = np.random.default_rng(seed)
+    seen = features(poses, room_points(rng, 250), rng)
+    return relative_poses(seen, odometry(known, sigma_m), LEVER, CONFIG)
+
+
+def directions_off(states: FloatArray, poses: FloatArray) -> FloatArray:
+    """Errors of heading and direction, radians, of all sweeps but the first."""
+    off = wrap_rad(states[1:, 2] - poses[1:, 2])
+    eyes = [se2.compose(p[:, :3], [*LEVER[:2], 0.0]) for p in (states, poses)]
+    course = [np.arctan2(*(e[1:, :2] - e[0, :2]).T[::-1]) for e in eyes]
+    return np.stack([off, wrap_rad(course[0] - course[1])], 1)
+
+
+@pytest.mark.parametrize('count', [2, 3])
+def test_poses_are_recovered_and_scale_is_that_of_odometry(count: int) -> None:
+    poses = POSES[:count]
+    longer = poses * [1.02, 1.02, 1.0] + np.where(np.arange(count)[:, None] > 0, 0.01, 0.0)
+    result = found(poses, longer, seed=count)
+    assert np.abs(np.degrees(directions_off(result.states, poses))).max() < 0.2
+    ways = [np.linalg.norm(p[1:, :2], axis=1) for p in (result.states, poses, longer)]
+    assert ways[0] / ways[1] == pytest.approx(ways[2] / ways[1], abs=0.01)
+    assert result.inflation == 1.0
+
+
+def test_heading_that_slipped_is_recovered_with_less_certain_scale() -> None:
+    slipped = POSES[:2] + np.array([[0, 0, 0], [0.05, -0.2, 0.12]])
+    result = found(POSES[:2], slipped, seed=5)
+    assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.2
+    assert result.inflation > 1.0
+
+
+def test_odometry_that_contradicts_the_panoramas_is_refused() -> None:
+    wrong = np.array([[0.0, 0.0, 0.0], [-0.5, 1.8, 0.5]])
+    with pytest.raises(LandmarkNavError, match='odometry and panoramas disagree'):
+        found(POSES[:2], wrong, seed=6)
+
+
+def test_panoramas_of_different_rooms_are_refused() -> None:
+    rng = np.random.default_rng(7)
+    seen = [features(POSES[k : k + 1], room_points(rng, 250), rng)[0] for k in range(2)]
+    with pytest.raises(LandmarkNavError, match='sweep 2 shares too little'):
+        relative_poses(seen, odometry(POSES[:2]), LEVER, CONFIG)
+
+
+def test_panoramas_of_one_place_are_refused_whatever_odometry_says() -> None:
+    rng = np.random.default_rng(8)
+    poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.4]])
+    poses[1, :2] = LEVER[:2] - se2.rotation(0.4) @ LEVER[:2]
+    seen = features(poses, room_points(rng, 250), rng)
+    with pytest.raises(LandmarkNavError, match='from one place'):
+        relative_poses(seen, odometry(POSES[:2]), LEVER, CONFIG)
+
+
+def test_tilt_of_a_sweep_is_found() -> None:
+    rng = np.random.default_rng(9)
+    tilt = np.array([[0.0, 0.0], [0.012, -0.008]])
+    seen = features(POSES[:2], room_points(rng, 300), rng, tilt=tilt)
+    result = relative_poses(seen, odometry(POSES[:2]), LEVER, CONFIG)
+    assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.3
+    sigma = np.sqrt(sum(np.diag(np.linalg.inv(i)) for i in result.tilt_information))
+    tilted = result.states[1, 4:] - result.states[0, 4:]
+    assert (np.abs(tilted - tilt[1]) < 3.0 * sigma).all()
+    assert tilted @ tilt[1] > 0.5 * tilt[1] @ tilt[1]
+
+
+def test_misses_are_zero_for_true_poses_and_their_slopes_are_right() -> None:
+    rng = np.random.default_rng(10)
+    states = np.zeros((2, 6))
+    states[1, :3] = POSES[1]
+    exact = []
+    for state in states:
+        eye = rot_z(state[2]) @ LEVER + [*state[:2], state[3]]
+        rays = (room_points(np.random.default_rng(3), 40) - eye) @ rot_z(state[2])
+        exact.append(rays / np.hypot(rays[:, 0], rays[:, 1])[:, None])
+    pairs = RayPairs(0, 1, *exact)
+    off, slopes, before = misses(states, pairs, LEVER, NOISE_RAD)
+    assert np.abs(off).max() < 1e-6
+    assert before.all()
+    for view in range(2):
+        step = np.zeros((2, 6))
+        step[view] = 1e-7 * rng.normal(size=6)
+        moved = misses(states + step, pairs, LEVER, NOISE_RAD)[0]
+        assert moved - off == pytest.approx(slopes[:, view] @ step[view], abs=1e-5)
