@@ -45,8 +45,8 @@ _LOG = logging.getLogger(__name__)
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
 # Odometry that stays away for so long is said, s.
 _SILENT_S = 0.7
-# What a knock changes may be far from its prior; the rest of a mount not by 5 sigma.
-_MAY_STEP = ('axis_yaw', 'camera_roll', 'camera_tilt', 'joint_delay')
+# What a knock changes may be that far from its prior, 1 sigma; nothing is by 5 sigma.
+_MAY_STEP = {'axis_yaw': 0.03, 'camera_roll': 0.03, 'camera_tilt': 0.03, 'joint_delay': DOUBT_S}
 # Log of the odds from which images speak for a pose beyond doubt.
 _TRUSTED = 4.0
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
@@ -180,8 +180,7 @@ class JointFusion:
         update = line.add_image(seen)
         self._update = update if isinstance(update, Update) else None
         self._integrity.add(seen.stamp_ns, self._update, len(seen.missed))
-        off = self.calibration.contradictions(self._prior)
-        self._unlikely = tuple(name for name in off if name not in _MAY_STEP)
+        self._unlikely = self.calibration.contradictions(self._prior.widened(_MAY_STEP))
         if self._integrity.log_ratio >= _TRUSTED and not self._unlikely:
             self._trusted = line.filter.snapshot
         if self._update is not None and self._update.stepped:
