@@ -46,6 +46,8 @@ _LOG = logging.getLogger(__name__)
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
 # Odometry that stays away for so long is said, s.
 _SILENT_S = 0.7
+# What a knock changes may be that far from its prior, 1 sigma; nothing is by 5 sigma.
+_MAY_STEP = {'axis_yaw': 0.03, 'camera_roll': 0.03, 'camera_tilt': 0.03, 'joint_delay': DOUBT_S}
 # Log of the odds from which images speak for a pose beyond doubt.
 _TRUSTED = 4.0
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
@@ -84,6 +86,8 @@ class JointFusion:
         self._line: Timeline | None = None
         # The state when images last spoke for the pose beyond doubt.
         self._trusted: State | None = None
+        # What of the mount would be too far from its prior to be believed.
+        self._unlikely: tuple[str, ...] = ()
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
@@ -177,7 +181,8 @@ class JointFusion:
         update = line.add_image(seen)
         self._update = update if isinstance(update, Update) else None
         self._integrity.add(seen.stamp_ns, self._update, len(seen.missed))
-        if self._integrity.log_ratio >= _TRUSTED:
+        self._unlikely = self.calibration.contradictions(self._prior.widened(_MAY_STEP))
+        if self._integrity.log_ratio >= _TRUSTED and not self._unlikely:
             self._trusted = line.filter.snapshot
         if self._update is not None and self._update.stepped:
             _LOG.warning('camera or base was turned, and the wheels did not measure it')
@@ -234,7 +239,7 @@ class JointFusion:
         """
         if self._line is None:
             return None
-        return self._integrity.doubted(self._line.estimate(stamp_ns))
+        return self._integrity.doubted(self._line.estimate(stamp_ns), bool(self._unlikely))
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
         """Where the camera should be at a time; None before a pose is known."""
@@ -284,6 +289,10 @@ class JointFusion:
             return Status.LOST, 'no pose is known: it takes odom, and initialpose or relocalize'
         at_ns = line.newest_ns if stamp_ns is None else max(stamp_ns, line.newest_ns)
         status, reason = self._integrity.status(line.estimate(at_ns))
+        if self._unlikely:
+            names = ', '.join(self._unlikely)
+            status = Status.LOST
+            reason = f'{names} would be far from robot.yaml: it is rather elsewhere'
         silent_s = 1e-9 * ((stamp_ns or 0) - (ends[1] if ends else 0))
         if stamp_ns is None or silent_s <= _SILENT_S:
             return status, reason
@@ -320,7 +329,7 @@ class JointFusion:
                 joint.restore(self._trusted)
                 joint = joint.stepped()
         self._begin(joint.placed(start, pan_rate_rad_s))
-        self._integrity = Integrity()
+        self._integrity, self._unlikely = Integrity(), ()
 
     def _begin(self, joint: JointFilter) -> None:
         self._line, self._update = Timeline(joint, self._track, self._window_s), None

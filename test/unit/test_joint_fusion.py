@@ -231,6 +231,19 @@ def test_a_wrong_start_teaches_nothing() -> None:
     assert np.abs(error(fusion, drive)[:2]).max() < 0.03
 
 
+@pytest.mark.parametrize('seed', [4, 5, 7, 8])
+def test_a_wrong_start_is_not_taken_for_a_wrong_mount(seed: int) -> None:
+    drive = simulated(seed, seconds=16.0, prior=Calibration.of_mount(MOUNT))
+    fusion = fused(drive)
+    off = drive.start.pose + np.array([0.8, 0.6, 0.0])
+    fusion.initialize(replace(drive.start, pose=off, covariance=1e-4 * np.eye(3)))
+    lost = False
+    for what in arriving(drive):
+        take(fusion, what)
+        lost |= fusion.status_at()[0] is Status.LOST
+    assert lost
+
+
 def test_another_map_leaves_the_pose_and_what_was_learned() -> None:
     drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
     fusion, arrivals = fused(drive), list(arriving(drive))

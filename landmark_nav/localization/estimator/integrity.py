@@ -128,9 +128,9 @@ class Integrity:
         self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
         self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
 
-    def doubted(self, estimate: PoseEstimate) -> PoseEstimate:
+    def doubted(self, estimate: PoseEstimate, lost: bool = False) -> PoseEstimate:
         """Return a pose as it is to be passed on: one that is lost tells hardly anything."""
-        if self._log_ratio >= _LOST:
+        if self._log_ratio >= _LOST and not lost:
             return estimate
         unknown = np.diag(np.square([_LOST_M, _LOST_M, _LOST_RAD]))
         return replace(estimate, covariance=estimate.covariance + unknown)
