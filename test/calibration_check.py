@@ -28,7 +28,7 @@ import tempfile
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
+from landmark_nav.calibration import Calibration, NAMES, scaled, shown, UNITS
 from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.evaluation.calibration_run import calibrate_by_drive
 from landmark_nav.evaluation.metrics import consistency, pose_errors, silently_wrong
