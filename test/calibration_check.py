@@ -278,9 +278,8 @@ def room_line(seed: int, seconds: float, folder: Path) -> str:
         for k in map(NAMES.index, ('axis_yaw', 'focal_scale', 'joint_delay'))
     )
     off_sigmas = off / sigmas
-    worst = ', '.join(
-        f'{NAMES[k]} {off_sigmas[k]:+.1f}' for k in np.argsort(-np.abs(off_sigmas))[:3]
-    )
+    largest = np.argsort(-np.abs(off_sigmas))[:3]
+    worst = ', '.join(f'{NAMES[k]} {off_sigmas[k]:+.1f}' for k in largest)
     return (
         f'{seed}: lever {lever}, yaw {yaw} (slip {np.degrees(drive.slip_bound_rad):.2f}), '
         f'focal {focal}, delay {delay}, NEES {nees:.1f}, {rms[0]:.1f} mm ({rms[1]:.1f} with the '

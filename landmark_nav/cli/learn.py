@@ -221,7 +221,9 @@ def panoramas_of_bag(
             raise LandmarkNavError(
                 f'{bag.path}: {cause}' if cause else f'{bag.path}: {which}: {error}'
             ) from error
-        known = panoramas[-1].calibration or known
+        # Sweeps that find nothing wrong stay independent of each other.
+        found = panoramas[-1].calibration
+        known = found if found is not None and found.surprises(given) else known
         frames.append(len(sweep.frames))
     if doubt := papers.faults().text:
         _LOG.warning('%s', doubt)

@@ -24,8 +24,8 @@ _QUANTITIES = {
     'forward': ('center_x', False),
     'left': ('center_y', False),
 }
-# The offset of the optical centre shows in how things shift by their distance, which walls tell to
-# this share: furniture is nearer.
+# The offset of the optical centre shows in how things shift by their distance, which walls give
+# to this share: furniture is nearer.
 _RANGE_SHARE = 0.03
 # Share of the largest information below which there is none.
 _ROUNDING = 1e-9
