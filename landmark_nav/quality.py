@@ -36,7 +36,7 @@ class CalibrationTerm:
 @dataclass(frozen=True)
 class PanoramaQuality:
     """
-    How good a panorama is, and what its sweep said of camera and mount.
+    How good a panorama is, and what its sweep showed of camera and mount.
 
     `sharpness` is its Tenengrad, the mean squared gradient in grey levels squared a pixel squared;
     `closure_rad` by how much the turn fails to close, None for a part of a turn, and for a full
@@ -55,7 +55,7 @@ class PanoramaQuality:
     calibration: tuple[CalibrationTerm, ...] = ()
 
     def of(self, sharpness: float, vignetting: float, gain_spread: float) -> PanoramaQuality:
-        """The same with what the picture shows."""
+        """The same with what the image shows."""
         return replace(self, sharpness=sharpness, vignetting=vignetting, gain_spread=gain_spread)
 
     @property

@@ -149,7 +149,7 @@ class JointSample:
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
     """
-    One picture with the joint angles it was taken at.
+    One image with the joint angles it was taken at.
 
     `image` is BGR (height, width, 3) or grey (height, width), uint8. `roll_rad` turns the camera
     about its optical axis: 0 on a pan-tilt unit, unless calibration finds otherwise.
@@ -272,7 +272,7 @@ class Landmark:
     wall_id, saliency
         Of the wall that carries it, of its candidate.
     views : tuple of PatchView
-        What other panoramas show of it; old maps do not tell.
+        What other panoramas show of it; old maps do not hold it.
 
     """
 
@@ -387,7 +387,7 @@ class LandmarkMap:
 @dataclass(frozen=True, eq=False)
 class Triplet:
     """
-    Three landmarks to look at, chosen by the covariance that they promise.
+    Three landmarks to look at, chosen by their expected covariance.
 
     `bearing_rad` (3,) are expected at the pan axis, counter-clockwise from ``base_link`` +x, with
     standard deviations `sigma_rad` (3,); `covariance` (3, 3) is the predicted one of the fix;
@@ -405,12 +405,12 @@ class Triplet:
 @dataclass(frozen=True, eq=False)
 class Detections:
     """
-    Landmarks found in one picture, arrays over the n found.
+    Landmarks found in one image, arrays over the n found.
 
     `bearing_rad` (n,) is seen from the pan axis, counter-clockwise from ``base_link`` +x;
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
-    what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
-    cross-correlation; `uv_px` (n, 2) the place in the picture and `covariance_px2` (n, 2, 2) its
+    what all bearings of an image share (the pan angle's error); `score` (n,) is the normalized
+    cross-correlation; `uv_px` (n, 2) the place in the image and `covariance_px2` (n, 2, 2) its
     covariance, empty where bearings came from elsewhere. `missed` (m,) are the ids of those
     that should be in view, were looked for and not found. `points` (n, 2) are the places in the
     normalised image, x/z to the right and y/z down, as camera_info has it, `point_covariance`

@@ -48,7 +48,7 @@ _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
 # A measurement contradicts a value if it is off by so many sigmas of their difference.
 _CONTRADICTION = 5.0
 # A difference is worth a word from this share of the prior standard deviation on.
-_WORTH_SAYING = 0.3
+_WORTH_REPORTING = 0.3
 # A quantity counts as observed once this share of its prior standard deviation is gone.
 _OBSERVED = 0.3
 
@@ -254,7 +254,7 @@ class Calibration:
             off = float((self.values - prior.values)[row].sum())
             sigma = float(np.sqrt(max(self.covariance[np.ix_(row, row)].sum(), 0.0)))
             given = float(np.sqrt(prior.covariance[np.ix_(row, row)].sum()))
-            if abs(off) > max(sigmas * sigma, _WORTH_SAYING * given) + 1e-9:
+            if abs(off) > max(sigmas * sigma, _WORTH_REPORTING * given) + 1e-9:
                 words.append(f'{what} {shown(off, sigma, UNITS[names[0]])}')
         return ', '.join(words)
 

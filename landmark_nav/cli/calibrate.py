@@ -32,11 +32,11 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.storage.whole import check_new, check_writable, write_whole
 from landmark_nav.types import LandmarkMap, Panorama
 
 __all__ = ['add_arguments', 'run']
@@ -137,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
             draw_residuals(before, after, args.figure)
     save_calibration(found, args.out)
     if args.json:
-        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     print(_summary(report, args.out))
     return 0
 

@@ -109,9 +109,9 @@ def run(args: argparse.Namespace) -> int:
                     keys.press(typed.decode(errors='replace'), time.monotonic())
                 linear_m_s, angular_rad_s = keys.velocity(time.monotonic())
                 client.drive(linear_m_s, angular_rad_s)
-                word = client.said('odometry_fusion')
+                node = client.status_of('odometry_fusion')
                 line = (
-                    f'{linear_m_s:5.2f} m/s {angular_rad_s:5.2f} rad/s  {word.level} {word.reason}'
+                    f'{linear_m_s:5.2f} m/s {angular_rad_s:5.2f} rad/s  {node.level} {node.reason}'
                 )
                 print(f'\r\x1b[K{line[: os.get_terminal_size().columns - 1]}', end='', flush=True)
         finally:

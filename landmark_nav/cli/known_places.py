@@ -11,7 +11,7 @@ from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.smoother.motion import chained, motions_between
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.sieve import Sieve
+from landmark_nav.storage.bags.message_filter import MessageFilter
 from landmark_nav.types import OdometrySample, PlaceChain, Sweep
 
 __all__ = ['known_places', 'scale_source']
@@ -52,13 +52,13 @@ def known_places(bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig)
     if scale_source(bag) == 'sweep/pose':
         return _given(bag, sweeps)
     topic = bag.require('odom')
-    sieve = Sieve(bag, topic)
+    messages = MessageFilter(bag, topic)
     read = (
-        sieve.take(lambda entry: decode.odometry(entry.message), entry)
+        messages.take(lambda entry: decode.odometry(entry.message), entry)
         for entry in bag.messages([topic])
     )
     samples = sorted((s for s in read if s is not None), key=lambda s: s.stamp_ns)
-    sieve.tell()
+    messages.report()
     for number, sweep in enumerate(sweeps, 1):
         _check_covered(bag, number, sweep, samples)
         ends = np.array([sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns])

@@ -45,12 +45,12 @@ from landmark_nav.learning.unmeasured import (
     UnmeasuredConfig,
 )
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.storage.atomic_io import atomic_folder, check_writable, write_atomically
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room, room_text
-from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
 from landmark_nav.types import Panorama, PlaceChain, Sweep
 
 __all__ = ['LearningStages', 'add_arguments', 'panoramas_of_bag', 'run']
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
     log = StageLog()
     with log.measure('checks'):
         refuse_errors(bag, diagnose(bag, mount, room, QUICK))
-    with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
+    with atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
             located, frames = _located(bag, mount, config, log)
@@ -150,9 +150,9 @@ def run(args: argparse.Namespace) -> int:
     if found:
         report['unmeasured'] = found
     if args.walls_out:
-        write_whole(args.walls_out, room_text(room))
+        write_atomically(args.walls_out, room_text(room))
     if args.json:
-        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     print(_summary(report, result.panoramas, args.out))
     return 0
 
@@ -225,8 +225,8 @@ def panoramas_of_bag(
         found = panoramas[-1].calibration
         known = found if found is not None and found.surprises(given) else known
         frames.append(len(sweep.frames))
-    if doubt := papers.faults().text:
-        _LOG.warning('%s', doubt)
+    if warning := papers.faults().text:
+        _LOG.warning('%s', warning)
     return panoramas, frames
 
 
@@ -261,7 +261,7 @@ def _provenance(args: argparse.Namespace) -> dict[str, str]:
 
 
 def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path) -> str:
-    """Tell what was learned, for a person."""
+    """Summarize what was learned, for a person."""
     lines = []
     for number, (sweep, panorama) in enumerate(zip(report['sweeps'], panoramas, strict=True), 1):
         x, y, heading = sweep['pose']

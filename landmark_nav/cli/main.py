@@ -114,7 +114,7 @@ def _run(name: str, arguments: list[str]) -> int:
     parser = _Parser(
         prog='landmark-nav',
         description='Lets a robot with one turning camera learn its landmarks by itself.',
-        epilog='landmark-nav COMMAND --help tells more. What is marked (ROS) needs ROS 2, the '
+        epilog='landmark-nav COMMAND --help shows more. What is marked (ROS) needs ROS 2, the '
         'rest does not. Exit status: 0 done, 1 the data does not allow it (the message says why), '
         '2 wrong usage.',
     )
@@ -125,7 +125,7 @@ def _run(name: str, arguments: list[str]) -> int:
     for known, (module, summary) in COMMANDS.items():
         subparser = commands.add_parser(known, help=summary)
         if known == name:
-            # What OpenCV says of a broken picture, beside the line of ours that names the file.
+            # What OpenCV says of a broken image, beside the line of ours that names the file.
             os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
             command = import_module(f'landmark_nav.cli.{module}')
             command.add_arguments(subparser)

@@ -15,7 +15,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros import chosen_domain, require_ros
 
 if TYPE_CHECKING:
-    from landmark_nav.ros.robot_client import Word
+    from landmark_nav.ros.robot_client import NodeStatus
 
 __all__ = ['add_arguments', 'run', 'table']
 
@@ -36,19 +36,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--values', action='store_true', help='print all values, too')
 
 
-def table(status: Mapping[str, Word], width: int, values: bool = False) -> list[str]:
+def table(status: Mapping[str, NodeStatus], width: int, values: bool = False) -> list[str]:
     """Lines of at most `width` characters: node, level, reason, and the values below."""
     names = max((len(name) for name in status), default=0)
     indent = ' ' * (names + 11)
     room = max(20, width - len(indent))
     lines = []
-    for name, word in sorted(status.items()):
-        first, *more = wrap(word.reason, room) or ['']
-        lines += [f'{name:{names}}  {word.level:9}{first}'.rstrip(), *(indent + t for t in more)]
+    for name, node in sorted(status.items()):
+        first, *more = wrap(node.reason, room) or ['']
+        lines += [f'{name:{names}}  {node.level:9}{first}'.rstrip(), *(indent + t for t in more)]
         if values:
             lines += [
                 indent + line
-                for key, value in word.values.items()
+                for key, value in node.values.items()
                 for line in wrap(f'{key}: {value}', room, subsequent_indent='  ')
             ]
     return lines
@@ -62,9 +62,9 @@ def run(args: argparse.Namespace) -> int:
     own = f'status_{os.getpid()}'
     once = args.once or not sys.stdout.isatty()
 
-    def others() -> dict[str, Word]:
+    def others() -> dict[str, NodeStatus]:
         # Nodes of other packages publish there too; ours of this kind are not of interest.
-        return {name: word for name, word in client.status.items() if name != own}
+        return {name: node for name, node in client.status.items() if name != own}
 
     with (
         Interruption() as interruption,

@@ -20,7 +20,7 @@ def node_command(name: str, namespace: str = '', **parameters: object) -> list[s
     return [
         *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
         *('--params-file', str(shipped_config(f'{name}.yaml'))),
-        *(word for setting in settings for word in ('-p', setting)),
+        *(status for setting in settings for status in ('-p', setting)),
         *(('-r', f'__ns:=/{namespace}') if namespace else ()),
     ]
 

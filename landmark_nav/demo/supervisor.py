@@ -90,7 +90,7 @@ class Supervisor:
         Raises
         ------
         ProcessEndedError
-            One has ended; the message says which, how, and what it said last.
+            One has ended; the message says which, how, and its last lines.
 
         """
         for child in self._children:
@@ -128,5 +128,5 @@ def _described(status: int) -> str:
 
 def _last_words(log: Path) -> str:
     lines = [line.strip() for line in log.read_text(errors='replace').splitlines()]
-    said = [line for line in lines if line][-_LAST_LINES:]
-    return ' | '.join(said) or 'it said nothing'
+    last_lines = [line for line in lines if line][-_LAST_LINES:]
+    return ' | '.join(last_lines) or 'it printed nothing'

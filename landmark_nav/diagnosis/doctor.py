@@ -37,18 +37,18 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.sieve import naming
+from landmark_nav.storage.bags.message_filter import naming
 from landmark_nav.storage.bags.timelines import logged_joints
 
 __all__ = ['QUICK', 'THOROUGH', 'Delays', 'Diagnosis', 'diagnose']
 
 # Images that are decoded: at the start of `learn` and `evaluate`, and where that shows a fault.
 QUICK, THOROUGH = 60, 600
-# Fewer pairs of images tell nothing of motion.
+# Fewer pairs of images show no motion.
 _LEAST_PAIRS = 12
 # Less of the images than this lies in the time of a stream that has another clock.
 _COVERED = 0.1
-# Without motion, times of recording tell clocks apart to about this.
+# Without motion, times of recording separate clocks to about this.
 _BY_LOG_S = 0.5
 # Scale of focal length or pan that calibration finds in a sweep.
 _CALIBRATED = 1.2
@@ -117,7 +117,7 @@ def diagnose(
     mount : PanTiltMount
         Names of the joints, and where the camera sits.
     room : Room, optional
-        Its size tells the unit of the odometry better.
+        Its size shows the unit of the odometry better.
     most_images : int
         So many images are decoded at most; more, where these show a fault.
 
@@ -128,8 +128,8 @@ def diagnose(
 
     """
     # Whoever reads it then says what cannot be used.
-    said: dict[str, None] = {}
-    bag = bag.warning_to(lambda text: said.update({text: None}))
+    described: dict[str, None] = {}
+    bag = bag.warning_to(lambda text: described.update({text: None}))
     found: list[Finding] = []
     delays = Delays()
     images = _first(bag, _IMAGES)
@@ -147,7 +147,7 @@ def diagnose(
         found += _Sweeps(bag, sweeps, mount).findings(most_images)
     if not found:
         bag.require(*_IMAGES, *_SWEEP_IMAGES)
-    for text in said:
+    for text in described:
         line = text.replace(f'{bag.path}: ', '')
         found.append(Finding('reading', 'warning', line, when_read=True))
     return Diagnosis(tuple(found), delays)
@@ -185,9 +185,9 @@ class _Drive:
             if any(
                 f.name == 'pan scale' and f.values.get('sigma', np.inf) < _UPRIGHT for f in found
             ):
-                said = f'images are turned by {np.degrees(turned_rad):.0f} deg'
+                described = f'images are turned by {np.degrees(turned_rad):.0f} deg'
                 advice = f'set camera_roll: {roll_rad:.4f} in robot.yaml, or turn them'
-                return [*found, Finding('camera roll', 'error', said, advice)]
+                return [*found, Finding('camera roll', 'error', described, advice)]
         return []
 
     def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
@@ -235,8 +235,8 @@ class _Drive:
             if names:
                 advice = f'set pan_joint in robot.yaml to what turns the camera, not {name}'
                 return None, [Finding('joint names', 'error', f'there are {names}', advice)]
-            said = str(error).removeprefix(f'{self._bag.path}: ')
-            return None, [Finding('joint names', 'error', said, '', {}, when_read=True)]
+            described = str(error).removeprefix(f'{self._bag.path}: ')
+            return None, [Finding('joint names', 'error', described, '', {}, when_read=True)]
         return pan, [Finding('joint names', 'ok', names or name)]
 
     def _against_images(
@@ -258,8 +258,10 @@ class _Drive:
         pairs = self._motion(looks, looks.pairs[inside], streams)
         motion = pairs.only(np.isfinite(pairs.turns_rad))
         if len(motion) < _LEAST_PAIRS:
-            said = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
-            found.append(Finding('image motion', 'ok', said))
+            described = (
+                f'{len(motion)} pairs of images show how the camera turned: too few to judge'
+            )
+            found.append(Finding('image motion', 'ok', described))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         if (repeated := repeated_images(motion)) is not None:
             return [*found, repeated], Delays(), False
@@ -331,9 +333,9 @@ class _Drive:
         late = hints[0].offset_s or hints[1].offset_s
         if slopes.odometry_clock_s.sigma < np.inf or abs(late) > _BY_LOG_S:
             late = late_odometry(known, hints) - clock.offset_s
-        said = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
+        described = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
         advice = 'errors are measured against it: stamp it by the clock of the robot'
-        return [Finding('ground_truth clock', 'warning', said, advice, {'late_s': late})]
+        return [Finding('ground_truth clock', 'warning', described, advice, {'late_s': late})]
 
     def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
         seconds = looks.stream.seconds
@@ -472,7 +474,7 @@ def _one_source(
 
 def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
     """Frames that odometry and images name."""
-    said = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
+    described = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
     children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
     bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
     if len(odometry.frames) > 1:
@@ -480,14 +482,14 @@ def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Findi
     elif children - bases:
         advice = f'odom should be about {mount.base_frame} (base_frame in robot.yaml)'
     else:
-        return [Finding('frames', 'ok', said)]
-    return [Finding('frames', 'warning', said, advice)]
+        return [Finding('frames', 'ok', described)]
+    return [Finding('frames', 'warning', described, advice)]
 
 
 def _clocks_by_log(
     motion: Motion, hints: Mapping[str, Sequence[Clock]], slopes: Linear | None
 ) -> list[Finding]:
-    """Clocks by times of recording, where motion does not tell them."""
+    """Clocks by times of recording, where motion does not show them."""
     known = {
         JOINTS: slopes is not None and slopes.quiet and slopes.pan_clock_s.sigma < _KNOWN_S,
         ODOMETRY: slopes is not None and slopes.quiet and slopes.odometry_clock_s.sigma < _KNOWN_S,

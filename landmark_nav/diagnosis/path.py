@@ -70,13 +70,13 @@ def check_path(stream: Stream) -> Finding | None:
     # exchanged.
     sum_of_both = np.sum(weight * direction * heading)
     quarter = round(float(np.angle(sum_of_both)) / (0.5 * np.pi)) % 4
-    said = ('y has the wrong sign', 'x and y are exchanged', 'x has the wrong sign')[quarter % 3]
+    text = ('y has the wrong sign', 'x and y are exchanged', 'x has the wrong sign')[quarter % 3]
     if quarter == 3:
-        said = 'x and y are exchanged, with the wrong sign'
+        text = 'x and y are exchanged, with the wrong sign'
     return Finding(
         'odom path',
         'error',
-        f'is mirrored: {said} beside the yaw',
+        f'is mirrored: {text} beside the yaw',
         'publish x ahead, y to the left at yaw 0, yaw counter-clockwise (REP-103)',
         {'agrees': own, 'mirrored': mirrored},
     )

@@ -2,7 +2,7 @@
 Learning, stage by stage.
 
 `sweep_pipeline` leads from each sweep to its panorama;
-panoramas -> candidates -> wall patches -> sightings -> adjustment -> election -> map.
+panoramas -> candidates -> wall patches -> measurements -> adjustment -> election -> map.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from landmark_nav.learning.adjustment import (
     Adjustment,
     AdjustmentConfig,
     CALIBRATED,
-    told_by_sizes,
+    depth_from_scale,
     WallFitConfig,
 )
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
-    doubtful_walls,
     wall_residuals,
+    wall_warnings,
     WallResidual,
 )
 from landmark_nav.learning.attention import attend, AttentionConfig
@@ -87,9 +87,9 @@ class LearningResult:
     What was learned and what became of every candidate.
 
     `panoramas` carry their adjusted poses. `candidates` and `outcomes` have one tuple a
-    panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` tells,
-    a tuple a panorama too, why attention refused others before. `walls` tells how far before each
-    wall what hangs there lies, where enough does, and `doubt` whether these walls may be wrong.
+    panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` holds,
+    a tuple a panorama too, why attention refused others before. `walls` holds how far before each
+    wall what hangs there lies, where enough does, and `warning` whether these walls may be wrong.
     """
 
     map: LandmarkMap
@@ -99,7 +99,7 @@ class LearningResult:
     reconstructed: int
     ambiguous: tuple[tuple[Refusal, ...], ...] = ()
     walls: tuple[WallResidual, ...] = ()
-    doubt: str = ''
+    warning: str = ''
 
 
 def learn_from_panoramas(
@@ -123,7 +123,7 @@ def learn_from_panoramas(
     log : StageLog, optional
         Where times go.
     places : ndarray, shape (4 v, 4 v), optional
-        Joint covariance of the viewpoints before there are sightings; without it they were
+        Joint covariance of the viewpoints before there are measurements; without it they were
         measured from papers, or each for itself.
 
     Raises
@@ -154,12 +154,12 @@ def learn_from_panoramas(
         if places is None:
             places = joint_covariance(panoramas, room, config.reference_area)
         adjustment, free, residuals, hidden = _adjusted(found, panoramas, places, room, config)
-    uneven = doubtful_walls(
+    uneven = wall_warnings(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
     )
-    doubt = '; '.join(filter(None, [hidden, uneven]))
-    if doubt:
-        _LOG.warning('%s', doubt)
+    warning = '; '.join(filter(None, [hidden, uneven]))
+    if warning:
+        _LOG.warning('%s', warning)
     adjusted = tuple(
         replace(p, center_map=pose[:3], heading_rad=float(pose[3]), covariance=covariance)
         for p, pose, covariance in zip(
@@ -169,7 +169,7 @@ def learn_from_panoramas(
     with log.measure('election'):
         elected = elect(
             found.patches,
-            found.sightings,
+            found.measurements,
             adjustment,
             free,
             adjusted,
@@ -205,7 +205,7 @@ def learn_from_panoramas(
         len(found.patches),
         tuple(tuple(why for _, why in a.refused) for a in attended),
         residuals,
-        doubt,
+        warning,
     )
 
 
@@ -227,7 +227,7 @@ def _adjusted(
 
     def adjusted(found: Found, expected: AdjustmentConfig) -> Adjustment:
         start = np.array([patch.position for patch in found.patches])
-        return adjust(found.sightings, found.walls, start, panoramas, places, room, expected)
+        return adjust(found.measurements, found.walls, start, panoramas, places, room, expected)
 
     hidden = check_walls(
         adjusted(found.anywhere, without_walls),
@@ -240,10 +240,10 @@ def _adjusted(
     free = adjusted(found, without_walls)
     adjustment = adjusted(found, config.adjustment)
     residuals = wall_residuals(adjustment, walls, room, config.adjustment)
-    adjustment, free = told_by_sizes(
+    adjustment, free = depth_from_scale(
         adjustment,
         free,
-        found.sightings,
+        found.measurements,
         room.normals[walls],
         config.adjustment,
         config.election.max_depth_sigma_m,
@@ -264,8 +264,8 @@ def _calibration(
     covariance[which] = covariance[:, which] = 0.0
     covariance[np.ix_(which, which)] = adjustment.calibration_covariance
     # What the base leans on the floor where the panoramas were taken is no part of the mount.
-    lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
-    covariance[lean, lean] += config.reference_area.horizon_sigma_rad**2 / len(panoramas)
+    axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
+    covariance[axis_tilt, axis_tilt] += config.reference_area.horizon_sigma_rad**2 / len(panoramas)
     by_map = np.zeros((len(NAMES), adjustment.shared_loading.shape[2]))
     by_map[which] = adjustment.calibration_loading
     return replace(known, values=values, covariance=covariance, by_map=by_map)

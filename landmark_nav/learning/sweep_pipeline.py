@@ -26,6 +26,7 @@ from landmark_nav.learning.calibration import (
     moved_px,
     SweepCalibration,
 )
+from landmark_nav.learning.calibration.axis_tilt import leant, levelled
 from landmark_nav.learning.calibration.combined import (
     as_calibrated,
     as_corrected,
@@ -33,9 +34,7 @@ from landmark_nav.learning.calibration.combined import (
     with_papers,
     with_terms,
 )
-from landmark_nav.learning.calibration.lean import leant, levelled
 from landmark_nav.learning.least_squares import checked_covariance
-from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.reference_area import (
@@ -50,6 +49,7 @@ from landmark_nav.learning.reference_area import (
     WrongMountError,
 )
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.upside_down import why_upside_down
 from landmark_nav.parameters import Config
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import FloatArray, Panorama, PoseEstimate, Sweep
@@ -70,7 +70,7 @@ _FAR_M = 50.0
 # Standard deviations of a given pose that no map can be learned with: metres, metres, radians.
 _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
 # A focal length that is off by such a share is worth a word.
-_WORTH_SAYING = 0.02
+_WORTH_REPORTING = 0.02
 # No pose is better known.
 _LEAST_VARIANCE = 1e-10
 # Height and lean that are off by more of the usual standard deviations are measured once more,
@@ -144,13 +144,13 @@ def _not_exact(
     error: WrongMountError, prior: Calibration, area: ReferenceAreaConfig
 ) -> MountError:
     """Return what may be mended of a mount: nothing that was given as exact."""
-    rise, lean = _mount_sigmas(prior)
+    rise, axis_tilt = _mount_sigmas(prior)
     found = error.found
     high = abs(found.rise_m) > WRONG_PRIOR * area.height_sigma_m
-    leans = np.hypot(*found.lean_rad) > WRONG_PRIOR * area.horizon_sigma_rad
-    if (high and not rise) or (leans and not lean):
+    leans = np.hypot(*found.tilt_roll_rad) > WRONG_PRIOR * area.horizon_sigma_rad
+    if (high and not rise) or (leans and not axis_tilt):
         raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
-    return MountError(found.rise_m if rise else 0.0, found.lean_rad * (lean > 0.0))
+    return MountError(found.rise_m if rise else 0.0, found.tilt_roll_rad * (axis_tilt > 0.0))
 
 
 def _mount_sigmas(prior: Calibration) -> tuple[float, float]:
@@ -162,7 +162,7 @@ def _mount_sigmas(prior: Calibration) -> tuple[float, float]:
 
 def mended(given: Calibration, found: MountError) -> Calibration:
     """Return the calibration with height and lean of the pan axis as they were found."""
-    roll, pitch, _ = leant(given.mount, found.lean_rad).axis_rpy
+    roll, pitch, _ = leant(given.mount, found.tilt_roll_rad).axis_rpy
     height = given['axis_z'][0] + found.rise_m
     return given.with_values(axis_z=height, axis_roll=roll, axis_pitch=pitch)
 
@@ -170,11 +170,11 @@ def mended(given: Calibration, found: MountError) -> Calibration:
 def _wider(config: PanoramaStages, prior: Calibration) -> PanoramaStages:
     """Parameters with height and lean of the camera as uncertain as the robot's file says."""
     area = config.reference_area
-    rise, lean = _mount_sigmas(prior)
+    rise, axis_tilt = _mount_sigmas(prior)
     wider = replace(
         area,
         height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
-        horizon_sigma_rad=float(np.hypot(area.horizon_sigma_rad, lean)),
+        horizon_sigma_rad=float(np.hypot(area.horizon_sigma_rad, axis_tilt)),
     )
     return replace(config, reference_area=wider)
 
@@ -195,7 +195,7 @@ def _made(
         try:
             check_turn(sweep, mount)
         except LandmarkNavError as error:
-            why = why_overturned(sweep, room, mount, config.reference_area)
+            why = why_upside_down(sweep, room, mount, config.reference_area)
             raise LandmarkNavError(why or str(error)) from error
         found = calibrate_sweep(sweep, mount, config.calibration)
     with log.measure('panorama'):
@@ -208,7 +208,7 @@ def _made(
         try:
             place = _place(view, found, room, config, prior, used is not prior)
         except LandmarkNavError as error:
-            why = why_overturned(sweep, room, mount, config.reference_area)
+            why = why_upside_down(sweep, room, mount, config.reference_area)
             faults = papers.faults()
             cause = why or faults.cause or str(error)
             wrong = faults.mount
@@ -217,22 +217,24 @@ def _made(
             if why or wrong is None:
                 raise LandmarkNavError(cause) from error
             raise WrongMountError(cause, wrong) from error
-    mount, lean = levelled(mount, place.lean_score, place.lean_information, config.calibration)
+    mount, axis_tilt = levelled(
+        mount, place.axis_tilt_score, place.axis_tilt_information, config.calibration
+    )
     with log.measure('calibration'):
         refined = calibrate_sweep(
             sweep, mount, config.calibration, _range_of_ray(place, found, room), found.overlaps
         )
-    stands_otherwise = refined.mount.axis_rpy != found.mount.axis_rpy
+    mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
     off_axis = any(refined.mount.optical_center_offset[:2])
-    if stands_otherwise or off_axis or moved_px(found, refined) > _SAME_PX:
+    if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
         found = refined
         with log.measure('reference_area'):
             place = _place(view, found, room, config, prior, used is not prior)
         with log.measure('panorama'):
             view = _view(found, photometry, config, _range_of_azimuth(place, found, room))
     found = refined
-    for doubt in filter(None, [place.doubt, _wrong_focal(found.quality)]):
-        _LOG.warning('%s', doubt)
+    for warning in filter(None, [place.warning, _wrong_focal(found.quality)]):
+        _LOG.warning('%s', warning)
     by_calibration = _by_calibration(place, found)
     terms = found.quality.calibration
     made = as_corrected(used, terms, found.mount)
@@ -251,7 +253,7 @@ def _made(
         float(place.pose_map_base[2]),
         _axis_covariance(place, found.mount)
         + by_calibration @ known.covariance @ by_calibration.T,
-        replace(found.quality, calibration=(*found.quality.calibration, *lean)).of(
+        replace(found.quality, calibration=(*found.quality.calibration, *axis_tilt)).of(
             tenengrad(view), photometry.vignetting, photometry.gain_spread
         ),
         known,
@@ -296,9 +298,9 @@ def unplaced_panorama(
 
 
 def _wrong_focal(quality: PanoramaQuality) -> str:
-    """What to say of a focal length that the turn shows to be far off what was given."""
+    """Warning about a focal length that the turn shows to be far off what was given."""
     for term in quality.calibration:
-        if term.name == 'focal_length' and term.used and abs(term.value) > _WORTH_SAYING:
+        if term.name == 'focal_length' and term.used and abs(term.value) > _WORTH_REPORTING:
             return (
                 f'the focal length in camera_info is {100.0 * abs(term.value):.1f} % too '
                 f'{"small" if term.value > 0.0 else "large"}, as the turn shows it: the sweep is '

@@ -21,7 +21,7 @@ from landmark_nav.localization.estimator import (
 )
 from landmark_nav.localization.estimator.filter import State
 from landmark_nav.localization.estimator.timeline import REACH_NS, Timeline
-from landmark_nav.localization.joint_delay import DOUBT_S, JointDelay, STILL, Swing
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay, PanMotion, STILL
 from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
@@ -47,7 +47,12 @@ _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
 # Odometry that stays away for so long is said, s.
 _SILENT_S = 0.7
 # What a knock changes may be that far from its prior, 1 sigma; nothing is by 5 sigma.
-_MAY_STEP = {'axis_yaw': 0.03, 'camera_roll': 0.03, 'camera_tilt': 0.03, 'joint_delay': DOUBT_S}
+_MAY_STEP = {
+    'axis_yaw': 0.03,
+    'camera_roll': 0.03,
+    'camera_tilt': 0.03,
+    'joint_delay': DELAY_BOUND_S,
+}
 # Log of the odds from which images speak for a pose beyond doubt.
 _TRUSTED = 4.0
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
@@ -131,7 +136,7 @@ class JointFusion:
         found = checked_start(found, self._reach_ns, now_ns)
         lag, late = STILL, self._prior_late if self._line is None else self.late
         if joints is not None:
-            swing = Swing.of(joints, self._prior.base)
+            swing = PanMotion.of(joints, self._prior.base)
             lag = late.lag(swing.rate_rad_s, swing.track, late.delay_s)
         # The pan may begin to turn meanwhile.
         bent = np.diag([0.0, 0.0, lag.bend_rad**2])
@@ -278,7 +283,7 @@ class JointFusion:
         return self._odometry.scaled(way, turns, slip)
 
     @property
-    def sighting_sigma(self) -> float:
+    def detection_sigma_factor(self) -> float:
         """Factor on what detections claim as their sigmas, as far as it was learned."""
         return 1.0 if self._line is None else float(np.sqrt(self._line.filter.noise_factors[-1]))
 
@@ -311,7 +316,7 @@ class JointFusion:
     def _prior_late(self) -> JointDelay:
         """What the delay may be at the start: one that is not known may be large."""
         late = JointDelay(*self._prior['joint_delay'])
-        return late if late.is_known else replace(late, sigma_s=max(late.sigma_s, DOUBT_S))
+        return late if late.is_known else replace(late, sigma_s=max(late.sigma_s, DELAY_BOUND_S))
 
     def _place(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> None:
         """Be at a pose, with all that was learned of the robot while the pose was right."""

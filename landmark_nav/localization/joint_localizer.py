@@ -27,7 +27,7 @@ from landmark_nav.types import (
 
 __all__ = ['JointLocalizer']
 
-_NO_TRIPLET = Refusal('no triplet', 'the joint estimator takes what tells most')
+_NO_TRIPLET = Refusal('no triplet', 'the joint estimator takes what is most informative')
 # States as the rest of the package calls them.
 _STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
 # A detection of less weight than this is an outlier.
@@ -103,9 +103,9 @@ class JointLocalizer:
         return self._fusion.odometry_noise
 
     @property
-    def sighting_sigma(self) -> float:
+    def detection_sigma_factor(self) -> float:
         """Factor on what detections claim as their sigmas, as far as it was learned."""
-        return self._fusion.sighting_sigma
+        return self._fusion.detection_sigma_factor
 
     @property
     def status(self) -> tuple[str, str]:

@@ -18,15 +18,15 @@ from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
-from landmark_nav.localization.frozen import FrozenPicture
+from landmark_nav.localization.frozen_image import FrozenImage
 from landmark_nav.localization.joint_delay import in_time, JointDelay
 from landmark_nav.localization.observation import Observation, ObservationConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization.narrowing import narrowed
-from landmark_nav.localization.triangulation.gathering import SightingGatherer
+from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
+from landmark_nav.localization.relocalization.within_prior import localize_within_prior
+from landmark_nav.localization.triangulation.bearing_buffer import BearingBuffer
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import visible_landmarks
-from landmark_nav.localization.wide import is_wide
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -47,8 +47,8 @@ _MOST_RISE_PX = 50.0
 _NEW, _STILL_KNOWN = 0.5, 0.8
 # Steps in which the lens is put right for drawing templates, over the focal length.
 _STEP = 4e-4
-# A wide pose is narrowed by a search that takes a tenth of a second: in each of the first so many
-# images, then, if all was in vain, in every third one.
+# A wide pose is localize_within_prior by a search that takes a tenth of a second: in each of the first so many
+# images, then, if nothing was found, in every third one.
 _EAGER, _PATIENT = 5, 3
 
 
@@ -99,10 +99,10 @@ class JointObserver:
         odometry: OdometryNoiseConfig,
     ) -> None:
         self._map, self._config, self._joint = landmark_map, config, joint
-        self._frozen = FrozenPicture()
+        self._frozen = FrozenImage()
         self._blur, self._found_most, self._vain = np.zeros(2), False, 0
         self._novelty = np.ones(len(landmark_map.landmarks))
-        self._gatherer = SightingGatherer(
+        self._gatherer = BearingBuffer(
             landmark_map, calibration.mount, 0.0, odometry, config.triangulation
         )
 
@@ -120,7 +120,7 @@ class JointObserver:
         Look for some of the visible landmarks: a few as long as most are found.
 
         If hardly any is found, all are looked for where they should be if camera or base was
-        turned. A wide pose is narrowed before: what came of it is `Detections.near`.
+        turned. A wide pose is localize_within_prior before: what came of it is `Detections.near`.
         """
         if self._frozen.repeats(frame):
             return Observation(_nothing(frame.stamp_ns), {}, Refusal('image hangs'), unusable=True)
@@ -129,7 +129,7 @@ class JointObserver:
         if place is not None:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
         visible = self._visible(frame, expected)
-        enough, most = config.detection.enough, config.detection.max_count
+        enough, most = config.detection.target_count, config.detection.max_count
         step = self._joint
         turned = expected.stepped(step.step_sigma_m, step.step_sigma_rad, step.step_sigma_s)
         tries = [(expected, enough)] if self._found_most and enough < len(visible) else []
@@ -165,7 +165,7 @@ class JointObserver:
 
     def _narrowed(self, frame: CameraFrame, expected: Expectation) -> PoseEstimate | None:
         """Find the pose within a wide one; if that fails again and again, try less often."""
-        if not is_wide(expected.covariance):
+        if not is_prior_uncertain(expected.covariance):
             self._vain = 0
             return None
         self._vain += 1
@@ -173,7 +173,7 @@ class JointObserver:
             return None
         known = expected.calibration
         seen = straight(frame, known), expected, self._map, known.mount, self._config
-        place = narrowed(*seen)
+        place = localize_within_prior(*seen)
         if isinstance(place, Refusal):
             return None
         self._vain = 0

@@ -42,7 +42,7 @@ class Alignment(NamedTuple):
     """
     Where the centres of m templates lie in their images, `xy` (m, 2).
 
-    `place` (m,) tells which of those given they are: the others don't align. `covariance`
+    `place` (m,) holds which of those given they are: the others don't align. `covariance`
     (m, 2, 2) is that of `xy`; `score` (m,) is the normalized cross-correlation there; `blur_px2`
     (m, 2) by how much more the image is blurred than the template.
     """
@@ -123,7 +123,7 @@ def _rows(template: Float32Array) -> Float32Array:
     What pixels of a template, but for the outermost, are multiplied by, (5, pixels).
 
     What offset explains is taken out once and for all, so that each step needs one product with
-    the picture.
+    the image.
     """
     height, width = template.shape[0] - 2, template.shape[1] - 2
     shifted = as_strided(template, (3, 3, height, width), 2 * template.strides)

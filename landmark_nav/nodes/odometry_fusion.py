@@ -17,13 +17,13 @@ from landmark_nav.localization.fusion.late_joints import REACH_S
 from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.start import Found
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
-from landmark_nav.localization.joint_delay import Swing
+from landmark_nav.localization.joint_delay import PanMotion
 from landmark_nav.localization.joint_fusion import JointFusion
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.found_place import FoundPlace
+from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
@@ -45,9 +45,9 @@ from landmark_nav.types import (
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
-# A joint delay that is open matters to a camera that turns so far: where it looked may be told
-# long after its picture. So long that is waited for.
-_SWING_RAD, _PATIENCE_S = 0.1, 0.4
+# A joint delay that is open matters to a camera that turns so far: where it looked may be reported
+# long after its image. So long that is waited for.
+_PAN_RANGE_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 _STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
 # A detection of less weight than this is an outlier.
@@ -62,7 +62,7 @@ class LiveFusionConfig(FusionConfig):
 
     delay_sigma_s: float = parameter(
         0.02,
-        'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '
+        'Sigma of a constant delay of the stamps of the joints behind those of the images, that '
         'is estimated while the camera turns; 0 takes it as none, s.',
         minimum=0.0,
         maximum=1.0,
@@ -132,20 +132,20 @@ class OdometryFusionNode(LandmarkNode):
         self._accepted = self._rejected = 0
         self._last: OdometrySample | None = None
         self._heard_ns = 0
-        self._told_ns: int | None = None
+        self._start_given_ns: int | None = None
         self._odom_frame = 'odom'
         self._latency = Latency()
-        self._waiting: deque[Detections | FoundPlace] = deque()
+        self._waiting: deque[Detections | GlobalPose] = deque()
         self._last_message: Any = None
         self.listen('odom', self._on_odometry, depth=50)
         self._frames = CameraFrames(self, self._mount)
         self.listen('detections', self._on_detections)
         # Bearings and the poses made of them are the same information: where poses are used,
-        # bearings tell what was seen.
+        # bearings show what was seen.
         if isinstance(self._filter, PoseFilter) and config.fusion.mode == 'poses':
             self.listen('triangulation/pose', self._on_pose)
         self.listen('initialpose', self._on_initial_pose)
-        self.listen('found_place', self._on_found_place)
+        self.listen('global_localization/pose', self._on_global_pose)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
@@ -224,16 +224,16 @@ class OdometryFusionNode(LandmarkNode):
         start = with_sigmas(start, self._config.start_sigma_m, self._config.start_sigma_rad)
         self._filter.initialize(start, self._now_ns())
         self._started(start, 'start')
-        self._told_ns = None if self._last is None else self._now_ns()
+        self._start_given_ns = None if self._last is None else self._now_ns()
         self._waiting = deque(one for one in self._waiting if isinstance(one, Detections))
 
-    def _on_found_place(self, message: Any) -> None:
+    def _on_global_pose(self, message: Any) -> None:
         decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
-        place = decode.found_place(message)
+        place = decode.global_pose(message)
         if not self._filter.reaches(place.stamp_ns):
-            raise LandmarkNavError('it is of a picture from before the odometry that is kept')
-        if self._told_ns is not None and place.stamp_ns <= self._told_ns:
-            raise LandmarkNavError('it is of a picture from before the start pose that was told')
+            raise LandmarkNavError('it is of an image from before the odometry that is kept')
+        if self._start_given_ns is not None and place.stamp_ns <= self._start_given_ns:
+            raise LandmarkNavError('it is of an image from before the given start pose')
         self._waiting.append(place)
         self._use_waiting()
 
@@ -255,15 +255,15 @@ class OdometryFusionNode(LandmarkNode):
             # What is late, or hangs, does not move the filter on.
             raise LandmarkNavError(str(refusal))
         if self._last is not None and sample.stamp_ns < self._last.stamp_ns:
-            # The clock was set back: by this one nothing was told yet.
-            self._told_ns = None
+            # The clock was set back: by this one nothing was given yet.
+            self._start_given_ns = None
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
         self._odom_frame = message.header.frame_id.lstrip('/')
         self._use_waiting()
         estimate = self._filter.estimate(sample.stamp_ns)
         if estimate is not None:
             self._publish(estimate, sample)
-            # Only here: a transform is not to be told twice of one time.
+            # Only here: a transform must not be published twice for one time.
             pose = self._spread.at(sample.stamp_ns, estimate.pose, sample.pose_odom_base)
             frames = (self._config.map_frame, self._odom_frame)
             self._transform.send(sample.stamp_ns, pose, frames)
@@ -273,7 +273,7 @@ class OdometryFusionNode(LandmarkNode):
         self._use_waiting()
 
     def _use_waiting(self) -> None:
-        """Use what was found in pictures, in their order, as far as it need not wait."""
+        """Use what was found in images, in their order, as far as it need not wait."""
         while self._waiting and not self._waits(self._waiting[0]):
             found = self._waiting.popleft()
             if isinstance(found, Detections):
@@ -281,10 +281,10 @@ class OdometryFusionNode(LandmarkNode):
             else:
                 self._use_place(found)
 
-    def _waits(self, found: Detections | FoundPlace) -> bool:
-        """Whether joint states that may tell where the camera looked are still to come."""
+    def _waits(self, found: Detections | GlobalPose) -> bool:
+        """Whether joint states that may give where the camera looked are still to come."""
         late = self._filter.late
-        settled = late.is_known or self._frames.swing_rad < _SWING_RAD
+        settled = late.is_known or self._frames.pan_range_rad < _PAN_RANGE_RAD
         if settled and not late.matters:
             return False
         ahead_s = found.joint_delay_s + (late.delay_s if settled else _PATIENCE_S)
@@ -313,13 +313,13 @@ class OdometryFusionNode(LandmarkNode):
         self, bearings: PoseFilter, found: Detections, joints: JointSample | Refusal
     ) -> None:
         if not isinstance(joints, Refusal):
-            swing = Swing.of(joints, self._mount)
+            pan_motion = PanMotion.of(joints, self._mount)
             found = replace(
                 found,
-                pan_rate_rad_s=swing.rate_rad_s,
+                pan_rate_rad_s=pan_motion.rate_rad_s,
                 pan_sigma_rad=joints.pan_sigma_rad,
-                pan_track=swing.track,
-                pan_rad=swing.azimuth_rad,
+                pan_track=pan_motion.track,
+                pan_rad=pan_motion.azimuth_rad,
             )
         self._count(bearings.add_detections(found))
         late = bearings.late
@@ -328,15 +328,15 @@ class OdometryFusionNode(LandmarkNode):
                 encode.joint_delay(ros_factory, found.stamp_ns, late.delay_s, late.sigma_s)
             )
 
-    def _use_place(self, place: FoundPlace) -> None:
+    def _use_place(self, place: GlobalPose) -> None:
         joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
         known = None if isinstance(joints, Refusal) else joints
         if isinstance(self._filter, JointFusion):
             self._filter.place(place, known, self._now_ns())
         else:
             # A track that ends before would say that the pan stood there.
-            swing = None if known is None else Swing.of(known, self._mount).track
-            track = swing if swing and swing.reaches(REACH_S) else None
+            pan_motion = None if known is None else PanMotion.of(known, self._mount).track
+            track = pan_motion if pan_motion and pan_motion.reaches(REACH_S) else None
             found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
             self._filter.initialize(place, self._now_ns(), found)
         self._started(place, 'found')
@@ -348,7 +348,7 @@ class OdometryFusionNode(LandmarkNode):
         self._corrected(measured.stamp_ns)
 
     def _corrected(self, stamp_ns: int) -> None:
-        """Tell at once what a picture changed, at the newest time that is known."""
+        """Publish at once what an image changed, at the newest time that is known."""
         if self._last is None:
             return
         newest = max(stamp_ns, self._last.stamp_ns)

@@ -76,7 +76,7 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
 
 
 def patch_name(identity: int) -> str:
-    """Of its picture, in the map folder."""
+    """Of its image, in the map folder."""
     return f'patches/{identity:03d}.png'
 
 

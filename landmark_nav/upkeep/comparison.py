@@ -27,7 +27,7 @@ _MIN_COS_NORMALS = np.cos(np.radians(10.0))
 _MAX_SHIFT = 0.6
 # ... and can be compared if what they share is at least as wide as this, texels.
 _MIN_OVERLAP_PX = 10
-# How far the maps may disagree and still be told to agree in texture: share of the patch.
+# How far the maps may disagree and still be aligned by texture: share of the patch.
 _SEARCH = 0.15
 # Points without a texture are the same within this.
 _SAME_POINT_M = 0.06
@@ -36,7 +36,7 @@ _LEAST_SIGMA_M = 1e-6
 
 
 class Texture(Enum):
-    """What the pictures of two overlapping patches say."""
+    """What the images of two overlapping patches say."""
 
     SAME = 'same'
     CHANGED = 'changed'
@@ -77,7 +77,7 @@ class Comparison:
     only_b: tuple[Landmark, ...]
 
     def of(self, texture: Texture) -> tuple[Pair, ...]:
-        """Pairs whose pictures say `texture`."""
+        """Pairs whose images say `texture`."""
         return tuple(pair for pair in self.pairs if pair.texture is texture)
 
 
@@ -142,7 +142,7 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
 
 
 def _is_copy(a: Landmark, b: Landmark) -> bool:
-    """Whether the textures are the same to the last bit; blank ones tell nothing."""
+    """Whether the textures are the same to the last bit; blank ones show nothing."""
     alike = (a.width_m, a.height_m) == (b.width_m, b.height_m)
     return alike and bool(np.array_equal(a.patch, b.patch) and a.patch.size and np.ptp(a.patch))
 
@@ -150,13 +150,13 @@ def _is_copy(a: Landmark, b: Landmark) -> bool:
 def _texture_offset(
     a: Landmark, b: Landmark, offset: FloatArray
 ) -> tuple[FloatArray, FloatArray] | Refusal | None:
-    """Disagreement (2,) and its covariance; None where too little is shared to tell."""
+    """Disagreement (2,) and its covariance; None where too little is shared to decide."""
     texel = max(a.width_m / a.patch.shape[1], b.width_m / b.patch.shape[1])
     margin = int(np.ceil(_SEARCH * min(b.width_m, b.height_m) / texel)) + 1
-    # Both on one grid of `texel`, which is centred on b; a's picture is moved by the offset.
+    # Both on one grid of `texel`, which is centred on b; a's image is moved by the offset.
     shape = (int(b.height_m / texel), int(b.width_m / texel))
-    picture_b = _resampled(b, texel, shape, np.zeros(2))
-    picture_a = _resampled(a, texel, shape, offset)
+    image_b = _resampled(b, texel, shape, np.zeros(2))
+    image_a = _resampled(a, texel, shape, offset)
     rows, columns = (
         _shared(length, texel, size, shift, margin)
         for length, size, shift in zip(shape, (a.height_m, a.width_m), offset[::-1], strict=True)
@@ -164,20 +164,20 @@ def _texture_offset(
     if min(len(rows), len(columns)) < _MIN_OVERLAP_PX:
         return None
     top, left, bottom, right = rows[0], columns[0], rows[-1] + 1, columns[-1] + 1
-    template = picture_a[top:bottom, left:right]
-    search = picture_b[top - margin : bottom + margin, left - margin : right + margin]
+    template = image_a[top:bottom, left:right]
+    search = image_b[top - margin : bottom + margin, left - margin : right + margin]
     match = match_template(search, template, min_score=_MIN_SCORE)
     if isinstance(match, Refusal):
         return match
     expected = (np.array(search.shape[::-1]) - 1) / 2.0
-    # Where b's picture shows the texture further right, its map puts it further right.
+    # Where b's image shows the texture further right, its map puts it further right.
     return (match.xy - expected) * texel, match.covariance * texel**2
 
 
 def _shared(
     length: int, texel_m: float, size_m: float, shift_m: float, margin: int
 ) -> npt.NDArray[np.intp]:
-    """Rows (or columns) of b's grid, but for its margin, where a's picture reaches."""
+    """Rows (or columns) of b's grid, but for its margin, where a's image reaches."""
     place = np.arange(length)
     reach = np.abs((place - (length - 1) / 2.0) * texel_m + shift_m)
     return np.flatnonzero((reach <= 0.5 * size_m) & (place >= margin) & (place < length - margin))

@@ -1,4 +1,4 @@
-"""A robot that nobody told where it is finds its place, asked by service, over DDS."""
+"""A robot without a start pose finds its place, asked by service, over DDS."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from faults import knocked_drive
+from faults import displaced_drive
 import numpy as np
 import pytest
 
@@ -24,10 +24,10 @@ RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 
 
 @pytest.mark.parametrize(
-    ('turned_deg', 'estimator', 'node', 'said'),
+    ('turned_deg', 'estimator', 'node', 'status_of'),
     [
         ((0.0, 0.0, 0.0), 'joint', '', ''),
-        ((1.0, 0.0, -2.0), 'filter', 'triangulation_localizer', 'camera leans 2.'),
+        ((1.0, 0.0, -2.0), 'filter', 'triangulation_localizer', 'camera is rolled by 2.'),
         ((1.0, 0.0, -2.0), 'joint', 'odometry_fusion', 'camera_roll by +0.03'),
     ],
 )
@@ -35,26 +35,28 @@ def test_the_place_found_starts_the_fusion(
     turned_deg: tuple[float, float, float],
     estimator: str,
     node: str,
-    said: str,
+    status_of: str,
     start: Callable[..., None],
     client: RobotClient,
     play: Callable[..., Any],
     learned_map: Path,
     tmp_path: Path,
 ) -> None:
-    """Also where the camera was knocked since the map was learned."""
+    """Also where the camera was displaced since the map was learned."""
     room, robot = str(RECORDED / 'room.yaml'), str(RECORDED / 'robot.yaml')
     localizer = 'triangulation_localizer'
     start('landmark_learner', room_file=room, map_folder=str(learned_map))
     search = {'relocalization.search_s': 30.0, 'relocalization.when_lost': False}
     start(localizer, robot_file=robot, estimator=estimator, **search)
     start('odometry_fusion', robot_file=robot, estimator=estimator)
-    client.wait(lambda: client.said('odometry_fusion').reason != '', 60.0, 'the nodes')
+    client.wait(lambda: client.status_of('odometry_fusion').reason != '', 60.0, 'the nodes')
     assert 'landmarks loaded' in client.call('load_map', 30.0)
-    client.wait(lambda: 'no picture' in client.said(localizer).reason, 30.0, 'the map')
+    client.wait(lambda: 'no image' in client.status_of(localizer).reason, 30.0, 'the map')
 
     drive = Bag(RECORDED / 'drive')
-    path = knocked_drive(drive, tmp_path / 'drive', turned_deg) if any(turned_deg) else drive.path
+    path = (
+        displaced_drive(drive, tmp_path / 'drive', turned_deg) if any(turned_deg) else drive.path
+    )
     play(path, 0.5)
     assert client.call('relocalize', 40.0).startswith('found at')
     client.wait(lambda: client.fused is not None, 20.0, 'a fused pose')
@@ -68,4 +70,4 @@ def test_the_place_found_starts_the_fusion(
     assert np.hypot(*error[:2]) < 0.05
     assert abs(error[2]) < np.radians(1.0)
     if any(turned_deg):
-        client.wait(lambda: said in client.said(node).reason, 20.0, 'a lean')
+        client.wait(lambda: status_of in client.status_of(node).reason, 20.0, 'a lean')

@@ -24,13 +24,13 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
-# How exact the start is told, 1 sigma.
+# How exact the start is given, 1 sigma.
 START_SIGMA = (0.02, 0.02, 0.01)
 
 
 @pytest.fixture
 def recorded() -> Path:
-    """Folder of the recorded sweeps, the drive, and what the robot was told."""
+    """Folder of the recorded sweeps, the drive, and what the robot was given."""
     found = sorted((REPOSITORY / 'bags').rglob('start.json'))
     if not found:
         pytest.skip('bags/ holds no recording')
@@ -71,11 +71,11 @@ def test_learned_and_localized_as_offline(
         *('panorama_synthesizer', 'landmark_learner'),
         *('triangulation_localizer', 'odometry_fusion'),
     )
-    client.wait(lambda: all(client.said(name).reason for name in nodes), 60.0, 'the nodes')
+    client.wait(lambda: all(client.status_of(name).reason for name in nodes), 60.0, 'the nodes')
     sweeps = Bag(recorded / 'learn').counts['/sweep/trajectory']
     play_all(recorded / 'learn', 20.0)
     client.wait(
-        lambda: client.said('landmark_learner').values.get('panoramas') == str(sweeps),
+        lambda: client.status_of('landmark_learner').values.get('panoramas') == str(sweeps),
         60.0,
         'the panoramas',
     )
@@ -83,20 +83,22 @@ def test_learned_and_localized_as_offline(
     assert 'landmarks on' in learned
     assert 'not saved yet: call save_map' in learned
     client.wait(
-        lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 10.0, 'the map'
+        lambda: client.status_of('odometry_fusion').values.get('landmarks', '0') != '0',
+        10.0,
+        'the map',
     )
 
     drive = Bag(recorded / 'drive')
     first = next(drive.messages([drive.require('odom')])).message
     pose = np.array(json.loads((recorded / 'start.json').read_text())['pose'])
-    told = PoseEstimate(decode.stamp_ns(first.header), pose, np.diag(np.square(START_SIGMA)))
+    given = PoseEstimate(decode.stamp_ns(first.header), pose, np.diag(np.square(START_SIGMA)))
     fused: dict[int, np.ndarray] = {}
 
     def take() -> None:
         if client.fused is not None:
             fused[client.fused.stamp_ns] = client.fused.pose
         elif client.odometry is not None:
-            client.start_at(told)
+            client.start_at(given)
 
     play_all(recorded / 'drive', 1.0, take)
     truth = PoseTrack.of(
@@ -104,14 +106,14 @@ def test_learned_and_localized_as_offline(
         for entry in drive.messages([drive.require('ground_truth/odom')])
     )
     stamps = sorted(fused)
-    # The rest of the drive after the start was told, at least most of it.
+    # The rest of the drive after the start was given, at least most of it.
     assert stamps[-1] - stamps[0] > 0.8e9 * drive.duration_s
     errors = pose_errors(np.array([fused[stamp] for stamp in stamps]), truth.at(stamps))
     summary = error_summary(errors)
     assert summary['position_rmse_m'] < 0.03
     assert summary['heading_rmse_deg'] < 0.4
-    said = client.said('odometry_fusion')
-    assert not said.lost
-    delay, sigma = (float(word) for word in said.values['joint_delay_ms'].split(' +- '))
+    status_of = client.status_of('odometry_fusion')
+    assert not status_of.lost
+    delay, sigma = (float(node) for node in status_of.values['joint_delay_ms'].split(' +- '))
     assert sigma < 10.0
     assert abs(delay) < 4.0 * sigma + 1.0

@@ -63,7 +63,7 @@ OBSERVER = """
                 if drives == 'drives':
                     client.drive(0.1, 0.2)
                     return False
-                word = client.said('odometry_fusion')
+                word = client.status_of('odometry_fusion')
                 state = 'lost' if word.lost or not word.values else 'known'
                 if (state, client.fixes) != reported:
                     reported = state, client.fixes

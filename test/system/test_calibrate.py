@@ -72,7 +72,7 @@ def test_errors_of_the_mount_are_found(
     assert abs(height) < 0.012
 
 
-def test_the_report_says_what_was_shown(
+def test_the_report_states_what_was_shown(
     calibrated: tuple[Path, Calibration, Calibration],
 ) -> None:
     folder, _, given = calibrated
@@ -106,7 +106,7 @@ def test_a_file_is_replaced_only_on_demand(
     assert found['camera_roll'][1] < 0.002
 
 
-def said(capsys: pytest.CaptureFixture[str], out: Path, *args: str) -> str:
+def reported(capsys: pytest.CaptureFixture[str], out: Path, *args: str) -> str:
     """What an error says, in one line; nothing was written."""
     status = main(['calibrate', *args, '--robot', str(BAGS / 'robot.yaml'), '--out', str(out)])
     assert status in (1, 2)
@@ -116,13 +116,13 @@ def said(capsys: pytest.CaptureFixture[str], out: Path, *args: str) -> str:
     return lines[0]
 
 
-def test_what_cannot_be_calibrated_is_said(
+def test_what_cannot_be_calibrated_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / 'out.yaml'
-    assert 'needs a map' in said(capsys, out, DRIVE)
-    assert '--room' in said(capsys, out, LEARN)
-    assert 'nowhere' in said(capsys, out, str(tmp_path / 'nowhere'))
+    assert 'needs a map' in reported(capsys, out, DRIVE)
+    assert '--room' in reported(capsys, out, LEARN)
+    assert 'nowhere' in reported(capsys, out, str(tmp_path / 'nowhere'))
 
 
 def test_what_a_robot_that_stands_does_not_show_stays_as_given(tmp_path: Path) -> None:

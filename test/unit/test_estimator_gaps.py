@@ -45,7 +45,7 @@ def test_odometry_that_stops_and_comes_back_does_no_harm(gap_s: float) -> None:
     assert np.hypot(*error[:2]) < 0.02
 
 
-def test_an_image_after_blind_motion_tells_nothing_of_the_mount() -> None:
+def test_an_image_after_blind_motion_gives_nothing_of_the_mount() -> None:
     """Only motion that is known parts the place of the axis from that of the base."""
     drive = simulated(2, TAPE, seconds=4.0)
     joint = driven(drive).filter

@@ -54,9 +54,9 @@ ZSTD, LZ4 = zstandard.ZstdCompressor().compress(ZEROS), lz4.frame.compress(ZEROS
 SMALL = zstandard.ZstdCompressor().compress(ZEROS[: 2**24])
 BOMBS = {
     'zstd that says so': mcap(chunk('zstd', ZSTD, 2**28)),
-    'zstd that lies': mcap(chunk('zstd', ZSTD, 1000)),
+    'zstd with a wrong size': mcap(chunk('zstd', ZSTD, 1000)),
     'lz4 that says so': mcap(chunk('lz4', LZ4, 2**28)),
-    'lz4 that lies': mcap(chunk('lz4', LZ4, 1000)),
+    'lz4 with a wrong size': mcap(chunk('lz4', LZ4, 1000)),
     'many': mcap(*([chunk('zstd', SMALL, 2**24)] * 99)),
     'file of zstd': ZSTD * 32,
     'zstd of zstd': zstandard.ZstdCompressor().compress(ZSTD),
@@ -146,9 +146,9 @@ def test_an_index_that_is_wrong_is_done_without(tmp_path):
         struct.pack_into('<Q', content, place, value)
         files.append(bytes(content))
     for content in files:
-        (tmp_path / 'spoiled').write_bytes(content)
+        (tmp_path / 'degraded').write_bytes(content)
         warnings = []
-        bag = Bag(tmp_path / 'spoiled', warnings.append)
+        bag = Bag(tmp_path / 'degraded', warnings.append)
         assert len(list(sensor_events(bag, MOUNT))) == 90
         assert bag.counts['/odom'] == 40
         assert warnings == []
@@ -171,7 +171,7 @@ def test_a_database_with_odd_values_is_one_line(tmp_path):
     base.close()
 
 
-def test_a_bag_without_messages_says_what_is_missing(tmp_path):
+def test_a_bag_without_messages_states_what_is_missing(tmp_path):
     (tmp_path / 'none.mcap').write_bytes(mcap())
     with pytest.raises(LandmarkNavError, match=r'camera/image_raw is missing'):
         list(sensor_events(Bag(tmp_path / 'none.mcap'), MOUNT))

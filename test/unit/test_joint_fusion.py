@@ -87,14 +87,14 @@ def error(fusion: JointFusion, drive: Drive) -> FloatArray:
 
 def test_messages_lose_nothing() -> None:
     drive = simulated(3, seconds=6.0)
-    direct, told = fused(drive), fused(drive)
+    direct, reported = fused(drive), fused(drive)
     for what in arriving(drive):
         take(direct, what)
         if not isinstance(what, OdometrySample):
             found = decode.detections(over_the_wire(encode.detections(FACTORY, what[0])))
             what = found, what[1]
-        take(told, what)
-    assert told.estimate().pose == pytest.approx(direct.estimate().pose, abs=1e-12)  # type: ignore[union-attr]
+        take(reported, what)
+    assert reported.estimate().pose == pytest.approx(direct.estimate().pose, abs=1e-12)  # type: ignore[union-attr]
     assert np.abs(error(direct, drive)[:2]).max() < 0.02
     stamp = round(6.0 * NS)
     expected, sample = direct.expectation(stamp), OdometrySample(stamp, np.zeros(3), 0.3, -0.2)
@@ -156,7 +156,7 @@ def test_one_sample_far_ahead_is_held_back_and_a_pause_is_not() -> None:
         ([-0.5, -0.6, -0.7, -0.8, -0.9], ['NONE'] * 5),
     ],
 )
-def test_stamps_say_whether_a_clock_was_set(stamps_s: list[float], steps: list[str]) -> None:
+def test_stamps_state_whether_a_clock_was_set(stamps_s: list[float], steps: list[str]) -> None:
     watch, newest = ClockWatch(), 100 * NS
     for seconds, step in zip(stamps_s, steps, strict=True):
         stamp = 100 * NS + round(seconds * NS)
@@ -184,7 +184,7 @@ def test_minutes_without_images_cost_no_more_than_a_second(
     assert fusion.status_at()[0] is not Status.OK
 
 
-def test_a_kidnapped_robot_says_that_it_does_not_know_where_it_is() -> None:
+def test_a_kidnapped_robot_states_that_it_does_not_know_where_it_is() -> None:
     drive, rng = simulated(11, seconds=24.0), np.random.default_rng(0)
     fusion, images = fused(drive), 0
     for what in arriving(drive):
@@ -363,7 +363,7 @@ def test_the_level_is_read_off_the_covariance() -> None:
     assert np.linalg.eigvalsh(scaled).min() > 0.0
 
 
-def test_silence_is_said() -> None:
+def test_silence_is_reported() -> None:
     drive = simulated(5, seconds=3.0)
     fusion = JointFusion(drive.landmark_map, drive.prior)
     assert fusion.status_at()[0] is Status.LOST

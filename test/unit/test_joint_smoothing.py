@@ -40,7 +40,7 @@ def line(drive: Drive, lost_at: int = -1) -> tuple[FloatArray, FloatArray]:
     return off, np.array(squares)
 
 
-def test_what_comes_later_tells_of_what_was_before() -> None:
+def test_what_comes_later_shows_what_was_before() -> None:
     drives = [simulated(seed, seconds=12.0) for seed in range(4)]
     smoothed, squares = map(np.concatenate, zip(*map(line, drives), strict=True))
     filtered = np.concatenate([driven(drive).errors for drive in drives])

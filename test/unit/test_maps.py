@@ -278,7 +278,7 @@ def test_a_map_of_schema_1_is_read(tmp_path):
         lambda entry: entry.clear(),
     ],
 )
-def test_a_spoilt_calibration_is_named(tmp_path, spoil):
+def test_a_degraded_calibration_is_named(tmp_path, spoil):
     prior = Calibration.of_mount(PanTiltMount())
     save_map(replace(make_map(), prior=prior, calibration=prior), tmp_path / 'map')
     path = tmp_path / 'map' / 'map.yaml'

@@ -31,7 +31,7 @@ CODES = [63, 81, 7, 70, 45, 27, 18]
 
 @pytest.fixture(scope='module')
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two minutes of a robot that wanders and does 5 % less than it was told, 0.2 s later."""
+    """Two minutes of a robot that wanders and does 5 % less than commanded, 0.2 s later."""
     folder = tmp_path_factory.mktemp('mrclam')
     rng = np.random.default_rng(1)
     turns = np.repeat(rng.uniform(-0.4, 0.5, 60), 40)
@@ -177,7 +177,7 @@ def test_a_map_of_exact_points_equals_itself(
     assert 'no landmark moved or changed' in capsys.readouterr().out
 
 
-def test_points_without_a_picture_cross_all_borders(converted: Path) -> None:
+def test_points_without_an_image_cross_all_borders(converted: Path) -> None:
     """They are kept and sent like other landmarks, but no camera is to look for a texture."""
     points = load_map(f'{converted}_map')
     np.testing.assert_allclose(points.positions[:, :2], POSTS)

@@ -32,22 +32,22 @@ def test_a_path_in_its_own_axes_passes(side_rad: FloatArray | float) -> None:
 
 
 @pytest.mark.parametrize(
-    ('axes', 'said'),
+    ('axes', 'reported'),
     [
         ([[1, 0], [0, -1]], 'y has'),
         ([[-1, 0], [0, 1]], 'x has'),
         ([[0, 1], [1, 0]], 'x and y are exchanged'),
     ],
 )
-def test_a_mirrored_path_is_named(axes: list[list[int]], said: str) -> None:
+def test_a_mirrored_path_is_named(axes: list[list[int]], reported: str) -> None:
     values = driven()
     values[:, :2] = values[:, :2] @ np.array(axes)
     found = check_path(stream_of(values))
     assert found is not None
-    assert said in found.measured
+    assert reported in found.measured
 
 
-def test_a_straight_path_says_nothing() -> None:
+def test_a_straight_path_states_nothing() -> None:
     values = np.zeros((len(TIMES), 5))
     values[:, 1] = 0.4 * TIMES
     assert check_path(stream_of(values)) is None

@@ -132,7 +132,7 @@ def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours() -> None:
     assert 'swapped' not in [fault.kind for fault in found.faults]
 
 
-def test_a_paper_of_another_size_and_one_that_is_turned_are_told_apart() -> None:
+def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> None:
     larger = replace(EAST[1], width=1.414 * EAST[1].width, height=1.414 * EAST[1].height)
     found = judged((EAST[0], larger, EAST[2])).faults[0]
     assert (found.kind, found.paper) == ('size', 1)

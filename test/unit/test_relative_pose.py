@@ -114,7 +114,7 @@ def test_panoramas_of_different_rooms_are_refused() -> None:
         relative_poses(seen, odometry(POSES[:2]), LEVER, CONFIG)
 
 
-def test_panoramas_of_one_place_are_refused_whatever_odometry_says() -> None:
+def test_panoramas_of_one_place_are_refused_whatever_odometry_states() -> None:
     rng = np.random.default_rng(8)
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.4]])
     poses[1, :2] = LEVER[:2] - se2.rotation(0.4) @ LEVER[:2]

@@ -94,7 +94,7 @@ def refined(beacons: FloatArray, seen: FloatArray) -> FloatArray:
             for k, b in enumerate(beacons)
         )
     )
-    sightings = [
+    detections = [
         Detections(
             (k + 1) * 10**11, np.arange(4), row, np.full(4, 1e-4), np.ones(4), np.zeros((4, 2))
         )
@@ -102,28 +102,28 @@ def refined(beacons: FloatArray, seen: FloatArray) -> FloatArray:
     ]
     anywhere = PoseEstimate(0, np.array([3.0, 3.0, 0.0]), 9.0 * np.eye(3))
     initial = np.median(subset_poses(beacons, seen), axis=1)
-    return smooth(anywhere, [], sightings, initial, corners, PanTiltMount()).landmarks
+    return smooth(anywhere, [], detections, initial, corners, PanTiltMount()).landmarks
 
 
 def test_beacons_are_put_right_by_what_is_seen_of_them(
     beacons: FloatArray, readings: tuple[FloatArray, FloatArray]
 ) -> None:
     """
-    Nine places have nine bearings too many: errors that repeat can be told without the truth.
+    Nine places have nine bearings too many: errors that repeat can be known without the truth.
 
     What changes from one reading to the next, a robot that stands takes the median of.
     """
     places, bearings = readings
-    standing, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
+    resting, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
     errors = [
         np.linalg.norm(subset_poses(corners, seen)[..., :2] - place[:, None], axis=-1)
-        for corners in (beacons[:, :2], refined(beacons[:, :2], standing))
-        for seen, place in ((bearings, places), (standing, true))
+        for corners in (beacons[:, :2], refined(beacons[:, :2], resting))
+        for seen, place in ((bearings, places), (resting, true))
     ]
-    each, standing_there, each_refined, standing_refined = map(np.median, errors)
-    assert standing_there > 0.11
+    each, at_rest, each_refined, refined_at_rest = map(np.median, errors)
+    assert at_rest > 0.11
     assert each_refined < 0.098 < 0.8 * each
-    assert standing_refined <= 0.09
+    assert refined_at_rest <= 0.09
 
 
 def test_the_joint_estimator_finds_places_and_beacons(
@@ -131,7 +131,7 @@ def test_the_joint_estimator_finds_places_and_beacons(
 ) -> None:
     """As above, by the joint estimator; where the robot is carried to, it does not know."""
     places, bearings = readings
-    standing, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
+    resting, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
     corners = LandmarkMap(
         tuple(
             bare_landmark(k, np.array([*place, 0.0]), 0.1**2 * np.eye(3))
@@ -139,7 +139,7 @@ def test_the_joint_estimator_finds_places_and_beacons(
         )
     )
     mount = PanTiltMount(pan_sigma_rad=0.0)
-    config = EstimatorConfig(lean_sigma_rad=0.0, map_memory_m=1e9, learning_sigma=0.0)
+    config = EstimatorConfig(tilt_sigma_rad=0.0, correlation_length_m=1e9, learning_sigma=0.0)
     anywhere = PoseEstimate(0, np.array([3.0, 3.0, 0.0]), 9.0 * np.eye(3))
     exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
     joint = JointFilter(corners, exact, anywhere, config)
@@ -149,7 +149,7 @@ def test_the_joint_estimator_finds_places_and_beacons(
             near=near,
         )
         for k, (row, near) in enumerate(
-            zip(standing, np.median(subset_poses(beacons[:, :2], standing), axis=1), strict=True)
+            zip(resting, np.median(subset_poses(beacons[:, :2], resting), axis=1), strict=True)
         )
     ]
     track = OdometryTrack(OdometryNoiseConfig())

@@ -59,11 +59,11 @@ def test_who_died_and_its_last_words(supervisor: Supervisor, tmp_path: Path) -> 
         assert supervisor.stop()['sleeper'] == -signal.SIGTERM
 
 
-def test_a_killed_one_is_told_by_its_signal(supervisor: Supervisor) -> None:
+def test_a_killed_one_is_recognized_by_its_signal(supervisor: Supervisor) -> None:
     killer = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
     with supervisor:
         supervisor.start('short', [sys.executable, '-S', '-c', killer])
-        with pytest.raises(ProcessEndedError, match='signal SIGKILL: it said nothing'):
+        with pytest.raises(ProcessEndedError, match='signal SIGKILL: it printed nothing'):
             check_until_something_happens(supervisor)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from landmark_nav.learning.adjustment.config import AdjustmentConfig, WallFitConfig
+from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
 from landmark_nav.learning.adjustment.problem import CALIBRATED
-from landmark_nav.learning.adjustment.sizes import told_by_sizes
 from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 
 __all__ = [
@@ -13,5 +13,5 @@ __all__ = [
     'AdjustmentConfig',
     'WallFitConfig',
     'adjust',
-    'told_by_sizes',
+    'depth_from_scale',
 ]

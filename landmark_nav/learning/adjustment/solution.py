@@ -19,7 +19,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.config import AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
 from landmark_nav.learning.least_squares import Damping, root_of
-from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['Adjustment', 'adjust']
@@ -28,15 +28,15 @@ _MAX_ITERATIONS = 15
 # What moves by less is at rest; no landmark goes farther in one step, metres.
 _CONVERGED, _LONGEST_M = 1e-7, 1.0
 # Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
-_DOUBT_AT_FIRST, _DOUBT = 100.0, 6.0
-# A landmark that misses by more than this probability allows has no say in what is shared.
+_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH = 100.0, 6.0
+# A landmark that misses by more than this probability allows does not affect what is shared.
 _OUTLIER_PROBABILITY = 0.01
-_NO_SAY = 1e-6
+_NO_INFLUENCE = 1e-6
 # What misses by more sigmas than this is taken to be less certain, until it does not.
 _TAIL_SIGMAS = 2.5
 _NOISE_ITERATIONS = 60
 _NOISE_CONVERGED = 1e-3
-# Factors that landmarks have in common; what the others tell is below a tenth of a millimetre.
+# Factors that landmarks have in common; what the others hold is below a tenth of a millimetre.
 _MOST_FACTORS = 16
 # Among the sigmas that are estimated.
 _RELIEF, _SPREAD, _HANGING = 2, slice(3, 8), slice(5, 8)
@@ -61,7 +61,7 @@ class Adjustment:
     off_wall_m : ndarray, shape (n,)
         How far before its wall each landmark lies.
     chi_square : ndarray, shape (n,)
-        Misfit of its sightings and its wall.
+        Misfit of its measurements and its wall.
     noise : ndarray, shape (8,)
         Sigmas found: of azimuths, of tangents, of relief; factors, 1 or more, on the sigmas that
         panoramas say their places have, in plan and in height; how far things hang off all walls,
@@ -92,7 +92,7 @@ class Adjustment:
 
 
 def adjust(
-    sightings: Sequence[Sequence[Sighting]],
+    measurements: Sequence[Sequence[PatchMeasurement]],
     walls: Sequence[int],
     start: FloatArray,
     panoramas: Sequence[Panorama],
@@ -101,11 +101,11 @@ def adjust(
     config: AdjustmentConfig,
 ) -> Adjustment:
     """
-    Adjust landmarks and panorama poses to all sightings.
+    Adjust landmarks and panorama poses to all measurements.
 
     Parameters
     ----------
-    sightings : sequence of sequences
+    measurements : sequence of sequences
         For each of n landmarks, where the panoramas show it.
     walls : sequence of int
         Wall of each landmark.
@@ -114,14 +114,14 @@ def adjust(
     panoramas : sequence of Panorama
         With prior poses.
     places : ndarray, shape (4 * views, 4 * views)
-        Joint covariance of these, as `reference_area.joint_covariance` tells it.
+        Joint covariance of these, as `reference_area.joint_covariance` gives it.
     room : Room
         The walls; what hangs on them lies near them, not on them.
     config : AdjustmentConfig
         Standard deviations to expect.
     """
     stretch = wall_stretches(start, walls, room, config.hanging_length_m)
-    problem = Problem(sightings, walls, stretch, panoramas, places, room)
+    problem = Problem(measurements, walls, stretch, panoramas, places, room)
     expected = np.array(
         [
             config.azimuth_sigma_rad,
@@ -135,32 +135,33 @@ def adjust(
     )
     points, shared = _settle(problem, start, expected)
     trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
-    say = np.where(trusted, 1.0, _NO_SAY)
+    influence = np.where(trusted, 1.0, _NO_INFLUENCE)
     weight = np.full(len(expected), config.camera_weight)
     weight[_PLACES] = config.place_weight
     weight[_HANGING] = config.room_weight
     noise, damping = expected, Damping()
     for _ in range(_NOISE_ITERATIONS):
         at = problem.linearize(points, shared)
-        weights = (*_information(problem, at, noise, say), noise[_SPREAD])
+        weights = (*_information(problem, at, noise, influence), noise[_SPREAD])
         points, shared, moved = _step(problem, at, points, shared, weights, damping)
-        better, fewness = _noise(problem, points, shared, noise, expected, say, weight)
+        better, fewness = _noise(problem, points, shared, noise, expected, influence, weight)
         still = np.abs(better / noise - 1.0).max() < _NOISE_CONVERGED
         noise = better
         if still and moved < _CONVERGED:
             break
-    # The fewer residuals tell of a variance, the farther is its mean from its likeliest value.
+    # The fewer residuals a variance is estimated from, the farther is its mean from its likeliest
+    # value.
     noise = noise * np.sqrt(fewness)
     at = problem.linearize(points, shared)
     equations = problem.normal_equations(
-        at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
+        at, shared, *_information(problem, at, noise, influence), noise[_SPREAD]
     )
     covariance = equations.shared_covariance()
     root = root_of(covariance)
     shared_loading, rest, axes = _main_factors(-equations.gain @ root)
     return Adjustment(
         points,
-        say[:, None, None] * equations.own_covariance() + rest,
+        influence[:, None, None] * equations.own_covariance() + rest,
         shared_loading,
         problem.poses(shared),
         problem.pose_covariance(covariance),
@@ -181,9 +182,9 @@ def _settle(
         # False matches, and what hangs off the walls, must bend neither their neighbours nor the
         # poses, even where they are many: a weight that falls faster than the pull grows (Geman
         # and McClure, 1987), stricter with each step, as the poses explain more of the misfit.
-        doubt = max(_DOUBT_AT_FIRST / 2**step, _DOUBT)
+        tail_width = max(_TAIL_WIDTH_AT_FIRST / 2**step, _TAIL_WIDTH)
         at = problem.linearize(points, shared)
-        weight = (1.0 + _misfit(problem, at, sigma) / doubt) ** -2.0
+        weight = (1.0 + _misfit(problem, at, sigma) / tail_width) ** -2.0
         seen, wall = _variances(problem, sigma)
         weights = (weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD])
         points, shared, moved = _step(problem, at, points, shared, weights, damping)
@@ -229,7 +230,7 @@ def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
 
     Also the axes (m, f) of these factors.
 
-    Poses and walls move many landmarks; how one picture hangs moves its own by a tenth of that.
+    Poses and walls move many landmarks; how one poster hangs moves its own by a tenth of that.
     """
     count = len(loading)
     turned, size, axes = np.linalg.svd(loading.reshape(3 * count, -1), full_matrices=False)
@@ -239,7 +240,7 @@ def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
 
 
 def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Variances of sightings (k, 2) and walls (n,)."""
+    """Variances of measurements (k, 2) and walls (n,)."""
     return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[_RELIEF] ** 2)
 
 
@@ -250,12 +251,12 @@ def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _information(
-    problem: Problem, at: Linearized, noise: FloatArray, say: FloatArray
+    problem: Problem, at: Linearized, noise: FloatArray, influence: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     seen, wall = _variances(problem, noise)
     return (
-        say[problem.landmark, None] * _tail(at.seen, seen) / seen,
-        say * _tail(at.wall, wall) / wall,
+        influence[problem.landmark, None] * _tail(at.seen, seen) / seen,
+        influence * _tail(at.wall, wall) / wall,
     )
 
 
@@ -284,28 +285,28 @@ def _noise(
     shared: FloatArray,
     noise: FloatArray,
     expected: FloatArray,
-    say: FloatArray,
+    influence: FloatArray,
     weight: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Sigmas that the residuals speak for, one step nearer.
+    Sigmas that the residuals show, one step nearer.
 
     Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
     Foerstner's form): squared residuals count against their redundancy, which is what the
     unknowns did not take from them. Expected sigmas join in as `weight` residuals each. Returned
-    with the mean of each variance, given how many tell of it, over its likeliest value.
+    with the mean of each variance, given how many it is estimated from, over its likeliest value.
     """
     at = problem.linearize(points, shared)
-    information = _information(problem, at, noise, say)
+    information = _information(problem, at, noise, influence)
     equations = problem.normal_equations(at, shared, *information, noise[_SPREAD])
     predicted = problem.predicted_variance(at, equations)
-    voice = say > 0.5
-    seen_voice = voice[problem.landmark]
+    counted = influence > 0.5
+    seen_voice = counted[problem.landmark]
     variances = _variances(problem, noise)
     groups = [
         (at.seen[:, 0], variances[0][:, 0], information[0][:, 0], predicted[0][:, 0], seen_voice),
         (at.seen[:, 1], variances[0][:, 1], information[0][:, 1], predicted[0][:, 1], seen_voice),
-        (at.wall, variances[1], information[1], predicted[1], voice),
+        (at.wall, variances[1], information[1], predicted[1], counted),
     ]
     squares, counts = np.zeros((2, len(noise)))
     for k, (residual, variance, trust, explained, who) in enumerate(groups):
@@ -317,6 +318,6 @@ def _noise(
     better = noise * np.sqrt((squares + pull) / (counts + weight))
     fewness = 1.0 + 2.0 * counts / (counts + weight) ** 2
     # Panoramas that agree may all be wrong by what they share: papers, floor and camera.
-    as_told = _PLACES[better[_PLACES] < 1.0]
-    better[as_told] = fewness[as_told] = 1.0
+    as_given = _PLACES[better[_PLACES] < 1.0]
+    better[as_given] = fewness[as_given] = 1.0
     return better, fewness

@@ -4,7 +4,7 @@ Whether the wall map fits what the panoramas see.
 Stereo alone, without the walls, says where patches lie. What hangs on a wall lies a little before
 it, all along it; a wall that is wrong in `room.yaml` has its patches elsewhere, or at an angle.
 What walls say of landmarks gives way to what the panoramas see, so that these are right all the
-same: where walls may be wrong that is told, and where they surely are nothing is learned.
+same: where walls may be wrong that is reported, and where they surely are nothing is learned.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.types import FloatArray
 
-__all__ = ['WallResidual', 'check_walls', 'doubtful_walls', 'wall_residuals']
+__all__ = ['WallResidual', 'check_walls', 'wall_residuals', 'wall_warnings']
 
 
-# Chance that walls which a person measured are doubted, and patches that doubt takes.
+# Chance that walls which a person measured are flagged, and patches that this takes.
 _FALSE_ALARM = 1e-3
 _FEW = 2
 # What refuses a wall is so many standard deviations beyond its bound.
 _SURE = 3.0
-# Of fewer things none can be told to be the odd one.
+# Of fewer things none can be found to be the odd one.
 _LEAST_THINGS = 3
 # Patches that it takes to refuse a wall, and how far along it they must spread, metres.
 _MIN_PATCHES = 6
@@ -86,7 +86,7 @@ def check_walls(
 
     """
     complaints: list[str] = []
-    doubts: list[str] = []
+    warnings: list[str] = []
     for k, on in _judged(free, walls, room, _MIN_PATCHES, elsewhere=True):
         things = _things(free, room, k, on, expected.hanging_length_m)
         shared = np.linalg.norm(_shared(free, room, k, on))
@@ -96,13 +96,13 @@ def check_walls(
             wall, before = room.walls[k], np.median(free.off_wall_m[on]) > _ELSEWHERE_M[0]
             seen = np.ptp(free.positions[on, :2] @ wall.along)
             hidden = before and seen < _SURE_SHARE * wall.length
-            (doubts if hidden else complaints).append(f'{wall.id} {complaint}')
+            (warnings if hidden else complaints).append(f'{wall.id} {complaint}')
     if complaints:
         raise LandmarkNavError(
             f'the walls do not fit what the panoramas see: {"; ".join(complaints)}: '
             'measure walls and papers again and mend room.yaml'
         )
-    return f'room.yaml may be wrong: {"; ".join(doubts)}' if doubts else ''
+    return f'room.yaml may be wrong: {"; ".join(warnings)}' if warnings else ''
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ def wall_residuals(
     room: Room,
     expected: AdjustmentConfig,
 ) -> tuple[WallResidual, ...]:
-    """Tell how far before their walls patches lie, by all that is known; arguments as above."""
+    """Report how far before their walls patches lie, by all that is known; arguments as above."""
     residuals = []
     for k, on in _judged(adjustment, walls, room, _FEW):
         off = _things(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
@@ -147,14 +147,14 @@ def wall_residuals(
     return tuple(residuals)
 
 
-def doubtful_walls(
+def wall_warnings(
     residuals: Sequence[WallResidual],
     hanging_sigma_m: float,
     expected: AdjustmentConfig,
     config: WallFitConfig,
 ) -> str:
     """
-    Say it if the walls, as a whole or beside each other, are hardly as the room says.
+    Warning if the walls, as a whole or beside each other, are hardly as the room says.
 
     Parameters
     ----------
@@ -188,12 +188,12 @@ def doubtful_walls(
     near = (off >= -config.max_behind_m - slack) & (off <= config.max_before_m + slack)
     if likely and near.all():
         return ''
-    told = ', '.join(
+    listed = ', '.join(
         f'{100 * abs(r.off_m):.1f} cm {"before" if r.off_m > 0 else "behind"} {r.wall_id}'
         for r in residuals
     )
     return (
-        f'room.yaml may be wrong: what hangs on the walls lies {told}; landmarks are '
+        f'room.yaml may be wrong: what hangs on the walls lies {listed}; landmarks are '
         'where the panoramas see them, but measure the walls again'
     )
 
@@ -224,10 +224,10 @@ def _likelier_plane(off_m: FloatArray) -> float:
     """How far before its wall most patches (n,) lie in one plane; 0 if some lie on the wall."""
     if not len(off_m):
         return 0.0
-    company = np.sum(np.abs(off_m[:, None] - off_m) < _MAX_SPREAD_M, 1)
-    plane = float(np.median(off_m[company == company.max()]))
+    neighbours = np.sum(np.abs(off_m[:, None] - off_m) < _MAX_SPREAD_M, 1)
+    plane = float(np.median(off_m[neighbours == neighbours.max()]))
     most_near = _MOST_NEAR_IF_BEFORE if plane > 0.0 else _MOST_NEAR_IF_BEHIND
-    far_more = np.sum(np.abs(off_m) < _NEAR_M) <= most_near * company.max()
+    far_more = np.sum(np.abs(off_m) < _NEAR_M) <= most_near * neighbours.max()
     return plane if far_more and _ELSEWHERE_M[0] < abs(plane) < _ELSEWHERE_M[1] else 0.0
 
 

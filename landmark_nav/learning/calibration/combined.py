@@ -139,8 +139,8 @@ def with_papers(
     score = axes @ (shows * (axes.T @ score))
     rows = np.zeros((3, len(NAMES)))
     rows[0, [NAMES.index(name) for name in HEIGHT]] = 1.0
-    lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
-    rows[1:, lean] = lean_axes(used)
+    axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
+    rows[1:, axis_tilt] = lean_axes(used)
     values = rows @ used.values + covariance @ score
     covariance[1:, 1:] += floor_rad**2 * np.eye(2)
     # In roll and pitch, as they are called.

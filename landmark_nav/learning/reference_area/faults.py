@@ -63,7 +63,7 @@ _FALSE_ALARM, _SUSPECT, _EXPLAINED = 1e-4, 0.05, 3.0
 _SCATTER = 1.3
 # Papers that locate a panorama.
 _LEAST_SEEN = 2
-# What a paper costs that should be seen and is not, and one that is said to be hidden, in each
+# What a paper costs that should be seen and is not, and one that is taken to be hidden, in each
 # view, squared standard deviations.
 _MISSING, _HIDDEN = 60.0, 30.0
 # How far off a paper is looked for, metres, and how much its size may differ, as a share.
@@ -151,10 +151,10 @@ class PaperFaults:
         """The single fault, and what to do, in one line; empty where there is none."""
         if not self.faults:
             return ''
-        said = ', or '.join(fault.text for fault in self.faults[:2])
+        text = ', or '.join(fault.text for fault in self.faults[:2])
         if len(self.faults) == 1:
-            return f'{said}: measure again and mend it'
-        return f'{said}; the sweeps fit both: measure both again'
+            return f'{text}: measure again and mend it'
+        return f'{text}; the sweeps fit both: measure both again'
 
 
 def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperView:
@@ -618,7 +618,7 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
     if kind == 'lean':
         roll, pitch = np.degrees(solution.values)
         text = (
-            f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
+            f'the pan axis tilts by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
             'base from what robot.yaml gives'
         )
     elif kind == 'swapped' and hypothesis.room is not None:
@@ -650,13 +650,13 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
 def _mount_error(kind: str, solution: _Solution) -> MountError | None:
     """What a fault says of the mount."""
     if kind == 'lean':
-        return MountError(lean_rad=solution.values)
+        return MountError(tilt_roll_rad=solution.values)
     if kind == 'camera_height':
         return MountError(float(solution.values[0]))
     return None
 
 
-# What is said of faults with a value that is positive, and negative.
+# How faults with a value are described that is positive, and negative.
 _WORDS = {
     'along': ('hangs {} further left', 'hangs {} further right'),
     'height': ('hangs {} higher', 'hangs {} lower'),

@@ -3,8 +3,8 @@ Where a sweep was taken, from coloured papers that hang at known places.
 
 Blobs in the panorama give hypotheses; the edges of the papers, found to sub-pixel in every frame
 that shows them, then decide and refine. Livatino and Madsen triangulate the three papers; all
-their edges together say the same more accurately, and their sizes tell wrong combinations from
-right ones.
+their edges together say the same more accurately, and their sizes distinguish wrong combinations
+from right ones.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
 from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.refusals import (
     check_prior,
-    doubtful_size,
     is_grey,
     LEAST_AGREED,
     measured_papers,
     place_text,
+    size_warning,
     why_not,
     WITHOUT_COLOR,
     wrong_height,
@@ -59,15 +59,15 @@ _LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0
 # A place that costs so much more than one that fits is not worth a look.
 _HOPELESS = 20.0
-# Squared deviation of two places that are one: chi-square of 3 beyond all doubt.
+# Squared deviation of two places that are one: chi-square of 3, at certainty.
 _DISAGREEMENT = 35.0
 # Yaws that differ by less are one.
 _SAME_YAW_RAD = 0.05
-# Blobs lead to the papers from a camera that is told so much too high or too low.
+# Blobs lead to the papers from a camera that is given so much too high or too low.
 _RISE_STEP_M = 0.06
-# A camera that is told so much too high or too low is refused for that.
+# A camera that is given so much too high or too low is refused for that.
 _ANY_HEIGHT_M = 0.1
-# Places are told apart with so many frames a paper.
+# Places are distinguished with so many frames a paper.
 _QUICK_FRAMES = 2
 
 
@@ -77,18 +77,18 @@ class SweepPlace:
     Where a sweep was taken.
 
     `pose_map_base` (3,) and `height_m` of the optical centre, `covariance` (4, 4) of x, y, z,
-    heading. `lean_score` (2,) and `lean_information` (2, 2) say how the pan axis leans about x
-    and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes them. `doubt`
-    says if sizes and distances of papers do not go together. `mount_score` (3,) and
-    `mount_information` (3, 3) say it of height and lean together.
+    heading. `axis_tilt_score` (2,) and `axis_tilt_information` (2, 2) give how the pan axis is
+    tilted about x and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes
+    them. `warning` says if sizes and distances of papers do not go together. `mount_score` (3,)
+    and `mount_information` (3, 3) say it of height and lean together.
     """
 
     pose_map_base: FloatArray
     height_m: float
     covariance: FloatArray
-    lean_score: FloatArray = field(default_factory=lambda: np.zeros(2))
-    lean_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
-    doubt: str = ''
+    axis_tilt_score: FloatArray = field(default_factory=lambda: np.zeros(2))
+    axis_tilt_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    warning: str = ''
     mount_score: FloatArray = field(default_factory=lambda: np.zeros(3))
     mount_information: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
@@ -147,7 +147,7 @@ def locate_sweep(
         fit.covariance,
         inverse @ fit.tilt_rad,
         inverse - np.eye(2) / config.horizon_sigma_rad**2,
-        doubtful_size(fit, config),
+        size_warning(fit, config),
         of_mount @ [fit.rise_m, *fit.tilt_rad] / scatter,
         (of_mount - np.diag(prior)) / scatter,
     )
@@ -185,7 +185,7 @@ class _PaperSearch:
     def fit(self) -> PaperFit:
         """Fit of all edges at the place; `LandmarkNavError` that says why there is none."""
         places = find_places(self._blobs, self._room, self.height_m)
-        fits = at_told_height = self._tried(places)
+        fits = at_given_height = self._tried(places)
         for rise_m in _rises(self._config):
             if any(_fits(fit, self._room) for fit in fits):
                 break
@@ -193,7 +193,7 @@ class _PaperSearch:
             fits = self._tried(higher, rise_m)
         good = sorted((f for f in fits if _fits(f, self._room)), key=lambda f: -_support(f))
         if not good:
-            raise self._refusal(places, at_told_height)
+            raise self._refusal(places, at_given_height)
         _check_unique(good)
         fit = self._fitter.fit(good[0].pose_map_base, rise_m=good[0].rise_m)
         if fit is None or not _fits(fit, self._room):
@@ -260,7 +260,7 @@ def _check_unique(good: list[PaperFit]) -> None:
 
 
 def _rises(config: ReferenceAreaConfig) -> list[float]:
-    """How much higher or lower than told the camera may be, beside as told, the least first."""
+    """How much higher or lower than given the camera may be, beside as given, the least first."""
     steps = np.arange(1, 1 + int(WRONG_PRIOR * config.height_sigma_m / _RISE_STEP_M))
     return [float(sign * step * _RISE_STEP_M) for step in steps for sign in (1, -1)]
 
@@ -275,7 +275,7 @@ def check_agreement(
     config: ReferenceAreaConfig,
 ) -> None:
     """
-    Compare a place that is given, (3,) and (3, 3), with what papers tell, where they are in sight.
+    Compare a place that is given, (3,) and (3, 3), with what papers give, where they are in sight.
 
     Raises
     ------

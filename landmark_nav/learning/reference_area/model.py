@@ -35,7 +35,7 @@ EDGES = 4
 EDGE_SHARE = 0.88
 
 # x, y, heading of the base; height and two tilts of the axis; the share by which all papers are
-# larger than told; gamma of colours, which JPEG blurs
+# larger than given; gamma of colours, which JPEG blurs
 # once more after the camera wrote them, and of brightness; shift of colours, two pixels.
 RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
 
@@ -45,7 +45,7 @@ _SHIFT_SIGMA_PX = 0.15
 # What shadows do to edges that are found by brightness.
 _BRIGHT_SIGMA_PX = 0.2
 # What turns an edge, at its ends, as a share of what shifts it: unknown, a turn of 0.02 px that
-# all frames share, as JPEG makes it, passes for a lean of the axis, and that for a height.
+# all frames share, as JPEG makes it, passes for a tilt of the axis, and that for a height.
 _TURN_SHARE = 0.5
 
 

@@ -18,18 +18,18 @@ _MOST_M, _MOST_RAD = 0.3, float(np.radians(10.0))
 @dataclass(frozen=True, eq=False)
 class MountError:
     """
-    How much higher the camera is than given, and how its pan axis leans, about.
+    How much higher the camera is than given, and how its pan axis tilts, about.
 
-    `lean_rad` (2,) is about x and y of the base.
+    `tilt_roll_rad` (2,) is about x and y of the base.
     """
 
     rise_m: float = 0.0
-    lean_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
+    tilt_roll_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     @property
     def reasonable(self) -> bool:
         """Whether a person with a tape and a spirit level may be off by it."""
-        return abs(self.rise_m) < _MOST_M and float(np.hypot(*self.lean_rad)) < _MOST_RAD
+        return abs(self.rise_m) < _MOST_M and float(np.hypot(*self.tilt_roll_rad)) < _MOST_RAD
 
 
 class WrongMountError(LandmarkNavError):

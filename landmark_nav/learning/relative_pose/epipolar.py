@@ -23,7 +23,7 @@ __all__ = ['STATE', 'EpipolarFit', 'RayPairs', 'fit_poses', 'misses']
 # Of each sweep: x, y, heading of the base, height above the others, tilt about x and y.
 STATE = 6
 # Misses, in standard deviations, beyond which a match counts next to nothing: at first and later.
-_DOUBT_AT_FIRST, _DOUBT, _STEPS = 16.0, 2.0, 6
+_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS = 16.0, 2.0, 6
 # What misses by fewer standard deviations agrees; of directions so far apart it may be a point.
 _AGREES, _LEAST_PARALLAX = 3.0, 1e-4
 _NOTHING = 1e-12
@@ -156,7 +156,7 @@ def fit_poses(
         off[:, 2] = wrap_rad(off[:, 2])
         return np.asarray(whiten @ off.ravel())
 
-    for doubt in np.geomspace(_DOUBT_AT_FIRST, _DOUBT, _STEPS):
+    for doubt in np.geomspace(_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS):
         found = [misses(states, p, lever, sigma_rad) for p in pairs]
         weights = [
             np.where(before, 1.0, 1e-3) / (1.0 + (off / doubt) ** 2) for off, _, before in found

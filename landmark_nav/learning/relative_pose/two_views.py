@@ -108,9 +108,12 @@ def _refined(
         prior,
         np.diag(sigma**2),
     )
-    x, y, turn, _, *lean = fit.states[1]
+    x, y, turn, _, *axis_tilt = fit.states[1]
     return TwoViews(
-        float(wrap_rad(turn)), float(np.arctan2(y, x)), np.array(lean), int(fit.agrees[0].sum())
+        float(wrap_rad(turn)),
+        float(np.arctan2(y, x)),
+        np.array(axis_tilt),
+        int(fit.agrees[0].sum()),
     )
 
 

@@ -23,7 +23,7 @@ _BLUR_PX = 0.8
 _BLUR_SHARE = 0.5
 _ITERATIONS = 6
 _CONVERGED = 1e-4
-# Beyond this it is not the same patch, or no pattern that tells.
+# Beyond this it is not the same patch, or no usable pattern.
 _MOST = 0.25
 _LARGEST_SIGMA = 0.02
 _LEAST_PIVOT = 1e-5
@@ -54,7 +54,7 @@ def log_nearer(
     -------
     tuple of float
         Logarithm of how many times farther before the plane of what they show the first was
-        taken, and its sigma: infinite where nothing tells.
+        taken, and its sigma: infinite where nothing shows it.
 
     """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
@@ -97,7 +97,7 @@ def log_magnification(
     Returns
     -------
     tuple of float, or None
-        None where the pattern does not tell.
+        None where the pattern does not show it.
 
     """
     height, width = template.shape
@@ -140,7 +140,7 @@ def log_magnification(
     variance = float(left @ left) / max(values.size - len(rows), 1)
     influence = np.zeros((height, width))
     influence[_INNER] = (inverse[0] @ rows).reshape(seen[_INNER].shape)
-    # White noise of the picture passes what blurs it; the residuals have passed it too.
+    # White noise of the image passes what blurs it; the residuals have passed it too.
     passed = float(np.hypot(_BLUR_PX, _BLUR_SHARE * pixel))
     carried = cv2.GaussianBlur(influence, (0, 0), passed, borderType=cv2.BORDER_CONSTANT)
     sigma = float(np.sqrt(4.0 * np.pi * variance * np.sum(carried**2))) * passed / gain

@@ -25,7 +25,7 @@ from landmark_nav.messages.decode.joints import (
 )
 from landmark_nav.messages.decode.landmarks import landmark_map
 from landmark_nav.messages.decode.panoramas import panorama
-from landmark_nav.messages.decode.poses import expectation, found_place, odometry, pose_estimate
+from landmark_nav.messages.decode.poses import expectation, global_pose, odometry, pose_estimate
 
 __all__ = [
     'BitDepth',
@@ -37,7 +37,7 @@ __all__ = [
     'check_frame',
     'detections',
     'expectation',
-    'found_place',
+    'global_pose',
     'image',
     'is_unstamped',
     'joint_delay',

@@ -1,4 +1,4 @@
-"""How the pan axis leans, as the reference papers show it: overlaps of frames cannot tell."""
+"""Tilt of the pan axis, as the reference papers show it: overlaps of frames do not show it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def levelled(
     mount: PanTiltMount, score: FloatArray, information: FloatArray, config: CalibrationConfig
 ) -> tuple[PanTiltMount, tuple[CalibrationTerm, ...]]:
     """
-    Turn the pan axis as far as it significantly leans.
+    Turn the pan axis as far as it is significantly tilted.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def levelled(
         As it was taken to stand.
     score, information : ndarray, shape (2,), (2, 2)
         What measurements say of small turns about x and y of the base, [rad], in information form:
-        the lean is ``information^-1 score``.
+        the tilt is ``information^-1 score``.
     config : CalibrationConfig
         Whether to use what is found.
 
@@ -46,21 +46,21 @@ def levelled(
     if np.linalg.eigvalsh(information)[0] < _LEAST_INFORMATION:
         return mount, ()
     covariance = covariance_of(information)
-    lean = covariance @ score
-    significant = float(lean @ score) > SIGNIFICANT**2 and config.enabled
+    axis_tilt = covariance @ score
+    significant = float(axis_tilt @ score) > SIGNIFICANT**2 and config.enabled
     terms = tuple(
         CalibrationTerm(name, float(value), float(sigma), significant)
         for name, value, sigma in zip(
-            ('axis_roll', 'axis_pitch'), lean, np.sqrt(np.diag(covariance)), strict=True
+            ('axis_roll', 'axis_pitch'), axis_tilt, np.sqrt(np.diag(covariance)), strict=True
         )
     )
     if not significant:
         return mount, terms
-    return leant(mount, lean), terms
+    return leant(mount, axis_tilt), terms
 
 
-def leant(mount: PanTiltMount, lean_rad: FloatArray) -> PanTiltMount:
+def leant(mount: PanTiltMount, tilt_roll_rad: FloatArray) -> PanTiltMount:
     """Turn the pan axis by small angles (2,) about x and y of the base."""
-    turned = Rotation.from_rotvec([*lean_rad, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
+    turned = Rotation.from_rotvec([*tilt_roll_rad, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
     roll, pitch, yaw = Rotation.from_matrix(turned).as_euler('xyz').tolist()
     return replace(mount, axis_rpy=(roll, pitch, yaw))

@@ -1,4 +1,4 @@
-"""A camera that hangs upside down though nobody said so: the reference papers show it."""
+"""A camera that is mounted upside down against robot.yaml: the reference papers show it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.reference_area import papers_fit, ReferenceAreaConfig
 from landmark_nav.types import Sweep
 
-__all__ = ['why_overturned']
+__all__ = ['why_upside_down']
 
 # Nobody writes less.
 _HARDLY_RAD = 1e-3
 
 
-def why_overturned(
+def why_upside_down(
     sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
 ) -> str | None:
     """What to change in ``robot.yaml`` if the papers fit upside down; None if they don't."""
