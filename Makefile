@@ -22,7 +22,7 @@ PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation \
-	latency papers bad-sweeps spoiled faults calibration fuzz config test-oldest test-colcon clean
+	latency papers bad-sweeps degraded faults calibration fuzz config test-oldest test-colcon clean
 
 install: .venv/installed
 
@@ -99,8 +99,8 @@ calibration: install
 	$(BIN)/python test/calibration_check.py
 
 # A drive with errors in its streams and images; bags/ or, all five given, DRIVE, MAP, ROBOT, ROOM; START "X Y THETA".
-spoiled: install
-	$(BIN)/python test/spoiled_check.py $(if $(DRIVE),$(DRIVE) --map $(MAP) --robot $(ROBOT) --room $(ROOM) --start $(START))
+degraded: install
+	$(BIN)/python test/degraded_check.py $(if $(DRIVE),$(DRIVE) --map $(MAP) --robot $(ROBOT) --room $(ROOM) --start $(START))
 
 # A drive with faults of odometry, joints, camera and clock. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
 faults: install

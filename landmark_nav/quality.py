@@ -52,7 +52,7 @@ class PanoramaQuality:
     calibration: tuple[CalibrationTerm, ...] = ()
 
     def of(self, sharpness: float, vignetting: float, gain_spread: float) -> PanoramaQuality:
-        """The same with what the picture shows."""
+        """The same with what the image shows."""
         return replace(self, sharpness=sharpness, vignetting=vignetting, gain_spread=gain_spread)
 
     @property

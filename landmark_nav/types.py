@@ -89,7 +89,7 @@ class JointSample:
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
     """
-    One picture with the joint angles it was taken at.
+    One image with the joint angles it was taken at.
 
     `image` is BGR (height, width, 3) or grey (height, width), uint8. `roll_rad` turns the camera
     about its optical axis: 0 on a pan-tilt unit, unless calibration finds otherwise.
@@ -314,12 +314,12 @@ class Triplet:
 @dataclass(frozen=True, eq=False)
 class Detections:
     """
-    Landmarks found in one picture, arrays over the n found.
+    Landmarks found in one image, arrays over the n found.
 
     `bearing_rad` (n,) is seen from the pan axis, counter-clockwise from ``base_link`` +x;
     `variance_rad2` (n,) is its own measurement variance, without the map's share and without
-    what all bearings of a picture share (the pan angle's error); `score` (n,) is the normalized
-    cross-correlation; `uv_px` (n, 2) the place in the picture and `covariance_px2` (n, 2, 2) its
+    what all bearings of an image share (the pan angle's error); `score` (n,) is the normalized
+    cross-correlation; `uv_px` (n, 2) the place in the image and `covariance_px2` (n, 2, 2) its
     covariance, empty where bearings came from elsewhere. `missed` (m,) are the ids of those
     that should be in view, were looked for and not found. The pan, its rate, sigma and track are
     of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``; bearings of

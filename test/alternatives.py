@@ -7,7 +7,7 @@ them on the same bag, one line each:
 * this package: the fused pose, and its triangulated fixes by themselves;
 * odometry alone, from the start;
 * SIFT + PnP with RANSAC (OpenCV), as a user has it ready: features that two sweeps share, placed
-  by triangulation with the true poses of the sweeps, are matched in every picture, which is thus
+  by triangulation with the true poses of the sweeps, are matched in every image, which is thus
   located by itself;
 * the same with all features of the sweeps' frames, placed on the walls that this package knows by
   the poses that it found for the sweeps: as good as we could make it;
@@ -51,7 +51,7 @@ START_SIGMA = (0.05, 0.05, 0.035)
 # Wrong without a word.
 WRONG_M = 0.3
 
-# Frames that lie so far apart in pan overlap by a third of a usual picture.
+# Frames that lie so far apart in pan overlap by a third of a usual image.
 FRAME_STEP_RAD = np.radians(25.0)
 FEATURES = 2000
 RATIO = 0.7
@@ -95,7 +95,7 @@ def features_of(sweep: Sweep, base: FloatArray, mount: PanTiltMount) -> Features
 
 
 def sift(frame: CameraFrame) -> tuple[FloatArray, Any]:
-    """Pixels (n, 2) and descriptors (n, 128) of the features of a picture."""
+    """Pixels (n, 2) and descriptors (n, 128) of the features of an image."""
     image = frame.image
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     found, descriptors = cv2.SIFT_create(FEATURES).detectAndCompute(grey, None)
@@ -139,7 +139,7 @@ def triangulated(first: Features, second: Features) -> Points:
 
 
 class SiftLocator:
-    """Locates pictures by SIFT features whose places are known."""
+    """Locates images by SIFT features whose places are known."""
 
     def __init__(self, points: Points, mount: PanTiltMount) -> None:
         self._mount, self._points = mount, points.places
@@ -199,7 +199,7 @@ class SiftLocator:
 def sift_runs(
     events: list[SensorEvent], locator: SiftLocator, mount: PanTiltMount, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Poses (n, 3) of SIFT + PnP, of the same in a gated filter, and seconds a picture."""
+    """Poses (n, 3) of SIFT + PnP, of the same in a gated filter, and seconds an image."""
     single, fused = [], []
     took = 0.0
     gated = PoseFilter(LandmarkMap(()), mount, FusionConfig(mode='poses'))
@@ -243,12 +243,12 @@ def sift_points(learn: Path, landmark_map: LandmarkMap, mount: PanTiltMount) -> 
     return points
 
 
-def _first(events: Iterator[SensorEvent], pictures: int | None) -> Iterator[SensorEvent]:
-    """Events up to the picture number `pictures`."""
+def _first(events: Iterator[SensorEvent], images: int | None) -> Iterator[SensorEvent]:
+    """Events up to the image number `images`."""
     count = 0
     for event in events:
         count += isinstance(event, CameraFrame)
-        if pictures is not None and count > pictures:
+        if images is not None and count > images:
             return
         yield event
 
@@ -261,12 +261,12 @@ def main() -> int:
     parser.add_argument('--map', type=Path, required=True)
     parser.add_argument('--robot', type=Path, required=True)
     parser.add_argument('--start', type=float, nargs=3, required=True)
-    parser.add_argument('--pictures', type=int, help='only the first so many of the drive')
+    parser.add_argument('--images', type=int, help='only the first so many of the drive')
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     mount, landmark_map = load_robot(arguments.robot), load_map(arguments.map)
     drive, start = Bag(arguments.drive), np.array(arguments.start)
-    events = list(_first(sensor_events(drive, mount), arguments.pictures))
+    events = list(_first(sensor_events(drive, mount), arguments.images))
     done = replay(
         events,
         landmark_map,

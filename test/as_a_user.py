@@ -1,4 +1,4 @@
-"""What checks do as a user would: give commands, learn rooms by them, keep pictures as bags do."""
+"""What checks do as a user would: give commands, learn rooms by them, keep images as bags do."""
 
 from __future__ import annotations
 
@@ -33,6 +33,6 @@ def learned_room(seed: int, *options: str, kept: Path | None = None) -> Landmark
 
 
 def as_jpeg(image: ImageArray, quality: int = 90) -> ImageArray:
-    """What is left of a picture in a JPEG."""
+    """What is left of an image in a JPEG."""
     _, data = cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)

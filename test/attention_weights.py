@@ -107,9 +107,9 @@ def simulate(seed: int) -> Study:
 
 
 def turn(world: RobotWorld, pose: FloatArray, count: int) -> tuple[CameraFrame, ...]:
-    """Pictures all round."""
+    """Images all round."""
     pans = -np.pi + 2.0 * np.pi * np.arange(count) / count
-    return tuple(world.standing(pose, float(pan)) for pan in pans)
+    return tuple(world.frame_at(pose, float(pan)) for pan in pans)
 
 
 def found_again(study: Study, config: AttentionConfig) -> FloatArray:

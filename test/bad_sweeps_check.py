@@ -51,7 +51,7 @@ from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate, Sweep
 # A landmark is wrong if it lies farther off than so many of its standard deviations, and this.
 MAX_SIGMAS, MAX_ERROR_M = 5.0, 0.03
 # Landmarks of a map share their error, so the mean of their NEES spreads no less than a single
-# chi-square of three degrees of freedom: 99 % of honest maps stay below.
+# chi-square of three degrees of freedom: 99 % of consistent maps stay below.
 MAX_NEES = 11.3
 LEAST_LANDMARKS = 12
 
@@ -67,8 +67,8 @@ class Case:
     sweeps: tuple[tuple[Scene, FloatArray], ...]
     refusal: str = ''
     true_mount: PanTiltMount = DEFAULT_MOUNT
-    told_mount: PanTiltMount = DEFAULT_MOUNT
-    told_room: Room | None = None
+    given_mount: PanTiltMount = DEFAULT_MOUNT
+    given_room: Room | None = None
     tilt_rad: float = 0.0
     people: int = 0
     few: bool = False  # a small map will do as well as the refusal
@@ -143,7 +143,7 @@ def cases(seed: int) -> list[Case]:
     hidden = replace(scene, room=bare)
     over = replace(DEFAULT_MOUNT, axis_rpy=(np.pi, 0.0, 0.0))
     rolled = replace(DEFAULT_MOUNT, camera_roll_rad=np.pi)
-    lean = replace(DEFAULT_MOUNT, axis_rpy=(0.05, -0.04, 0.0))
+    camera_tilt = replace(DEFAULT_MOUNT, axis_rpy=(0.05, -0.04, 0.0))
     off = replace(DEFAULT_MOUNT, optical_center_offset=(0.06, 0.0, 0.03))
     both = ((scene, here), (scene, there))
     nearly = np.add(here, [0.03, 0.02, 1.0])
@@ -152,28 +152,28 @@ def cases(seed: int) -> list[Case]:
         Case('a lamp switched between', ((scene, here), (dim, there))),
         Case('warm light, then usual', ((warm, here), (scene, there))),
         Case('an overexposed window', ((glare, here), (glare, there))),
-        Case('upside down, as told', both, true_mount=over, told_mount=over),
+        Case('upside down, as given', both, true_mount=over, given_mount=over),
         Case('upside down, not given', both, 'pan unit is mounted the other', true_mount=over),
-        Case('the camera alone upside down, as told', both, true_mount=rolled, told_mount=rolled),
-        Case('the camera alone upside down, not told', both, 'camera_roll: 3.14',
+        Case('camera alone upside down, as given', both, true_mount=rolled, given_mount=rolled),
+        Case('camera alone upside down, not told', both, 'camera_roll: 3.14',
              true_mount=rolled),
-        Case('leaning, as told', both, true_mount=lean, told_mount=lean),
-        Case('leaning, not told', both, 'leans by|no place', true_mount=lean),
+        Case('leaning, as given', both, true_mount=camera_tilt, given_mount=camera_tilt),
+        Case('leaning, not told', both, 'leans by|no place', true_mount=camera_tilt),
         Case('tilted by its joint, off the axis', both, '', off, off, tilt_rad=0.12),
         Case('from the same place', ((scene, here), (scene, nearly)), 'from one place'),
         Case('other things on the walls', ((scene, here), (other, there)), 'found again|elected',
              few=True),
-        Case('people in most pictures', both, 'hides the papers|uncover the papers', people=8,
+        Case('people in most images', both, 'hides the papers|uncover the papers', people=8,
              hidden=True),
         Case('a wall 5 cm off', both,
              f'do not fit.*{wall.id} has|may be wrong.*cm behind {wall.id}',
-             told_room=moved_wall(scene.room, k, 0.05)),
+             given_room=moved_wall(scene.room, k, 0.05)),
         Case('a wall turned by 3 deg', both, f'do not fit.*{wall.id} is turned',
-             told_room=moved_wall(scene.room, k, 0.0, np.radians(3.0))),
+             given_room=moved_wall(scene.room, k, 0.0, np.radians(3.0))),
         Case('one sweep only', ((scene, here),), 'needs two panoramas'),
-        Case('papers swapped', both, 'seem swapped', told_room=swapped),
+        Case('papers swapped', both, 'seem swapped', given_room=swapped),
         Case('a paper hidden', ((hidden, here), (scene, there)), papers[2].color,
-             told_room=scene.room),
+             given_room=scene.room),
     ]  # fmt: skip
 
 
@@ -198,17 +198,17 @@ def record(case: Case, folder: Path, seed: int) -> None:
             for message in sweep_messages(world, factory, frames=case.frames):
                 bag.write(message.topic, message.message, message.stamp_ns)
             start_ns = world.stamp_ns + 5_000_000_000
-    room = case.told_room or case.sweeps[0][0].room
+    room = case.given_room or case.sweeps[0][0].room
     (folder / 'room.yaml').write_text(room_document(room), encoding='utf-8')
-    (folder / 'robot.yaml').write_text(robot_document(case.told_mount), encoding='utf-8')
+    (folder / 'robot.yaml').write_text(robot_document(case.given_mount), encoding='utf-8')
 
 
 def learn(folder: Path) -> tuple[str, str]:
     """Refusal of the command, or nothing; and what it warned of."""
-    told, warned = io.StringIO(), io.StringIO()
+    output, warned = io.StringIO(), io.StringIO()
     handler = logging.StreamHandler(warned)
     logging.getLogger().addHandler(handler)
-    with contextlib.redirect_stderr(told), contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stderr(output), contextlib.redirect_stdout(io.StringIO()):
         status = landmark_nav(
             [
                 'learn', str(folder / 'learn'), '--room', str(folder / 'room.yaml'),
@@ -216,7 +216,7 @@ def learn(folder: Path) -> tuple[str, str]:
             ]
         )  # fmt: skip
     logging.getLogger().removeHandler(handler)
-    lines = [line for line in told.getvalue().strip().splitlines() if 'refused' not in line]
+    lines = [line for line in output.getvalue().strip().splitlines() if 'refused' not in line]
     return lines[-1] if status else '', warned.getvalue()
 
 
@@ -237,17 +237,17 @@ def judge(case: Case, folder: Path, seed: int) -> tuple[bool, str]:
     )
     nees = 3.0 * float(np.mean(sigmas**2))
     wrong = int(np.sum((sigmas > MAX_SIGMAS) & (size > MAX_ERROR_M)))
-    told = (
+    output = (
         f'{len(landmarks)} landmarks, {len(errors)} found in truth: '
         f'median {1e3 * np.median(size):.1f} mm, 95 % {1e3 * np.percentile(size, 95):.1f} mm, '
         f'NEES {nees:.1f}, {wrong} wrong'
     )
     if warned:
-        told += f'; {" ".join(warned.split())}'
+        output += f'; {" ".join(warned.split())}'
     # A map that is right all the same will do if what is wrong was told.
     fine = case.hidden or not case.refusal or re.search(case.refusal, warned) is not None
     many = fine and len(landmarks) >= LEAST_LANDMARKS
-    return not wrong and nees < MAX_NEES and (case.few or many), told
+    return not wrong and nees < MAX_NEES and (case.few or many), output
 
 
 @dataclass(frozen=True)
@@ -321,12 +321,16 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
     yield 'nothing', given, '^$'
     for cm in (2, 5, 10, 20):
         for side, word in ((1, 'right'), (-1, 'left')):
-            lie = given.hung(middle, left_m=0.01 * side * cm)
-            yield f'{color} {cm} cm along, to the {word}', lie, f'{color} paper hangs .*{word}'
+            wrong_paper = given.hung(middle, left_m=0.01 * side * cm)
+            yield (
+                f'{color} {cm} cm along, to the {word}',
+                wrong_paper,
+                f'{color} paper hangs .*{word}',
+            )
     for cm in (5, 10, 20):
         for side, word in ((1, 'lower'), (-1, 'higher')):
-            lie = given.hung(middle, up_m=0.01 * side * cm)
-            yield f'{color} {cm} cm {word}', lie, f'{color} paper hangs .*{word}'
+            wrong_paper = given.hung(middle, up_m=0.01 * side * cm)
+            yield f'{color} {cm} cm {word}', wrong_paper, f'{color} paper hangs .*{word}'
     other = colors[middle - 1]
     yield f'two {other} papers', given.paper(middle, color=other), 'of another colour'
     swapped = given.paper(middle, color=other).paper(middle - 1, color=color)
@@ -338,12 +342,12 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
     yield 'pan of two values', given.pans(lambda pan: float(pan > 0.0)), 'pan does not turn'
     yield 'pan within 5 deg', given.pans(lambda pan: pan / 72.0), 'pan does not turn'
     usual = np.diag([0.01, 0.01, 0.005]) ** 2
-    for name, covariance, said in (
+    for name, covariance, text in (
         ('1e100', 1e100 * np.eye(3), 'sweep/pose has standard deviations'),
         ('-1', -np.eye(3), 'sweep/pose has a negative variance'),
         ('NaN', np.nan * np.eye(3), 'sweep/pose has a covariance that is not a number'),
     ):
-        yield f'sweep/pose with covariance {name}', given.posed(poses, covariance), said
+        yield f'sweep/pose with covariance {name}', given.posed(poses, covariance), text
     turned = replace(given.mount, axis_rpy=(0.0, 0.0, 5.0))
     yield (
         'rpy yaw 5, with sweep/pose',
@@ -370,8 +374,8 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
     x, y, z = given.mount.axis_xyz
     higher = replace(given, mount=replace(given.mount, axis_xyz=(x, y, z + 0.12)))
     yield 'own: camera 12 cm higher', higher, 'camera is .* lower'
-    leaning = replace(given, mount=replace(given.mount, axis_rpy=(0.05, 0.0, 0.0)))
-    yield 'own: axis rolled by 3 deg', leaning, 'pan axis leans'
+    tilted = replace(given, mount=replace(given.mount, axis_rpy=(0.05, 0.0, 0.0)))
+    yield 'own: axis rolled by 3 deg', tilted, 'pan axis leans'
     wall = given.room.walls[int(given.room.nearest_wall(np.array(paper.center[:2])))]
     across = max(
         given.room.raycast(
@@ -399,21 +403,23 @@ def check_errors(folder: Path, only: str) -> int:
     given = Given(room, mount, tuple(read_sweeps(bag, mount)))
     poses = truth_of_bag(bag).at([sweep.stamp_ns for sweep in given.sweeps])
     missed = total = 0
-    for name, lie, expected in errors_of(given, poses):
+    for name, wrong_paper, expected in errors_of(given, poses):
         if only not in name:
             continue
         with tempfile.TemporaryDirectory() as temporary:
-            told = Path(temporary)
-            (told / 'learn').symlink_to((folder / 'learn').resolve())
-            (told / 'room.yaml').write_text(room_document(lie.room), encoding='utf-8')
-            (told / 'robot.yaml').write_text(robot_document(lie.mount), encoding='utf-8')
-            with patch('landmark_nav.cli.learn.read_sweeps', lambda *_, of=lie: iter(of.sweeps)):
-                refusal, warned = learn(told)
-        said = ' '.join((refusal or warned).replace(str(told), '').split())
-        named = re.search(expected, said) is not None
+            output = Path(temporary)
+            (output / 'learn').symlink_to((folder / 'learn').resolve())
+            (output / 'room.yaml').write_text(room_document(wrong_paper.room), encoding='utf-8')
+            (output / 'robot.yaml').write_text(robot_document(wrong_paper.mount), encoding='utf-8')
+            with patch(
+                'landmark_nav.cli.learn.read_sweeps', lambda *_, of=wrong_paper: iter(of.sweeps)
+            ):
+                refusal, warned = learn(output)
+        text = ' '.join((refusal or warned).replace(str(output), '').split())
+        named = re.search(expected, text) is not None
         missed, total = missed + (not named), total + 1
         how = 'refused' if refusal else 'learned'
-        print(f'| {name} | {how} | {said or "-"} | {"yes" if named else "NO"} |', flush=True)
+        print(f'| {name} | {how} | {text or "-"} | {"yes" if named else "NO"} |', flush=True)
     print(f'{total - missed} of {total} causes are named')
     return missed
 
@@ -433,9 +439,9 @@ def main() -> int:
         if args.only not in case.name:
             continue
         with tempfile.TemporaryDirectory() as folder:
-            good, told = judge(case, Path(folder), args.seed)
+            good, output = judge(case, Path(folder), args.seed)
         bad += not good
-        print(f'{"ok  " if good else "BAD "} {case.name}: {told}', flush=True)
+        print(f'{"ok  " if good else "BAD "} {case.name}: {output}', flush=True)
     return 1 if bad else 0
 
 

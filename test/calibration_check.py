@@ -24,12 +24,12 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main as landmark_nav
-from landmark_nav.evaluation.metrics import consistency, pose_errors, silently_wrong
+from landmark_nav.evaluation.metrics import consistency, pose_errors, undetected_failures
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.joint_delay import Swing
+from landmark_nav.localization.joint_delay import PanMotion
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
@@ -106,7 +106,7 @@ class Line:
             *rms(errors[way > AFTER_M]),
             nees.mean,
             (float(nees.interval_95[0]), float(nees.interval_95[1])),
-            silently_wrong(errors, covariances, np.array(tracking)),
+            undetected_failures(errors, covariances, np.array(tracking)),
         )
 
     def __str__(self) -> str:
@@ -185,13 +185,13 @@ def as_bearings(
     at_axis = center[:2] + np.hypot(*away.T)[:, None] * toward
     at_axis = at_axis - mount.axis_pose_map(prior.pose)[:2]
     bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - prior.pose[2])
-    swing = Swing.of(frame, mount)
+    pan_motion = PanMotion.of(frame, mount)
     return replace(
         seen,
         bearing_rad=bearing,
-        pan_rad=swing.azimuth_rad,
-        pan_rate_rad_s=swing.rate_rad_s,
-        pan_track=swing.track,
+        pan_rad=pan_motion.azimuth_rad,
+        pan_rate_rad_s=pan_motion.rate_rad_s,
+        pan_track=pan_motion.track,
     )
 
 

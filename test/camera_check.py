@@ -4,7 +4,7 @@ Where to look, compared: the active camera, a fixed one, and random triplets.
 ``python test/camera_check.py --seeds 901 902`` simulates rooms, learns each from two sweeps, and
 drives the same way again and again, each time with another rule for the camera: the pan of the
 simulated unit is commanded, in the loop, by what localization has found until then. One line a
-rule: errors of the fused pose and of single fixes, availability, and the share of pictures with a
+rule: errors of the fused pose and of single fixes, availability, and the share of images with a
 fix. Nothing was tuned on the seeds from 901 on.
 """
 
@@ -40,7 +40,7 @@ Rule = Callable[[LocalizationUpdate, float], float | None]
 
 
 class Run(NamedTuple):
-    """What came of a drive: errors (n, 3) and whether the state was lost, a picture each."""
+    """What came of a drive: errors (n, 3) and whether the state was lost, an image each."""
 
     fused: FloatArray
     fixes: FloatArray

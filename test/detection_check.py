@@ -1,5 +1,5 @@
 """
-How well single bearings are measured, and whether their variances are honest.
+How well single bearings are measured, and whether their variances are consistent.
 
 python test/detection_check.py --map MAP --robot robot.yaml BAG [--noise GREY] [--prior M RAD]
     [--appearance patch virtual_view] [--start start.json] [--seeds N …]
@@ -7,10 +7,10 @@ python test/detection_check.py --map MAP --robot robot.yaml BAG [--noise GREY] [
 One row for each kind of expected appearance; `{seed}` in paths stands for the seeds, over which
 the last rows are means. With a start the drive is also localized, as `evaluate` does it.
 
-Every picture of a drive is searched for the landmarks in view from its true pose, made wrong by
+Every image of a drive is searched for the landmarks in view from its true pose, made wrong by
 the prior's errors. What remains of the map's error (a shift of each landmark) and of the pan (one
-angle a picture) is fitted and taken out, so that the rest is the error of detection alone (of
-`with_map_px` it is not). A mean square of 1 is honest; the robust one stands on the median and
+angle an image) is fitted and taken out, so that the rest is the error of detection alone (of
+`with_map_px` it is not). A mean square of 1 is consistent; the robust one stands on the median and
 leaves wrong matches out.
 """
 
@@ -77,7 +77,7 @@ def check(
     bag_path: str, map_path: str, robot_path: str, noise: float, prior_sigmas: tuple[float, float],
     config: DetectionConfig, every: int = 1, seed: int = 0,
 ) -> Summary:  # fmt: skip
-    """Search every picture of a drive."""
+    """Search every image of a drive."""
     rng = np.random.default_rng(seed)
     mount, landmarks = load_robot(robot_path), load_map(map_path)
     frames: list[CameraFrame] = []
@@ -151,7 +151,7 @@ def drive(
 
 
 def _without_map_and_pan(table: FloatArray, map_covariance: FloatArray) -> FloatArray:
-    """Residuals without what a shift of each landmark and a turn of each picture explain."""
+    """Residuals without what a shift of each landmark and a turn of each image explain."""
     frame, landmark = table[:, 0].astype(int), table[:, 1].astype(int)
     residual, sigma, gradient = wrap_rad(table[:, 2]), np.sqrt(table[:, 3]), table[:, 4:6]
     frames, landmarks = frame.max() + 1, len(map_covariance)
@@ -190,7 +190,7 @@ def main() -> int:
     parser.add_argument('--map', required=True)
     parser.add_argument('--robot', required=True)
     parser.add_argument('--noise', type=float, nargs='+', default=[0.0], help='grey levels added')
-    parser.add_argument('--every', type=int, default=1, help='look at every n-th picture')
+    parser.add_argument('--every', type=int, default=1, help='look at every n-th image')
     parser.add_argument('--prior', type=float, nargs=2, default=(0.02, 0.007))
     parser.add_argument(
         '--appearance', nargs='+', choices=APPEARANCES, default=[DetectionConfig().appearance]

@@ -16,7 +16,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.bags.topics import relative_name
 
-__all__ = ['FOR_GOOD_S', 'Fault', 'faults', 'knocked_drive', 'late_drive', 'spoilt']
+__all__ = ['FOR_GOOD_S', 'Fault', 'degraded', 'displaced_drive', 'faults', 'late_drive']
 
 CAMERA, INFO = 'camera/image_raw/compressed', 'camera/camera_info'
 JOINTS, ODOMETRY = 'joint_states', 'odom'
@@ -116,7 +116,7 @@ def jittering(position_m: float, heading_rad: float) -> Change:
     return change
 
 
-def standing() -> Change:
+def frame_at() -> Change:
     """Odometry that stays where it is and says that it stands."""
     stays = frozen('pose')
 
@@ -157,7 +157,7 @@ def cut_off(message: Any) -> Any:
 
 
 def bumped(bag: Bag, turn_deg: tuple[float, float, float]) -> Change:
-    """A camera turned about the axes of its picture: right, down and ahead."""
+    """A camera turned about the axes of its image: right, down and ahead."""
     info = next(m for m in bag.messages([bag.require(INFO)])).message
     camera = decode.camera_model(info)
     rays = np.insert(camera.ray_grid, 2, 1.0, axis=2) @ cv2.Rodrigues(np.radians(turn_deg))[0]
@@ -179,11 +179,11 @@ def faults(bag: Bag) -> dict[str, Fault]:
         'odometry repeats a sample': Fault(repeated(), (ODOMETRY,)),
         'odometry stops': Fault(nothing, (ODOMETRY,)),
         'odometry freezes': Fault(frozen('pose'), (ODOMETRY,)),
-        'odometry freezes and says it stands': Fault(standing(), (ODOMETRY,)),
+        'odometry freezes and says it stands': Fault(frame_at(), (ODOMETRY,)),
         'odometry is not a number': Fault(no_number, (ODOMETRY,)),
         'odometry jitters by 1 cm': Fault(jittering(0.01, 0.005), (ODOMETRY,), FOR_GOOD_S),
         'odometry stamps 30 s back': Fault(later(-30.0), (ODOMETRY,)),
-        'picture stamps 30 s back': Fault(later(-30.0), (CAMERA, INFO)),
+        'image stamps 30 s back': Fault(later(-30.0), (CAMERA, INFO)),
         'joint stamps 30 s back': Fault(later(-30.0), (JOINTS,)),
         'clock set back 5 s': Fault(later(-5.0), everything, FOR_GOOD_S),
         'clock set back 100 s': Fault(later(-100.0), everything, FOR_GOOD_S),
@@ -198,18 +198,18 @@ def faults(bag: Bag) -> dict[str, Fault]:
         'camera bumped aside 2 deg': Fault(down, (CAMERA,), FOR_GOOD_S),
         'camera leans 2 deg': Fault(ahead, (CAMERA,), FOR_GOOD_S),
         'lens covered': Fault(pictured(np.zeros_like), (CAMERA,)),
-        'pictures cut off': Fault(cut_off, (CAMERA,)),
-        'pictures freeze': Fault(frozen('data'), (CAMERA,)),
+        'images cut off': Fault(cut_off, (CAMERA,)),
+        'images freeze': Fault(frozen('data'), (CAMERA,)),
         'focal length 10 % off': Fault(longer_focus, (INFO,)),
         'focal length 10 % off for good': Fault(longer_focus, (INFO,), FOR_GOOD_S),
-        'pictures stop': Fault(nothing, (CAMERA,)),
+        'images stop': Fault(nothing, (CAMERA,)),
         'turned by hand 10 deg': Fault(turned_by_hand(-0.1745), (ODOMETRY,), FOR_GOOD_S),
         'kidnapped': Fault(same, ()),
         'start 1 m wrong': Fault(same, ()),
     }
 
 
-def spoilt(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[str, Any, int]]:
+def degraded(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[str, Any, int]]:
     """Topic, message and time of recording, in the order of that."""
     out: list[tuple[str, Any, int]] = []
     wheels, carried = np.zeros(3), None
@@ -236,8 +236,8 @@ def spoilt(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[str
     yield from sorted(out, key=lambda sent: sent[2])
 
 
-def knocked_drive(bag: Bag, path: Path, turn_deg: tuple[float, float, float]) -> Path:
-    """Write a drive whose camera was knocked before its first picture."""
+def displaced_drive(bag: Bag, path: Path, turn_deg: tuple[float, float, float]) -> Path:
+    """Write a drive whose camera was displaced before its first image."""
     return _written(path, bag, Fault(bumped(bag, turn_deg), (CAMERA,), FOR_GOOD_S), 0.0)
 
 
@@ -248,6 +248,6 @@ def late_drive(bag: Bag, path: Path, late_s: float, since_s: float = 0.0) -> Pat
 
 def _written(path: Path, bag: Bag, fault: Fault, at_s: float) -> Path:
     with BagWriter(path) as written:
-        for topic, message, stamp_ns in spoilt(bag, 'written', fault, at_s):
+        for topic, message, stamp_ns in degraded(bag, 'written', fault, at_s):
             written.write(topic, message, stamp_ns)
     return path

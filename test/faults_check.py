@@ -4,7 +4,7 @@ What goes wrong on a robot, put into a recorded drive: when it is told, and when
 ``python test/faults_check.py DRIVE --map MAP --robot robot.yaml --start X Y THETA`` spoils the
 messages of a drive's bag for some seconds, one way after the other, reads each as ``evaluate``
 does, and prints when the state stops saying ``tracking``, why, how long after the fault it is
-right again, and how long after its beginning a picture was still sure of a wrong pose (over 5
+right again, and how long after its beginning an image was still sure of a wrong pose (over 5
 sigma, and `tracking`). It exits with 1 if that is later than two seconds, or if the pose does
 not come back.
 """
@@ -20,10 +20,10 @@ import sys
 import tempfile
 from typing import Any
 
-from faults import faults, FOR_GOOD_S, spoilt
+from faults import degraded, faults, FOR_GOOD_S
 import numpy as np
 
-from landmark_nav.evaluation.metrics import pose_errors, silently_wrong
+from landmark_nav.evaluation.metrics import pose_errors, undetected_failures
 from landmark_nav.localization.joint_localizer import JointLocalizer
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
@@ -33,7 +33,7 @@ from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 START_SIGMA = np.array([0.05, 0.05, 0.035])
 # Time within which faults are to be told.
-TOLD_S = 2.0
+REPORTED_S = 2.0
 # A pose this near is right again.
 RIGHT_M, RIGHT_RAD = 0.05, 0.02
 
@@ -42,43 +42,43 @@ RIGHT_M, RIGHT_RAD = 0.05, 0.02
 class Outcome:
     """
     Of a fault that lasts `over_s`: seconds from its beginning until it is told, and to the last
-    pose that is sure and wrong; `back_s` from its end, or from being told where it has none, until
-    the pose is right again; of the `pictures` since its beginning those that are tracking, and
-    those that are sure and wrong.
+    pose that is wrong without a report; `back_s` from its end, or from being told where it has
+    none, until the pose is right again; of the `images` since its beginning those that are
+    tracking, and those that are wrong without a report.
     """
 
     over_s: float
-    told_s: float = np.nan
+    reported_s: float = np.nan
     back_s: float = np.nan
     wrong_s: float = np.nan
-    pictures: int = 0
+    images: int = 0
     tracking: int = 0
     wrong: int = 0
     reason: str = ''
 
     def note(self, after_s: float, status: tuple[str, str]) -> None:
-        if after_s >= 0.0 and np.isnan(self.told_s) and status[0] != 'tracking':
-            self.told_s, self.reason = after_s, ': '.join(status)
+        if after_s >= 0.0 and np.isnan(self.reported_s) and status[0] != 'tracking':
+            self.reported_s, self.reason = after_s, ': '.join(status)
 
     def judge(self, after_s: float, update: LocalizationUpdate, true: FloatArray) -> None:
-        self.pictures += 1
+        self.images += 1
         if update.status != 'tracking':
             return
         self.tracking += 1
         error = pose_errors([update.fused.pose], [true])
-        if silently_wrong(error, update.fused.covariance[None], np.ones(1, np.bool_)):
+        if undetected_failures(error, update.fused.covariance[None], np.ones(1, np.bool_)):
             self.wrong_s = after_s
             self.wrong += 1
         right = np.hypot(*error[0, :2]) < RIGHT_M and abs(error[0, 2]) < RIGHT_RAD
-        over_s = self.over_s if self.over_s < FOR_GOOD_S else np.nan_to_num(self.told_s)
+        over_s = self.over_s if self.over_s < FOR_GOOD_S else np.nan_to_num(self.reported_s)
         if np.isnan(self.back_s) and right and after_s >= over_s:
             self.back_s = after_s - over_s
 
     def __str__(self) -> str:
-        times = (self.told_s, self.back_s, self.wrong_s)
-        told, back, wrong = (f'{t:5.1f}' if t == t else '    -' for t in times)
-        share = self.tracking / max(self.pictures, 1)
-        return f'{told} {back} {share:9.2f} {wrong} {self.wrong:4d}  {self.reason[:90]}'
+        times = (self.reported_s, self.back_s, self.wrong_s)
+        reported, back, wrong = (f'{t:5.1f}' if t == t else '    -' for t in times)
+        share = self.tracking / max(self.images, 1)
+        return f'{reported} {back} {share:9.2f} {wrong} {self.wrong:4d}  {self.reason[:90]}'
 
 
 def outcome(
@@ -124,7 +124,7 @@ def main() -> int:
     calibration, landmarks = load_calibration(args.robot), load_map(args.map)
     mount = calibration.mount
     bag, good = Bag(args.drive), True
-    print(f'{"fault":44} told  back  tracking  sure and wrong')
+    print(f'{"fault":44} told  back  tracking  wrong without a report')
     for name, fault in faults(bag).items():
         if not any(part in name for part in args.only or ['']):
             continue
@@ -134,7 +134,7 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / 'drive'
             with BagWriter(path) as written:
-                for topic, message, log in spoilt(bag, name, fault, at_s):
+                for topic, message, log in degraded(bag, name, fault, at_s):
                     written.write(topic, message, log)
             over_s = fault.seconds if fault.topics else 0.0
             localizer: Localizer | JointLocalizer = Localizer(
@@ -144,7 +144,7 @@ def main() -> int:
                 localizer = JointLocalizer(landmarks, calibration, LocalizationConfig())
             done = outcome(sensor_events(Bag(path), mount), localizer, start, at_s, over_s)
         print(f'{name:44}{done}', flush=True)
-        good &= not done.wrong_s > TOLD_S and np.isfinite(done.back_s)
+        good &= not done.wrong_s > REPORTED_S and np.isfinite(done.back_s)
     return 0 if good else 1
 
 

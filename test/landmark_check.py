@@ -12,12 +12,12 @@ were kept.
                    their wall at all and count as infinitely far
 ``nees``           mean of the squared error in units of its covariance, 3 degrees of freedom
 ``seen``           landmarks looked for from random poses: inside their observation area, not
-                   hidden, whole in the picture, the light changed, the pose known to 2 cm, 0.3 deg
+                   hidden, whole in the image, the light changed, the pose known to 2 cm, 0.3 deg
 ``found``          share of them found within a pixel of the truth
 ``wrong``          share of them reported elsewhere
 ``area``           share of the places on a grid of half a metre, of all landmarks, where the
                    predicted observation area says what was observed: found within a pixel from
-                   there or not. Places from where it is hidden or in no picture whole don't count
+                   there or not. Places from where it is hidden or in no image whole don't count
 =================  ===============================================================================
 """
 
@@ -32,14 +32,14 @@ from as_a_user import learned_room
 from landmark_truth import TrueWalls
 import numpy as np
 import numpy.typing as npt
-from relocalize_check import free_poses, picture
+from relocalize_check import camera_image, free_poses
 
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
+    fully_in_view,
     observable,
     TripletConfig,
-    whole_in_view,
 )
 from landmark_nav.simulation.furnishing import another_day
 from landmark_nav.simulation.room_generator import generate_scene
@@ -98,14 +98,14 @@ class Looker:
         self.there = np.isfinite(room.error_m)
 
     def in_view(self, pose: FloatArray, pan: float) -> npt.NDArray[np.bool_]:
-        """Which landmarks (n,) are truly there, in a picture whole, before their walls."""
+        """Which landmarks (n,) are truly there, in an image whole, before their walls."""
         world, count = self.world, len(self.corners)
         front = np.sum(
             (axis_position(pose, world.mount) - self.room.learned.positions)
             * self.room.learned.normals,
             -1,
         )
-        whole = whole_in_view(
+        whole = fully_in_view(
             self.corners, pose, world.camera, world.mount, np.full(count, pan), 0.0, 4.0
         )
         return np.asarray(whole & self.there & (front > 0.0))
@@ -136,7 +136,7 @@ class Looker:
         return right, wrong
 
 
-def check_sightings(room: Room, poses: int) -> npt.NDArray[np.int64]:
+def check_detections(room: Room, poses: int) -> npt.NDArray[np.int64]:
     """From random poses: landmarks that should be seen, that are found, found elsewhere."""
     looker = Looker(room)
     config = TripletConfig()
@@ -146,7 +146,7 @@ def check_sightings(room: Room, poses: int) -> npt.NDArray[np.int64]:
         axis = axis_position(pose, looker.world.mount)
         which = looker.in_view(pose, pan) & observable(axis, room.learned, config)
         which &= ~looker.hidden(pose)
-        right, wrong = looker.look(pose, picture(looker.world, pose, pan), which)
+        right, wrong = looker.look(pose, camera_image(looker.world, pose, pan), which)
         counts += [which.sum(), right.sum(), wrong.sum()]
     return counts
 
@@ -170,7 +170,7 @@ def check_area(room: Room) -> npt.NDArray[np.int64]:
         for pan in looker.rng.permutation(_PANS):
             which = looker.in_view(pose, float(pan)) & ~tried
             if which.any():
-                right, _ = looker.look(pose, picture(looker.world, pose, float(pan)), which)
+                right, _ = looker.look(pose, camera_image(looker.world, pose, float(pan)), which)
                 observed |= right
                 counted |= which
                 tried |= which
@@ -230,7 +230,7 @@ def main() -> int:
     rooms, seen, area = [], [], []
     for k, seed in enumerate(arguments.seeds):
         rooms.append(check_places(seed, learned_map(seed, arguments)))
-        seen.append(check_sightings(rooms[-1], arguments.poses))
+        seen.append(check_detections(rooms[-1], arguments.poses))
         area.append(check_area(rooms[-1]) if arguments.area else np.zeros(4, np.int64))
         row = line_of(rooms[-1:], seen[-1], area[-1])
         if k == 0:

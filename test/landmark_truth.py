@@ -26,7 +26,7 @@ class TrueWalls:
     """
     Walls of a scene as they are, to find the textures of landmarks on them.
 
-    A landmark is right where its texture is: its patch is found again in the wall's own picture,
+    A landmark is right where its texture is: its patch is found again in the wall's own image,
     as fine as 2 mm, whatever panorama it was cut from. So errors of the panorama count as well
     as errors of its place, along the wall and up. Of a patch that shows things at several
     distances from the wall, that of its edges counts, as it does in stereo.
@@ -41,8 +41,8 @@ class TrueWalls:
             grey = _grey(base.albedo)
             before = np.zeros_like(grey)
             for surface in hung:
-                share, picture = _laid_on(base, grey.shape, surface)
-                grey = (1.0 - share) * grey + share * picture
+                share, camera_image = _laid_on(base, grey.shape, surface)
+                grey = (1.0 - share) * grey + share * camera_image
                 depth = float((surface.corner - base.corner) @ base.normal)
                 before = np.where(share > 0.5, depth, before)
             # An outline belongs to what is in front.
@@ -120,8 +120,8 @@ def _best_match(search: cv2.typing.MatLike, patch: npt.NDArray[np.uint8]) -> Mat
     return found if isinstance(found, Match) else None
 
 
-def _grey(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    return cv2.cvtColor(picture[..., :3], cv2.COLOR_BGR2GRAY).astype(np.float32)
+def _grey(camera_image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    return cv2.cvtColor(camera_image[..., :3], cv2.COLOR_BGR2GRAY).astype(np.float32)
 
 
 def _edges(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -138,13 +138,13 @@ def _laid_on(
     left, top = float(corner @ base.across), float(corner @ base.down)
     across = _covered(left, left + surface.width_m, base.width_m, columns)
     down = _covered(top, top + surface.height_m, base.height_m, rows)
-    picture = _grey(surface.albedo)
-    finer_x = base.width_m / columns * picture.shape[1] / surface.width_m
-    finer_y = base.height_m / rows * picture.shape[0] / surface.height_m
-    first_x = -left / surface.width_m * picture.shape[1] + 0.5 * finer_x - 0.5
-    first_y = -top / surface.height_m * picture.shape[0] + 0.5 * finer_y - 0.5
+    camera_image = _grey(surface.albedo)
+    finer_x = base.width_m / columns * camera_image.shape[1] / surface.width_m
+    finer_y = base.height_m / rows * camera_image.shape[0] / surface.height_m
+    first_x = -left / surface.width_m * camera_image.shape[1] + 0.5 * finer_x - 0.5
+    first_y = -top / surface.height_m * camera_image.shape[0] + 0.5 * finer_y - 0.5
     shown = cv2.warpAffine(
-        picture,
+        camera_image,
         np.array([[finer_x, 0.0, first_x], [0.0, finer_y, first_y]]),
         (columns, rows),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,

@@ -1,9 +1,9 @@
 """
-How long a picture takes on the live graph: from its arrival to `odometry/fused` corrected by it.
+How long an image takes on the live graph: from its arrival to `odometry/fused` corrected by it.
 
 ``python test/live_latency.py DRIVE --map MAP --room R --robot R --start X Y THETA`` starts
 `landmark_learner` (which gives the map), `triangulation_localizer`, `odometry_fusion` and
-`triplet_selector` as processes and plays a drive's bag to them so that pictures come at 15 Hz:
+`triplet_selector` as processes and plays a drive's bag to them so that images come at 15 Hz:
 give one that was recorded at about that (``landmark-nav simulate --camera-rate 20``). It prints
 the latency and what was dropped, and exits with 1 if the 95th percentile is over 60 ms or the
 latency grows.
@@ -36,18 +36,18 @@ START_SIGMA = (0.02, 0.02, 0.01)
 
 
 class Stopwatch:
-    """Arrival times of pictures, and of the first fused pose after their landmarks."""
+    """Arrival times of images, and of the first fused pose after their landmarks."""
 
     def __init__(self, client: RobotClient) -> None:
         self.shown: dict[int, float] = {}
         self.took: list[tuple[float, float]] = []
         self._waiting: list[int] = []
-        # The calibration comes right after its picture, and weighs nothing.
-        client.listen('camera/camera_info', self._on_picture)
+        # The calibration comes right after its image, and weighs nothing.
+        client.listen('camera/camera_info', self._on_image)
         client.listen('detections', self._on_detections)
         client.listen('odometry/fused', self._on_fused)
 
-    def _on_picture(self, message: Any) -> None:
+    def _on_image(self, message: Any) -> None:
         self.shown[decode.stamp_ns(message.header)] = time.monotonic()
 
     def _on_detections(self, message: Any) -> None:
@@ -101,7 +101,7 @@ def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float],
             name: nodes.start(name, node_command(name, **given))
             for name, given in parameters.items()
         }
-        has_map = lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0'  # noqa: E731
+        has_map = lambda: client.status_of('odometry_fusion').values.get('landmarks', '0') != '0'  # noqa: E731
         client.wait(has_map, 60.0, 'the map')
         bag_file = str(arguments.drive.resolve())
         playing = player.start(
@@ -117,7 +117,7 @@ def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float],
         seconds = time.monotonic() - begin
         cpu = {k: (v - before[k]) / seconds for k, v in cpu_s(running).items()}
         client.wait(lambda: time.monotonic() - begin > seconds + 1.2, 5.0, 'last words')
-        return watch, cpu, dict(client.said('triangulation_localizer').values)
+        return watch, cpu, dict(client.status_of('triangulation_localizer').values)
 
 
 def main() -> int:
@@ -128,23 +128,23 @@ def main() -> int:
     parser.add_argument('--room', type=Path, required=True)
     parser.add_argument('--robot', type=Path, required=True)
     parser.add_argument('--start', type=float, nargs=3, required=True)
-    parser.add_argument('--hz', type=float, default=15.0, help='pictures a second (15)')
-    watch, cpu, said = measure(parser.parse_args())
+    parser.add_argument('--hz', type=float, default=15.0, help='images a second (15)')
+    watch, cpu, status_of = measure(parser.parse_args())
     if not watch.took:
-        print('no picture was used: is the start right?')
+        print('no image was used: is the start right?')
         return 1
     shown, took = np.array(watch.took).T
     first = min(watch.shown.values())
     warm = shown > first + WARM_UP_S
     took_ms = 1e3 * took[warm]
-    pictures = sum(when > first + WARM_UP_S for when in watch.shown.values())
+    images = sum(when > first + WARM_UP_S for when in watch.shown.values())
     slope = np.polyfit(shown[warm] - first, took_ms, 1)[0]
     median, p95 = np.percentile(took_ms, [50, 95])
-    print(f'{pictures} pictures, {len(took_ms)} used')
+    print(f'{images} images, {len(took_ms)} used')
     print(f'image -> odometry/fused: median {median:.1f} ms, p95 {p95:.1f} ms, '
           f'max {took_ms.max():.1f} ms, growing {slope:+.2f} ms/s')  # fmt: skip
     print('cores used: ' + ', '.join(f'{name} {share:.2f}' for name, share in cpu.items()))
-    print('triangulation_localizer: ' + ', '.join(f'{k} {v}' for k, v in said.items()))
+    print('triangulation_localizer: ' + ', '.join(f'{k} {v}' for k, v in status_of.items()))
     return 0 if p95 <= MAX_P95_MS and slope < 1.0 else 1
 
 

@@ -107,12 +107,14 @@ def take_sweep(world: RobotWorld, pose: FloatArray, gamma: float) -> Sweep:
     for pan in PANS:
         if np.abs(wrap_rad(pan - azimuth)).min() > np.radians(26.0):
             continue
-        frame = world.standing(pose, float(pan))
+        frame = world.frame_at(pose, float(pan))
         frames.append(replace(frame, image=as_jpeg(table[frame.image])))
     return Sweep(0, tuple(frames))
 
 
-def told(room: Room, sweep: Sweep, rng: np.random.Generator) -> tuple[Room, Sweep, PanTiltMount]:
+def reported(
+    room: Room, sweep: Sweep, rng: np.random.Generator
+) -> tuple[Room, Sweep, PanTiltMount]:
     """What a robot is told: all a little wrong."""
     shifts = rng.normal(0.0, CONFIG.paper_sigma_m, (len(room.papers), 2))
     papers = tuple(moved_paper(p, room, s) for p, s in zip(room.papers, shifts, strict=True))
@@ -122,11 +124,11 @@ def told(room: Room, sweep: Sweep, rng: np.random.Generator) -> tuple[Room, Swee
         for f, (a, b) in zip(sweep.frames, slips, strict=True)
     )
     x, y, z = DEFAULT_MOUNT.axis_xyz
-    lean = rng.normal(0.0, CONFIG.horizon_sigma_rad, 2)
+    camera_tilt = rng.normal(0.0, CONFIG.horizon_sigma_rad, 2)
     mount = replace(
         DEFAULT_MOUNT,
         axis_xyz=(x, y, z + float(rng.normal(0.0, CONFIG.height_sigma_m))),
-        axis_rpy=(float(lean[0]), float(lean[1]), 0.0),
+        axis_rpy=(float(camera_tilt[0]), float(camera_tilt[1]), 0.0),
     )
     return replace(room, papers=papers), replace(sweep, frames=frames), mount
 
@@ -151,7 +153,7 @@ def main() -> int:
         for pose in poses:
             assert world is not None
             gamma = float(rng.choice([1.0, 1.4, 1.8]))
-            room, sweep, mount = told(scene.room, take_sweep(world, pose, gamma), rng)
+            room, sweep, mount = reported(scene.room, take_sweep(world, pose, gamma), rng)
             head = f'{seed}: {len(room.papers)} papers, gamma {gamma}: '
             try:
                 view = synthesize_cylinder(sweep, mount, PanoramaConfig())

@@ -12,8 +12,8 @@ hang as exactly as the planner expects, and it is told how exact panoramas of th
 Below it says for each kind of layout, and for all, how many times as large as predicted the
 errors typically were (geometric mean over the maps, each of which is one draw of the errors that
 its landmarks share), and in how many of the pairs of layouts of one room the better one was
-foretold, of those whose predictions differ by a tenth or more. It exits with 1 if the ratio over
-all is outside 1/2 to 2 or fewer than three quarters were foretold.
+predicted, of those whose predictions differ by a tenth or more. It exits with 1 if the ratio over
+all is outside 1/2 to 2 or fewer than three quarters were predicted.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from landmark_nav.learning.pipeline import (
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
+    fully_in_view,
     observable,
-    whole_in_view,
 )
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, forecast, plan_positions
@@ -63,7 +63,7 @@ AZIMUTH_RAD = 4e-5
 # Shares of all random sets that are better than the one that is tried.
 RANKS = (0.1, 0.5, 0.9)
 LARGEST_RATIO = 2.0
-LEAST_FORETOLD = 0.75
+LEAST_PREDICTED = 0.75
 APART = 1.1
 
 
@@ -84,21 +84,21 @@ def check_room(
         layouts[f'random {rank:.0%}'] = plan.random[int(rank * (len(plan.random) - 1))]
     if plan.left_right is not None:
         layouts['left-right'] = plan.left_right
-    told = replace(scene.room, papers=tuple(_as_told(p, config, rng) for p in scene.room.papers))
+    given = replace(scene.room, papers=tuple(_as_given(p, config, rng) for p in scene.room.papers))
     for name, places in layouts.items():
         poses = places.poses_map_base
         (expected,) = forecast([poses], cells, scene.room, DEFAULT_MOUNT, config)
         row: dict[str, float | str] = {'seed': seed, 'places': name}
         row['baseline_m'] = float(np.linalg.norm(np.ptp(poses[:, :2], axis=0)))
         try:
-            result = learn(world, told, poses)
+            result = learn(world, given, poses)
         except LandmarkNavError as error:
             print(f'{seed} {name}: {error}', file=sys.stderr)
             continue
         yield {**row, **compare(result, scene, expected, cells, rng)}
 
 
-def _as_told(paper: Paper, config: PlanConfig, rng: np.random.Generator) -> Paper:
+def _as_given(paper: Paper, config: PlanConfig, rng: np.random.Generator) -> Paper:
     """Where somebody measured it, who is as exact as the planner expects."""
     off = rng.normal(0.0, config.reference_area.paper_sigma_m, 3)
     # Across its wall a paper can't be: what matters there are the distances along the wall.
@@ -110,7 +110,7 @@ def learn(world: RobotWorld, room: Room, poses: FloatArray) -> LearningResult:
     panoramas = []
     for pose in poses:
         pans = -np.pi + 2.0 * np.pi * np.arange(FRAMES) / FRAMES
-        frames = [world.standing(pose, float(pan)) for pan in pans]
+        frames = [world.frame_at(pose, float(pan)) for pan in pans]
         frames = [replace(frame, image=as_jpeg(frame.image)) for frame in frames]
         sweep = Sweep(frames[0].stamp_ns, tuple(frames))
         panoramas.append(panorama_from_sweep(sweep, room, world.mount, PanoramaStages()))
@@ -136,7 +136,7 @@ def compare(
     claimed = np.sqrt(np.mean(np.trace(learned.covariances[:, :2, :2], axis1=1, axis2=2)))
     fixes = np.array([localize(cell, result, truth, rng) for cell in cells])
     # As the planner counts them: what is far off is no farther than that.
-    foretold, fixes = np.minimum(expected.sigma_m, CAP_M), np.minimum(fixes, CAP_M)
+    predicted, fixes = np.minimum(expected.sigma_m, CAP_M), np.minimum(fixes, CAP_M)
     return {
         'n_pred': expected.landmarks,
         'n': len(error),
@@ -144,10 +144,10 @@ def compare(
         'lm_map': 1e3 * float(claimed),
         'lm_err': 1e3 * rms(error[error < 0.05]),
         'wrong': float(np.sum(error >= 0.05)),
-        'loc_pred': 1e3 * rms(foretold),
+        'loc_pred': 1e3 * rms(predicted),
         'loc_map': 1e3 * rms(fixes[:, 1]),
         'loc_err': 1e3 * rms(fixes[:, 0]),
-        'median_pred': 1e3 * float(np.median(foretold)),
+        'median_pred': 1e3 * float(np.median(predicted)),
         'median_err': 1e3 * float(np.median(fixes[:, 0])),
         'no_fix': float(np.mean(fixes[:, 0] >= CAP_M)),
     }
@@ -163,7 +163,7 @@ def localize(
     axis = mount.axis_pose_map(base)
     index = np.flatnonzero(observable(axis_position(base, mount), result.map, config.triplet))
     bearing = bearings(axis, truth[index])
-    whole = whole_in_view(
+    whole = fully_in_view(
         result.map.corners[index],
         base,
         DEFAULT_CAMERA,
@@ -217,8 +217,8 @@ def summary(rows: Sequence[dict[str, float | str]]) -> bool:
         for a, b in combinations(rows, 2)
         if a['seed'] == b['seed'] and _apart(float(a['loc_pred']), float(b['loc_pred']))
     ]
-    print(f'the better of two layouts was foretold in {sum(right)} of {len(right)} pairs')
-    return good and sum(right) >= LEAST_FORETOLD * len(right)
+    print(f'the better of two layouts was predicted in {sum(right)} of {len(right)} pairs')
+    return good and sum(right) >= LEAST_PREDICTED * len(right)
 
 
 def _apart(first: float, second: float) -> bool:

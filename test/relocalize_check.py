@@ -70,7 +70,7 @@ def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> Row:
         world = world or RobotWorld(scene, pose, seed + 2)
         relocalizer, spent_s = Relocalizer(learned, world.mount), 0.0
         for k, pan in enumerate(pans):
-            frame = replace(picture(world, pose, float(pan)), stamp_ns=k * PERIOD_NS)
+            frame = replace(camera_image(world, pose, float(pan)), stamp_ns=k * PERIOD_NS)
             begin = time.process_time()
             relocalizer.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
             found = relocalizer.add_frame(frame)
@@ -114,9 +114,9 @@ def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[F
             yield np.array([*place, rng.uniform(-np.pi, np.pi)])
 
 
-def picture(world: RobotWorld, pose: FloatArray, pan_rad: float) -> CameraFrame:
-    """One picture of a standing robot, as a bag would hold it."""
-    frame = world.standing(pose, pan_rad)
+def camera_image(world: RobotWorld, pose: FloatArray, pan_rad: float) -> CameraFrame:
+    """One image of a standing robot, as a bag would hold it."""
+    frame = world.frame_at(pose, pan_rad)
     return replace(frame, image=as_jpeg(frame.image))
 
 
@@ -130,7 +130,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, nargs='+', required=True)
     parser.add_argument('--poses', type=int, default=20, help='in each room (20)')
-    parser.add_argument('--frames', type=int, default=24, help='pictures of a sweep (24)')
+    parser.add_argument('--frames', type=int, default=24, help='images of a sweep (24)')
     parser.add_argument('--rooms', type=Path, help='folder of rooms that were kept')
     arguments = parser.parse_args()
     rows = [

@@ -1,7 +1,7 @@
 """
 Rooms never seen: simulate, learn from two sweeps, evaluate a drive; one line a room.
 
-Before the drive a lamp is dimmed, a piece of furniture moved, and one picture in five exchanged.
+Before the drive a lamp is dimmed, a piece of furniture moved, and one poster in five exchanged.
 The robot is told a ``room.yaml`` as a person measures it; the exact one with ``--exact``.
 ``python test/rooms.py --seeds 201 202 203`` prints the table of the README and exits with 1 if a
 room misses a bound. Seeds are not used anywhere else: nothing is fitted to them.

@@ -29,7 +29,7 @@ from landmark_nav.types import CameraFrame, FloatArray, OdometrySample, PoseEsti
 
 CASES = ((0.0, 0.0), (0.3, 5.0), (0.3, 15.0), (0.5, 10.0), (0.7, 5.0), (1.0, 10.0))
 WATCHED_S, COUNTED_S = 6.0, 2.0
-# How far off a start that is right counts as told.
+# How far off a start that is right counts as given.
 LEAST_SIGMA = np.array([0.02, 0.02, 0.01])
 # A bearing off by more, and by more than 5 sigma, is of something else.
 WRONG_RAD = 0.006
@@ -136,7 +136,7 @@ def main() -> int:
     parser.add_argument('--seeds', nargs='+', default=[''])
     parser.add_argument('--starts', type=int, default=5, help='in each drive and case (5)')
     args = parser.parse_args()
-    # A knocked tilt that is found is not what this is about.
+    # A displaced tilt that is found is not what this is about.
     logging.getLogger('landmark_nav').setLevel(logging.ERROR)
     outcomes: dict[tuple[float, float], list[Outcome]] = {case: [] for case in CASES}
     for seed in args.seeds:

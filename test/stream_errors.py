@@ -51,7 +51,7 @@ class StreamError:
     topics: tuple[str, ...]
     change: Altered
     names: str
-    says: str = ''
+    finding: str = ''
     recorded: bool = False
     robot: Callable[[PanTiltMount], PanTiltMount] | None = None
 
@@ -211,7 +211,7 @@ def same(message: Any) -> Any:
     return message
 
 
-PICTURES = (CAMERA, INFO)
+IMAGES = (CAMERA, INFO)
 _SAME = _always(same)
 
 REPORTED = {
@@ -278,11 +278,11 @@ OTHERS = {
     'pan geared 2 to 1': StreamError((JOINTS,), times(2.0), 'pan scale', '2'),
     'pan in ticks of a motor': StreamError((JOINTS,), times(651.9), 'pan scale'),
     'joint_states at 2 Hz': StreamError((JOINTS,), rarely(10), 'joint_states rate', '2.0 Hz'),
-    'images clock 2 % slow': StreamError(PICTURES, drifting(-0.02), 'images clock', '% slow'),
+    'images clock 2 % slow': StreamError(IMAGES, drifting(-0.02), 'images clock', '% slow'),
     'joint_states clock 3 % fast': StreamError(
         (JOINTS,), drifting(0.03), 'joint_states clock', '% fast'
     ),
-    'images +10 s': StreamError(PICTURES, _always(later(10.0)), 'images clock', '(10.0|9.9)'),
+    'images +10 s': StreamError(IMAGES, _always(later(10.0)), 'images clock', '(10.0|9.9)'),
     'second odometry that stands': StreamError(
         (ODOMETRY,), with_second(2, _elsewhere), 'odom sources', 'two sources'
     ),

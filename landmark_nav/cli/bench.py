@@ -20,7 +20,7 @@ from landmark_nav.cli.bench_localization import localization_comparisons
 from landmark_nav.cli.bench_world import Comparison, World
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
-from landmark_nav.storage.whole import check_writable, write_whole
+from landmark_nav.storage.atomic_io import check_writable, write_atomically
 
 __all__ = ['add_arguments', 'run']
 
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
                 for row in rows
             ],
         }
-        write_whole(args.json, json.dumps(document, indent=2) + '\n')
+        write_atomically(args.json, json.dumps(document, indent=2) + '\n')
     return 0
 
 

@@ -23,7 +23,7 @@ from landmark_nav.learning.reference_area import (
 )
 from landmark_nav.learning.sharpness import look_at, relative_sharpness
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast, plan_positions
 from landmark_nav.planning.room_grid import free_floor
@@ -49,7 +49,7 @@ def learning_comparisons(world: World) -> Iterator[Comparison]:
 
 
 def _bare_remap(image: ImageArray) -> object:
-    """All that resampling a picture takes at least."""
+    """All that resampling an image takes at least."""
     return cv2.remap(image, _COLUMNS, _ROWS, cv2.INTER_LINEAR)
 
 
@@ -57,7 +57,7 @@ def _renderer(world: World) -> Comparison:
     pose = world.poses[0]
     image = world.frame(pose, 0.0).image
     return Comparison(
-        'simulated picture, 512 x 512',
+        'simulated image, 512 x 512',
         lambda: [world.frame(pose, pan) for pan in 9.0 * STEP_RAD * np.arange(8)],
         'cv2.remap of as many pixels',
         lambda: [_bare_remap(image) for _ in range(8)],
@@ -66,7 +66,7 @@ def _renderer(world: World) -> Comparison:
 
 
 def _capture(world: World) -> Comparison:
-    """Each picture beside the four before it, as capture judges it."""
+    """Each image beside the four before it, as capture judges it."""
     frames = world.sweeps[0].frames[:24]
 
     def judge() -> None:
@@ -81,9 +81,9 @@ def _capture(world: World) -> Comparison:
             cv2.meanStdDev(cv2.Laplacian(grey, cv2.CV_32F))
 
     return Comparison(
-        'judgement of a picture in capture',
+        'judgement of an image in capture',
         judge,
-        'variance of cv2.Laplacian of the picture alone',
+        'variance of cv2.Laplacian of the image alone',
         focus,
         count=len(frames),
     )
@@ -176,21 +176,21 @@ def _adjustment_and_election(world: World) -> Iterator[Comparison]:
     config, room = StereoConfig(), world.scene.room
     panoramas, greys = world.panoramas, world.greys
     patches: list[WallPatch] = []
-    sightings: list[list[Sighting]] = []
+    measurements: list[list[PatchMeasurement]] = []
     for k, candidates in enumerate(world.learned.candidates):
         for candidate in candidates:
             patch = hypothesize(candidate, k, panoramas[k], room, config)
             if isinstance(patch, WallPatch):
                 seen = match_in(patch, 1 - k, panoramas, greys, room, config)
-                if isinstance(seen, Sighting):
+                if isinstance(seen, PatchMeasurement):
                     patches.append(patch)
-                    sightings.append([own_sighting(patch, panoramas[k]), seen])
+                    measurements.append([own_measurement(patch, panoramas[k]), seen])
     walls = [patch.wall for patch in patches]
     start = np.array([patch.position for patch in patches])
     places = joint_covariance(panoramas, room, ReferenceAreaConfig())
-    run = partial(adjust, sightings, walls, start, panoramas, places, room, AdjustmentConfig())
+    run = partial(adjust, measurements, walls, start, panoramas, places, room, AdjustmentConfig())
     adjustment = run()
-    # Two numbers a sighting and one a wall; three unknowns a landmark and four a panorama.
+    # Two numbers a measurement and one a wall; three unknowns a landmark and four a panorama.
     rng = np.random.default_rng(0)
     dense = rng.normal(size=(5 * len(patches), 3 * len(patches) + 8))
     yield Comparison(
@@ -203,7 +203,7 @@ def _adjustment_and_election(world: World) -> Iterator[Comparison]:
     yield Comparison(
         'election of a patch',
         lambda: elect(
-            patches, sightings, adjustment, adjustment, panoramas, greys, room, ElectionConfig()
+            patches, measurements, adjustment, adjustment, panoramas, greys, room, ElectionConfig()
         ),
         'two cv2.remap of 30 x 30 px',
         lambda: [

@@ -22,7 +22,7 @@ from landmark_nav.localization.fusion import PoseFilter
 from landmark_nav.localization.observation import ObservationConfig
 from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
-from landmark_nav.localization.triplet import Gaze, rank_triplets, TripletConfig
+from landmark_nav.localization.triplet import CameraState, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.geometry import pair_tables
 from landmark_nav.localization.triplet.search import mean_variance
 from landmark_nav.types import (
@@ -106,12 +106,12 @@ def _triplet_of(count: int, views: str) -> Comparison:
         )
     landmark_map = LandmarkMap(tuple(landmarks))
     prior = PoseEstimate(0, np.array([3.2, 2.0, 0.4]), np.diag([0.01, 0.01, 0.005]) ** 2)
-    config, gaze = TripletConfig(views=views), Gaze(pan_rad=0.5)
+    config, camera_state = TripletConfig(views=views), CameraState(pan_rad=0.5)
     few = np.array(list(combinations(range(min(count, 40)), 3)))
     tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
     return Comparison(
         f'triplet among {count}, views: {views}',
-        lambda: rank_triplets(prior, landmark_map, CAMERA, MOUNT, config, gaze),
+        lambda: rank_triplets(prior, landmark_map, CAMERA, MOUNT, config, camera_state),
         f'variances of {len(few)} triplets, all at once',
         lambda: mean_variance(tables, few),
     )
@@ -129,7 +129,7 @@ def _detection(world: World) -> Comparison:
     return Comparison(
         'detection of a landmark',
         ours,
-        'cv2.matchTemplate over the whole picture',
+        'cv2.matchTemplate over the whole image',
         lambda: [cv2.matchTemplate(grey, patch, cv2.TM_CCOEFF_NORMED) for patch in patches],
         count=max(len(expected), 1),
     )
@@ -168,7 +168,7 @@ def _closed_form(world: World) -> Comparison:
 
 
 def _fusion(world: World) -> Comparison:
-    """One second of a drive: 20 odometry samples and 5 pictures of three landmarks."""
+    """One second of a drive: 20 odometry samples and 5 images of three landmarks."""
     learned = world.learned.map
     ids, bearings = learned.ids[:3], world.bearings[:3]
     variances = np.full(3, _BEARING_SIGMA_RAD**2)
@@ -219,7 +219,7 @@ def _fusion(world: World) -> Comparison:
 
 
 def _update(world: World) -> Comparison:
-    """Choose the triplet, predict, find three patches, triangulate, fuse: 15 pictures a second."""
+    """Choose the triplet, predict, find three patches, triangulate, fuse: 15 images a second."""
     observation = ObservationConfig(detection=DetectionConfig(max_count=3))
     config = LocalizationConfig(observation=observation)
     localizer = Localizer(world.learned.map, MOUNT, config)
@@ -227,7 +227,7 @@ def _update(world: World) -> Comparison:
     localizer.initialize(world.prior)
     stamps = iter(range(66_000_000, 10**15, 66_000_000))
     sift = cv2.SIFT.create()
-    # As pictures are decoded, from bags and topics alike.
+    # As images are decoded, from bags and topics alike.
     grey = np.asarray(cv2.cvtColor(world.view.image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
     def ours() -> None:
@@ -238,7 +238,7 @@ def _update(world: World) -> Comparison:
     return Comparison(
         'one update, three patches',
         ours,
-        'SIFT of the picture alone (OpenCV)',
+        'SIFT of the image alone (OpenCV)',
         lambda: sift.detectAndCompute(grey, None),
         calls=_UPDATES,
     )

@@ -1,4 +1,4 @@
-"""What `landmark-nav bench` works on: a simulated room, what is learned there, and a picture."""
+"""What `landmark-nav bench` works on: a simulated room, what is learned there, and an image."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Comparison:
 
 
 class World:
-    """A simulated room, its two sweeps, what is learned there, and one picture of a drive."""
+    """A simulated room, its two sweeps, what is learned there, and one image of a drive."""
 
     def __init__(self, seed: int) -> None:
         self.scene = generate_scene(seed)
@@ -69,7 +69,7 @@ class World:
         self.poses = places.poses
 
     def frame(self, pose: FloatArray, pan_rad: float) -> CameraFrame:
-        """Take a picture."""
+        """Take an image."""
         rotation, center = MOUNT.camera_pose_map(pose, pan_rad)
         return CameraFrame(0, self.renderer.render(rotation, center), CAMERA, pan_rad)
 
@@ -107,7 +107,7 @@ class World:
 
     @cached_property
     def view(self) -> CameraFrame:
-        """The picture, from there, that shows most landmarks."""
+        """The image, from there, that shows most landmarks."""
         pans = 4.0 * STEP_RAD * np.arange(18)
         best = max(pans, key=lambda pan: len(self.expected(float(pan))))
         return self.frame(self.prior.pose, float(best))

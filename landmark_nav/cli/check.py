@@ -12,10 +12,10 @@ from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, table, wor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.storage.atomic_io import check_writable, write_atomically
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.storage.whole import check_writable, write_whole
 
 __all__ = ['add_arguments', 'refuse_errors', 'run']
 
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
             'status': worst(found.findings),
             'checks': [finding.report() for finding in found.findings],
         }
-        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     print('\n'.join(table(found.findings)))
     print(f'{len(found.errors)} errors, {len(found.warnings)} warnings')
     return int(bool(found.errors))

@@ -21,16 +21,16 @@ from landmark_nav.localization.odometry.commanded import command_delay_s, integr
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.setup_documents import robot_document, start_document
+from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import save_map
 from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
-from landmark_nav.storage.whole import check_new, check_writable, write_whole
 from landmark_nav.types import OdometrySample
 
 __all__ = ['add_arguments', 'run']
 
-# What all bearings of a picture share, as an error of its pan: see config/mrclam.yaml.
+# What all bearings of an image share, as an error of its pan: see config/mrclam.yaml.
 _SHARED_RAD = 0.025
 
 
@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='one robot of the UTIAS multi-robot data set (MR.CLAM)',
         description='Write the log of one robot as a bag BAG with detections, odom (the commanded '
         'velocities, integrated) and ground_truth/odom, and beside it the posts as a map without '
-        'pictures (BAG_map), BAG_robot.yaml, BAG_start.json and BAG_config.yaml, the parameters '
-        'for such logs. Sightings of other robots are left out.',
+        'images (BAG_map), BAG_robot.yaml, BAG_start.json and BAG_config.yaml, the parameters '
+        'for such logs. Detections of other robots are left out.',
     )
     mrclam.add_argument(
         'folder', metavar='DIR', help='folder with Barcodes.dat or Barcodes.dat.gz and the like'
@@ -91,24 +91,24 @@ def run(args: argparse.Namespace) -> int:
     log = read_mrclam(args.folder, args.robot, np.radians(args.bearing_sigma), args.landmark_sigma)
     delay = args.command_delay
     if delay is None:
-        delay = command_delay_s(log.command_ns, log.commands, log.sightings)
+        delay = command_delay_s(log.command_ns, log.commands, log.detections)
     odometry = integrate_commands(log.command_ns, log.commands, delay)
-    begin = min(odometry[0].stamp_ns, log.sightings[0].stamp_ns)
+    begin = min(odometry[0].stamp_ns, log.detections[0].stamp_ns)
     start = PoseTrack.of((pose.stamp_ns, pose.pose) for pose in log.truth).at([begin])[0]
     if np.isnan(start).any():
         raise LandmarkNavError(f'{args.folder}: robot {args.robot}: no truth at the start')
     _write_bag(log, odometry, args.out, args.overwrite)
     save_map(log.landmark_map, landmarks)
-    write_whole(robot, robot_document(PanTiltMount(pan_sigma_rad=_SHARED_RAD)))
-    write_whole(beginning, start_document(start))
-    write_whole(config, shipped_config('mrclam.yaml').read_bytes())
-    seen = sum(len(sighting) for sighting in log.sightings)
-    told = (
-        f'{seen} bearings to {len(log.landmark_map.landmarks)} posts in {len(log.sightings)} '
-        f'pictures, {log.unknown} with unknown barcodes left out; commands take effect after '
+    write_atomically(robot, robot_document(PanTiltMount(pan_sigma_rad=_SHARED_RAD)))
+    write_atomically(beginning, start_document(start))
+    write_atomically(config, shipped_config('mrclam.yaml').read_bytes())
+    seen = sum(len(detection) for detection in log.detections)
+    summary = (
+        f'{seen} bearings to {len(log.landmark_map.landmarks)} posts in {len(log.detections)} '
+        f'images, {log.unknown} with unknown barcodes left out; commands take effect after '
         f'{delay:.2f} s'
     )
-    print(wrapped([told]))
+    print(wrapped([summary]))
     print(evaluate_line(args.out, landmarks, robot, start, config))
     return 0
 
@@ -125,9 +125,9 @@ def _write_bag(
             for k in truth
         ),
         ((k.stamp_ns, 'odom', encode.odometry(factory, k)) for k in odometry),
-        ((k.stamp_ns, 'detections', encode.detections(factory, k)) for k in log.sightings),
+        ((k.stamp_ns, 'detections', encode.detections(factory, k)) for k in log.detections),
     )
-    total = len(log.truth) + len(odometry) + len(log.sightings)
+    total = len(log.truth) + len(odometry) + len(log.detections)
     merged = heapq.merge(*streams, key=lambda entry: entry[0])
     with BagWriter(path, overwrite) as bag:
         for stamp, topic, message in progress(merged, 'writing', total):

@@ -16,7 +16,7 @@ from landmark_nav.demo.interruption import Interruption
 from landmark_nav.demo.narrator import Narrator
 from landmark_nav.demo.recorded_run import recorded_run
 from landmark_nav.demo.room import prepare_room
-from landmark_nav.demo.story import tell
+from landmark_nav.demo.scenario import run_scenario
 from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.demo.verdict import Check, figures, judge
 from landmark_nav.errors import LandmarkNavError
@@ -25,10 +25,10 @@ from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.ros import chosen_domain, require_ros
+from landmark_nav.storage.atomic_io import check_new, write_atomically
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.storage.whole import check_new, write_whole
 from landmark_nav.types import Panorama
 
 __all__ = ['add_arguments', 'run']
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     commands = node_commands(room, folder / 'map')
     environment = node_environment(domain_id)
     os.environ.update(environment)
-    narrator.say(f'to look at the topics meanwhile: export ROS_DOMAIN_ID={domain_id}')
+    narrator.print_line(f'to look at the topics meanwhile: export ROS_DOMAIN_ID={domain_id}')
     with Interruption() as interruption, Supervisor(folder / 'logs', environment) as supervisor:
         from landmark_nav.ros.robot_client import RobotClient
 
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         for name, command in commands.items():
             supervisor.start(name, command)
         with RobotClient(domain_id, watch) as robot:
-            tell(robot, room, commands, folder, narrator)
+            run_scenario(robot, room, commands, folder, narrator)
             panoramas = robot.panoramas
         unclean = [name for name, status in supervisor.stop().items() if status]
     return _report(folder, panoramas, unclean, narrator)
@@ -137,18 +137,20 @@ def _report(
     for k, view in enumerate(learned.panoramas):
         path = drawn[f'Panorama {k + 1}'] = folder / f'panorama_{k + 1}.png'
         draw_panorama(view, learned.candidates[k], learned.outcomes[k], k + 1, path)
-    pictures = {caption: path.read_bytes() for caption, path in drawn.items()}
-    write_whole(folder / 'report.html', html_report('Demo', measured, pictures))
-    write_whole(folder / 'demo.json', json.dumps(measured, indent=2) + '\n')
+    report_figures = {caption: path.read_bytes() for caption, path in drawn.items()}
+    write_atomically(folder / 'report.html', html_report('Demo', measured, report_figures))
+    write_atomically(folder / 'demo.json', json.dumps(measured, indent=2) + '\n')
     for line in error_table(measured):
-        narrator.say(line)
+        narrator.print_line(line)
     checks = judge(measured)
     if unclean:
         checks.append(Check(False, f'{", ".join(unclean)} did not end cleanly: see logs/'))
     narrator.title('Result')
     for check in checks:
-        narrator.say(f'{"ok    " if check.passed else "FAILED"}  {check.text}')
-    narrator.say(f'{narrator.seconds:.0f} s; all of it is in {folder}:')
-    narrator.say('report.html, and what is in it: demo.json, map.png, trajectory.png, errors.png,')
-    narrator.say('panorama_*.png; map/, recording/ (MCAP), logs/ of the nodes')
+        narrator.print_line(f'{"ok    " if check.passed else "FAILED"}  {check.text}')
+    narrator.print_line(f'{narrator.seconds:.0f} s; all of it is in {folder}:')
+    narrator.print_line(
+        'report.html, and what is in it: demo.json, map.png, trajectory.png, errors.png,'
+    )
+    narrator.print_line('panorama_*.png; map/, recording/ (MCAP), logs/ of the nodes')
     return 0 if all(check.passed for check in checks) else 1

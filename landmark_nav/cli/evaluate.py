@@ -23,17 +23,17 @@ from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.evaluation.run_report import integrity_report, run_errors, run_report
-from landmark_nav.evaluation.smoothed_run import smooth_run, smoothed_report, strays
+from landmark_nav.evaluation.smoothed_run import departures, smooth_run, smoothed_report
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.fusion import FusionConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.storage.atomic_io import check_writable, write_atomically
 from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.storage.whole import check_writable, write_whole
 from landmark_nav.types import LandmarkMap
 
 __all__ = ['add_arguments', 'run']
@@ -101,7 +101,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--report',
         metavar='F.html',
         type=Path,
-        help='write a page with numbers and pictures to F.html',
+        help='write a page with numbers and images to F.html',
     )
     parser.add_argument(
         '--out',
@@ -154,19 +154,19 @@ def run(args: argparse.Namespace) -> int:
         sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
         fusion = replace(config.fusion, delay_sigma_s=sigma_s)
         corrected = localized(offsets.delay_s, fusion)
-        said = (
+        delay_text = (
             f'{bag.path}: joint_states are stamped {1e3 * offsets.delay_s:.1f} ms late (sigma '
             f'{1e3 * offsets.delay_sigma_s:.1f} ms)'
         )
         if corrected.tracking.sum() >= done.tracking.sum():
             done, delay_s = corrected, offsets.delay_s
             bag.warn(
-                f'{said}: taken into account; on the robot set joint_delay_s of '
+                f'{delay_text}: taken into account; on the robot set joint_delay_s of '
                 f'triangulation_localizer to {delay_s:.4f}'
             )
         else:
             # Put right all the time, fewer poses are sure.
-            bag.warn(f'{said} in the end, and not all the time: look at their clock')
+            bag.warn(f'{delay_text} in the end, and not all the time: look at their clock')
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     check_truth_frame(bag, landmarks.frame_id)
@@ -187,7 +187,7 @@ def run(args: argparse.Namespace) -> int:
     smoothed = smooth_run(done, landmarks, mount, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)
-        if apart := strays(done, smoothed):
+        if apart := departures(done, smoothed):
             bag.warn(
                 f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
                 'doubt odometry, joint_states and camera where they seem to be wrong'
@@ -198,15 +198,15 @@ def run(args: argparse.Namespace) -> int:
         draw_errors(done, errors, figures['Errors'])
     if args.out:
         for caption, name in _FIGURES.items():
-            write_whole(args.out / name, figures[caption].getvalue())
+            write_atomically(args.out / name, figures[caption].getvalue())
     if args.report:
         title = f'{bag.path.name} on {Path(args.map).name}'
         drawn = {caption: png.getvalue() for caption, png in figures.items()}
-        write_whole(args.report, html_report(title, report, drawn))
+        write_atomically(args.report, html_report(title, report, drawn))
     if args.tum:
         write_tum_files(done, args.tum, smoothed)
     if args.json:
-        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     print(run_summary(report))
     if args.out:
         print(f'{" and ".join(_FIGURES.values())} in {args.out.resolve()}')

@@ -37,10 +37,10 @@ from landmark_nav.learning.pipeline import (
     PanoramaStages,
 )
 from landmark_nav.simulation.world import DEFAULT_MOUNT
+from landmark_nav.storage.atomic_io import check_writable
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.storage.whole import check_writable
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
 
 __all__ = ['add_arguments', 'run']

@@ -38,7 +38,7 @@ _CLEARANCE_M = 0.25
 _RIGHT_PX = 1.0
 # Of what a robot knows of its pose while it looks.
 _PRIOR = np.diag([0.03, 0.03, np.radians(0.5)]) ** 2
-# Narrow pictures, which hold a patch and its surroundings, are drawn sooner.
+# Narrow images, which hold a patch and its surroundings, are drawn sooner.
 _NARROW_PX = 160
 
 
@@ -80,7 +80,7 @@ class FiguresWorld:
         world = RobotWorld(self.scene, self.poses[number], self.scene.seed, mount=self.mount)
         frames = []
         for pan in -np.pi + 2.0 * np.pi * np.arange(_FRAMES) / _FRAMES:
-            frames.append(world.standing(self.poses[number], float(pan)))
+            frames.append(world.frame_at(self.poses[number], float(pan)))
         return Sweep(frames[0].stamp_ns, tuple(frames))
 
     def look_for(self, landmark: Landmark, seed: int) -> AreaTest:

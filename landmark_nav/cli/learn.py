@@ -36,11 +36,11 @@ from landmark_nav.learning.pipeline import (
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import record_papers
+from landmark_nav.storage.atomic_io import atomic_folder, check_writable, write_atomically
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
 from landmark_nav.types import Panorama, Sweep
 
 __all__ = ['add_arguments', 'run']
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     log = StageLog()
     with log.measure('checks'):
         refuse_errors(bag, diagnose(bag, mount, room, QUICK))
-    with whole_folder(args.out, MAP_FILES, args.overwrite) as folder:
+    with atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         panoramas, frames = _panoramas(bag, room, mount, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
         result = learn_from_panoramas(panoramas, room, config, shown)
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     seconds = time.perf_counter() - begin
     report = learning_report(result, panoramas, frames, truth, mount, log, seconds)
     if args.json:
-        write_whole(args.json, json.dumps(report, indent=2) + '\n')
+        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     print(_summary(report, result.panoramas, args.out))
     return 0
 
@@ -153,8 +153,8 @@ def _panoramas(
                 f'{bag.path}: {cause}' if cause else f'{bag.path}: {which}: {error}'
             ) from error
         frames.append(len(sweep.frames))
-    if doubt := papers.faults().text:
-        _LOG.warning('%s', doubt)
+    if warning := papers.faults().text:
+        _LOG.warning('%s', warning)
     return panoramas, frames
 
 

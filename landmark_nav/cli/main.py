@@ -120,7 +120,7 @@ def _run(name: str, arguments: list[str]) -> int:
     for known, (module, summary) in COMMANDS.items():
         subparser = commands.add_parser(known, help=summary)
         if known == name:
-            # What OpenCV says of a broken picture, beside the line of ours that names the file.
+            # What OpenCV says of a broken image, beside the line of ours that names the file.
             os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
             command = import_module(f'landmark_nav.cli.{module}')
             command.add_arguments(subparser)

@@ -10,8 +10,8 @@ import numpy as np
 
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.maps import load_map, MAP_DATA, save_map, SCHEMA_VERSION, write_map
-from landmark_nav.storage.whole import whole_folder
 from landmark_nav.types import Landmark, LandmarkMap
 from landmark_nav.upkeep.check import problems_of_map
 from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture, wall_changes
@@ -115,7 +115,7 @@ def _migrate(args: argparse.Namespace) -> int:
     landmarks = load_map(args.map)
     out = Path(args.out or args.map)
     # The figures in the folder are of the same map: they stay.
-    with whole_folder(out, MAP_DATA, args.overwrite or args.out is None) as folder:
+    with atomic_folder(out, MAP_DATA, args.overwrite or args.out is None) as folder:
         write_map(landmarks, folder)
     print(f'{out}: {len(landmarks.landmarks)} landmarks, schema version {SCHEMA_VERSION}')
     return 0

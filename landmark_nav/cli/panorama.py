@@ -22,9 +22,9 @@ from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cy
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
+from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.bags import read_sweep_folder, read_sweeps
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.storage.whole import check_new, check_writable, write_whole
 from landmark_nav.types import Sweep
 
 __all__ = ['add_arguments', 'run']
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'sweep',
         metavar='BAG_OR_FOLDER',
         type=Path,
-        help='bag of sweeps, or folder of pictures with frames.csv '
+        help='bag of sweeps, or folder of images with frames.csv '
         '(file,pan_rad,focal_px,width,height)',
     )
     add_topic_argument(parser)
@@ -99,17 +99,17 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.out)
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
     config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
-    pictures = (args.sweep / 'frames.csv').is_file()
-    if not pictures and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
+    is_image_folder = (args.sweep / 'frames.csv').is_file()
+    if not is_image_folder and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
         raise LandmarkNavError(
-            f'{args.sweep}: pictures without frames.csv (file,pan_rad,focal_px,width,height)'
+            f'{args.sweep}: images without frames.csv (file,pan_rad,focal_px,width,height)'
         )
-    if pictures and args.number is not None:
+    if is_image_folder and args.number is not None:
         raise UsageError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
-    sweep = read_sweep_folder(args.sweep) if pictures else _sweep(args, mount)
+    sweep = read_sweep_folder(args.sweep) if is_image_folder else _sweep(args, mount)
     check_turn(sweep, mount)
     quality = PanoramaQuality(0.0)
-    if args.align and pictures:
+    if args.align and is_image_folder:
         aligned = align_sweep(sweep, mount)
         sweep = aligned.sweep
         print(
@@ -131,9 +131,9 @@ def run(args: argparse.Namespace) -> int:
     whole = slice(rows[0], rows[-1] + 1) if len(rows) else slice(None)
     alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
     shown = np.dstack([view.image, alpha])[whole]
-    write_whole(args.out, encode_image(shown, '.png').tobytes())
-    told = quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread)
-    print(wrapped([str(told)]))
+    write_atomically(args.out, encode_image(shown, '.png').tobytes())
+    quality_text = quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread)
+    print(wrapped([str(quality_text)]))
     print(
         f'{args.out}: {view.cylinder.width} x {len(alpha[whole])} px, {len(sweep.frames)} frames, '
         f'{100.0 * np.mean(covered):.1f} % of the turn'

@@ -18,8 +18,8 @@ from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, Plan, plan_positions
 from landmark_nav.planning.prediction import CAP_M
+from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.storage.whole import check_new, check_writable, write_whole
 
 __all__ = ['add_arguments', 'run']
 
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--size', type=ranged(PlanConfig, 'width_px'), nargs=2,
         default=(default.width_px, default.height_px),
         metavar=('W', 'H'),
-        help=f'of its pictures in pixels (default {default.width_px} {default.height_px})',
+        help=f'of its images in pixels (default {default.width_px} {default.height_px})',
     )  # fmt: skip
     parser.add_argument(
         '--pan', type=ranged(PlanConfig, 'pan_min_rad'), nargs=2,
@@ -77,16 +77,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Plan, draw, write."""
     check_writable(args.out)
-    picture = args.out.with_suffix('.png')
-    if args.out == picture:
+    figure_path = args.out.with_suffix('.png')
+    if args.out == figure_path:
         raise UsageError(
-            f'--out {args.out}: the plan is YAML, and its picture gets this name: take '
+            f'--out {args.out}: the plan is YAML, and its image gets this name: take '
             f'{args.out.with_suffix(".yaml").name}'
         )
     if args.pan[0] > args.pan[1]:
         raise UsageError(f'--pan {args.pan[0]:g} {args.pan[1]:g}: give the lesser one first')
-    check_new(args.overwrite, args.out, picture)
-    check_writable(picture)
+    check_new(args.overwrite, args.out, figure_path)
+    check_writable(figure_path)
     config = PlanConfig(
         focal_px=args.focal,
         width_px=args.size[0],
@@ -98,10 +98,10 @@ def run(args: argparse.Namespace) -> int:
     room, mount = load_room(args.room), load_robot(args.robot)
     rng = np.random.default_rng(0)
     plan = plan_positions(room, mount, args.positions, config, rng, progress)
-    draw_plan(plan, room, picture)
-    write_whole(args.out, _text(plan, config, room.frame_id))
+    draw_plan(plan, room, figure_path)
+    write_atomically(args.out, _text(plan, config, room.frame_id))
     print(_summary(plan))
-    print(f'{args.out}, {picture}')
+    print(f'{args.out}, {figure_path}')
     return 0
 
 

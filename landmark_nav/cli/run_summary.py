@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import wrapped
-from landmark_nav.evaluation.html_report import cell, ESTIMATES, honest_range
+from landmark_nav.evaluation.html_report import cell, ESTIMATES, nees_range
 
 __all__ = ['error_table', 'run_summary']
 
 # Stretches without tracking that are told; the others are in the JSON.
 _MOST_SPELLS = 6
 # A drive whose camera does not turn says nothing of late joint states.
-_DELAY_TOLD_S = 0.02
+_DELAY_REPORTED_S = 0.02
 
 
 def run_summary(report: Mapping[str, Any]) -> str:
     """Tell how the run went, by the report of `run_report`."""
     known = report['fused']['position_rmse_m'] is not None
     lines = [f'WARNING: {report["warning"]}'] if report['warning'] else []
-    lines += error_table(report) if known else ['no errors: no ground truth at the pictures']
+    lines += error_table(report) if known else ['no errors: no ground truth at the images']
     if report['found'] is not None:
         x, y, heading = report['found']['pose']
         lines.append(
@@ -37,12 +37,12 @@ def run_summary(report: Mapping[str, Any]) -> str:
         lines.append(f'... {len(report["spells"]) - _MOST_SPELLS} more in --json')
     claimed = report['claimed']
     lines += [
-        f'{report["frames"]} pictures, {report["fixes"]} fixes, availability '
+        f'{report["frames"]} images, {report["fixes"]} fixes, availability '
         f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',
         f'claimed sigma {100.0 * claimed["position_median_m"]:.2f} cm, '
         f'{claimed["heading_median_deg"]:.3f} deg in the median, '
         f'{100.0 * claimed["position_p95_m"]:.2f} cm at 95 %',
-        *(_honesty(report) if known else []),
+        *(_consistency(report) if known else []),
         _camera(report['camera']),
         f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
         f'{report["update_ms"]["p95"]:.1f} ms; {report["realtime_factor"]:.1f} times real time',
@@ -68,13 +68,13 @@ def error_table(report: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _honesty(report: Mapping[str, Any]) -> list[str]:
+def _consistency(report: Mapping[str, Any]) -> list[str]:
     nees = report['nees']
     return [
         f'NEES {cell(nees["mean"], 1.0, 2)} in the mean (3 is ideal'
-        f'{honest_range(nees["interval_95"])}); {cell(nees["inside_95"], 100.0, 1)} % within 95 %',
+        f'{nees_range(nees["interval_95"])}); {cell(nees["inside_95"], 100.0, 1)} % within 95 %',
         f'RMSE {cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
-        f'pictures with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
+        f'images with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
     ]
 
 
@@ -83,7 +83,7 @@ def _camera(offsets: Mapping[str, float]) -> str:
     delay = f'joint_states {1e3 * abs(delay_s):.1f} ms {"early" if delay_s < 0 else "late"} '
     return (
         'camera: '
-        + (f'{delay}(sigma {1e3 * sigma_s:.1f}), ' if sigma_s < _DELAY_TOLD_S else '')
+        + (f'{delay}(sigma {1e3 * sigma_s:.1f}), ' if sigma_s < _DELAY_REPORTED_S else '')
         + f'turned by {offsets["boresight_deg"]:.2f} deg (sigma '
         f'{offsets["boresight_sigma_deg"]:.2f})'
     )

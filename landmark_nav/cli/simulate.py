@@ -19,9 +19,9 @@ from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.furnishing import another_day, exchange_pictures
-from landmark_nav.simulation.gaze import Gaze
+from landmark_nav.simulation.furnishing import another_day, exchange_posters
 from landmark_nav.simulation.measuring import as_measured
+from landmark_nav.simulation.pan_control import PanControl
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.recording import (
     drive_messages,
@@ -38,9 +38,9 @@ from landmark_nav.simulation.setup_documents import (
     start_document,
 )
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
-from landmark_nav.storage.whole import whole_folder
 
 __all__ = ['add_arguments', 'run']
 
@@ -110,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_camera_rate,
         default=5.0,
         metavar='HZ',
-        help='pictures a second in the drive, a whole part of 20 (default 5)',
+        help='images a second in the drive, a whole part of 20 (default 5)',
     )
     parser.add_argument(
         '--speed',
@@ -124,7 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=within(int, 1, 100),
         default=90,
         metavar='Q',
-        help='of the pictures, 1 to 100 (default 90)',
+        help='of the images, 1 to 100 (default 90)',
     )
     parser.add_argument(
         '--people',
@@ -143,7 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=within(float, 0, 1),
         default=0.0,
         metavar='SHARE',
-        help='share of the pictures on the walls, 0 to 1, that are replaced by others between '
+        help='share of the posters on the walls, 0 to 1, that are replaced by others between '
         'sweeps and drive (default 0)',
     )
     parser.add_argument(
@@ -165,14 +165,14 @@ def run(args: argparse.Namespace) -> int:
     later = another_day(scene, rng) if args.light_change else scene
     if args.exchange:
         other = np.random.default_rng([args.seed, 31])
-        later = replace(later, items=exchange_pictures(scene, args.exchange, other))
+        later = replace(later, items=exchange_posters(scene, args.exchange, other))
     robot_in = partial(
         RobotWorld, camera=camera, mount=mount, config=WorldConfig(people=args.people)
     )
-    told = scene.room, mount
+    given = scene.room, mount
     if not args.exact:
-        told = as_measured(*told, np.random.default_rng([args.seed, 60]))
-    with whole_folder(args.out, _FILES, args.overwrite) as folder:
+        given = as_measured(*given, np.random.default_rng([args.seed, 60]))
+    with atomic_folder(args.out, _FILES, args.overwrite) as folder:
         with BagWriter(folder / 'learn') as bag:
             frames = args.frames * len(poses)
             world = robot_in(scene, poses[0], args.seed, start_ns=_LEARN_START_NS)
@@ -185,11 +185,11 @@ def run(args: argparse.Namespace) -> int:
             world = robot_in(later, start, args.seed + 1, start_ns=_DRIVE_START_NS, renderer=drawn)
             frames = round(args.drive_seconds * args.camera_rate)
             known = seen_from_all(scene, [pose[:2] for pose in poses])
-            gaze = Gaze(later, mount, world.pan_limit_rad, rng, known)
-            _write(bag, _drive(world, path, gaze, args), 'drive', frames)
+            pan_control = PanControl(later, mount, world.pan_limit_rad, rng, known)
+            _write(bag, _drive(world, path, pan_control, args), 'drive', frames)
         for name, text in (
-            ('room.yaml', room_document(told[0])),
-            ('robot.yaml', robot_document(told[1])),
+            ('room.yaml', room_document(given[0])),
+            ('robot.yaml', robot_document(given[1])),
             ('start.json', start_document(start)),
             ('scene.json', scene_document(scene)),
         ):
@@ -209,7 +209,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _camera_rate(text: str) -> float:
-    """Argument type: pictures come with every so many samples of the odometry."""
+    """Argument type: images come with every so many samples of the odometry."""
     rate = within(float, 0.5)(text)
     every = max(1, round(STATE_RATE_HZ / rate))
     if abs(every * rate - STATE_RATE_HZ) > 1e-3 * STATE_RATE_HZ:
@@ -251,13 +251,13 @@ def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Ite
 
 
 def _drive(
-    world: RobotWorld, path: Any, gaze: Gaze, args: argparse.Namespace
+    world: RobotWorld, path: Any, pan_control: PanControl, args: argparse.Namespace
 ) -> Iterator[Recorded]:
     return drive_messages(
         world,
         rosbag_factory(),
         path,
-        gaze,
+        pan_control,
         seconds=args.drive_seconds,
         speed_m_s=args.speed,
         camera_rate_hz=args.camera_rate,
@@ -266,7 +266,7 @@ def _drive(
 
 
 def _write(bag: BagWriter, messages: Iterator[Recorded], what: str, frames: int) -> None:
-    """Write messages; the bar counts pictures."""
+    """Write messages; the bar counts images."""
     bar = iter(progress(range(frames), what, frames))
     for recorded in messages:
         bag.write(recorded.topic, recorded.message, recorded.stamp_ns)

@@ -20,22 +20,22 @@ def node_command(name: str, **parameters: object) -> list[str]:
     return [
         *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
         *('--params-file', str(shipped_config(f'{name}.yaml'))),
-        *(word for setting in settings for word in ('-p', setting)),
+        *(status for setting in settings for status in ('-p', setting)),
     ]
 
 
 def node_commands(room: DemoRoom, map_folder: Path) -> dict[str, list[str]]:
     """Command line of each node of the demo, by its name."""
     robot, walls = str(room.robot_file), str(room.room_file)
-    # Raw pictures do not fit into the shared memory of common ROS middleware.
-    pictures: dict[str, object] = {'robot_file': robot, 'image_transport': 'compressed'}
+    # Raw images do not fit into the shared memory of common ROS middleware.
+    image_settings: dict[str, object] = {'robot_file': robot, 'image_transport': 'compressed'}
     given: dict[str, dict[str, object]] = {
         'room_simulator': {'seed': room.seed, 'robot_file': robot},
-        'sweep_capture': pictures,
+        'sweep_capture': image_settings,
         'panorama_synthesizer': {'robot_file': robot, 'room_file': walls},
         'landmark_learner': {'room_file': walls, 'map_folder': str(map_folder)},
         'triplet_selector': {'robot_file': robot},
-        'triangulation_localizer': pictures,
+        'triangulation_localizer': image_settings,
         'odometry_fusion': {'robot_file': robot},
     }
     return {name: node_command(name, **parameters) for name, parameters in given.items()}

@@ -33,7 +33,7 @@ class Narrator:
         self._clear()
         self._write(f'\n[{self.seconds:5.1f} s] {self._bold(text)}\n')
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Tell a result."""
         self._clear()
         self._write(f'          {text}\n')

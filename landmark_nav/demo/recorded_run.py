@@ -41,10 +41,10 @@ _ERROR = 2
 
 def recorded_run(bag: Bag) -> Replay:
     """
-    Read what the nodes published, one update a picture.
+    Read what the nodes published, one update an image.
 
-    The fused pose at a picture is the one that was published around its stamp: before anything
-    of that picture could have gone into it.
+    The fused pose at an image is the one that was published around its stamp: before anything
+    of that image could have gone into it.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def recorded_run(bag: Bag) -> Replay:
         Topics are missing, or nothing was fused.
 
     """
-    pictures = _read(bag, 'camera/image_raw/compressed', lambda m: decode.stamp_ns(m.header))
+    images = _read(bag, 'camera/image_raw/compressed', lambda m: decode.stamp_ns(m.header))
     fused = {e.stamp_ns: e for e in _read(bag, 'odometry/fused', decode.pose_estimate)}
     odometry = {e.stamp_ns: e.pose_odom_base for e in _read(bag, 'odom', decode.odometry)}
     truth = _read(bag, 'ground_truth/odom', decode.pose_estimate)
@@ -63,9 +63,9 @@ def recorded_run(bag: Bag) -> Replay:
         raise LandmarkNavError(f"{bag.path}: odometry/fused never came: see the nodes' logs")
     start = fused[started[0]]
     fused_track = PoseTrack.of((stamp, estimate.pose) for stamp, estimate in fused.items())
-    stamps = [s for s in pictures if started[0] <= s <= fused_track.stamps_ns[-1]]
+    stamps = [s for s in images if started[0] <= s <= fused_track.stamps_ns[-1]]
     if not stamps:
-        raise LandmarkNavError(f'{bag.path}: no picture was recorded while driving')
+        raise LandmarkNavError(f'{bag.path}: no image was recorded while driving')
     lost = _lost_at(bag, np.array(stamps, dtype=np.int64))
     updates = []
     for stamp, pose, is_lost in zip(stamps, fused_track.at(stamps), lost, strict=True):
@@ -101,15 +101,15 @@ def _read(bag: Bag, name: str, decoder: Callable[[Any], T]) -> list[T]:
 
 
 def _lost_at(bag: Bag, stamps_ns: Any) -> list[bool]:
-    """What the fusion last said of itself at each picture; not lost before its first word."""
-    told: list[tuple[int, bool]] = [(0, False)]
+    """What the fusion last said of itself at each image; not lost before its first word."""
+    states: list[tuple[int, bool]] = [(0, False)]
     for entry in bag.messages(['/diagnostics']):
         for status in entry.message.status:
             if status.name.startswith('odometry_fusion:'):
                 stamp = decode.stamp_ns(entry.message.header)
-                told.append((stamp, int(status.level) == _ERROR))
-    last = np.searchsorted([stamp for stamp, _ in told], stamps_ns, side='right') - 1
-    return [told[k][1] for k in last]
+                states.append((stamp, int(status.level) == _ERROR))
+    last = np.searchsorted([stamp for stamp, _ in states], stamps_ns, side='right') - 1
+    return [states[k][1] for k in last]
 
 
 def _nothing(stamp_ns: int) -> Detections:

@@ -128,5 +128,5 @@ def _described(status: int) -> str:
 
 def _last_words(log: Path) -> str:
     lines = [line.strip() for line in log.read_text(errors='replace').splitlines()]
-    said = [line for line in lines if line][-_LAST_LINES:]
-    return ' | '.join(said) or 'it said nothing'
+    last_lines = [line for line in lines if line][-_LAST_LINES:]
+    return ' | '.join(last_lines) or 'it said nothing'

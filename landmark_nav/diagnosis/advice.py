@@ -37,7 +37,7 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
     """Say that the clock of a stream is off by so many seconds."""
     side = 'late' if late_s > 0.0 else 'early'
     against = _OTHERS[stream]
-    said = f'stamped {seconds_text(abs(late_s))} {side} against {against}{how}'
+    text = f'stamped {seconds_text(abs(late_s))} {side} against {against}{how}'
     values = {'late_s': late_s}
     if corrected and abs(late_s) <= CORRECTED_S:
         advice = 'corrected here; on the robot stamp at the time of measurement'
@@ -45,13 +45,13 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
         by_map = stream == JOINTS
         if by_map:
             advice = f'corrected here; on the robot set joint_delay_s to {late_s:.3f}'
-        return Finding(f'{stream} clock', 'warning', said, advice, values, by_map)
+        return Finding(f'{stream} clock', 'warning', text, advice, values, by_map)
     advice = (
         'wall time beside simulated time: set use_sim_time alike everywhere'
         if abs(late_s) > _WALL_TIME_S
         else 'stamp all streams by one clock (chrony), at the time of measurement'
     )
-    return Finding(f'{stream} clock', 'error', said, advice, values)
+    return Finding(f'{stream} clock', 'error', text, advice, values)
 
 
 def seconds_text(seconds: float) -> str:
@@ -99,11 +99,11 @@ def _named(cause: Cause) -> Finding:
         fast = 'fast' if value > 0.0 else 'slow'
         at = f', {seconds_text(abs(cause.offset_s))} off at the start'
         share = 100.0 * abs(value)
-        said = f'{share:.1f} %' if share < 1e3 else f'{1.0 + value:.4g} times'
+        text = f'{share:.1f} %' if share < 1e3 else f'{1.0 + value:.4g} times'
         return Finding(
             f'{stream} clock',
             'error',
-            f'runs {said} {fast} against {_OTHERS[stream]}{at if abs(cause.offset_s) > 1 else ""}',
+            f'runs {text} {fast} against {_OTHERS[stream]}{at if abs(cause.offset_s) > 1 else ""}',
             'its stamps drift: stamp by the clock of the host, disciplined by chrony',
             {'drift': value, 'offset_s': cause.offset_s},
         )
@@ -136,8 +136,8 @@ def _named(cause: Cause) -> Finding:
 
 def _pan_scale(mends: float) -> Finding:
     """Of the factor that takes the pan to the turn of the images."""
-    said = 1.0 / mends if abs(mends) > 1e-9 else np.inf
-    values = {'scale': said}
+    text = 1.0 / mends if abs(mends) > 1e-9 else np.inf
+    values = {'scale': text}
     name = 'pan scale'
     if abs(mends + 1.0) < 0.15:
         return Finding(
@@ -151,7 +151,7 @@ def _pan_scale(mends: float) -> Finding:
         return Finding(
             name,
             'error',
-            f'the pan moves {said:.1f} times as far as the images turn: degrees',
+            f'the pan moves {text:.1f} times as far as the images turn: degrees',
             'publish joint_states in radians',
             values,
         )
@@ -163,20 +163,20 @@ def _pan_scale(mends: float) -> Finding:
             'check pan_joint in robot.yaml and the driver of the joints',
             values,
         )
-    off = abs(said - 1.0)
+    off = abs(text - 1.0)
     level: Level = 'error' if off > _PAN_OFF else 'warning'
     return Finding(
         name,
         level,
-        f'the pan moves {said:.3g} times as far as the images turn',
+        f'the pan moves {text:.3g} times as far as the images turn',
         'check the gear or unit of the pan; else the focal length in camera_info',
         values,
     )
 
 
 def _yaw_scale(mends: float) -> Finding:
-    said = 1.0 / mends if abs(mends) > 1e-9 else np.inf
-    values = {'scale': said}
+    text = 1.0 / mends if abs(mends) > 1e-9 else np.inf
+    values = {'scale': text}
     if abs(mends + 1.0) < 0.35:
         return Finding(
             'odom yaw',
@@ -189,15 +189,15 @@ def _yaw_scale(mends: float) -> Finding:
         return Finding(
             'odom yaw',
             'error',
-            f'turns {said:.3g} times as far as the images',
+            f'turns {text:.3g} times as far as the images',
             'the yaw does not follow the robot: publish the integrated heading in radians',
             values,
         )
-    level: Level = 'error' if abs(said - 1.0) > _YAW_OFF else 'warning'
+    level: Level = 'error' if abs(text - 1.0) > _YAW_OFF else 'warning'
     return Finding(
         'odom yaw',
         level,
-        f'turns {said:.3g} times as far as the images',
+        f'turns {text:.3g} times as far as the images',
         'check the track width of the wheels, and the unit of the heading',
         values,
     )
@@ -241,11 +241,11 @@ def _small(name: str, error: Estimate, known: float, advice: str) -> Finding:
     values = {'scale': 1.0 + error.value, 'sigma': error.sigma}
     if error.sigma > known:
         return Finding(name, 'ok', 'not judged: it hardly moves')
-    said = f'{1.0 + error.value:.3f} of the images (sigma {error.sigma:.3f})'
+    text = f'{1.0 + error.value:.3f} of the images (sigma {error.sigma:.3f})'
     warn = PAN_WARN if name == 'pan scale' else YAW_WARN
     if error.beyond(warn, known):
-        return Finding(name, 'warning', said, advice, values)
-    return Finding(name, 'ok', said, '', values)
+        return Finding(name, 'warning', text, advice, values)
+    return Finding(name, 'ok', text, '', values)
 
 
 PAN_WARN, YAW_WARN = 0.03, 0.15
@@ -254,13 +254,13 @@ PAN_WARN, YAW_WARN = 0.03, 0.15
 def _clock(stream: str, late: Estimate) -> Finding:
     if late.sigma > 0.1:
         return Finding(f'{stream} clock', 'ok', 'not judged by motion: it hardly moves')
-    said = f'{1e3 * late.value:+.0f} ms against the images (sigma {1e3 * late.sigma:.0f} ms)'
+    text = f'{1e3 * late.value:+.0f} ms against the images (sigma {1e3 * late.sigma:.0f} ms)'
     values = {'late_s': late.value, 'sigma_s': late.sigma}
     if late.beyond(0.05, 0.1):
         return Finding(
-            f'{stream} clock', 'warning', said, 'stamp at the time of measurement', values
+            f'{stream} clock', 'warning', text, 'stamp at the time of measurement', values
         )
-    return Finding(f'{stream} clock', 'ok', said, '', values)
+    return Finding(f'{stream} clock', 'ok', text, '', values)
 
 
 def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
@@ -305,17 +305,17 @@ def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
     turned = float(np.arctan2(-slopes.sideways.value, slopes.nearness.value))
     spread = sigma / size
     values = {'heading_rad': turned, 'sigma_rad': spread}
-    said = f'looks {abs(np.degrees(turned)):.0f} deg to the {"left" if turned > 0 else "right"}'
-    said += f' of where pan and mount say (sigma {np.degrees(spread):.0f} deg)'
+    text = f'looks {abs(np.degrees(turned)):.0f} deg to the {"left" if turned > 0 else "right"}'
+    text += f' of where pan and mount say (sigma {np.degrees(spread):.0f} deg)'
     if abs(turned) - 4.0 * spread > np.radians(140.0):
         advice = 'odometry drives backwards, or pan_axis rpy is half a turn off'
-        found.append(Finding('camera heading', 'error', said, advice, values))
+        found.append(Finding('camera heading', 'error', text, advice, values))
     elif abs(turned) - 3.0 * spread > _HEADING_ERROR_RAD:
         advice = 'mend pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
-        found.append(Finding('camera heading', 'error', said, advice, values))
+        found.append(Finding('camera heading', 'error', text, advice, values))
     elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD:
         advice = 'check pan_axis rpy (radians) in robot.yaml and the zero of the pan'
-        found.append(Finding('camera heading', 'warning', said, advice, values))
+        found.append(Finding('camera heading', 'warning', text, advice, values))
     else:
-        found.append(Finding('camera heading', 'ok', said, '', values))
+        found.append(Finding('camera heading', 'ok', text, '', values))
     return found

@@ -29,7 +29,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.sieve import naming
+from landmark_nav.storage.bags.message_filter import naming
 from landmark_nav.storage.bags.timelines import logged_joints
 
 __all__ = ['QUICK', 'THOROUGH', 'Delays', 'Diagnosis', 'diagnose']
@@ -113,8 +113,8 @@ def diagnose(
 
     """
     # Whoever reads it then says what cannot be used.
-    said: dict[str, None] = {}
-    bag = bag.warning_to(lambda text: said.update({text: None}))
+    described: dict[str, None] = {}
+    bag = bag.warning_to(lambda text: described.update({text: None}))
     found: list[Finding] = []
     delays = Delays()
     images = _first(bag, _IMAGES)
@@ -132,7 +132,7 @@ def diagnose(
         found += _Sweeps(bag, sweeps, mount).findings(most_images)
     if not found:
         bag.require(*_IMAGES, *_SWEEP_IMAGES)
-    for text in said:
+    for text in described:
         line = text.replace(f'{bag.path}: ', '')
         found.append(Finding('reading', 'warning', line, when_read=True))
     return Diagnosis(tuple(found), delays)
@@ -199,8 +199,8 @@ class _Drive:
             if names:
                 advice = f'set pan_joint in robot.yaml to what turns the camera, not {name}'
                 return None, [Finding('joint names', 'error', f'there are {names}', advice)]
-            said = str(error).removeprefix(f'{self._bag.path}: ')
-            return None, [Finding('joint names', 'error', said, '', {}, when_read=True)]
+            described = str(error).removeprefix(f'{self._bag.path}: ')
+            return None, [Finding('joint names', 'error', described, '', {}, when_read=True)]
         return pan, [Finding('joint names', 'ok', names or name)]
 
     def _against_images(
@@ -221,8 +221,10 @@ class _Drive:
         inside = ((logged >= first) & (logged <= last))[looks.pairs].all(1)
         motion = self._motion(looks, looks.pairs[inside], streams)
         if len(motion) < _LEAST_PAIRS:
-            said = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
-            found.append(Finding('image motion', 'ok', said))
+            described = (
+                f'{len(motion)} pairs of images show how the camera turned: too few to judge'
+            )
+            found.append(Finding('image motion', 'ok', described))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         if (still := _still(motion)) is not None:
             return [*found, still], Delays(), False
@@ -282,9 +284,9 @@ class _Drive:
         late = hints[0].offset_s or hints[1].offset_s
         if slopes.odometry_clock_s.sigma < np.inf or abs(late) > _BY_LOG_S:
             late = late_odometry(known, hints) - clock.offset_s
-        said = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
+        described = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
         advice = 'errors are measured against it: stamp it by the clock of the robot'
-        return [Finding('ground_truth clock', 'warning', said, advice, {'late_s': late})]
+        return [Finding('ground_truth clock', 'warning', described, advice, {'late_s': late})]
 
     def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
         seconds = looks.stream.seconds
@@ -423,7 +425,7 @@ def _one_source(
 
 def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
     """Frames that odometry and images name."""
-    said = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
+    described = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
     children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
     bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
     if len(odometry.frames) > 1:
@@ -431,8 +433,8 @@ def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Findi
     elif children - bases:
         advice = f'odom should be about {mount.base_frame} (base_frame in robot.yaml)'
     else:
-        return [Finding('frames', 'ok', said)]
-    return [Finding('frames', 'warning', said, advice)]
+        return [Finding('frames', 'ok', described)]
+    return [Finding('frames', 'warning', described, advice)]
 
 
 def _clocks_by_log(

@@ -159,11 +159,11 @@ def _lens(camera: CameraModel | None) -> Iterable[Finding]:
     u = np.array([0.0, camera.width - 1.0])
     edge = camera.unproject(np.stack([u, np.full(2, camera.cy)], -1))[:, 0]
     field = float(np.degrees(np.ptp(np.arctan(edge))))
-    said = f'{field:.0f} deg wide, f {camera.fx:.0f} px, {camera.model}'
+    text = f'{field:.0f} deg wide, f {camera.fx:.0f} px, {camera.model}'
     values = {'field_of_view_deg': field, 'fx_px': camera.fx}
     if not np.isfinite(field) or not _LEAST_FOV_DEG < field < _MOST_FOV_DEG:
         advice = 'calibrate the camera: no lens that localization takes sees so much'
-        yield Finding('camera lens', 'error', said, advice, values)
+        yield Finding('camera lens', 'error', text, advice, values)
         return
     rays = camera.unproject(
         np.stack(np.meshgrid(np.linspace(0.0, camera.width - 1.0, 21), [0.0, camera.cy]), -1)
@@ -175,9 +175,9 @@ def _lens(camera: CameraModel | None) -> Iterable[Finding]:
         yield Finding(
             'camera lens',
             'error',
-            f'{said}: its distortion folds back inside the image',
+            f'{text}: its distortion folds back inside the image',
             'calibrate it again with points up to the corners of the image',
             values,
         )
         return
-    yield Finding('camera lens', 'ok', said, '', values)
+    yield Finding('camera lens', 'ok', text, '', values)

@@ -40,12 +40,12 @@ def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:
                 return found
             axis = panorama_from_sweep(sweep, room, mount, PanoramaStages()).axis
         except LandmarkNavError as error:
-            said = str(error).removeprefix(f'{bag.path}: ')
-            found.append(Finding(name, 'error', said))
+            text = str(error).removeprefix(f'{bag.path}: ')
+            found.append(Finding(name, 'error', text))
             continue
         x, y, heading = axis.pose.tolist()
         sigma = 1e3 * float(np.sqrt(np.trace(axis.covariance[:2, :2])))
-        said = f'pan axis at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg'
-        said += f' (sigma {sigma:.0f} mm)'
+        text = f'pan axis at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg'
+        text += f' (sigma {sigma:.0f} mm)'
         values = {'pose': [x, y, heading], 'sigma_m': 1e-3 * sigma}
-        found.append(Finding(name, 'ok', said, '', values))
+        found.append(Finding(name, 'ok', text, '', values))

@@ -44,12 +44,12 @@ def check_speed(stream: Stream) -> Finding:
     times, values = _steps(stream)
     steps = np.hypot(*np.diff(values[:, :2], axis=0).T) / np.diff(times)
     speed = float(np.quantile(steps, 0.9)) if len(steps) else 0.0
-    said = f'{speed:.2f} m/s (90 %)'
+    text = f'{speed:.2f} m/s (90 %)'
     if speed > _FAST_M_S:
         advice = 'publish odom in metres; by its speed it looks like centimetres or millimetres'
         level = 'error' if speed > _FASTEST_M_S else 'warning'
-        return Finding('odom speed', level, said, advice, {'speed_m_s': speed})  # type: ignore[arg-type]
-    return Finding('odom speed', 'ok', said, '', {'speed_m_s': speed})
+        return Finding('odom speed', level, text, advice, {'speed_m_s': speed})  # type: ignore[arg-type]
+    return Finding('odom speed', 'ok', text, '', {'speed_m_s': speed})
 
 
 def check_twist(stream: Stream) -> list[Finding]:

@@ -25,28 +25,28 @@ __all__ = ['posterior_bound']
 
 def posterior_bound(
     truth: PoseTrack,
-    sightings: Sequence[Detections],
+    detections: Sequence[Detections],
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: LocalizationConfig,
     start: PoseEstimate,
 ) -> FloatArray:
     """
-    Bound of the covariance of the pose at each picture.
+    Bound of the covariance of the pose at each image.
 
     For a nonlinear system with Gaussian noise the bound obeys the covariance recursion of the
     extended Kalman filter linearised along the true trajectory (Taylor, IEEE Trans. Automatic
     Control 24(2), 1979; Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5),
     1998). So a filter is told the truth without noise, with the noise models, the landmarks'
-    joint covariance and the sightings of the run; it refines the landmarks, as an optimal
+    joint covariance and the detections of the run; it refines the landmarks, as an optimal
     estimator would.
 
     Parameters
     ----------
     truth : PoseTrack
         Base in map.
-    sightings : sequence of Detections
-        What was used of each picture: landmarks and variances count, bearings do not.
+    detections : sequence of Detections
+        What was used of each image: landmarks and variances count, bearings do not.
     landmark_map : LandmarkMap
         Positions and joint covariance.
     mount : PanTiltMount
@@ -63,38 +63,38 @@ def posterior_bound(
 
     """
     try:
-        return _bound(truth, sightings, landmark_map, mount, config, start)
+        return _bound(truth, detections, landmark_map, mount, config, start)
     except np.linalg.LinAlgError:
-        return np.full((len(sightings), 3, 3), np.nan)
+        return np.full((len(detections), 3, 3), np.nan)
 
 
 def _bound(
     truth: PoseTrack,
-    sightings: Sequence[Detections],
+    detections: Sequence[Detections],
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: LocalizationConfig,
     start: PoseEstimate,
 ) -> FloatArray:
-    told = replace(
+    given = replace(
         config.fusion,
         mode='bearings',
         landmarks='estimate',
-        map_memory_m=1e9,
+        correlation_length_m=1e9,
         bearing_probability=1.0,
-        curvature_repeats=0.0,
+        nonlinearity_inflation=0.0,
     )
     # Bearings without noise are nothing to learn noise from.
     odometry = replace(config.odometry, learning_sigma=0.0)
-    ideal = PoseFilter(landmark_map, mount, told, odometry, config.health)
-    bound = np.full((len(sightings), 3, 3), np.nan)
+    ideal = PoseFilter(landmark_map, mount, given, odometry, config.health)
+    bound = np.full((len(detections), 3, 3), np.nan)
     begin = max(start.stamp_ns, int(truth.stamps_ns[0])) if len(truth) else 0
-    poses = truth.at([begin, *(seen.stamp_ns for seen in sightings)])
+    poses = truth.at([begin, *(seen.stamp_ns for seen in detections)])
     if np.isnan(poses[0]).any():
         return bound
     ideal.initialize(PoseEstimate(begin, poses[0], start.covariance))
     moved = int(np.searchsorted(truth.stamps_ns, begin))
-    for k, (seen, pose) in enumerate(zip(sightings, poses[1:], strict=True)):
+    for k, (seen, pose) in enumerate(zip(detections, poses[1:], strict=True)):
         if np.isnan(pose).any() or seen.stamp_ns < begin:
             continue
         while moved < len(truth) and truth.stamps_ns[moved] <= seen.stamp_ns:
@@ -112,6 +112,6 @@ def _bound(
 def _without_noise(
     seen: Detections, pose: FloatArray, landmark_map: LandmarkMap, mount: PanTiltMount
 ) -> Detections:
-    """Give a sighting the bearings that the true pose would have shown."""
+    """Give a detection the bearings that the true pose would have shown."""
     places = landmark_map.positions[landmark_map.indices(seen.ids), :2]
     return replace(seen, bearing_rad=se2.bearings(mount.axis_pose_map(pose), places))

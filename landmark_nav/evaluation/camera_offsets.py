@@ -27,7 +27,7 @@ class CameraOffsets:
     """
     Constant errors of the camera's direction, each with its sigma.
 
-    `delay_s` is by how much joint states are stamped later than pictures of the same moment,
+    `delay_s` is by how much joint states are stamped later than images of the same moment,
     `boresight_rad` the direction of the camera at pan 0, counter-clockwise from ahead.
     """
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-__all__ = ['ESTIMATES', 'cell', 'honest_range', 'html_report']
+__all__ = ['ESTIMATES', 'cell', 'html_report', 'nees_range']
 
 _STYLE = (
     ':root{color-scheme:light dark}'
@@ -55,14 +55,14 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, byt
     )
     nees = report['nees']
     rest = {
-        'pictures': report['frames'],
+        'images': report['frames'],
         'triangulated poses': report['fixes'],
         'availability': cell(report['availability'], 1.0, 3),
         'landmarks in the map': report['landmarks'],
         'claimed sigma, median [cm]': cell(report['claimed']['position_median_m'], 100.0, 2),
-        f'NEES, mean (3 is ideal{honest_range(nees["interval_95"])})': cell(nees['mean'], 1.0, 2),
+        f'NEES, mean (3 is ideal{nees_range(nees["interval_95"])})': cell(nees['mean'], 1.0, 2),
         'NEES, share within 95 % [%]': cell(nees['inside_95'], 100.0, 1),
-        'pictures over 5 sigma off, not told': cell(report['silently_wrong'], 1, 0),
+        'images over 5 sigma off, not told': cell(report['silently_wrong'], 1, 0),
         **(_of_replay(report) if 'crlb_ratio' in report else {}),
     }
     others = ''.join(
@@ -79,9 +79,9 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, byt
         head_of_spells = '<th>not tracking</th><th>from [s]</th><th>to [s]</th>'
         head_of_spells += '<th class="left">reason</th>'
         others += f'</table><table><tr>{head_of_spells}</tr>{spells}'
-    said = report.get('warning')
-    warning = f'<p><strong>Warning: {escape(said)}</strong></p>' if said else ''
-    pictures = ''.join(
+    text = report.get('warning')
+    warning = f'<p><strong>Warning: {escape(text)}</strong></p>' if text else ''
+    images = ''.join(
         f'<h2>{escape(caption)}</h2><img alt="{escape(caption)}" title="click for full size" '
         'onclick="this.classList.toggle(\'whole\')" '
         f'src="data:image/png;base64,{base64.b64encode(png).decode()}">'
@@ -92,8 +92,8 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, byt
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<title>{escape(title)}</title>'
         f'<style>{_STYLE}</style><h1>{escape(title)}</h1>'
-        '<p>Errors are absolute in map, never aligned, at the stamps of the pictures.</p>'
-        f'{warning}<table><tr>{head}</tr>{body}</table><table>{others}</table>{pictures}</html>\n'
+        '<p>Errors are absolute in map, never aligned, at the stamps of the images.</p>'
+        f'{warning}<table><tr>{head}</tr>{body}</table><table>{others}</table>{images}</html>\n'
     )
 
 
@@ -109,9 +109,9 @@ def _of_replay(report: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def honest_range(interval: list[float] | None) -> str:
-    """Tell between which means NEES is honest, if that is known."""
-    return f', {interval[0]:.2f} to {interval[1]:.2f} is honest' if interval else ''
+def nees_range(interval: list[float] | None) -> str:
+    """Tell between which means NEES is consistent, if that is known."""
+    return f', {interval[0]:.2f} to {interval[1]:.2f} is consistent' if interval else ''
 
 
 def cell(value: float | None, factor: float, digits: int) -> str:

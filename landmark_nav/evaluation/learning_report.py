@@ -85,7 +85,7 @@ def learning_report(
 def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
     """Figures of a panorama; terms of the calibration in radians, metres, or relative."""
     closure = quality.closure_rad
-    told = {
+    entry = {
         'sharpness': quality.sharpness,
         'closure_deg': None if closure is None else abs(float(np.degrees(closure))),
         'residual_px': quality.residual_px,
@@ -93,7 +93,7 @@ def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
         'vignetting': quality.vignetting,
         'gain_spread': quality.gain_spread,
     }
-    plain = {k: v for k, v in told.items() if v is None or np.isfinite(v)}
+    plain = {k: v for k, v in entry.items() if v is None or np.isfinite(v)}
     terms = {
         term.name: {'value': term.value, 'sigma': term.sigma, 'used': term.used}
         for term in quality.calibration
@@ -126,11 +126,11 @@ def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[st
     """X [m], y [m] and heading [rad] of the base, and their errors."""
     base = base_from_axis(panorama.axis, mount)
     pose, covariance = base.pose, base.covariance
-    told: dict[str, Any] = {'pose': pose.tolist(), 'sigma': np.sqrt(np.diag(covariance)).tolist()}
+    entry: dict[str, Any] = {'pose': pose.tolist(), 'sigma': np.sqrt(np.diag(covariance)).tolist()}
     error = pose_errors(pose[None], truth.at([panorama.stamp_ns]))[0]
     if np.all(np.isfinite(error)):
-        told['error'] = error.tolist()
-        told['error_position_m'] = float(np.hypot(error[0], error[1]))
-        told['error_heading_deg'] = float(np.degrees(abs(error[2])))
-        told['nees'] = float(error @ np.linalg.solve(covariance, error))
-    return told
+        entry['error'] = error.tolist()
+        entry['error_position_m'] = float(np.hypot(error[0], error[1]))
+        entry['error_heading_deg'] = float(np.degrees(abs(error[2])))
+        entry['nees'] = float(error @ np.linalg.solve(covariance, error))
+    return entry

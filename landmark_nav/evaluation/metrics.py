@@ -23,13 +23,13 @@ __all__ = [
     'error_summary',
     'pose_errors',
     'result_hash',
-    'silently_wrong',
+    'undetected_failures',
 ]
 
 # Of the errors x, y and heading.
 _DEGREES_OF_FREEDOM = 3
 _FIVE_SIGMA = 5.0
-# Metres and radians that `result_hash` tells apart.
+# Metres and radians that `result_hash` distinguish.
 _RESOLUTION = 1e-6
 
 
@@ -37,9 +37,9 @@ class Consistency(NamedTuple):
     """
     Normalised estimation errors squared.
 
-    With honest covariances the expectation of `mean` is 3, and `mean` lies inside `interval_95` in
-    19 of 20 runs, each with a newly drawn map and errors as correlated as here. `inside_95` is the
-    share of errors below the 95 % bound of a single one.
+    With consistent covariances the expectation of `mean` is 3, and `mean` lies inside
+    `interval_95` in 19 of 20 runs, each with a newly drawn map and errors as correlated as here.
+    `inside_95` is the share of errors below the 95 % bound of a single one.
     """
 
     mean: float
@@ -166,7 +166,7 @@ def _independent_maps(white: FloatArray) -> float:
     return _DEGREES_OF_FREEDOM * n**2 / repeated if repeated > 0.0 else float(n)
 
 
-def silently_wrong(
+def undetected_failures(
     errors: FloatArray, covariances: FloatArray, tracking: npt.NDArray[np.bool_]
 ) -> int:
     """Count states (n,) that call themselves tracking with an error beyond five sigmas."""
@@ -205,7 +205,7 @@ def result_hash(stamps_ns: npt.NDArray[np.int64], fused: FloatArray, fixes: Floa
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n,)
-        Stamps of the pictures.
+        Stamps of the images.
     fused, fixes : ndarray, shape (n, 3)
         Fused and triangulated poses; NaN where there is none.
 

@@ -46,9 +46,9 @@ class Replay:
     start : PoseEstimate
         Pose at which it began, or that was found.
     searched : tuple of int
-        Stamps of the pictures before that, while the place was searched.
+        Stamps of the images before that, while the place was searched.
     updates : tuple of LocalizationUpdate
-        One for each picture after that.
+        One for each image after that.
     update_seconds : ndarray, shape (n,)
         Computing time of each.
     odometry : PoseTrack
@@ -60,7 +60,7 @@ class Replay:
     odometry_noise : OdometryNoiseConfig
         Noise of the odometry, as learned by the end.
     sighting_sigma : float
-        Factor on the claimed sigmas of sightings, as learned by the end.
+        Factor on the claimed sigmas of detections, as learned by the end.
     late : JointDelay
         Delay of the stamps of the joints, as estimated by the end.
     samples : tuple of OdometrySample
@@ -78,20 +78,20 @@ class Replay:
     truth: PoseTrack
     seconds: float
     odometry_noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
-    sighting_sigma: float = 1.0
+    detection_sigma_factor: float = 1.0
     late: JointDelay = field(default_factory=JointDelay)
     samples: tuple[OdometrySample, ...] = ()
     calibration: Calibration | None = None
 
     @property
     def begin_ns(self) -> int:
-        """Stamp of the first picture or odometry."""
+        """Stamp of the first image or odometry."""
         first = (*self.searched, *(update.stamp_ns for update in self.updates))[0]
         return min(first, int(self.odometry.stamps_ns[0]))
 
     @property
     def stamps_ns(self) -> npt.NDArray[np.int64]:
-        """Stamps of the pictures, (n,)."""
+        """Stamps of the images, (n,)."""
         return np.array([update.stamp_ns for update in self.updates], dtype=np.int64)
 
     @property
@@ -153,7 +153,7 @@ def replay(
         What was sensed, in the order of its arrival. Ground truth is kept aside, for
         figures alone.
     start_pose : ndarray, shape (3,), optional
-        Pose of the base in map at the first picture or odometry; without it the robot finds its
+        Pose of the base in map at the first image or odometry; without it the robot finds its
         own place.
     start_covariance : ndarray, shape (3, 3), optional
         How sure the start is; goes with it.
@@ -163,7 +163,7 @@ def replay(
     Raises
     ------
     LandmarkNavError
-        No picture or no odometry in it, stamps that stand still, or nowhere in it a place was
+        No image or no odometry in it, stamps that stand still, or nowhere in it a place was
         found.
 
     """
@@ -213,16 +213,16 @@ def replay(
             else:
                 refusal = update
     if not samples or not (updates or searched):
-        raise LandmarkNavError('the drive holds no picture or no odometry: nothing to evaluate')
+        raise LandmarkNavError('the drive holds no image or no odometry: nothing to evaluate')
     if start is None:
         raise LandmarkNavError(
-            f'the place was not found in {len(searched)} pictures ({refusal}): give --start'
+            f'the place was not found in {len(searched)} images ({refusal}): give --start'
         )
     if not updates:
-        raise LandmarkNavError('the place was found in the last picture: nothing to evaluate')
+        raise LandmarkNavError('the place was found in the last image: nothing to evaluate')
     if len(updates) > 1 and len({update.stamp_ns for update in updates}) == 1:
         raise LandmarkNavError(
-            f'all {len(updates)} pictures are of one moment, {1e-9 * updates[0].stamp_ns:.3f} s: '
+            f'all {len(updates)} images are of one moment, {1e-9 * updates[0].stamp_ns:.3f} s: '
             'their publisher must stamp them (header.stamp)'
         )
     stamps_ns = [sample.stamp_ns for sample in samples]
@@ -248,7 +248,7 @@ def replay(
         PoseTrack.of((s + later, pose) for (s, pose), later in zip(truth, known, strict=True)),
         time.perf_counter() - begin,
         localizer.odometry_noise,
-        localizer.sighting_sigma,
+        localizer.detection_sigma_factor,
         localizer.late,
         tuple(samples),
         localizer.calibration if isinstance(localizer, JointLocalizer) else None,
@@ -265,7 +265,7 @@ def _given(
 
 
 def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
-    """What came of a picture, with another stamp."""
+    """What came of an image, with another stamp."""
     if not shift_ns:
         return update
     stamp, seen = update.stamp_ns + shift_ns, update.observation

@@ -15,7 +15,7 @@ from landmark_nav.evaluation.metrics import (
     error_summary,
     pose_errors,
     result_hash,
-    silently_wrong,
+    undetected_failures,
 )
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry.camera import PanTiltMount
@@ -25,13 +25,13 @@ from landmark_nav.types import Detections, FloatArray, LandmarkMap
 __all__ = ['RunErrors', 'integrity_report', 'pose_report', 'run_errors', 'run_report']
 
 SCHEMA = 1
-# A place that is known in fewer of the pictures is hardly known.
+# A place that is known in fewer of the images is hardly known.
 _MOSTLY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class RunErrors:
-    """Errors (n, 3) at the pictures against the truth; NaN where one of both is missing."""
+    """Errors (n, 3) at the images against the truth; NaN where one of both is missing."""
 
     fused: FloatArray
     triangulation: FloatArray
@@ -59,12 +59,12 @@ def run_report(
     Figures of a run, by the keys of the contract.
 
     Those that need ground truth are None where the bag has none; ``found`` is None where the start
-    was given; ``spells`` are the stretches of pictures in which the state was coasting or lost;
+    was given; ``spells`` are the stretches of images in which the state was coasting or lost;
     ``warning`` says where the figures mean little, and is None where they do.
     """
     bound = posterior_bound(
         run.truth,
-        [_used(u, run.sighting_sigma) for u in run.updates],
+        [_used(u, run.detection_sigma_factor) for u in run.updates],
         landmark_map,
         mount,
         config,
@@ -90,7 +90,7 @@ def run_report(
             'turn_rad_per_sqrt_rad': run.odometry_noise.turn_rad_per_sqrt_rad,
             'slip_sigma': run.odometry_noise.slip_sigma,
         },
-        'sighting_sigma': run.sighting_sigma,
+        'sighting_sigma': run.detection_sigma_factor,
         'found': {
             'after_s': 1e-9 * float(run.start.stamp_ns - run.begin_ns),
             'pose': list(run.start.pose),
@@ -103,16 +103,16 @@ def run_report(
 
 def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> dict[str, Any]:
     """Of these figures, those that the poses of a run tell; ``claimed`` are their sigmas."""
-    pictures = len(run.searched) + len(run.updates)
+    images = len(run.searched) + len(run.updates)
     by_map = run.by_map(landmark_map)
     nees = consistency(errors.fused, run.fused_covariances, by_map)
     sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
     sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {
         'schema': SCHEMA,
-        'frames': pictures,
+        'frames': images,
         'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
-        'availability': float(np.sum(~run.lost)) / pictures,
+        'availability': float(np.sum(~run.lost)) / images,
         'landmarks': len(landmark_map.landmarks),
         'fused': error_summary(errors.fused),
         'triangulation': error_summary(errors.triangulation),
@@ -128,7 +128,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
             'position_p95_m': float(np.percentile(sigma_m, 95)),
             'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
         },
-        'silently_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking)
+        'silently_wrong': undetected_failures(errors.fused, run.fused_covariances, run.tracking)
         if len(run.truth)
         else None,
     }
@@ -155,7 +155,7 @@ def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
         'coverage_99': float(inside.mean()),
         'coverage_99_by_quarter': [float(part.mean()) for part in quarters if len(part)],
         'level_over_error_median': float(np.median(level[:, 0] / np.maximum(off[:, 0], 1e-9))),
-        'undetected_wrong': silently_wrong(errors.fused, run.fused_covariances, run.tracking),
+        'undetected_wrong': undetected_failures(errors.fused, run.fused_covariances, run.tracking),
     }
 
 
@@ -163,7 +163,7 @@ def _warning(availability: float) -> str | None:
     if availability >= _MOSTLY:
         return None
     return (
-        f'lost in {100.0 * (1.0 - availability):.0f} % of the pictures, where fused is but '
+        f'lost in {100.0 * (1.0 - availability):.0f} % of the images, where fused is but '
         'odometry: is the map of this room, and robot.yaml of this robot?'
     )
 
@@ -182,10 +182,10 @@ def _spells(run: Replay) -> list[dict[str, Any]]:
     return spells
 
 
-def _used(update: LocalizationUpdate, sighting_sigma: float) -> Detections:
-    """Return the detections of a picture that the filter took; a pose is made of all."""
+def _used(update: LocalizationUpdate, detection_sigma_factor: float) -> Detections:
+    """Return the detections of an image that the filter took; a pose is made of all."""
     found = update.observation.detections
-    found = replace(found, variance_rad2=sighting_sigma**2 * found.variance_rad2)
+    found = replace(found, variance_rad2=detection_sigma_factor**2 * found.variance_rad2)
     if update.fusion.refusal is not None:
         keep = np.zeros(len(found), dtype=np.bool_)
     elif len(update.fusion.accepted_ids):

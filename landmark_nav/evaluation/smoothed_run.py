@@ -14,7 +14,7 @@ from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.localization.smoother import smooth, Smoothed
 from landmark_nav.types import LandmarkMap
 
-__all__ = ['smooth_run', 'smoothed_report', 'strays']
+__all__ = ['departures', 'smooth_run', 'smoothed_report']
 
 # Five sigmas of three numbers.
 _FAR = 31.8
@@ -28,9 +28,9 @@ def smooth_run(
 
     It begins at the filter's poses. Bearings are corrected for the joint delay as it is known at
     the end of the run. What odometry says is not believed where the filter was lost, from the last
-    picture that it used before.
+    image that it used before.
     """
-    # Pictures may have come late.
+    # Images may have come late.
     order = np.argsort(run.stamps_ns, kind='stable')
     updates = [run.updates[k] for k in order if run.updates[k].stamp_ns >= run.start.stamp_ns]
     open_, used = np.zeros(len(updates), dtype=np.bool_), 0
@@ -52,7 +52,7 @@ def smooth_run(
     )
 
 
-def strays(run: Replay, smoothed: Smoothed) -> str:
+def departures(run: Replay, smoothed: Smoothed) -> str:
     """
     Where the line is far from the filter's, in words; empty if it is not.
 

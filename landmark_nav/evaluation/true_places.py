@@ -10,7 +10,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.sieve import Sieve
+from landmark_nav.storage.bags.message_filter import MessageFilter
 from landmark_nav.storage.bags.truth import truth_decoder
 from landmark_nav.types import FloatArray, Landmark
 
@@ -22,9 +22,9 @@ def truth_of_bag(bag: Bag) -> PoseTrack:
     topic = bag.find('ground_truth/odom')
     if topic is None:
         return PoseTrack.of(())
-    sieve, decoder = Sieve(bag, topic, needed=False), truth_decoder(bag, topic)
-    poses = [sieve.take(decoder, entry) for entry in bag.messages([topic])]
-    sieve.tell()
+    message_filter, decoder = MessageFilter(bag, topic, needed=False), truth_decoder(bag, topic)
+    poses = [message_filter.take(decoder, entry) for entry in bag.messages([topic])]
+    message_filter.report()
     return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses if pose is not None)
 
 
@@ -48,7 +48,7 @@ def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMo
     Where the true rays to the patches of the landmarks end.
 
     A patch is as far off its wall as its landmark, so that the two differ along the wall alone:
-    pictures hang a finger's breadth before it, nobody knows how far.
+    posters hang a finger's breadth before it, nobody knows how far.
 
     Parameters
     ----------

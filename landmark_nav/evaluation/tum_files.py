@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.localization.smoother import Smoothed
-from landmark_nav.storage.whole import write_whole
+from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray
 
 __all__ = ['write_tum_files']
@@ -21,7 +21,7 @@ def write_tum_files(
     """
     Write ``truth.tum``, ``fused.tum``, ``triangulation.tum`` and others into a folder.
 
-    All are at the stamps of the pictures, so that other tools compare the same pairs of poses as
+    All are at the stamps of the images, so that other tools compare the same pairs of poses as
     `landmark_nav.evaluation.metrics`; what is not known at a stamp has no line.
 
     Returns
@@ -43,10 +43,10 @@ def write_tum_files(
     for name, (at_ns, poses) in tracks.items():
         known = np.flatnonzero(np.isfinite(poses).all(axis=1))
         if len(known):
-            # Pictures may have come late.
+            # Images may have come late.
             known = known[np.argsort(at_ns[known], kind='stable')]
             paths.append(folder / f'{name}.tum')
-            write_whole(paths[-1], _lines(at_ns[known], poses[known]))
+            write_atomically(paths[-1], _lines(at_ns[known], poses[known]))
     return tuple(paths)
 
 

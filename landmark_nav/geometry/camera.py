@@ -404,7 +404,7 @@ class PanTiltMount:
     camera_roll_rad : float
         Turn of the camera about its optical axis, clockwise as it looks: pi upside down.
     pan_sigma_rad : float
-        Error of the measured joint angles, which all of a picture share.
+        Error of the measured joint angles, which all of an image share.
 
     """
 

@@ -18,13 +18,13 @@ from landmark_nav.geometry.observation import relative_sampling
 from landmark_nav.geometry.patches import patch_axes, PatchView
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
-from landmark_nav.learning.stereo.wall_patch import Sighting, wall_texture, WallPatch
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, wall_texture, WallPatch
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
 
 __all__ = ['ElectionConfig', 'elect']
 
-# Greatest misfit of two sightings and a wall, squared; more views may add to it.
+# Greatest misfit of two measurements and a wall, squared; more views may add to it.
 _MAX_CHI_SQUARE = 13.8
 # Share of the correlation between its own views that counts as found.
 _THRESHOLD_SHARE = 0.75
@@ -54,7 +54,7 @@ class ElectionConfig(Config):
     )
     max_depth_sigma_m: float = parameter(
         0.02,
-        'greatest standard deviation of how far off its wall it lies, by its sightings alone',
+        'greatest standard deviation of how far off its wall it lies, by its measurements alone',
         minimum=1e-4,
         maximum=1,
     )
@@ -66,7 +66,7 @@ class ElectionConfig(Config):
 
 def elect(
     patches: Sequence[WallPatch],
-    sightings: Sequence[Sequence[Sighting]],
+    measurements: Sequence[Sequence[PatchMeasurement]],
     adjustment: Adjustment,
     free: Adjustment,
     panoramas: Sequence[Panorama],
@@ -79,12 +79,12 @@ def elect(
 
     Parameters
     ----------
-    patches, sightings : sequence
+    patches, measurements : sequence
         What was reconstructed and where it was seen.
     adjustment : Adjustment
         Places and covariances in the same order.
     free : Adjustment
-        The same without the walls: what sightings alone tell.
+        The same without the walls: what measurements alone tell.
     panoramas : sequence of Panorama
         With adjusted poses.
     greys : sequence of ndarray, shape (height, width)
@@ -105,7 +105,7 @@ def elect(
     taken: list[Landmark] = []
     for k in np.argsort([-patch.candidate.saliency for patch in patches], kind='stable'):
         patch = patches[k]
-        others = [s.panorama for s in sightings[k] if s.panorama != patch.source]
+        others = [s.panorama for s in measurements[k] if s.panorama != patch.source]
         refusal = _refuse(
             patch, k, adjustment, covariance[k], depth_sigma[k], panoramas[patch.source],
             [panoramas[other] for other in others], config,
@@ -121,7 +121,7 @@ def elect(
         if refusal is not None:
             outcomes[k] = refusal
             continue
-        score = min(s.score for s in sightings[k])
+        score = min(s.score for s in measurements[k])
         landmark = _landmark(
             len(taken) + 1, patch, adjustment.positions[k], panoramas[patch.source],
             greys[patch.source], room,

@@ -2,7 +2,7 @@
 Learning, stage by stage.
 
 `sweep_pipeline` leads from each sweep to its panorama;
-panoramas -> candidates -> wall patches -> sightings -> adjustment -> election -> map.
+panoramas -> candidates -> wall patches -> measurements -> adjustment -> election -> map.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from landmark_nav.learning.adjustment import (
     adjust,
     Adjustment,
     AdjustmentConfig,
-    told_by_sizes,
+    depth_from_scale,
     WallFitConfig,
 )
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
-    doubtful_walls,
     wall_residuals,
+    wall_warnings,
     WallResidual,
 )
 from landmark_nav.learning.attention import attend, AttentionConfig
@@ -86,7 +86,7 @@ class LearningResult:
     `panoramas` carry their adjusted poses. `candidates` and `outcomes` have one tuple a
     panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` tells,
     a tuple a panorama too, why attention refused others before. `walls` tells how far before each
-    wall what hangs there lies, where enough does, and `doubt` whether these walls may be wrong.
+    wall what hangs there lies, where enough does, and `warning` whether these walls may be wrong.
     """
 
     map: LandmarkMap
@@ -96,7 +96,7 @@ class LearningResult:
     reconstructed: int
     ambiguous: tuple[tuple[Refusal, ...], ...] = ()
     walls: tuple[WallResidual, ...] = ()
-    doubt: str = ''
+    warning: str = ''
 
 
 def learn_from_panoramas(
@@ -134,12 +134,12 @@ def learn_from_panoramas(
         )
     with log.measure('adjustment'):
         adjustment, free, residuals, hidden = _adjusted(found, panoramas, room, config)
-    uneven = doubtful_walls(
+    uneven = wall_warnings(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
     )
-    doubt = '; '.join(filter(None, [hidden, uneven]))
-    if doubt:
-        _LOG.warning('%s', doubt)
+    warning = '; '.join(filter(None, [hidden, uneven]))
+    if warning:
+        _LOG.warning('%s', warning)
     adjusted = tuple(
         replace(p, center_map=pose[:3], heading_rad=float(pose[3]), covariance=covariance)
         for p, pose, covariance in zip(
@@ -149,7 +149,7 @@ def learn_from_panoramas(
     with log.measure('election'):
         elected = elect(
             found.patches,
-            found.sightings,
+            found.measurements,
             adjustment,
             free,
             adjusted,
@@ -181,7 +181,7 @@ def learn_from_panoramas(
         len(found.patches),
         tuple(tuple(why for _, why in a.refused) for a in attended),
         residuals,
-        doubt,
+        warning,
     )
 
 
@@ -200,7 +200,7 @@ def _adjusted(
 
     def adjusted(found: Found, expected: AdjustmentConfig) -> Adjustment:
         start = np.array([patch.position for patch in found.patches])
-        return adjust(found.sightings, found.walls, start, panoramas, places, room, expected)
+        return adjust(found.measurements, found.walls, start, panoramas, places, room, expected)
 
     hidden = check_walls(
         adjusted(found.anywhere, without_walls),
@@ -213,10 +213,10 @@ def _adjusted(
     free = adjusted(found, without_walls)
     adjustment = adjusted(found, config.adjustment)
     residuals = wall_residuals(adjustment, walls, room, config.adjustment)
-    adjustment, free = told_by_sizes(
+    adjustment, free = depth_from_scale(
         adjustment,
         free,
-        found.sightings,
+        found.measurements,
         room.normals[walls],
         config.adjustment,
         config.election.max_depth_sigma_m,

@@ -1,8 +1,8 @@
 """
-How sharp a picture is beside others that show the same part of the room.
+How sharp an image is beside others that show the same part of the room.
 
 Sharpness alone tells nothing: a blank wall has none. So gradients are kept by direction, and two
-pictures are compared where both look, whatever is there.
+images are compared where both look, whatever is there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ['Look', 'look_at', 'relative_sharpness']
 _BIN_RAD = float(np.radians(1.0))
 # Common directions that a comparison needs.
 _LEAST_BINS = 4
-# A picture whose grey levels span no more shows nothing: covered, dark, or overexposed.
+# An image whose grey levels span no more shows nothing: covered, dark, or overexposed.
 _FLAT_LEVELS = 2
 # Energy that counts as little: what noise of two or three grey levels makes.
 _NOTHING = 5e-3
@@ -30,7 +30,7 @@ _NOTHING = 5e-3
 @dataclass(frozen=True, eq=False)
 class Look:
     """
-    What a picture shows, as far as its quality goes.
+    What an image shows, as far as its quality goes.
 
     `azimuth_rad` (n,) rises evenly and is relative to the pan; `energy` (2, n) is the mean squared
     gradient there, across and down, over the squared mean brightness; `flat` says that there is no
@@ -75,7 +75,7 @@ def look_at(image: ImageArray, camera: CameraModel, camera_roll_rad: float = 0.0
 
 def relative_sharpness(look: Look, other: Look, turned_rad: float) -> float | None:
     """
-    Gradient energy of one picture over that of another in the directions that both show.
+    Gradient energy of one image over that of another in the directions that both show.
 
     Across or down, whichever is less: a shaken camera blurs one way only. Each is the median over
     directions, by how much there is to see there: people who pass hardly count.

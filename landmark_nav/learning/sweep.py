@@ -1,4 +1,4 @@
-"""A sweep out of what was recorded: measured angles on one hand, stamped pictures on the other."""
+"""A sweep out of what was recorded: measured angles on one hand, stamped images on the other."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def missing_frames(
 
 def assemble_sweep(
     trajectory: Sequence[JointSample],
-    pictures: Mapping[int, tuple[ImageArray, CameraModel]],
+    images: Mapping[int, tuple[ImageArray, CameraModel]],
     pose_map_base: PoseEstimate | None = None,
 ) -> Sweep:
     """
-    Join angles and pictures by their stamps; what is missing, or not seen at all, is logged.
+    Join angles and images by their stamps; what is missing, or not seen at all, is logged.
 
     Parameters
     ----------
     trajectory : sequence of JointSample
         One for each frame that was kept.
-    pictures : mapping
-        Stamp in nanoseconds -> picture and camera; others than those of the trajectory are left
+    images : mapping
+        Stamp in nanoseconds -> image and camera; others than those of the trajectory are left
         aside.
     pose_map_base : PoseEstimate, optional
         Where it was taken, if that is known.
@@ -44,15 +44,15 @@ def assemble_sweep(
     Raises
     ------
     LandmarkNavError
-        No angles at all, or not one picture.
+        No angles at all, or not one image.
 
     """
     if not trajectory:
         raise LandmarkNavError('the sweep has no frames: take it again')
     frames = [
-        CameraFrame(sample.stamp_ns, *pictures[sample.stamp_ns], sample.pan_rad, sample.tilt_rad)
+        CameraFrame(sample.stamp_ns, *images[sample.stamp_ns], sample.pan_rad, sample.tilt_rad)
         for sample in sorted(trajectory, key=lambda sample: sample.stamp_ns)
-        if sample.stamp_ns in pictures
+        if sample.stamp_ns in images
     ]
     which = f'the sweep of {trajectory[0].stamp_ns * 1e-9:.3f} s'
     if not frames:
@@ -61,7 +61,7 @@ def assemble_sweep(
             'sweep/camera_info?'
         )
     check_one_turn([frame.pan_rad for frame in frames], which)
-    missing = missing_frames(trajectory, pictures)
+    missing = missing_frames(trajectory, images)
     lacks = describe_coverage(
         [frame.pan_rad for frame in frames],
         frames[0].camera.half_fov_rad,

@@ -25,9 +25,8 @@ from landmark_nav.learning.calibration import (
     moved_px,
     SweepCalibration,
 )
-from landmark_nav.learning.calibration.lean import levelled
+from landmark_nav.learning.calibration.axis_tilt import levelled
 from landmark_nav.learning.least_squares import checked_covariance
-from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.reference_area import (
@@ -39,6 +38,7 @@ from landmark_nav.learning.reference_area import (
     SweepPlace,
 )
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.upside_down import why_upside_down
 from landmark_nav.parameters import Config
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import FloatArray, Panorama, PoseEstimate, Sweep
@@ -52,7 +52,7 @@ _FAR_M = 50.0
 # Standard deviations of a given pose that no map can be learned with: metres, metres, radians.
 _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
 # A focal length that is off by such a share is worth a word.
-_WORTH_SAYING = 0.02
+_WORTH_REPORTING = 0.02
 # No pose is better known.
 _LEAST_VARIANCE = 1e-10
 # Calibrations that differ by less make one panorama.
@@ -105,7 +105,7 @@ def panorama_from_sweep(
         try:
             check_turn(sweep, mount)
         except LandmarkNavError as error:
-            why = why_overturned(sweep, room, mount, config.reference_area)
+            why = why_upside_down(sweep, room, mount, config.reference_area)
             raise LandmarkNavError(why or str(error)) from error
         found = calibrate_sweep(sweep, mount, config.calibration)
     with log.measure('panorama'):
@@ -118,24 +118,26 @@ def panorama_from_sweep(
         try:
             place = _place(view, found, room, config)
         except LandmarkNavError as error:
-            why = why_overturned(sweep, room, mount, config.reference_area)
+            why = why_upside_down(sweep, room, mount, config.reference_area)
             raise LandmarkNavError(why or papers.faults().cause or str(error)) from error
-    mount, lean = levelled(mount, place.lean_score, place.lean_information, config.calibration)
+    mount, axis_tilt = levelled(
+        mount, place.axis_tilt_score, place.axis_tilt_information, config.calibration
+    )
     with log.measure('calibration'):
         refined = calibrate_sweep(
             sweep, mount, config.calibration, _range_of_ray(place, found, room), found.overlaps
         )
-    stands_otherwise = refined.mount.axis_rpy != found.mount.axis_rpy
+    mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
     off_axis = any(refined.mount.optical_center_offset[:2])
-    if stands_otherwise or off_axis or moved_px(found, refined) > _SAME_PX:
+    if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
         found = refined
         with log.measure('reference_area'):
             place = _place(view, found, room, config)
         with log.measure('panorama'):
             view = _view(found, photometry, config, _range_of_azimuth(place, found, room))
     found = refined
-    for doubt in filter(None, [place.doubt, _wrong_focal(found.quality)]):
-        _LOG.warning('%s', doubt)
+    for warning in filter(None, [place.warning, _wrong_focal(found.quality)]):
+        _LOG.warning('%s', warning)
     return Panorama(
         sweep.stamp_ns,
         view.image,
@@ -144,7 +146,7 @@ def panorama_from_sweep(
         _axis(place, found.mount),
         float(place.pose_map_base[2]),
         _axis_covariance(place, found.mount),
-        replace(found.quality, calibration=(*found.quality.calibration, *lean)).of(
+        replace(found.quality, calibration=(*found.quality.calibration, *axis_tilt)).of(
             tenengrad(view), photometry.vignetting, photometry.gain_spread
         ),
     )
@@ -153,7 +155,7 @@ def panorama_from_sweep(
 def _wrong_focal(quality: PanoramaQuality) -> str:
     """What to say of a focal length that the turn shows to be far off what was given."""
     for term in quality.calibration:
-        if term.name == 'focal_length' and term.used and abs(term.value) > _WORTH_SAYING:
+        if term.name == 'focal_length' and term.used and abs(term.value) > _WORTH_REPORTING:
             return (
                 f'the focal length in camera_info is {100.0 * abs(term.value):.1f} % too '
                 f'{"small" if term.value > 0.0 else "large"}, as the turn shows it: the sweep is '

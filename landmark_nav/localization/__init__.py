@@ -1,1 +1,1 @@
-"""From a picture and a map to a pose: the stages in order in `pipeline`."""
+"""From an image and a map to a pose: the stages in order in `pipeline`."""

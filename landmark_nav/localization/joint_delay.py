@@ -10,21 +10,29 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.types import CameraFrame, Detections, JointSample
 
-__all__ = ['DOUBT_S', 'STILL', 'JointDelay', 'Lag', 'Swing', 'in_time', 'seen_in_time']
+__all__ = [
+    'DELAY_BOUND_S',
+    'STILL',
+    'JointDelay',
+    'PanError',
+    'PanMotion',
+    'in_time',
+    'seen_in_time',
+]
 
 # Over a shorter time the slope of the pan is mostly noise.
 _LEAST_STEP_S = 0.02
 # A delay is known with this sigma: half a degree at a fast 2 rad/s.
 _KNOWN_S = 0.005
 # Sigma of a delay that nothing tells, for headings that are found while the pan turns.
-DOUBT_S = 0.1
+DELAY_BOUND_S = 0.1
 # A delay is corrected if it is more than so many sigmas, and more than does no harm.
 _SIGNIFICANT, _LEAST_DELAY_S = 4.0, 5e-4
 
 
-class Lag(NamedTuple):
+class PanError(NamedTuple):
     """
-    Pan at the true time of a picture minus the pan that the picture was given.
+    Pan at the true time of an image minus the pan that the image was given.
 
     `shift_rad` is that difference, `rate_rad_s` its derivative by the delay, taken over the sigma
     of the delay, and `bend_rad` how far it deviates from that slope there.
@@ -35,12 +43,12 @@ class Lag(NamedTuple):
     bend_rad: float
 
 
-STILL = Lag(0.0, 0.0, 0.0)
+STILL = PanError(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class JointDelay:
-    """By how much joint states are stamped later than pictures taken at the same moment."""
+    """By how much joint states are stamped later than images taken at the same moment."""
 
     delay_s: float = 0.0
     sigma_s: float = 0.0
@@ -55,29 +63,29 @@ class JointDelay:
         """Whether the delay is more than chance, and does harm."""
         return abs(self.delay_s) > max(_SIGNIFICANT * self.sigma_s, _LEAST_DELAY_S)
 
-    def lag(self, rate_rad_s: float, track: PanTrack | None, given_s: float = 0.0) -> Lag:
+    def lag(self, rate_rad_s: float, track: PanTrack | None, given_s: float = 0.0) -> PanError:
         """
-        Error of a picture's pan that was interpolated for a delay of `given_s`.
+        Error of an image's pan that was interpolated for a delay of `given_s`.
 
         Parameters
         ----------
         rate_rad_s : float
             Rate of the pan, which is used if there is no track.
         track : PanTrack or None
-            Pan over time about the picture's stamp.
+            Pan over time about the image's stamp.
         given_s : float
             Delay for which the pan was interpolated.
 
         """
         if track is None or not (self.delay_s or self.sigma_s or given_s):
-            return Lag(rate_rad_s * (self.delay_s - given_s), rate_rad_s, 0.0)
+            return PanError(rate_rad_s * (self.delay_s - given_s), rate_rad_s, 0.0)
         step = max(self.sigma_s, _LEAST_STEP_S)
         times = [given_s, self.delay_s - step, self.delay_s, self.delay_s + step]
         given, before, at, after = track.at(times).tolist()
-        return Lag(at - given, 0.5 * (after - before) / step, 0.5 * (after + before) - at)
+        return PanError(at - given, 0.5 * (after - before) / step, 0.5 * (after + before) - at)
 
 
-class Swing(NamedTuple):
+class PanMotion(NamedTuple):
     """Azimuth in ``base_link`` where a camera looks, its rate and its track."""
 
     azimuth_rad: float
@@ -85,8 +93,8 @@ class Swing(NamedTuple):
     track: PanTrack | None
 
     @classmethod
-    def of(cls, joints: CameraFrame | JointSample, mount: PanTiltMount) -> Swing:
-        """Of a picture, or of joint states."""
+    def of(cls, joints: CameraFrame | JointSample, mount: PanTiltMount) -> PanMotion:
+        """Of an image, or of joint states."""
         track = joints.pan_track
         return cls(
             float(mount.azimuth_base_rad(joints.pan_rad)),
@@ -96,7 +104,7 @@ class Swing(NamedTuple):
 
 
 def in_time(frame: CameraFrame, late: JointDelay) -> tuple[CameraFrame, float]:
-    """Return a picture with its pan corrected for the delay, and the sigma of that pan, rad."""
+    """Return an image with its pan corrected for the delay, and the sigma of that pan, rad."""
     if not (late.delay_s or late.sigma_s):
         return frame, frame.pan_sigma_rad
     lag = late.lag(frame.pan_rate_rad_s, frame.pan_track)

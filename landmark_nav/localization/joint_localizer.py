@@ -28,19 +28,19 @@ from landmark_nav.localization.estimator import (
     Update,
 )
 from landmark_nav.localization.estimator.timeline import Timeline
-from landmark_nav.localization.frozen import FrozenPicture
+from landmark_nav.localization.frozen_image import FrozenImage
 from landmark_nav.localization.fusion import FusionUpdate
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.observation import Observation
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
+from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
 from landmark_nav.localization.relocalization import Relocalizer
-from landmark_nav.localization.relocalization.narrowing import narrowed
-from landmark_nav.localization.triangulation.gathering import SightingGatherer
+from landmark_nav.localization.relocalization.within_prior import localize_within_prior
+from landmark_nav.localization.triangulation.bearing_buffer import BearingBuffer
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import visible_landmarks
-from landmark_nav.localization.wide import is_wide
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -94,10 +94,10 @@ class JointLocalizer:
         self._track = OdometryTrack(config.odometry)
         self._line: Timeline | None = None
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
-        self._frozen, self._sample = FrozenPicture(), OdometrySample(0, np.zeros(3))
+        self._frozen, self._sample = FrozenImage(), OdometrySample(0, np.zeros(3))
         self._blur, self._found_most = np.zeros(2), False
         self._novelty = np.ones(len(landmark_map.landmarks))
-        self._gatherer = SightingGatherer(
+        self._bearing_buffer = BearingBuffer(
             landmark_map, calibration.mount, 0.0, config.odometry, config.observation.triangulation
         )
         self._relocalizer: Relocalizer | None = self._search()
@@ -143,7 +143,7 @@ class JointLocalizer:
         return self._config.odometry.scaled(way, turns, slip)
 
     @property
-    def sighting_sigma(self) -> float:
+    def detection_sigma_factor(self) -> float:
         """Factor on what detections claim as their sigmas, as far as it was learned."""
         return 1.0 if self._line is None else float(np.sqrt(self._line.filter.noise_factors[-1]))
 
@@ -173,8 +173,8 @@ class JointLocalizer:
         ):
             self._set_back()
         joint = self._line.filter_at(frame.stamp_ns)
-        if is_wide(joint.camera.covariance):
-            place = narrowed(
+        if is_prior_uncertain(joint.camera.covariance):
+            place = localize_within_prior(
                 self._straight(frame, joint),
                 joint.camera,
                 self._map,
@@ -310,7 +310,7 @@ class JointLocalizer:
         """
         config = self._config.observation
         visible = self._visible(frame, joint)
-        enough, most = config.detection.enough, config.detection.max_count
+        enough, most = config.detection.target_count, config.detection.max_count
         tries = [(joint, enough)] if self._found_most and enough < len(visible) else []
         for state, count in [*tries, (joint, most), (joint.stepped(), most)]:
             result, expected = self._searched(frame, state, visible, count)
@@ -366,8 +366,8 @@ class JointLocalizer:
         return result, expected
 
     def _fix(self, found: Detections, prior: PoseEstimate) -> PoseEstimate | Refusal:
-        self._gatherer.add(found)
-        return self._gatherer.fix(prior)
+        self._bearing_buffer.add(found)
+        return self._bearing_buffer.fix(prior)
 
     def _used(
         self, stamp_ns: int, seen: Observation, points: ImagePoints | None

@@ -1,7 +1,7 @@
 """
 Localization, stage by stage.
 
-picture and prior -> triplet, detection, triangulation; bearings and odometry -> fusion.
+image and prior -> triplet, detection, triangulation; bearings and odometry -> fusion.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from landmark_nav.localization.estimator import EstimatorConfig, ProtectionLevel
 from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
 from landmark_nav.localization.fusion.health import HealthConfig
 from landmark_nav.localization.fusion.start import Found
-from landmark_nav.localization.joint_delay import in_time, JointDelay, Swing
+from landmark_nav.localization.joint_delay import in_time, JointDelay, PanMotion
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import (
     RelocalizationConfig,
     Relocalizer,
+    UncertainPose,
     Unseen,
-    UnsurePlace,
 )
-from landmark_nav.localization.triplet import Gaze
+from landmark_nav.localization.triplet import CameraState
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import (
@@ -69,7 +69,7 @@ class LocalizationConfig(Config):
 @dataclass(frozen=True, eq=False)
 class LocalizationUpdate:
     """
-    All results of one picture.
+    All results of one image.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class LocalizationUpdate:
     observation, fusion : Observation, FusionUpdate
         What was seen, and what the filter made of it.
     fused : PoseEstimate
-        The filter's estimate at the picture's stamp, after the update.
+        The filter's estimate at the image's stamp, after the update.
     status, reason : str
         Of the filter, after the update.
     with_landmarks : ndarray, shape (3, 2 n), optional
@@ -107,7 +107,7 @@ class Localizer:
     The nodes of the navigation phase in one: for bags, and for use without ROS.
 
     Without `initialize`, and while it is lost or no landmark is in sight, it searches for the
-    place: it gathers pictures until they fit one place only.
+    place: it gathers images until they fit one place only.
     """
 
     def __init__(
@@ -119,9 +119,9 @@ class Localizer:
         )
         self._camera = ActiveCamera(landmark_map, mount, config.observation.triplet)
         self._observer = Observer(landmark_map, mount, config.observation, config.odometry)
-        self._gaze = Gaze()
+        self._camera_state = CameraState()
         self._chosen_ns: int | None = None
-        self._triplet: Triplet | Refusal = Refusal('no picture')
+        self._triplet: Triplet | Refusal = Refusal('no image')
         self._odometry: OdometrySample | None = None
         self._relocalizer: Relocalizer | None = self._new_search()
         self._unseen = Unseen(config.relocalization.unseen_s)
@@ -158,9 +158,9 @@ class Localizer:
         return self._filter.odometry_noise
 
     @property
-    def sighting_sigma(self) -> float:
-        """Factor on what sightings claim as their sigmas, as far as it was learned."""
-        return self._filter.sighting_sigma
+    def detection_sigma_factor(self) -> float:
+        """Factor on what detections claim as their sigmas, as far as it was learned."""
+        return self._filter.detection_sigma_factor
 
     @property
     def late(self) -> JointDelay:
@@ -178,7 +178,7 @@ class Localizer:
 
     def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
         """
-        Look at a picture and correct the pose, or search for the place until one is known.
+        Look at an image and correct the pose, or search for the place until one is known.
 
         Returns
         -------
@@ -195,14 +195,14 @@ class Localizer:
         self._camera.saw(seen.detections)
         update = self._fused(frame.stamp_ns, self._triplet, seen)
         self._unseen.note(frame.stamp_ns, len(seen.detections))
-        unsure = update.status == 'lost' or self._unseen.lasts
+        uncertain = update.status == 'lost' or self._unseen.lasts
         search = self._config.relocalization.when_lost and self._map.landmarks
-        if not (unsure and search) or seen.unusable:
+        if not (uncertain and search) or seen.unusable:
             self._relocalizer = None
             return update
         self._relocalizer = self._relocalizer or self._new_search()
         outcome = self._search(frame)
-        if self._unseen.lasts and isinstance(outcome, UnsurePlace):
+        if self._unseen.lasts and isinstance(outcome, UncertainPose):
             # No landmark is expected here, so only another place can contradict the pose.
             self._filter.contradict(outcome.place, str(outcome))
         status, reason = self._filter.status_at(frame.stamp_ns)
@@ -213,22 +213,26 @@ class Localizer:
         """Choose the triplet anew if it is time to."""
         since_s = np.inf if self._chosen_ns is None else 1e-9 * (frame.stamp_ns - self._chosen_ns)
         if self._camera.done_here or not 0.0 <= since_s < self._config.choice_period_s:
-            gaze = replace(self._gaze, pan_rad=frame.pan_rad, tilt_rad=frame.tilt_rad)
-            self._triplet = self._camera.choose(prior, frame.camera, gaze).chosen
+            camera_state = replace(
+                self._camera_state, pan_rad=frame.pan_rad, tilt_rad=frame.tilt_rad
+            )
+            self._triplet = self._camera.choose(prior, frame.camera, camera_state).chosen
             self._chosen_ns = frame.stamp_ns
 
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
-        """Search for the place; the pictures from which it is found are not fused again."""
+        """Search for the place; the images from which it is found are not fused again."""
         assert self._relocalizer is not None, 'no pose is known'
         late = self._filter.late
         frame, _ = in_time(frame, late)
-        outcome = self._relocalizer.add_frame(frame, self._observer.lean)
+        outcome = self._relocalizer.add_frame(frame, self._observer.camera_tilt)
         if isinstance(outcome, Refusal):
             return outcome
-        self._observer.turn(*self._relocalizer.lean_rad)
-        swing = Swing.of(frame, self._mount)
+        self._observer.turn(*self._relocalizer.tilt_roll_rad)
+        pan_motion = PanMotion.of(frame, self._mount)
         # The filter itself doubts the heading of a camera that turned.
-        found = Found(self._relocalizer.witnesses, swing.rate_rad_s, swing.track, late.delay_s)
+        found = Found(
+            self._relocalizer.landmark_ids, pan_motion.rate_rad_s, pan_motion.track, late.delay_s
+        )
         self._start(self._relocalizer.in_time, found)
         return self._filter.estimate(frame.stamp_ns) or outcome
 
@@ -237,7 +241,7 @@ class Localizer:
         prior = self._filter.estimate(found.stamp_ns)
         if prior is None:
             return Refusal('not initialized', 'bearings alone give no first pose')
-        no_view = Refusal('no picture', 'the bearings were found elsewhere')
+        no_view = Refusal('no image', 'the bearings were found elsewhere')
         return self._fused(found.stamp_ns, no_view, self._observer.take(found, prior))
 
     def _fused(

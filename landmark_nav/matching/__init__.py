@@ -1,7 +1,7 @@
 """
 Where a template lies in an image: normalized cross-correlation, then sub-pixel alignment.
 
-Both images must be of the same kind: the learner matches wall textures, the localizer pictures.
+Both images must be of the same kind: the learner matches wall textures, the localizer images.
 """
 
 from __future__ import annotations

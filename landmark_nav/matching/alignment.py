@@ -123,7 +123,7 @@ def _rows(template: Float32Array) -> Float32Array:
     What pixels of a template, but for the outermost, are multiplied by, (5, pixels).
 
     What offset explains is taken out once and for all, so that each step needs one product with
-    the picture.
+    the image.
     """
     height, width = template.shape[0] - 2, template.shape[1] - 2
     shifted = as_strided(template, (3, 3, height, width), 2 * template.strides)

@@ -5,7 +5,7 @@ White noise of variance s^2 in the search image passes the blur and the interpol
 so the shift's covariance is ``s^2 N^-1 G B B^T G^T N^-1`` with G the gradients and N their normal
 matrix; the residuals, whose variance is s^2 times the sum of the squares of B's kernel, tell s^2.
 
-Where things stand out from each other (a picture's frame, a reflection), residuals next to each
+Where things stand out from each other (an image's frame, a reflection), residuals next to each
 other pull alike. So each part of the patch says where it would rather be, and where they
 contradict each other by more than noise does, their spread is the covariance: the sandwich with
 clusters (White, Econometrica 48(4), 1980; Liang and Zeger, Biometrika 73(1), 1986).

@@ -9,7 +9,7 @@ import numpy as np
 
 __all__ = [
     'DETECTIONS',
-    'FOUND_PLACE',
+    'GLOBAL_POSE',
     'JOINT_DELAY',
     'LANDMARKS',
     'PLANAR',
@@ -97,8 +97,8 @@ TRIPLET = Layout(
 )
 
 # Rows are landmarks; all but the first field is the same in all of them.
-FOUND_PLACE = Layout(
-    'found_place',
+GLOBAL_POSE = Layout(
+    'global_pose',
     np.dtype(
         [
             ('id', '<u4'),

@@ -71,8 +71,8 @@ class LandmarkLearnerNode(LandmarkNode):
         words = f'{len(self._map.landmarks)} landmarks'
         if not self._on_disk:
             words += f', {_NOT_SAVED}'
-        if doubt := self._why_foreign(self._map):
-            return Health(Level.DEGRADED, f'{words}; {doubt}', values)
+        if warning := self._why_foreign(self._map):
+            return Health(Level.DEGRADED, f'{words}; {warning}', values)
         return Health(Level.OK, words, values)
 
     def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
@@ -90,7 +90,7 @@ class LandmarkLearnerNode(LandmarkNode):
             f'{len(result.map.landmarks)} landmarks on {walls} walls out of '
             f'{len(panoramas)} panoramas in {time.monotonic() - start:.1f} s'
         )
-        return '; '.join(filter(None, [done, _NOT_SAVED, result.doubt]))
+        return '; '.join(filter(None, [done, _NOT_SAVED, result.warning]))
 
     def _clear(self) -> str:
         count = len(self._panoramas)
@@ -102,7 +102,7 @@ class LandmarkLearnerNode(LandmarkNode):
             raise LandmarkNavError('there is no map to save: call learn_landmarks first')
         save_map(self._map, self._config.map_folder)
         self._on_disk = True
-        return self._told(f'{len(self._map.landmarks)} landmarks saved in', self._map)
+        return self._report(f'{len(self._map.landmarks)} landmarks saved in', self._map)
 
     def _load_at_start(self) -> None:
         """Without a map there is still one to be learned: a missing or broken one ends nothing."""
@@ -115,14 +115,14 @@ class LandmarkLearnerNode(LandmarkNode):
     def _load(self) -> str:
         loaded = load_map(self._config.map_folder)
         self._publish(loaded, on_disk=True)
-        return self._told(f'{len(loaded.landmarks)} landmarks loaded from', loaded)
+        return self._report(f'{len(loaded.landmarks)} landmarks loaded from', loaded)
 
-    def _told(self, done: str, landmarks: LandmarkMap) -> str:
+    def _report(self, done: str, landmarks: LandmarkMap) -> str:
         """What was done with the map folder, and what is odd about its map."""
-        doubt = self._why_foreign(landmarks)
-        if doubt:
-            self.get_logger().warning(doubt)
-        return '; '.join(filter(None, [f'{done} {self._config.map_folder}', doubt]))
+        warning = self._why_foreign(landmarks)
+        if warning:
+            self.get_logger().warning(warning)
+        return '; '.join(filter(None, [f'{done} {self._config.map_folder}', warning]))
 
     def _why_foreign(self, landmarks: LandmarkMap) -> str:
         """Why a map seems to be of another room than the room file; nothing if it does not."""

@@ -15,11 +15,11 @@ from landmark_nav.localization.fusion.late_joints import REACH_S
 from landmark_nav.localization.fusion.spread import SpreadCorrection
 from landmark_nav.localization.fusion.start import Found, with_sigmas
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
-from landmark_nav.localization.joint_delay import Swing
+from landmark_nav.localization.joint_delay import PanMotion
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.found_place import FoundPlace
+from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
@@ -35,8 +35,8 @@ from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEsti
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
 # A joint delay that is open matters to a camera that turns so far: where it looked may be told
-# long after its picture. So long that is waited for.
-_SWING_RAD, _PATIENCE_S = 0.1, 0.4
+# long after its image. So long that is waited for.
+_PAN_RANGE_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
 
 
@@ -46,7 +46,7 @@ class LiveFusionConfig(FusionConfig):
 
     delay_sigma_s: float = parameter(
         0.02,
-        'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '
+        'Sigma of a constant delay of the stamps of the joints behind those of the images, that '
         'is estimated while the camera turns; 0 takes it as none, s.',
         minimum=0.0,
         maximum=1.0,
@@ -99,10 +99,10 @@ class OdometryFusionNode(LandmarkNode):
         self._accepted = self._rejected = 0
         self._last: OdometrySample | None = None
         self._heard_ns = 0
-        self._told_ns: int | None = None
+        self._start_given_ns: int | None = None
         self._odom_frame = 'odom'
         self._latency = Latency()
-        self._waiting: deque[Detections | FoundPlace] = deque()
+        self._waiting: deque[Detections | GlobalPose] = deque()
         self._last_message: Any = None
         self.listen('odom', self._on_odometry, depth=50)
         self._frames = CameraFrames(self, self._mount)
@@ -112,7 +112,7 @@ class OdometryFusionNode(LandmarkNode):
         if self._config.fusion.mode == 'poses':
             self.listen('triangulation/pose', self._on_pose)
         self.listen('initialpose', self._on_initial_pose)
-        self.listen('found_place', self._on_found_place)
+        self.listen('global_localization/pose', self._on_global_pose)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
@@ -171,16 +171,16 @@ class OdometryFusionNode(LandmarkNode):
         start = decode.pose_estimate(message)
         start = with_sigmas(start, self._config.start_sigma_m, self._config.start_sigma_rad)
         self._start(start, 'start')
-        self._told_ns = None if self._last is None else self._now_ns()
+        self._start_given_ns = None if self._last is None else self._now_ns()
         self._waiting = deque(one for one in self._waiting if isinstance(one, Detections))
 
-    def _on_found_place(self, message: Any) -> None:
+    def _on_global_pose(self, message: Any) -> None:
         decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
-        place = decode.found_place(message)
+        place = decode.global_pose(message)
         if not self._filter.reaches(place.stamp_ns):
-            raise LandmarkNavError('it is of a picture from before the odometry that is kept')
-        if self._told_ns is not None and place.stamp_ns <= self._told_ns:
-            raise LandmarkNavError('it is of a picture from before the start pose that was told')
+            raise LandmarkNavError('it is of an image from before the odometry that is kept')
+        if self._start_given_ns is not None and place.stamp_ns <= self._start_given_ns:
+            raise LandmarkNavError('it is of an image from before the start pose that was told')
         self._waiting.append(place)
         self._use_waiting()
 
@@ -204,7 +204,7 @@ class OdometryFusionNode(LandmarkNode):
             raise LandmarkNavError(str(refusal))
         if self._last is not None and sample.stamp_ns < self._last.stamp_ns:
             # The clock was set back: by this one nothing was told yet.
-            self._told_ns = None
+            self._start_given_ns = None
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
         self._odom_frame = message.header.frame_id.lstrip('/')
         self._use_waiting()
@@ -221,7 +221,7 @@ class OdometryFusionNode(LandmarkNode):
         self._use_waiting()
 
     def _use_waiting(self) -> None:
-        """Use what was found in pictures, in their order, as far as it need not wait."""
+        """Use what was found in images, in their order, as far as it need not wait."""
         while self._waiting and not self._waits(self._waiting[0]):
             found = self._waiting.popleft()
             if isinstance(found, Detections):
@@ -229,10 +229,10 @@ class OdometryFusionNode(LandmarkNode):
             else:
                 self._use_place(found)
 
-    def _waits(self, found: Detections | FoundPlace) -> bool:
+    def _waits(self, found: Detections | GlobalPose) -> bool:
         """Whether joint states that may tell where the camera looked are still to come."""
         late = self._filter.late
-        settled = late.is_known or self._frames.swing_rad < _SWING_RAD
+        settled = late.is_known or self._frames.pan_range_rad < _PAN_RANGE_RAD
         if settled and not late.matters:
             return False
         ahead_s = found.joint_delay_s + (late.delay_s if settled else _PATIENCE_S)
@@ -245,13 +245,13 @@ class OdometryFusionNode(LandmarkNode):
     def _use(self, found: Detections) -> None:
         joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
         if not isinstance(joints, Refusal):
-            swing = Swing.of(joints, self._mount)
+            pan_motion = PanMotion.of(joints, self._mount)
             found = replace(
                 found,
-                pan_rate_rad_s=swing.rate_rad_s,
+                pan_rate_rad_s=pan_motion.rate_rad_s,
                 pan_sigma_rad=joints.pan_sigma_rad,
-                pan_track=swing.track,
-                pan_rad=swing.azimuth_rad,
+                pan_track=pan_motion.track,
+                pan_rad=pan_motion.azimuth_rad,
             )
         self._count(self._filter.add_detections(found))
         late = self._filter.late
@@ -261,10 +261,10 @@ class OdometryFusionNode(LandmarkNode):
             )
         self._corrected(found.stamp_ns)
 
-    def _use_place(self, place: FoundPlace) -> None:
+    def _use_place(self, place: GlobalPose) -> None:
         joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
         # A track that ends before would say that the pan stood there.
-        known = None if isinstance(joints, Refusal) else Swing.of(joints, self._mount).track
+        known = None if isinstance(joints, Refusal) else PanMotion.of(joints, self._mount).track
         track = known if known and known.reaches(REACH_S) else None
         found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
         self._start(place, 'found', found)
@@ -275,7 +275,7 @@ class OdometryFusionNode(LandmarkNode):
         self._corrected(measured.stamp_ns)
 
     def _corrected(self, stamp_ns: int) -> None:
-        """Tell at once what a picture changed, at the newest time that is known."""
+        """Tell at once what an image changed, at the newest time that is known."""
         if self._last is None:
             return
         newest = max(stamp_ns, self._last.stamp_ns)

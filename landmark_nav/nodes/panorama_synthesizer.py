@@ -108,7 +108,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
             view = panorama_from_sweep(
                 sweep, self._room, self._mount, self._config, papers=self._papers
             )
-            doubt = self._papers.faults().text
+            warning = self._papers.faults().text
         except LandmarkNavError as error:
             self._health = Health(Level.LOST, str(error))
             self.get_logger().error(one_line(f'no panorama: {error}'))
@@ -125,11 +125,11 @@ class PanoramaSynthesizerNode(LandmarkNode):
             [frame.pan_rad for frame in sweep.frames], sweep.frames[0].camera.half_fov_rad
         )
         place = f'panorama at ({x:.3f}, {y:.3f}) m, {heading:.2f} deg'
-        if doubt:
-            self.get_logger().warning(doubt)
+        if warning:
+            self.get_logger().warning(warning)
         self._health = Health(
-            Level.DEGRADED if doubt else Level.OK,
-            '; '.join(filter(None, [place, lacks, doubt])),
+            Level.DEGRADED if warning else Level.OK,
+            '; '.join(filter(None, [place, lacks, warning])),
             {
                 'sigma_m': np.hypot(*sigma[:2]),
                 'sigma_deg': np.degrees(sigma[2]),

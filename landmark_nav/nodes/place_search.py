@@ -1,7 +1,7 @@
 """
 Finding the place: when the pose is lost, and by the service ``relocalize``.
 
-The service waits, as a coroutine, for what the thread finds that looks at pictures: one thread for
+The service waits, as a coroutine, for what the thread finds that looks at images: one thread for
 callbacks is enough, and takes a fraction of the time that rclpy needs for two.
 """
 
@@ -17,14 +17,14 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection.height import Lean
-from landmark_nav.localization.joint_delay import Swing
+from landmark_nav.localization.detection.height import CameraTilt
+from landmark_nav.localization.joint_delay import PanMotion
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import encode
-from landmark_nav.messages.found_place import FoundPlace
+from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
@@ -32,21 +32,21 @@ from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEst
 
 __all__ = ['PlaceSearch', 'PlaceSearchConfig']
 
-# Ten seconds at 50 Hz: what may come between two pictures that are looked at.
+# Ten seconds at 50 Hz: what may come between two images that are looked at.
 _BACKLOG = 500
-_NAP_S = 0.005
+_PAUSE_S = 0.005
 # A fused pose that stays away for less is on its way: whoever fuses waits for the processor, and a
 # search would take a second of it.
 _LATE_S = 2.0
-# Within that time after its picture a place that was told has become the fused pose.
+# Within that time after its image a place that was told has become the fused pose.
 _FUSED_NS = 10**9
 
 
-class _Nap:
+class _Pause:
     """A moment that passes while the executor goes on with other callbacks; it asks again soon."""
 
     def __await__(self) -> Generator[None, None, None]:
-        time.sleep(_NAP_S)
+        time.sleep(_PAUSE_S)
         yield
 
 
@@ -62,12 +62,12 @@ class _Call:
     """Of the service, which others may join; `outcome` is a place only once that is told."""
 
     until_s: float
-    outcome: PoseEstimate | Refusal = field(default_factory=lambda: Refusal('no picture came'))
+    outcome: PoseEstimate | Refusal = field(default_factory=lambda: Refusal('no image came'))
 
 
 class PlaceSearch:
     """
-    Finds the robot's place when called or lost, and tells it on ``found_place``.
+    Finds the robot's place when called or lost, and tells it on ``global_localization/pose``.
 
     Parameters
     ----------
@@ -102,9 +102,9 @@ class PlaceSearch:
         self._relocalizer: Relocalizer | None = None
         self._unseen = Unseen(config.unseen_s)
         self._call: _Call | None = None
-        self._told_ns = -_FUSED_NS
+        self._published_ns = -_FUSED_NS
         self._lean_rad = (0.0, 0.0)
-        self._place = node.advertise('found_place')
+        self._place = node.advertise('global_localization/pose')
         self._ended = node.ended
         node.offer('relocalize', self._search, group=ReentrantCallbackGroup())
 
@@ -116,7 +116,7 @@ class PlaceSearch:
 
     @property
     def active(self) -> bool:
-        """Whether pictures are wanted."""
+        """Whether images are wanted."""
         return self._relocalizer is not None
 
     def reaches(self, stamp_ns: int) -> bool:
@@ -133,7 +133,7 @@ class PlaceSearch:
         follows from a place: the fusion waits for it.
         """
         wanted = self._config.when_lost and self._moves and self.landmarks.landmarks
-        on_its_way = 0 <= stamp_ns - self._told_ns < _FUSED_NS
+        on_its_way = 0 <= stamp_ns - self._published_ns < _FUSED_NS
         if not wanted or on_its_way:
             return
         fused = self._fused(stamp_ns, _LATE_S)
@@ -147,32 +147,32 @@ class PlaceSearch:
             self._relocalizer = self._new_relocalizer()
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Keep odometry for the next picture, while one is wanted."""
+        """Keep odometry for the next image, while one is wanted."""
         self._moves = True
         if self.active:
             self._odometry.append(sample)
 
     def note(self, stamp_ns: int, found: int) -> None:
-        """Take note of how many landmarks a picture showed."""
+        """Take note of how many landmarks an image showed."""
         self._unseen.note(stamp_ns, found)
 
     @property
-    def lean_rad(self) -> tuple[float, float]:
+    def tilt_roll_rad(self) -> tuple[float, float]:
         """By how much the camera looks higher, and leans to its right, by the last place."""
         return self._lean_rad
 
     def look(
         self,
         frame: CameraFrame,
-        lean: Lean,
+        camera_tilt: CameraTilt,
         joint_delay_s: float = 0.0,
         pan_delay_s: float = 0.0,
     ) -> PoseEstimate | Refusal:
         """
-        Go on with a picture; what is known of the place by now.
+        Go on with an image; what is known of the place by now.
 
-        `lean` is what is known of the camera. The picture's pan is that of joint states which are
-        stamped so much later, as the node was told and as was measured beyond that.
+        `camera_tilt` is what is known of the camera. The image's pan is that of joint states which
+        are stamped so much later, as the node was told and as was measured beyond that.
         """
         relocalizer, self._lean_rad = self._relocalizer, (0.0, 0.0)
         if relocalizer is None:
@@ -180,7 +180,7 @@ class PlaceSearch:
         known = self._odometry
         while known and known[0].stamp_ns <= frame.stamp_ns:
             relocalizer.add_odometry(known.popleft())
-        outcome = relocalizer.add_frame(frame, lean)
+        outcome = relocalizer.add_frame(frame, camera_tilt)
         # That took a while, in which somebody may have told the place.
         known = self._odometry
         self.consider(known[-1].stamp_ns if known else frame.stamp_ns)
@@ -189,19 +189,19 @@ class PlaceSearch:
         call = self._call
         if isinstance(outcome, PoseEstimate):
             self._relocalizer = self._call = None
-            self._told_ns = frame.stamp_ns
+            self._published_ns = frame.stamp_ns
             self._unseen.restart()
-            found, self._lean_rad = relocalizer.in_time, relocalizer.lean_rad
-            place = FoundPlace(
+            found, self._lean_rad = relocalizer.in_time, relocalizer.tilt_roll_rad
+            place = GlobalPose(
                 found.stamp_ns,
                 found.pose,
                 found.covariance,
-                relocalizer.witnesses,
-                Swing.of(frame, self._mount).rate_rad_s,
+                relocalizer.landmark_ids,
+                PanMotion.of(frame, self._mount).rate_rad_s,
                 joint_delay_s,
                 pan_delay_s,
             )
-            self._place.publish(encode.found_place(ros_factory, place, self._map_frame))
+            self._place.publish(encode.global_pose(ros_factory, place, self._map_frame))
         if call is not None:
             call.outcome = outcome
         return outcome
@@ -220,7 +220,7 @@ class PlaceSearch:
         while isinstance(call.outcome, Refusal) and time.monotonic() < call.until_s:
             if self._ended.done():
                 raise LandmarkNavError('the search ends with this node: call again once it runs')
-            await _Nap()
+            await _Pause()
         outcome = call.outcome
         if self._call is call:
             self._relocalizer = self._call = None

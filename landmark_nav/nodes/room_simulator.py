@@ -47,9 +47,9 @@ class Parameters(Config):
     room_file: str = parameter('', 'room.yaml to furnish; empty draws the room too')
     robot_file: str = parameter('', 'robot.yaml; empty takes the default robot')
     image_rate_hz: float = parameter(
-        10.0, 'pictures a second, if there is time for them', minimum=0.1, maximum=60.0
+        10.0, 'images a second, if there is time for them', minimum=0.1, maximum=60.0
     )
-    jpeg_quality: int = parameter(92, 'of the compressed pictures', minimum=10, maximum=100)
+    jpeg_quality: int = parameter(92, 'of the compressed images', minimum=10, maximum=100)
     command_timeout_s: float = parameter(
         0.5, 'the robot stops if no cmd_vel came for so long, s', minimum=0.05
     )
@@ -68,7 +68,7 @@ class RoomSimulatorNode(LandmarkNode):
         self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
         self._began_s = time.monotonic()
         self._world = _build(config, self._mount, time.time_ns())
-        self._steps = self._pictures = self._image_due_ns = 0
+        self._steps = self._image_count = self._image_due_ns = 0
         self._last_command = 0.0
         self._joints = self.advertise('joint_states')
         self._odometry = self.advertise('odom')
@@ -85,8 +85,8 @@ class RoomSimulatorNode(LandmarkNode):
 
     def health(self) -> Health:
         """Whether it keeps up with the wall's time."""
-        pictures, self._pictures = self._pictures, 0
-        values = {'lag_s': f'{self._lag_s:.2f}', 'pictures_per_s': pictures}
+        image_count, self._image_count = self._image_count, 0
+        values = {'lag_s': f'{self._lag_s:.2f}', 'images_per_s': image_count}
         late = self._lag_s > 1.0
         reason = 'too slow for the wall clock' if late else 'running'
         return Health(Level.DEGRADED if late else Level.OK, reason, values)
@@ -104,7 +104,7 @@ class RoomSimulatorNode(LandmarkNode):
         self._world.command_velocity(linear_m_s, angular_rad_s)
 
     def _tick(self) -> None:
-        """Catch up with the wall's time, step by step, then take a picture if one is due."""
+        """Catch up with the wall's time, step by step, then take an image if one is due."""
         if time.monotonic() - self._last_command > self._config.command_timeout_s:
             self._world.command_velocity(0.0, 0.0)
         if self._lag_s > _MAX_LAG_S:
@@ -114,7 +114,7 @@ class RoomSimulatorNode(LandmarkNode):
             self._step()
         if self._world.stamp_ns >= self._image_due_ns:
             self._image_due_ns = self._world.stamp_ns + int(1e9 / self._config.image_rate_hz)
-            self._take_picture()
+            self._take_image()
 
     def _follow_clock(self) -> None:
         """Stamp by the system's time, also where that was set or some time is left out."""
@@ -136,16 +136,16 @@ class RoomSimulatorNode(LandmarkNode):
             truth = odometry(world.truth_sample(), _EXACT, frame_id='map')
             self._truth.publish(truth)
 
-    def _take_picture(self) -> None:
+    def _take_image(self) -> None:
         """Render only what somebody looks at."""
         stamp, camera = self._world.stamp_ns, self._world.camera
         self._info.publish(encode.camera_info(ros_factory, camera, stamp, _OPTICAL_FRAME))
         wanted = [item for item in self._images.items() if item[0].get_subscription_count()]
         if wanted:
-            picture = self._world.camera_frame().image
-            self._pictures += 1
+            image = self._world.camera_frame().image
+            self._image_count += 1
             for publisher, encoded in wanted:
-                publisher.publish(encoded(ros_factory, picture, stamp, _OPTICAL_FRAME))
+                publisher.publish(encoded(ros_factory, image, stamp, _OPTICAL_FRAME))
 
 
 def _build(config: Parameters, mount: PanTiltMount, start_ns: int) -> RobotWorld:

@@ -97,10 +97,12 @@ class SweepCaptureNode(LandmarkNode):
             sweep, note = self._runner.run(lambda: not self.ended.done())
         finally:
             images.close()
-        said = describe_sweep(sweep, camera.half_fov_rad)
-        self._result = 'ready' if said == 'the full turn' else f'ready; the last sweep: {said}'
+        described = describe_sweep(sweep, camera.half_fov_rad)
+        self._result = (
+            'ready' if described == 'the full turn' else f'ready; the last sweep: {described}'
+        )
         took = f'{len(sweep.kept)} frames in {time.monotonic() - start:.0f} s'
-        return f'{took}: {"; ".join(filter(None, (said, note)))}'
+        return f'{took}: {"; ".join(filter(None, (described, note)))}'
 
     def _on_camera_info(self, message: Any) -> None:
         self._camera_info = message

@@ -132,7 +132,7 @@ class SweepRunner:
                 self._sweep.add_odometry(sample)
 
     def add_image(self, image: Any, info: Any) -> None:
-        """Take a picture and its calibration."""
+        """Take an image and its calibration."""
         digest = hashlib.blake2b(image.data, digest_size=16).digest()
         shot = Shot((image, info), decode.stamp_ns(image.header), digest)
         with self._progress:

@@ -1,4 +1,4 @@
-"""Finds landmarks in the camera's pictures and triangulates the robot's pose."""
+"""Finds landmarks in the camera's images and triangulates the robot's pose."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import image_topics, ImageSource, TRANSPORTS
 from landmark_nav.ros.latency import Latency
-from landmark_nav.ros.newest_first import NewestFirst
+from landmark_nav.ros.latest_only_worker import LatestOnlyWorker
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
@@ -35,7 +35,7 @@ from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate, Refusa
 __all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
 
 
-# Ten seconds at 50 Hz: what may come between two pictures that are looked at.
+# Ten seconds at 50 Hz: what may come between two images that are looked at.
 _BACKLOG = 500
 # Ages beyond that come of two clocks, such as a bag's and today's.
 _OTHER_CLOCK_S = 10.0
@@ -52,26 +52,26 @@ class Parameters(ObservationConfig):
     image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
     joint_delay_s: float = parameter(
         0.0,
-        'by how much joint_states are stamped later than pictures of the same moment, s; '
+        'by how much joint_states are stamped later than images of the same moment, s; '
         'odometry_fusion estimates what is left of it',
         minimum=-1.0,
         maximum=1.0,
     )
     max_wait_s: float = parameter(
-        0.3, 'how long a picture waits for joint_states and odometry/fused, s', minimum=0.0
+        0.3, 'how long an image waits for joint_states and odometry/fused, s', minimum=0.0
     )
     max_age_s: float = parameter(
-        0.5, 'a picture that arrives later is not looked at, s', minimum=0.01
+        0.5, 'an image that arrives later is not looked at, s', minimum=0.01
     )
     max_prior_age_s: float = parameter(
-        0.5, 'how far odometry/fused may be from a picture, s', minimum=0.0
+        0.5, 'how far odometry/fused may be from an image, s', minimum=0.0
     )
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     relocalization: PlaceSearchConfig = field(default_factory=PlaceSearchConfig)
 
 
 class TriangulationLocalizerNode(LandmarkNode):
-    """Pictures to ``detections`` and ``triangulation/pose``, by an `Observer`."""
+    """Images to ``detections`` and ``triangulation/pose``, by an `Observer`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triangulation_localizer', 'detection', **options)
@@ -97,11 +97,11 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._triplet: Triplet | None = None
         self._late = JointDelay()
         self._source: ImageSource | None = None
-        # Joint states and odometry come in while a picture is looked at.
-        self._pictures = NewestFirst(self.guarded('camera/image_raw', self._on_image))
+        # Joint states and odometry come in while an image is looked at.
+        self._images = LatestOnlyWorker(self.guarded('camera/image_raw', self._on_image))
         self._latency = Latency()
         self._stale = 0
-        self._hangs = False
+        self._images_unusable = False
         self._arrived_s: float | None = None
         self._looked_s: float | None = None
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
@@ -112,10 +112,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
-        """What came of the last picture, or that none comes any more or it takes too long."""
+        """What came of the last image, or that none comes any more or it takes too long."""
         health, now_s = self._health, time.monotonic()
         level = Level.DEGRADED if health.level is Level.OK else health.level
-        last = {'no picture': self._arrived_s, 'no picture looked at': self._looked_s}
+        last = {'no image': self._arrived_s, 'no image looked at': self._looked_s}
         for what, since_s in last.items():
             if since_s is not None and now_s - since_s > _SILENCE_S:
                 return Health(level, f'{what} for {now_s - since_s:.1f} s', health.values)
@@ -123,7 +123,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def destroy_node(self) -> None:
         """Leave nobody behind who looks at images."""
-        self._pictures.close()
+        self._images.close()
         super().destroy_node()
 
     def _on_odometry(self, message: Any) -> None:
@@ -139,7 +139,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _on_joint_delay(self, message: Any) -> None:
         late = JointDelay(*decode.joint_delay(message))
-        # A picture does not wait for joint states because of what may be chance.
+        # An image does not wait for joint states because of what may be chance.
         by_chance = JointDelay(0.0, hypot(late.delay_s, late.sigma_s))
         self._late = late if late.matters else by_chance
 
@@ -154,7 +154,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._observer = Observer(landmarks, self._mount, config, config.odometry)
         self._search.use(landmarks)
         if self._source is None:
-            self._health = Health(Level.DEGRADED, 'no picture yet')
+            self._health = Health(Level.DEGRADED, 'no image yet')
             transport = self._config.image_transport
             self._source = ImageSource(
                 self, 'camera/image_raw', self._on_arrival, transport, depth=1
@@ -162,7 +162,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _on_arrival(self, message: Any) -> None:
         self._arrived_s = time.monotonic()
-        self._pictures.take(message)
+        self._images.take(message)
 
     def _on_image(self, message: Any) -> None:
         try:
@@ -177,17 +177,17 @@ class TriangulationLocalizerNode(LandmarkNode):
         age_s, stamp = 1e-9 * self._age_ns(message), decode.stamp_ns(message.header)
         if self._config.max_age_s < age_s < _OTHER_CLOCK_S:
             self._stale += 1
-            late = f'pictures arrive {age_s:.1f} s late'
+            late = f'images arrive {age_s:.1f} s late'
             self._health = Health(Level.DEGRADED, late, {'stale': self._stale})
             return
         self._search.consider(stamp)
-        searches = self._search.active and not self._hangs
+        searches = self._search.active and not self._images_unusable
         # What told the place is not to tell it again.
         if searches and (self._look(message) or self._prior.recent(stamp) is None):
             return
         start = time.monotonic()
         seen = self._observe(message)
-        self._hangs = seen.unusable
+        self._images_unusable = seen.unusable
         self._search.note(stamp, len(seen.detections))
         found = replace(seen.detections, joint_delay_s=self._config.joint_delay_s)
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
@@ -197,19 +197,19 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._health = self._judged(seen, time.monotonic() - start)
 
     def _look(self, message: Any) -> bool:
-        """Search for the place in a picture; whether it was found."""
+        """Search for the place in an image; whether it was found."""
         frame, late = self._complete(message, self._search.reaches)
-        assert self._observer is not None, 'pictures come after the map'
+        assert self._observer is not None, 'images come after the map'
         frame, _ = in_time(frame, late)
         outcome = self._search.look(
-            frame, self._observer.lean, self._config.joint_delay_s, late.delay_s
+            frame, self._observer.camera_tilt, self._config.joint_delay_s, late.delay_s
         )
-        found = 'place found, and told on found_place'
+        found = 'place found, and told on global_localization/pose'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)
         if isinstance(outcome, Refusal):
             return False
-        self._observer.turn(*self._search.lean_rad)
+        self._observer.turn(*self._search.tilt_roll_rad)
         return True
 
     def _observe(self, message: Any) -> Observation:
@@ -218,7 +218,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         prior = self._prior.at(stamp)
         if isinstance(prior, Refusal):
             raise LandmarkNavError(str(prior))
-        assert self._observer is not None, 'pictures come after the map'
+        assert self._observer is not None, 'images come after the map'
         while self._odometry:
             self._observer.add_odometry(self._odometry.popleft())
         seen = self._observer.look(frame, prior, self._triplet, late)
@@ -228,12 +228,12 @@ class TriangulationLocalizerNode(LandmarkNode):
     def _complete(
         self, message: Any, also: Callable[[int], bool]
     ) -> tuple[CameraFrame, JointDelay]:
-        """Picture with all that belongs to it, and how late its joint states are."""
+        """Image with all that belongs to it, and how late its joint states are."""
         late = self._late
         return self._frames.complete(message, self._config.max_wait_s, also, late.delay_s), late
 
     def _age_ns(self, message: Any) -> int:
-        """Time since a picture was taken."""
+        """Time since an image was taken."""
         return int(self.get_clock().now().nanoseconds) - decode.stamp_ns(message.header)
 
     def _judged(self, seen: Observation, seconds: float) -> Health:
@@ -242,24 +242,24 @@ class TriangulationLocalizerNode(LandmarkNode):
             'found': len(found),
             'not_found': len(seen.refused),
             'update_ms': f'{seconds * 1e3:.0f}',
-            'overtaken': self._pictures.dropped,
+            'overtaken': self._images.dropped,
             'stale': self._stale,
         } | self._latency.values()
-        knocked = ''
-        if self._observer is not None and self._observer.knocked_up_rad:
-            higher = np.degrees(self._observer.knocked_up_rad)
+        displaced = ''
+        if self._observer is not None and self._observer.tilt_change_rad:
+            higher = np.degrees(self._observer.tilt_change_rad)
             values['camera_higher_deg'] = f'{higher:+.2f}'
             side = 'above' if higher > 0.0 else 'below'
-            knocked = f'; the camera looks {abs(higher):.2f} deg {side} where its joints say'
-        if self._observer is not None and self._observer.leaning_rad:
-            knocked += '; the camera leans {:.1f} deg {}'.format(
-                *degrees_aside(self._observer.leaning_rad)
+            displaced = f'; the camera looks {abs(higher):.2f} deg {side} where its joints say'
+        if self._observer is not None and self._observer.roll_change_rad:
+            displaced += '; the camera leans {:.1f} deg {}'.format(
+                *degrees_aside(self._observer.roll_change_rad)
             )
         if self._triplet is not None:
             values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))
         if isinstance(seen.fix, Refusal):
-            return Health(Level.DEGRADED, f'no fix: {seen.fix}{knocked}', values)
-        return Health(Level.OK, f'fix from {len(found)} landmarks{knocked}', values)
+            return Health(Level.DEGRADED, f'no fix: {seen.fix}{displaced}', values)
+        return Health(Level.OK, f'fix from {len(found)} landmarks{displaced}', values)
 
 
 def main() -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.localization.triplet import Gaze, TripletConfig
+from landmark_nav.localization.triplet import CameraState, TripletConfig
 from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.localization.triplet.look_around import is_known, LookAround, LookAroundConfig
 from landmark_nav.localization.triplet.ranking import Ranking
@@ -33,7 +33,7 @@ __all__ = ['Parameters', 'TripletSelectorNode', 'main']
 # A fused pose that nothing followed for so long tells no more where to look.
 _SILENCE_S = 1.0
 # How often is seen whether a view that helps to find the place has been looked at.
-_LOOK_S = 0.1
+_DWELL_TIME_S = 0.1
 # Commands come back, when there is much to do after the next ones.
 _ECHOES = 8
 
@@ -75,8 +75,8 @@ class TripletSelectorNode(LandmarkNode):
         self._mount = load_robot(self.required('robot_file', self._config.robot_file))
         self._publisher = self.advertise('triplet')
         cloud = message_class('sensor_msgs/msg/PointCloud2')
-        self._ranking = self.create_publisher(cloud, '~/ranking', RELIABLE)
-        self._standing = self.create_publisher(cloud, '~/standing', RELIABLE)
+        self._triplet_scores = self.create_publisher(cloud, '~/triplet_scores', RELIABLE)
+        self._landmark_visibility = self.create_publisher(cloud, '~/landmark_visibility', RELIABLE)
         self._frames = CameraFrames(self, self._mount)
         self._commander = PanCommander(self, self._mount, self._config.command)
         self._map: LandmarkMap | None = None
@@ -94,7 +94,7 @@ class TripletSelectorNode(LandmarkNode):
         listen_for_pan(self, self._mount, self._config.command.type, self._on_command)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
         self.create_timer(self._config.period_s, self._choose, clock=own_clock(self))
-        self.create_timer(_LOOK_S, self._look_around, clock=own_clock(self))
+        self.create_timer(_DWELL_TIME_S, self._look_around, clock=own_clock(self))
 
     def health(self) -> Health:
         """What was chosen last, or what a choice waits for; also while the clock stands."""
@@ -142,14 +142,14 @@ class TripletSelectorNode(LandmarkNode):
         if active is None or known is None or fused is None or model is None or self._missing():
             return
         start = time.perf_counter()
-        gaze = Gaze(self._frames.pan_rad, self._frames.tilt_rad, self._limits)
-        ranking = active.choose(fused, model, gaze)
+        camera_state = CameraState(self._frames.pan_rad, self._frames.tilt_rad, self._limits)
+        ranking = active.choose(fused, model, camera_state)
         took_ms = 1e3 * (time.perf_counter() - start)
         stamp, base = fused.stamp_ns, self._mount.base_frame
         head = encode.header(ros_factory, stamp, base)
-        self._ranking.publish(pack_cloud(ros_factory, head, ranking.table()))
-        standing = ranking.landmark_table(known.ids)
-        self._standing.publish(pack_cloud(ros_factory, head, standing))
+        self._triplet_scores.publish(pack_cloud(ros_factory, head, ranking.table()))
+        visibility = ranking.landmark_table(known.ids)
+        self._landmark_visibility.publish(pack_cloud(ros_factory, head, visibility))
         chosen = ranking.chosen
         values = {'choice_ms': f'{took_ms:.1f}'} | _why_others_lost(ranking)
         if isinstance(chosen, Refusal):

@@ -27,8 +27,8 @@ class PlanConfig(Config):
     focal_px: float = parameter(
         555.0, 'focal length of the camera, pixels', minimum=50, maximum=20000
     )
-    width_px: int = parameter(512, 'width of its pictures, pixels', minimum=16, maximum=16384)
-    height_px: int = parameter(512, 'height of its pictures, pixels', minimum=16, maximum=16384)
+    width_px: int = parameter(512, 'width of its images, pixels', minimum=16, maximum=16384)
+    height_px: int = parameter(512, 'height of its images, pixels', minimum=16, maximum=16384)
     pan_min_rad: float = parameter(
         -np.pi, 'least pan of the joint, rad', minimum=-6.2832, maximum=6.2832
     )

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment.sizes import TELLING
+from landmark_nav.learning.adjustment.depth_from_scale import INFORMATIVE
 from landmark_nav.learning.reference_area import joined
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
@@ -123,7 +123,7 @@ class Predictor:
             )
             self._alike[p] = observed_well(*seen_before, views.eye, 1.0 / stretch, stretch)
             well = observed_well(*seen_before, cells, triplet.min_sampling, triplet.max_sampling)
-            # Of the heights that the panorama shows, those that are in the picture here too.
+            # Of the heights that the panorama shows, those that are in the image here too.
             common = np.minimum(share / np.maximum(views.share[p], 1e-6), 1.0)
             self._observed[p] = np.where(seen & well, common, 0.0)
 
@@ -181,7 +181,7 @@ class Predictor:
 
     @property
     def _variance(self) -> float:
-        """Of a sighting's azimuth."""
+        """Of a measurement's azimuth."""
         config = self._config
         matched = _MATCH_SIGMA_PX / config.focal_px
         return config.adjustment.azimuth_sigma_rad**2 + matched**2
@@ -199,6 +199,6 @@ class Predictor:
         size_sigma = np.hypot(_MATCH_SIGMA_SIZE, config.adjustment.nearness_sigma)
         nearness = 1.0 / np.maximum(reach * cosine, 1e-3)
         by_size = (nearness[:, None] - nearness) / size_sigma
-        by_size[np.abs(by_size) * TELLING * config.election.max_depth_sigma_m < 1.0] = 0.0
+        by_size[np.abs(by_size) * INFORMATIVE * config.election.max_depth_sigma_m < 1.0] = 0.0
         information = np.sin(parallax_rad) ** 2 / np.maximum(square, 1e-12) + by_size**2
         return np.asarray(1.0 / np.sqrt(np.maximum(information, 1e-12)))

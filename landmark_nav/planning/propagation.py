@@ -42,7 +42,7 @@ def landmark_errors(
     azimuth_rad, range_m : ndarray, shape (n, s)
         Of s points on walls from the panoramas, in map.
     weight : ndarray, shape (n, s)
-        Information of each sighting, 1 / rad^2; 0 where there is none.
+        Information of each measurement, 1 / rad^2; 0 where there is none.
     normal : ndarray, shape (s, 2)
         Of the walls.
     wall : ndarray of int, shape (s,)
@@ -88,8 +88,8 @@ def landmark_errors(
     shared[planes, planes] = np.linalg.inv(off_walls) + hanging * np.diag(landmarks @ on_wall)
     # Schur complement: what is left of the information once every landmark is solved for.
     factors = len(shared)
-    told = (landmarks[:, None, None] * h_xs).reshape(-1, factors)
-    shared -= told.T @ gain.reshape(-1, factors)
+    reduction = (landmarks[:, None, None] * h_xs).reshape(-1, factors)
+    shared -= reduction.T @ gain.reshape(-1, factors)
     return own, gain @ np.linalg.cholesky(np.linalg.inv(shared))
 
 

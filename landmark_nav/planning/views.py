@@ -49,7 +49,7 @@ class Views:
     azimuth_rad, range_m : ndarray, shape (p, s)
         Of the samples in map.
     share : ndarray, shape (p, s)
-        Part of the textured band that is in the picture; 0 where a sample is hidden or seen too
+        Part of the textured band that is in the image; 0 where a sample is hidden or seen too
         obliquely to be matched.
     proposed : ndarray, shape (p, s)
         How many patches attention would propose there that can become landmarks.
@@ -142,7 +142,7 @@ def look(
     share[cosine < np.cos(config.stereo.max_incidence_rad)] = 0.0
     share[~room.visible(eye[:, None, :2], samples.xy)] = 0.0
     share[~_on_arc(azimuth, middle[measured], config)] = 0.0
-    # Attention works on the picture: patches are spread over azimuth, not over metres of wall.
+    # Attention works on the image: patches are spread over azimuth, not over metres of wall.
     # A part of the turn has not the patches of all of it: they would cover each other.
     proposed = config.candidates / (2.0 * np.pi) * samples.length_m * cosine / reach * share
     proposed[cosine < np.cos(config.election.max_incidence_rad)] = 0.0
@@ -187,7 +187,7 @@ def _on_arc(
 def band_share(
     range_m: FloatArray, eye_height_m: FloatArray | float, samples: WallSamples, config: PlanConfig
 ) -> FloatArray:
-    """Part (..., s) of the textured band of heights that is in the picture from a distance."""
+    """Part (..., s) of the textured band of heights that is in the image from a distance."""
     low = min(config.texture_low_m, config.texture_high_m)
     high = np.minimum(max(config.texture_low_m, config.texture_high_m), samples.wall_height_m)
     reach = config.steepest * range_m

@@ -1,4 +1,4 @@
-"""Pictures with the calibration and the angles they were taken at."""
+"""Images with the calibration and the angles they were taken at."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _POLL_S = 0.005
 
 class CameraFrames:
     """
-    Listens to ``joint_states`` and ``camera/camera_info`` and completes pictures by them.
+    Listens to ``joint_states`` and ``camera/camera_info`` and completes images by them.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class CameraFrames:
     mount : PanTiltMount
         Names of the joints.
     joint_delay_s : float
-        By how much joint states are stamped later than pictures of the same moment.
+        By how much joint states are stamped later than images of the same moment.
 
     """
 
@@ -74,7 +74,7 @@ class CameraFrames:
         return self._joints[-1].tilt_rad if self._joints else 0.0
 
     @property
-    def swing_rad(self) -> float:
+    def pan_range_rad(self) -> float:
         """How far the pan turned in the joint states that are kept."""
         kept = tuple(self._joints)
         pans_rad = unwrap_joint([s.stamp_ns for s in kept], [s.pan_rad for s in kept])
@@ -88,7 +88,7 @@ class CameraFrames:
         return tilt_ns >= stamp_ns or tilt_ns < self._joints[-1].stamp_ns - _TILT_BEHIND_NS
 
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
-        """Angles at a time of the pictures, interpolated; or why they are not known."""
+        """Angles at a time of the images, interpolated; or why they are not known."""
         history = JointHistory(tuple(self._joints), tuple(self._tilts))
         return history.at(stamp_ns + self._delay_ns)
 
@@ -131,7 +131,7 @@ class CameraFrames:
 
     def _on_joints(self, sample: JointSample) -> None:
         if self._joints and sample.stamp_ns < self._joints[-1].stamp_ns - _CLOCK_STEP_NS:
-            # Never empty once it was not: the thread of the pictures reads it meanwhile.
+            # Never empty once it was not: the thread of the images reads it meanwhile.
             self._joints = deque([sample])
             return
         if len(self._joints) > 1 and 0 <= sample.stamp_ns - self._joints[-2].stamp_ns < _STEP_NS:
@@ -162,7 +162,7 @@ class CameraFrames:
     def _wait(
         self, stamp_ns: int, seconds: float, also: Callable[[int], bool], late_s: float
     ) -> None:
-        """Block until there are joint states of a picture, and `also` holds, or time is up."""
+        """Block until there are joint states of an image, and `also` holds, or time is up."""
         deadline = time.monotonic() + seconds
         joints_ns = stamp_ns + self._delay_ns + max(0, round(1e9 * late_s))
         while time.monotonic() < deadline:

@@ -1,4 +1,4 @@
-"""Pictures of a topic, raw or compressed, whichever is there."""
+"""Images of a topic, raw or compressed, whichever is there."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def image_topics(topic: str, transport: str) -> list[str]:
 
 class ImageSource:
     """
-    Subscription to the pictures of `topic` or of ``topic/compressed``.
+    Subscription to the images of `topic` or of ``topic/compressed``.
 
-    With the transport ``auto`` both are tried. Raw pictures do until compressed ones come, which
-    then stay alone: a picture neither travels nor is handled twice, and large messages get lost
-    on common middleware. A picture that is published twice is handled once.
+    With the transport ``auto`` both are tried. Raw images do until compressed ones come, which
+    then stay alone: an image neither travels nor is handled twice, and large messages get lost
+    on common middleware. An image that is published twice is handled once.
     """
 
     def __init__(

@@ -8,14 +8,14 @@ import numpy as np
 
 __all__ = ['Latency']
 
-# The last ones count, some seconds of pictures.
+# The last ones count, some seconds of images.
 _KEPT = 100
 # An age beyond that is no age: the stamps come from another clock, such as a bag's.
 _OTHER_CLOCK_NS = 10**10
 
 
 class Latency:
-    """Ages of the last results: time from a picture's stamp until it was used."""
+    """Ages of the last results: time from an image's stamp until it was used."""
 
     def __init__(self) -> None:
         self._ages_ns: deque[int] = deque(maxlen=_KEPT)

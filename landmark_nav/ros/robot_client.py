@@ -16,17 +16,17 @@ from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode, encode
-from landmark_nav.ros.acquaintance import Acquaintance
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.joining import join_ros
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.same_stamp import listen_together
+from landmark_nav.ros.service_discovery import ServiceDiscovery
 from landmark_nav.ros.topics import TOPICS, with_depth
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
 
-__all__ = ['RobotClient', 'Word']
+__all__ = ['NodeStatus', 'RobotClient']
 
 _POLL_S = 0.02
 # A node is there within that time after its start, also where a machine starts many at once.
@@ -35,7 +35,7 @@ _RECORDED_DEPTH = 200
 
 
 @dataclass(frozen=True)
-class Word:
+class NodeStatus:
     """What a node says on ``/diagnostics``."""
 
     lost: bool = False
@@ -63,7 +63,7 @@ class RobotClient:
     Attributes
     ----------
     status : dict
-        Node -> the last `Word` it gave of itself.
+        Node -> the last `NodeStatus` it gave of itself.
     odometry : OdometrySample or None
         The last one.
     fused : PoseEstimate or None
@@ -85,7 +85,7 @@ class RobotClient:
         self._node = _ClientNode('conductor', 'script', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self.status: dict[str, Word] = {}
+        self.status: dict[str, NodeStatus] = {}
         self.odometry: OdometrySample | None = None
         self.fused: PoseEstimate | None = None
         self.fixes = 0
@@ -109,9 +109,9 @@ class RobotClient:
         self._node.destroy_node()
         self._context.try_shutdown()
 
-    def said(self, node: str) -> Word:
+    def status_of(self, node: str) -> NodeStatus:
         """What a node last said of itself; nothing, if it has not yet."""
-        return self.status.get(node, Word())
+        return self.status.get(node, NodeStatus())
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """
@@ -145,8 +145,12 @@ class RobotClient:
         client: Any = self._node.create_client(Trigger, service)
         there = f'the service {service} in ROS domain {self._domain_id}'
         self.wait(client.service_is_ready, min(timeout_s, _START_S), there)
-        with Acquaintance(self._node, service) as acquaintance:
-            self.wait(acquaintance.made, timeout_s, f'the node of {service} to know its client')
+        with ServiceDiscovery(self._node, service) as service_discovery:
+            self.wait(
+                service_discovery.is_complete,
+                timeout_s,
+                f'the node of {service} to know its client',
+            )
         future = client.call_async(Trigger.Request())
 
         def answered() -> bool:
@@ -208,14 +212,16 @@ class RobotClient:
         """What the nodes last said of themselves: why it was in vain is often among it."""
         own = self._node.get_name()
         words = [
-            f'{name}: {word.reason}' for name, word in sorted(self.status.items()) if name != own
+            f'{name}: {status.reason}'
+            for name, status in sorted(self.status.items())
+            if name != own
         ]
         return '; '.join(words) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
             name = status.name.partition(':')[0]
-            self.status[name] = Word(
+            self.status[name] = NodeStatus(
                 status.level == DiagnosticStatus.ERROR,
                 status.message,
                 {pair.key: pair.value for pair in status.values},

@@ -11,11 +11,11 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.ros.end_signals import EndSignals
 from landmark_nav.ros.executor import CallbackExecutor
 from landmark_nav.ros.joining import join_ros
 from landmark_nav.ros.logs import forward_logs
 from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.shutdown_guard import ShutdownGuard
 
 __all__ = ['run_node']
 
@@ -44,7 +44,7 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
     """
     name = Path(sys.argv[0]).stem
     asked: Future[None] = Future()
-    with EndSignals(lambda: asked.set_result(None), _GRACE_S) as end_signals:
+    with ShutdownGuard(lambda: asked.set_result(None), _GRACE_S) as shutdown_guard:
         try:
             join_ros()
             if own := remove_ros_args(sys.argv)[1:]:
@@ -53,7 +53,7 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
             node = make_node()
             asked.add_done_callback(lambda _: node.end())
             forward_logs(node.get_logger())
-            _spin(node, threads, end_signals)
+            _spin(node, threads, shutdown_guard)
         except LandmarkNavError as error:
             print(f'{name}: {error}', file=sys.stderr)
             return 1
@@ -70,7 +70,7 @@ def _usage(name: str, does: str) -> str:
     )
 
 
-def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:
+def _spin(node: LandmarkNode, threads: int, shutdown_guard: ShutdownGuard) -> None:
     """Spin to the end of a node."""
     executor = CallbackExecutor(threads)
     executor.add_node(node)
@@ -87,7 +87,7 @@ def _spin(node: LandmarkNode, threads: int, end_signals: EndSignals) -> None:
             executor.spin_once()
         node.ended.result()
         # Not where the node or a callback failed: the status has to say so.
-        end_signals.expect_end()
+        shutdown_guard.expect_end()
     finally:
         node.end()
         try:

@@ -77,7 +77,7 @@ _PROFILES = (
         'triplet',
         'detections',
         'triangulation/pose',
-        'found_place',
+        'global_localization/pose',
         'odometry/fused',
         'joint_delay',
     ),

@@ -1,4 +1,4 @@
-"""What lens and sensor do to a clean picture: vignetting, exposure, blur, noise."""
+"""What lens and sensor do to a clean image: vignetting, exposure, blur, noise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class CameraEffectsConfig(Config):
     vignetting: float = parameter(
         0.25, 'Loss of light in the corners, share', minimum=0.0, maximum=0.9
     )
-    exposure: float = parameter(1.0, 'Gain of the whole picture', minimum=0.05, maximum=20.0)
+    exposure: float = parameter(1.0, 'Gain of the whole image', minimum=0.05, maximum=20.0)
     auto_exposure: float = parameter(
         0.5,
         'How far the gain follows the mean brightness: 0 not at all, 1 all the way',
@@ -45,7 +45,7 @@ class CameraEffectsConfig(Config):
 
 class CameraEffects:
     """
-    Turns clean pictures into what a camera delivers.
+    Turns clean images into what a camera delivers.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class CameraEffects:
         self._sigma = np.sqrt(config.read_noise**2 + config.shot_noise * level).astype(np.float32)
 
     def apply(self, image: ImageArray) -> ImageArray:
-        """Picture (height, width, 3), BGR, as the camera delivers it."""
+        """Image (height, width, 3), BGR, as the camera delivers it."""
         config = self._config
         if config.blur_sigma_px > 0.0:
             sigma = config.blur_sigma_px

@@ -9,7 +9,7 @@ import numpy as np
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 
-__all__ = ['another_day', 'exchange_pictures', 'furnish', 'move_one_box']
+__all__ = ['another_day', 'exchange_posters', 'furnish', 'move_one_box']
 
 Generator = np.random.Generator
 
@@ -19,7 +19,7 @@ _TARGET_SIZE_M = 0.5
 _GAP_M = 0.1
 _CORNER_M = 0.12
 
-_PICTURES = ('photo', 'poster')
+_POSTERS = ('photo', 'poster')
 # Light that is left of a lamp on another day.
 _DIMMED = 0.35
 
@@ -31,7 +31,7 @@ _KINDS: dict[str, tuple[float, tuple[float, float], tuple[float, float]]] = {
     'blinds': (0.1, (1.1, 1.7), (0.9, 1.2)),
 }
 
-# How far before the wall faces are, metres: pictures are framed, blinds hang before a window. All
+# How far before the wall faces are, metres: posters are framed, blinds hang before a window. All
 # else is pinned or painted on it.
 _BEFORE_M = {'photo': (0.01, 0.03), 'blinds': (0.02, 0.05)}
 
@@ -125,11 +125,11 @@ def another_day(scene: Scene, rng: Generator) -> Scene:
     return replace(scene, lamps=tuple(lamps), boxes=move_one_box(scene, rng))
 
 
-def exchange_pictures(scene: Scene, share: float, rng: Generator) -> tuple[WallItem, ...]:
-    """Items of `scene`, a share of its pictures replaced by others of the same size."""
+def exchange_posters(scene: Scene, share: float, rng: Generator) -> tuple[WallItem, ...]:
+    """Items of `scene`, a share of its posters replaced by others of the same size."""
     items = list(scene.items)
-    pictures = [k for k, item in enumerate(items) if item.kind in _PICTURES]
-    for k in rng.permutation(pictures)[: round(share * len(pictures))]:
+    posters = [k for k, item in enumerate(items) if item.kind in _POSTERS]
+    for k in rng.permutation(posters)[: round(share * len(posters))]:
         items[k] = replace(items[k], seed=int(rng.integers(2**31)))
     return tuple(items)
 

@@ -1,4 +1,4 @@
-"""Pictures that stand for photographs: no two alike, corners and shades at all scales."""
+"""Images that stand for photographs: no two alike, corners and shades at all scales."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Generator = np.random.Generator
 
 
 def draw_photo(rng: Generator, shape: tuple[int, int]) -> ImageArray:
-    """Draw a picture (rows, columns, 3): background, hills, shaded bodies with details on them."""
+    """Draw an image (rows, columns, 3): background, hills, shaded bodies with details on them."""
     rows, columns = shape
     scale = min(shape)
     image = np.empty((rows, columns, 3), np.float32)
@@ -34,7 +34,7 @@ def draw_photo(rng: Generator, shape: tuple[int, int]) -> ImageArray:
 
 
 def _ridge(rng: Generator, image: np.ndarray) -> None:
-    """A skyline of hills or roofs across the picture."""
+    """A skyline of hills or roofs across the image."""
     rows, columns = image.shape[:2]
     profile = fractal_noise(rng, (2, columns), (2, columns / 3), 6, 0.55)[0]
     if rng.random() < 0.4:

@@ -23,7 +23,7 @@ __all__ = [
 # Height of the camera that decides what low furniture hides.
 EYE_HEIGHT_M = 1.1
 
-# Height over distance that fits into the picture of a usual camera, with some reserve.
+# Height over distance that fits into the image of a usual camera, with some reserve.
 _STEEPEST_VIEW = 0.4
 
 # Largest angle off a wall's normal at which papers, other things and the target are seen well.
@@ -124,7 +124,7 @@ def view_quality(
     places_xy : array_like, shape (n, 2)
         From where.
     points : array_like, shape (m, 3)
-        Points on walls, map frame; too high over too short a way is outside the picture.
+        Points on walls, map frame; too high over too short a way is outside the image.
     walls : array_like of int, shape (m,)
         Which walls.
     steepest_deg : float

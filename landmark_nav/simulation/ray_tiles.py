@@ -54,7 +54,7 @@ class RayTiles:
         return touched, np.all(value - reach > 0.5, axis=1)
 
     def assemble(self, canvas: ImageArray) -> ImageArray:
-        """Picture out of tiles."""
+        """Image out of tiles."""
         rows, columns = self._rows * TILE_PX, self._columns * TILE_PX
         tiles = canvas.reshape(self._rows, self._columns, TILE_PX, TILE_PX, 3)
         image = tiles.transpose(0, 2, 1, 3, 4).reshape(rows, columns, 3)

@@ -10,7 +10,7 @@ import numpy as np
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.simulation.drive_path import PathFollower
-from landmark_nav.simulation.gaze import Gaze
+from landmark_nav.simulation.pan_control import PanControl
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.types import CameraFrame, FloatArray, JointSample
 
@@ -49,15 +49,15 @@ def sweep_messages(
     factory : MessageFactory
         Builds the messages.
     frames : int
-        Pictures of the turn, evenly spread from -180 degrees on.
+        Images of the turn, evenly spread from -180 degrees on.
     jpeg_quality : int
-        Of the pictures, 1 to 100.
+        Of the images, 1 to 100.
 
     Yields
     ------
     Recorded
         ``sweep/image/compressed``, ``sweep/camera_info``, ``joint_states`` and
-        ``ground_truth/odom`` for each picture, and at the end ``sweep/trajectory``.
+        ``ground_truth/odom`` for each image, and at the end ``sweep/trajectory``.
 
     """
     samples: list[JointSample] = []
@@ -69,7 +69,7 @@ def sweep_messages(
             world.advance(1.0 / STATE_RATE_HZ)
         frame = world.camera_frame()
         samples.append(JointSample(frame.stamp_ns, frame.pan_rad, frame.tilt_rad))
-        yield from _picture(frame, factory, 'sweep', 'sweep/image/compressed', jpeg_quality)
+        yield from _image_messages(frame, factory, 'sweep', 'sweep/image/compressed', jpeg_quality)
         yield _joints(world, factory)
         yield _truth(world, factory)
     world.advance(0.1)
@@ -81,7 +81,7 @@ def drive_messages(
     world: RobotWorld,
     factory: MessageFactory,
     path_xy: FloatArray,
-    gaze: Gaze,
+    pan_control: PanControl,
     *,
     seconds: float,
     speed_m_s: float = 0.35,
@@ -106,9 +106,9 @@ def drive_messages(
     speed_m_s : float
         On straight parts.
     camera_rate_hz : float
-        Pictures a second: the nearest whole part of 20.
+        Images a second: the nearest whole part of 20.
     jpeg_quality : int
-        Of the pictures, 1 to 100.
+        Of the images, 1 to 100.
 
     Yields
     ------
@@ -122,10 +122,10 @@ def drive_messages(
     for k in range(round(seconds * STATE_RATE_HZ)):
         time_s = k / STATE_RATE_HZ
         world.command_velocity(*driver.command(world.true_pose))
-        world.command_pan(gaze.pan(time_s, world.true_pose))
+        world.command_pan(pan_control.pan(time_s, world.true_pose))
         if k % every == 0:
             frame = world.camera_frame()
-            yield from _picture(
+            yield from _image_messages(
                 frame, factory, 'camera', 'camera/image_raw/compressed', jpeg_quality
             )
         yield _joints(world, factory)
@@ -135,7 +135,7 @@ def drive_messages(
         world.advance(1.0 / STATE_RATE_HZ)
 
 
-def _picture(
+def _image_messages(
     frame: CameraFrame, factory: MessageFactory, camera: str, topic: str, jpeg_quality: int
 ) -> Sequence[Recorded]:
     stamp = frame.stamp_ns

@@ -1,4 +1,4 @@
-"""Pictures of a scene through a real lens: every pixel's ray against textured rectangles."""
+"""Images of a scene through a real lens: every pixel's ray against textured rectangles."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Renderer:
         self, rotation: FloatArray, center: FloatArray, people: Sequence[Solid] = ()
     ) -> ImageArray:
         """
-        Draw one picture.
+        Draw one image.
 
         Parameters
         ----------

@@ -27,7 +27,7 @@ _CEILING_TEXEL_M = 0.008
 # Foreshortening of walls that their pyramids can follow: up to a factor of eight.
 _WALL_SLANTS = 4
 
-# Papers are matt and evenly coloured; blue, green, red. Those of other colours are as told.
+# Papers are matt and evenly coloured; blue, green, red. Those of other colours are as given.
 _PAPER_COLORS = {
     'red': (38.0, 36.0, 196.0),
     'green': (58.0, 150.0, 34.0),
@@ -91,22 +91,22 @@ def _hang(
     texels = np.array(texture.shape[1::-1], dtype=np.float64)
     low = np.array(corner) * texels
     size = np.array([item.width_m / length, item.height_m / height]) * texels
-    picture = draw_item(item.kind, item.seed, (round(size[1]), round(size[0])))
+    drawing = draw_item(item.kind, item.seed, (round(size[1]), round(size[0])))
     a = np.clip(np.rint(low), 0, texels).astype(int)
     b = np.clip(np.rint(low + size), 0, texels).astype(int)
-    scale = size / picture.shape[1::-1]
+    scale = size / drawing.shape[1::-1]
     shift = low - a + 0.5 * scale - 0.5
     warp = np.array([[scale[0], 0.0, shift[0]], [0.0, scale[1], shift[1]]])
     texture[a[1] : b[1], a[0] : b[0]] = cv2.warpAffine(
-        picture, warp, (int(b[0] - a[0]), int(b[1] - a[1])), borderMode=cv2.BORDER_REPLICATE
+        drawing, warp, (int(b[0] - a[0]), int(b[1] - a[1])), borderMode=cv2.BORDER_REPLICATE
     )
 
 
 def _item_surface(item: WallItem, room: Room, across: FloatArray) -> Surface:
     corner = item.center(room) - across * item.width_m / 2 + _UP * item.height_m / 2
     shape = (round(item.height_m / _WALL_TEXEL_M), round(item.width_m / _WALL_TEXEL_M))
-    picture = draw_item(item.kind, item.seed, shape)
-    return Surface(corner, across, -_UP, item.width_m, item.height_m, picture, slants=_WALL_SLANTS)
+    drawing = draw_item(item.kind, item.seed, shape)
+    return Surface(corner, across, -_UP, item.width_m, item.height_m, drawing, slants=_WALL_SLANTS)
 
 
 def _paper_surface(paper: Paper, across: FloatArray) -> Surface:

@@ -33,7 +33,7 @@ def draw_item(kind: str, seed: int, shape: tuple[int, int]) -> ImageArray:
     kind : str
         A kind of `WallItem`, or ``books`` for the side of a bookcase.
     seed : int
-        The same seed draws the same picture.
+        The same seed draws the same image.
     shape : (int, int)
         Rows and columns of the result.
 
@@ -166,11 +166,11 @@ def _blinds(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     tone = np.where(phase < 0.12, 95.0, 205.0 - 50.0 * phase) * rng.uniform(0.9, 1.1)
     image = np.repeat(np.repeat(tone[:, None, None], columns, 1), 3, 2)
     image *= 1.0 + 0.02 * fractal_noise(rng, shape, (rows / 2, columns / 4), 3)[..., None]
-    picture = to_uint8(image)
+    drawing = to_uint8(image)
     for x in rng.uniform(0.1, 0.9, int(rng.integers(2, 4))) * columns:
-        cv2.line(picture, (round(x), 0), (round(x), rows), (70, 70, 70), 4)
-    cv2.rectangle(picture, (0, 0), (columns - 1, rows - 1), (48, 48, 50), columns // 30)
-    return picture
+        cv2.line(drawing, (round(x), 0), (round(x), rows), (70, 70, 70), 4)
+    cv2.rectangle(drawing, (0, 0), (columns - 1, rows - 1), (48, 48, 50), columns // 30)
+    return drawing
 
 
 def _door(rng: Generator, shape: tuple[int, int]) -> ImageArray:

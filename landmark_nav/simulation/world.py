@@ -79,7 +79,7 @@ class RobotWorld:
     ) -> None:
         """Build the room; takes seconds for its textures."""
         config = config or WorldConfig()
-        wheels, noise, company = np.random.default_rng([seed, 20]).spawn(3)
+        wheels, noise, people = np.random.default_rng([seed, 20]).spawn(3)
         self.scene = scene
         self.camera = camera
         self.mount = mount
@@ -89,7 +89,7 @@ class RobotWorld:
         self._owed_s = 0.0
         self._unit = PanTiltUnit(config.pan_tilt)
         self._drive = DifferentialDrive(config.drive, pose_map_base, self._free, wheels)
-        self._people = WalkingPeople(scene, config.people, self.true_pose[:2], company)
+        self._people = WalkingPeople(scene, config.people, self.true_pose[:2], people)
         self.renderer = renderer or Renderer(scene, camera)
         self._effects = CameraEffects(camera, config.camera, noise)
 
@@ -149,8 +149,8 @@ class RobotWorld:
         self._drive.place(pose_map_base)
         self._unit.jump(pan_rad, tilt_rad)
 
-    def standing(self, pose_map_base: npt.ArrayLike, pan_rad: float) -> CameraFrame:
-        """Carry the robot to a pose (3,) and take a picture there."""
+    def frame_at(self, pose_map_base: npt.ArrayLike, pan_rad: float) -> CameraFrame:
+        """Carry the robot to a pose (3,) and take an image there."""
         self.place(pose_map_base, pan_rad)
         self.advance(1.0 / _RATE_HZ)
         return self.camera_frame()
@@ -172,7 +172,7 @@ class RobotWorld:
         return OdometrySample(self.stamp_ns, self.true_pose, linear, angular)
 
     def camera_frame(self) -> CameraFrame:
-        """Take a picture now."""
+        """Take an image now."""
         pan, tilt = self._unit.angles_rad
         turn, center = self.mount.camera_pose_map(self.true_pose, float(pan), float(tilt))
         image = self.renderer.render(turn, center, self._people.solids(center[:2]))

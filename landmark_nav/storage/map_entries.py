@@ -38,7 +38,7 @@ def listed(values: Any) -> list[Any]:
 
 
 def patch_name(identity: int) -> str:
-    """Of its picture, in the map folder."""
+    """Of its image, in the map folder."""
     return f'patches/{identity:03d}.png'
 
 

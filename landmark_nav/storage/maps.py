@@ -16,6 +16,7 @@ import yaml
 
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.image_codec import encode_image
+from landmark_nav.storage.atomic_io import atomic_folder, left_over
 from landmark_nav.storage.fields import (
     array_field,
     covariance_field,
@@ -34,14 +35,13 @@ from landmark_nav.storage.map_entries import (
 )
 from landmark_nav.storage.reading import read_yaml_mapping
 from landmark_nav.storage.setup_files import wall_entry, walls_field
-from landmark_nav.storage.whole import left_over, whole_folder
 from landmark_nav.types import LandmarkMap, PoseEstimate
 
 __all__ = ['MAP_DATA', 'MAP_FILES', 'SCHEMA_VERSION', 'load_map', 'save_map', 'write_map']
 
 SCHEMA_VERSION = 1
 
-# What this package writes into a map folder, for `whole_folder`: the map, and figures of it.
+# What this package writes into a map folder, for `atomic_folder`: the map, and figures of it.
 MAP_DATA = ('map.yaml', 'patches', 'views')
 MAP_FILES = (*MAP_DATA, 'map.png', 'panorama_*.png')
 
@@ -68,7 +68,7 @@ def save_map(landmarks: LandmarkMap, folder: Path | str, overwrite: bool = True)
         `folder` holds something else, or a map that stays, or cannot be written.
 
     """
-    with whole_folder(Path(folder), MAP_FILES, overwrite) as growing:
+    with atomic_folder(Path(folder), MAP_FILES, overwrite) as growing:
         write_map(landmarks, growing)
 
 
@@ -91,17 +91,17 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
     }
     text = yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
     (folder / 'map.yaml').write_text(text, encoding='utf-8')
-    pictures = {
+    images = {
         patch_name(k.id): k.patch
         for k in landmarks.landmarks
         if k.width_m or k.height_m  # not of a point, such as a surveyed beacon
     }
     for k in landmarks.landmarks:
-        pictures |= {view_name(k.id, n): view.patch for n, view in enumerate(k.views)}
+        images |= {view_name(k.id, n): view.patch for n, view in enumerate(k.views)}
     for kind in ('patches', 'views'):
         (folder / kind).mkdir()
-    for name, picture in pictures.items():
-        (folder / name).write_bytes(encode_image(picture, '.png').tobytes())
+    for name, image in images.items():
+        (folder / name).write_bytes(encode_image(image, '.png').tobytes())
 
 
 def load_map(folder: Path | str) -> LandmarkMap:

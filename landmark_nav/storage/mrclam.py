@@ -45,13 +45,13 @@ class MrclamLog:
     Parameters
     ----------
     landmark_map : LandmarkMap
-        The posts: points without a picture; ids are the data set's subjects.
+        The posts: points without an image; ids are the data set's subjects.
     command_ns : ndarray of int, shape (n,)
         Strictly increasing.
     commands : ndarray, shape (n, 2)
         Forward [m/s] and turning [rad/s] velocity, each until the next.
-    sightings : tuple of Detections
-        What was read in each picture, other robots left out.
+    detections : tuple of Detections
+        What was read in each image, other robots left out.
     truth : tuple of PoseEstimate
         Motion capture.
     unknown : int
@@ -62,7 +62,7 @@ class MrclamLog:
     landmark_map: LandmarkMap
     command_ns: IntArray
     commands: FloatArray
-    sightings: tuple[Detections, ...]
+    detections: tuple[Detections, ...]
     truth: tuple[PoseEstimate, ...]
     unknown: int
 
@@ -109,7 +109,7 @@ def read_mrclam(
         _landmark_map(posts, folder, landmark_sigma_m),
         stamps,
         motion[first, 1:],
-        _sightings(seen[posted], subjects[posted], bearing_sigma_rad),
+        _detections(seen[posted], subjects[posted], bearing_sigma_rad),
         tuple(
             PoseEstimate(int(stamp), pose, np.zeros((3, 3)))
             for stamp, pose in zip(_nanoseconds(truth[:, 0]), truth[:, 1:], strict=True)
@@ -171,10 +171,10 @@ def _landmark_map(posts: FloatArray, folder: Path, sigma_m: float) -> LandmarkMa
     return LandmarkMap(landmarks, provenance={'surveyed_in': f'UTIAS MR.CLAM, {folder.name}'})
 
 
-def _sightings(
+def _detections(
     seen: FloatArray, subjects: IntArray, bearing_sigma_rad: float
 ) -> tuple[Detections, ...]:
-    """Group readings by picture: they share a stamp."""
+    """Group readings by image: they share a stamp."""
     stamps, which = np.unique(_nanoseconds(seen[:, 0]), return_inverse=True)
     found = []
     for k, stamp in enumerate(stamps):

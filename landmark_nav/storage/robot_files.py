@@ -10,10 +10,10 @@ import yaml
 
 from landmark_nav.calibration import Calibration, NAMES, UNITS
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.storage.fields import array_field, number_field
 from landmark_nav.storage.reading import read_yaml_mapping
 from landmark_nav.storage.setup_files import load_robot
-from landmark_nav.storage.whole import write_whole
 
 __all__ = ['load_calibration', 'save_calibration']
 
@@ -109,7 +109,7 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     for name in ('camera_roll', *_SCALARS):
         document[name], document[f'{name}_sigma'] = _rounded(value[name]), _rounded(sigma[name])
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    write_whole(Path(path), text)
+    write_atomically(Path(path), text)
 
 
 def _rounded(value: float) -> float:

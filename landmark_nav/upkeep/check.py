@@ -18,7 +18,7 @@ _OFF_WALL_M = 0.1
 _MAX_TURN_RAD = np.radians(5.0)
 _MAX_SIGMA_M = 0.5
 _MIN_CONTRAST = 2.0
-# Texels are square: width and height of a patch agree with its picture to this share.
+# Texels are square: width and height of a patch agree with its image to this share.
 _MAX_SQUEEZE = 0.1
 _LEAST_LANDMARKS = 3
 

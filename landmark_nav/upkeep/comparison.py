@@ -36,7 +36,7 @@ _LEAST_SIGMA_M = 1e-6
 
 
 class Texture(Enum):
-    """What the pictures of two overlapping patches say."""
+    """What the images of two overlapping patches say."""
 
     SAME = 'same'
     CHANGED = 'changed'
@@ -77,7 +77,7 @@ class Comparison:
     only_b: tuple[Landmark, ...]
 
     def of(self, texture: Texture) -> tuple[Pair, ...]:
-        """Pairs whose pictures say `texture`."""
+        """Pairs whose images say `texture`."""
         return tuple(pair for pair in self.pairs if pair.texture is texture)
 
 
@@ -153,10 +153,10 @@ def _texture_offset(
     """Disagreement (2,) and its covariance; None where too little is shared to tell."""
     texel = max(a.width_m / a.patch.shape[1], b.width_m / b.patch.shape[1])
     margin = int(np.ceil(_SEARCH * min(b.width_m, b.height_m) / texel)) + 1
-    # Both on one grid of `texel`, which is centred on b; a's picture is moved by the offset.
+    # Both on one grid of `texel`, which is centred on b; a's image is moved by the offset.
     shape = (int(b.height_m / texel), int(b.width_m / texel))
-    picture_b = _resampled(b, texel, shape, np.zeros(2))
-    picture_a = _resampled(a, texel, shape, offset)
+    image_b = _resampled(b, texel, shape, np.zeros(2))
+    image_a = _resampled(a, texel, shape, offset)
     rows, columns = (
         _shared(length, texel, size, shift, margin)
         for length, size, shift in zip(shape, (a.height_m, a.width_m), offset[::-1], strict=True)
@@ -164,20 +164,20 @@ def _texture_offset(
     if min(len(rows), len(columns)) < _MIN_OVERLAP_PX:
         return None
     top, left, bottom, right = rows[0], columns[0], rows[-1] + 1, columns[-1] + 1
-    template = picture_a[top:bottom, left:right]
-    search = picture_b[top - margin : bottom + margin, left - margin : right + margin]
+    template = image_a[top:bottom, left:right]
+    search = image_b[top - margin : bottom + margin, left - margin : right + margin]
     match = match_template(search, template, min_score=_MIN_SCORE)
     if isinstance(match, Refusal):
         return match
     expected = (np.array(search.shape[::-1]) - 1) / 2.0
-    # Where b's picture shows the texture further right, its map puts it further right.
+    # Where b's image shows the texture further right, its map puts it further right.
     return (match.xy - expected) * texel, match.covariance * texel**2
 
 
 def _shared(
     length: int, texel_m: float, size_m: float, shift_m: float, margin: int
 ) -> npt.NDArray[np.intp]:
-    """Rows (or columns) of b's grid, but for its margin, where a's picture reaches."""
+    """Rows (or columns) of b's grid, but for its margin, where a's image reaches."""
     place = np.arange(length)
     reach = np.abs((place - (length - 1) / 2.0) * texel_m + shift_m)
     return np.flatnonzero((reach <= 0.5 * size_m) & (place >= margin) & (place < length - margin))

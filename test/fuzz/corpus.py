@@ -10,7 +10,7 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.found_place import FoundPlace
+from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import (
     Detections,
@@ -109,7 +109,7 @@ def messages(
         np.array([4]),
     )
     triplet = Triplet(stamp_ns, np.arange(3), bearings, np.full(3, 1e-3), np.eye(3) * 1e-4, 0.1)
-    place = FoundPlace(stamp_ns, pose.pose, pose.covariance, np.arange(3))
+    place = GlobalPose(stamp_ns, pose.pose, pose.covariance, np.arange(3))
     cylinder = Cylinder(64, 16, 10.2, 31.5, 7.5)
     panorama = Panorama(
         stamp_ns,
@@ -149,7 +149,7 @@ def messages(
         'detections': encode.detections(make, found),
         'triangulation/pose': encode.pose(make, pose),
         'initialpose': encode.pose(make, pose),
-        'found_place': encode.found_place(make, place),
+        'global_localization/pose': encode.global_pose(make, place),
         'odometry/fused': encode.odometry(make, sample, np.eye(3) * 1e-4),
         'joint_delay': encode.joint_delay(make, stamp_ns, 0.01, 0.002),
         'pan_tilt/command': encode.sweep_trajectory(make, frames[:1], mount),

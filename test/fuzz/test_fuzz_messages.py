@@ -56,7 +56,7 @@ def _decoders() -> dict[str, Callable[[Any], Any]]:
         'landmarks/atlas': lambda m: decode.landmark_map(valid['landmarks'], m),
         'triplet': decode.triplet,
         'detections': decode.detections,
-        'found_place': decode.found_place,
+        'global_localization/pose': decode.global_pose,
         'joint_delay': decode.joint_delay,
     }
 

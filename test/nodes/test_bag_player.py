@@ -47,18 +47,18 @@ def test_a_bag_damaged_inside_is_not_played(recording: Path, domain_id: int) -> 
         chunk.chunk_length - chunk.chunk_length // 2
     )
     recording.write_bytes(content)
-    status, told = played(recording, domain_id)
+    status, reported = played(recording, domain_id)
     assert status == 1
-    assert 'playback ends early: ' in told
-    assert 'damaged inside' in told
-    assert 'is played' not in told
-    assert 'Traceback' not in told
+    assert 'playback ends early: ' in reported
+    assert 'damaged inside' in reported
+    assert 'is played' not in reported
+    assert 'Traceback' not in reported
 
 
 def test_a_bag_that_is_cut_off_is_played_up_to_the_break(recording: Path, domain_id: int) -> None:
     content = recording.read_bytes()
     recording.write_bytes(content[: len(content) * 9 // 10])
-    status, told = played(recording, domain_id)
+    status, reported = played(recording, domain_id)
     assert status == 0
-    assert 'read up to the break' in told
-    assert 'is played' in told
+    assert 'read up to the break' in reported
+    assert 'is played' in reported

@@ -1,4 +1,4 @@
-"""Joint states that nodes keep for pictures of a while ago."""
+"""Joint states that nodes keep for images of a while ago."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_they_reach_back_however_fast_they_come(step_ns: int) -> None:
         assert isinstance(joints, JointSample)
         assert joints.pan_rad == pytest.approx(1e-9 * (last_ns - before_ns) * RATE_RAD_S)
         assert joints.pan_rate_rad_s == pytest.approx(RATE_RAD_S)
-    assert frames.swing_rad == pytest.approx(3.0 * RATE_RAD_S, abs=0.02)
+    assert frames.pan_range_rad == pytest.approx(3.0 * RATE_RAD_S, abs=0.02)
 
 
 def test_a_clock_step_takes_nothing_from_a_thread_that_reads_meanwhile() -> None:
@@ -66,7 +66,7 @@ def test_a_clock_step_takes_nothing_from_a_thread_that_reads_meanwhile() -> None
     before = frames._joints
     hear(JointSample(3 * 10**9, 0.2))
     assert [sample.pan_rad for sample in before] == [0.1]
-    assert (frames.pan_rad, frames.swing_rad) == (0.2, 0.0)
+    assert (frames.pan_rad, frames.pan_range_rad) == (0.2, 0.0)
     assert frames.reaches(3 * 10**9)
     assert not frames.reaches(4 * 10**9)
 
@@ -75,10 +75,10 @@ def test_a_pan_that_is_reported_within_half_a_turn_has_not_swung_by_a_turn() -> 
     frames, hear = listening()
     for k, pan_rad in enumerate([3.13, 3.14, -3.133, -3.123]):
         hear(JointSample(k * 20_000_000, pan_rad))
-    assert frames.swing_rad == pytest.approx(2.0 * np.pi - 3.123 - 3.13)
+    assert frames.pan_range_rad == pytest.approx(2.0 * np.pi - 3.123 - 3.13)
 
 
-def test_a_tilt_that_is_told_by_itself_is_waited_for_and_kept() -> None:
+def test_a_tilt_that_is_recognized_by_itself_is_waited_for_and_kept() -> None:
     frames, hear = listening(MOUNT.tilt_joint, MOUNT.pan_joint)
     for k in range(400):
         hear(JointSample(k * 20_000_000, 0.0, 0.001 * k))

@@ -46,7 +46,7 @@ def processes(folder: Path) -> dict[str, int]:
             words = (entry / 'cmdline').read_text().split('\0')
         except OSError:
             continue
-        if '--ros-args' in words and any(str(folder) in word for word in words):
+        if '--ros-args' in words and any(str(folder) in node for node in words):
             found[words[2].rpartition('.')[2]] = int(entry.name)
     return found
 
@@ -58,7 +58,9 @@ def wait(condition: Callable[[], bool], timeout_s: float) -> None:
         time.sleep(0.1)
 
 
-def test_who_died_is_told_and_the_rest_ends(demo: subprocess.Popen[str], tmp_path: Path) -> None:
+def test_who_died_is_reported_and_the_rest_ends(
+    demo: subprocess.Popen[str], tmp_path: Path
+) -> None:
     wait(lambda: len(processes(tmp_path)) == NODES, 60.0)
     os.kill(processes(tmp_path)['triplet_selector'], signal.SIGKILL)
     _, complaint = demo.communicate(timeout=30)
@@ -116,6 +118,6 @@ def test_learns_drives_and_stays_exact(tmp_path: Path, domain_id: int) -> None:
     assert measured['fused']['position_rmse_m'] < measured['odometry']['position_rmse_m']
     assert measured['nees']['interval_95'] is None
     assert (folder / 'report.html').read_text().count('<img') == 5
-    pictures = {path.stem for path in folder.glob('*.png')}
-    assert {'map', 'trajectory', 'errors', 'panorama_1', 'panorama_2'} <= pictures
+    images = {path.stem for path in folder.glob('*.png')}
+    assert {'map', 'trajectory', 'errors', 'panorama_1', 'panorama_2'} <= images
     assert processes(tmp_path) == {}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.found_place import FoundPlace
+from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
@@ -39,7 +39,7 @@ class Fusion:
             now=lambda: SimpleNamespace(nanoseconds=self.now_ns)
         )
         self._odom = self.node.guarded('odom', self.node._on_odometry)
-        self._place = self.node.guarded('found_place', self.node._on_found_place)
+        self._place = self.node.guarded('global_localization/pose', self.node._on_global_pose)
         self.node._filter.change_map(LandmarkMap(()))
 
     def odometry(self, k: int, way_m: float | None = None) -> None:
@@ -52,8 +52,8 @@ class Fusion:
         self.node._on_initial_pose(encode.pose(ros_factory, pose))
 
     def found(self, stamp_ns: int, x: float) -> None:
-        place = FoundPlace(stamp_ns, np.array([x, 0.0, 0.0]), SURE, np.arange(3))
-        self._place(encode.found_place(ros_factory, place))
+        place = GlobalPose(stamp_ns, np.array([x, 0.0, 0.0]), SURE, np.arange(3))
+        self._place(encode.global_pose(ros_factory, place))
 
     def reason(self) -> str:
         return str(self.node._checked_health().reason)
@@ -71,7 +71,7 @@ def fusion(domain_id: int, tmp_path: Any) -> Iterator[Fusion]:
     context.try_shutdown()
 
 
-def test_a_late_sample_does_not_set_back_what_is_told(fusion: Fusion) -> None:
+def test_a_late_sample_does_not_set_back_what_is_reported(fusion: Fusion) -> None:
     fusion.start(0, 0.0)
     for k in (0, 1, 2, 4, 5, 3, 6):
         fusion.odometry(k)
@@ -85,17 +85,17 @@ def test_a_robot_whose_odometry_hangs_with_nothing_in_view_is_lost_in_time(
     fusion: Fusion,
 ) -> None:
     fusion.start(0, 0.0)
-    said = []
+    reported = []
     for k in range(200):
         fusion.now_ns = k * PERIOD_NS
         fusion.odometry(k, way_m=None if k < 20 else 0.38)
-        said.append(fusion.reason())
-    assert 'odom dropped: odometry has frozen' in said[30]
-    assert 'no odometry for' in said[50]
-    assert 'sigma is' in said[-1]
+        reported.append(fusion.reason())
+    assert 'odom dropped: odometry has frozen' in reported[30]
+    assert 'no odometry for' in reported[50]
+    assert 'sigma is' in reported[-1]
 
 
-def test_a_place_of_before_a_start_that_was_told_is_not_taken(fusion: Fusion) -> None:
+def test_a_place_of_before_a_start_that_was_given_is_not_taken(fusion: Fusion) -> None:
     for k in range(20):
         fusion.now_ns = k * PERIOD_NS
         fusion.odometry(k)

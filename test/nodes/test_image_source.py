@@ -1,4 +1,4 @@
-"""Pictures of whichever topic has them."""
+"""Images of whichever topic has them."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Listener:
 
 def test_the_first_that_delivers_stays() -> None:
     node: Any = Listener()
-    pictures: list[Any] = []
-    ImageSource(node, RAW, pictures.append)
+    images: list[Any] = []
+    ImageSource(node, RAW, images.append)
     late = node.heard[RAW]
     node.heard[COMPRESSED]('jpeg')
     late('raw')
-    assert pictures == ['jpeg']
+    assert images == ['jpeg']
     assert list(node.heard) == [COMPRESSED]
 
 

@@ -76,15 +76,15 @@ class Graph:
     def until(self, condition: Callable[[], bool], meanwhile: Callable[[], None]) -> None:
         deadline = time.monotonic() + 20.0
         while not condition():
-            assert time.monotonic() < deadline, self.said().reason
+            assert time.monotonic() < deadline, self.health().reason
             meanwhile()
             self.executor.spin_once(timeout_sec=0.02)
 
-    def said(self) -> Health:
+    def health(self) -> Health:
         return self.listener._checked_health()
 
-    def says(self, words: str) -> Callable[[], bool]:
-        return lambda: words in self.said().reason
+    def reports(self, words: str) -> Callable[[], bool]:
+        return lambda: words in self.health().reason
 
 
 @pytest.fixture
@@ -113,18 +113,20 @@ def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
     graph: Graph, domain_id: int
 ) -> None:
     graph.listener.fails = True
-    said = graph.said()
-    assert '/robot/odom (nobody publishes it' in said.reason
-    assert '/robot/joint_states (nobody publishes it' in said.reason
-    assert 'nobody publishes it' in said.values['/robot/odom']
+    health = graph.health()
+    assert '/robot/odom (nobody publishes it' in health.reason
+    assert '/robot/joint_states (nobody publishes it' in health.reason
+    assert 'nobody publishes it' in health.values['/robot/odom']
     graph.publisher('wheels', '/wheels/odometry', 'nav_msgs/msg/Odometry')
-    graph.until(graph.says('/robot/odom (nobody publishes it; of its type there is /wheels'), int)
+    graph.until(
+        graph.reports('/robot/odom (nobody publishes it; of its type there is /wheels'), int
+    )
     # Two types of one topic are refused within a context.
     context = Context()
     context.init(domain_id=domain_id)
     other = rclpy.create_node('other', context=context)
     other.create_publisher(message_class('std_msgs/msg/String'), '/robot/joint_states', 10)
-    graph.until(graph.says('/other publishes it as std_msgs/msg/String'), int)
+    graph.until(graph.reports('/other publishes it as std_msgs/msg/String'), int)
     other.destroy_node()
     context.try_shutdown()
 
@@ -132,11 +134,11 @@ def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
 def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Graph) -> None:
     wheels = graph.publisher('wheels', '/robot/odom')
     send = lambda: wheels.publish(odometry(NOW_NS, np.nan))  # noqa: E731
-    graph.until(graph.says('odom from /wheels dropped: odometry position'), send)
+    graph.until(graph.reports('odom from /wheels dropped: odometry position'), send)
     graph.listener.fails = True
     bug = 'odom from /wheels dropped: internal error, please report it: ZeroDivisionError'
-    graph.until(graph.says(bug), lambda: wheels.publish(odometry(NOW_NS)))
-    assert int(str(graph.said().values['dropped: odom'])) >= 2
+    graph.until(graph.reports(bug), lambda: wheels.publish(odometry(NOW_NS)))
+    assert int(str(graph.health().values['dropped: odom'])) >= 2
     graph.listener.fails = False
     graph.until(
         lambda: bool(graph.listener.odometry), lambda: wheels.publish(odometry(NOW_NS, 1.0))
@@ -159,13 +161,13 @@ def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Graph) -> N
     unit = graph.publisher('unit', '/robot/joint_states')
     wrong = 'neck_pan, neck_tilt arrive, not pan_joint: set pan_joint in robot.yaml'
     graph.until(
-        graph.says(f'/robot/joint_states: {wrong}'),
+        graph.reports(f'/robot/joint_states: {wrong}'),
         lambda: unit.publish(joints(NOW_NS, 'neck_pan', 'neck_tilt')),
     )
     graph.until(lambda: bool(graph.listener.joints), lambda: unit.publish(joints(NOW_NS)))
     unit.publish(joints(NOW_NS, 'wheel_left', 'wheel_right'))
     graph.executor.spin_once(timeout_sec=0.1)
-    assert 'arrive, not' not in graph.said().reason
+    assert 'arrive, not' not in graph.health().reason
 
 
 def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: Graph) -> None:
@@ -176,9 +178,9 @@ def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: 
         lambda: graph.listener.odometry[-1].pose_odom_base[0] == 2.0,
         lambda: other.publish(odometry(NOW_NS, 2.0)),
     )
-    assert 'two publishers' not in graph.said().reason
+    assert 'two publishers' not in graph.health().reason
     graph.until(
-        graph.says('/robot/odom comes from two publishers, /one and /other: stop one'),
+        graph.reports('/robot/odom comes from two publishers, /one and /other: stop one'),
         lambda: [publisher.publish(odometry(NOW_NS)) for publisher in (one, other)],
     )
 
@@ -196,25 +198,25 @@ def test_a_stream_of_another_clock_is_named_with_its_offset(graph: Graph, off_s:
         unit.publish(joints(stamp_ns - off_ns))
 
     graph.until(lambda: bool(graph.listener.odometry and graph.listener.joints), lambda: send(0))
-    assert 'stamped' not in graph.said().reason
-    graph.until(graph.says('/robot/joint_states is stamped '), lambda: send(off_s * NS))
-    (words,) = [part for part in graph.said().reason.split('; ') if 'is stamped' in part]
+    assert 'stamped' not in graph.health().reason
+    graph.until(graph.reports('/robot/joint_states is stamped '), lambda: send(off_s * NS))
+    (words,) = [part for part in graph.health().reason.split('; ') if 'is stamped' in part]
     assert float(words.split()[3]) == pytest.approx(-off_s, abs=1.0)
     assert '/robot/odom' in words
 
 
-def test_a_clock_that_does_not_come_is_told(graph: Graph) -> None:
-    assert 'use_sim_time' not in graph.said().reason
+def test_a_clock_that_does_not_come_is_reported(graph: Graph) -> None:
+    assert 'use_sim_time' not in graph.health().reason
     simulated = [Parameter('use_sim_time', value=True)]
     graph.listener.set_parameters(simulated)
-    graph.until(graph.says('no time comes on /clock (nobody publishes it)'), int)
+    graph.until(graph.reports('no time comes on /clock (nobody publishes it)'), int)
     clock = graph.publisher('player', '/clock')
     tick = ros_factory('rosgraph_msgs/msg/Clock')
     # A time before 1970 is none, and ends nothing.
     for sec in (-1, 5):
         tick.clock.sec = sec
         graph.until(
-            lambda: 'no time comes' not in graph.said().reason, lambda: clock.publish(tick)
+            lambda: 'no time comes' not in graph.health().reason, lambda: clock.publish(tick)
         )
     graph.until(
         lambda: graph.listener.get_clock().now().nanoseconds == 5 * NS,
@@ -222,11 +224,11 @@ def test_a_clock_that_does_not_come_is_told(graph: Graph) -> None:
     )
 
 
-def test_two_nodes_of_one_name_are_told(graph: Graph) -> None:
-    assert 'two nodes' not in graph.said().reason
+def test_two_nodes_of_one_name_are_reported(graph: Graph) -> None:
+    assert 'two nodes' not in graph.health().reason
     twin = Listener(context=graph.context)
     graph.add(twin)
-    graph.until(graph.says('two nodes are named /robot/listener'), int)
+    graph.until(graph.reports('two nodes are named /robot/listener'), int)
     twin._checked_health()
     assert 'two nodes are named /robot/listener' in twin._checked_health().reason
 

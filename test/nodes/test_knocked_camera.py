@@ -1,4 +1,4 @@
-"""A robot stands and its camera is knocked: what odometry says is doubted, but it is used."""
+"""A robot stands and its camera is displaced: what odometry says is doubted, but it is used."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rclpy.parameter import Parameter
 from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
 from landmark_nav.ros.factory import ros_factory
 
-PERIOD_NS, KNOCKED_AT, SIGMA_RAD = 50_000_000, 20, 5e-4
+PERIOD_NS, DISPLACED_AT, SIGMA_RAD = 50_000_000, 20, 5e-4
 # Seen from a robot in the origin, whose pan axis is there, too.
 DIRECTIONS = np.linspace(-3.0, 3.0, 8)
 
@@ -55,7 +55,7 @@ def found(k: int, off_rad: FloatArray) -> Detections:
     return Detections(k * PERIOD_NS, of, seen, variance, np.ones(4), np.zeros((4, 2)))
 
 
-def test_odometry_that_is_doubted_is_fused_all_the_same(domain_id: int, tmp_path: Any) -> None:
+def test_odometry_that_is_flagged_is_fused_all_the_same(domain_id: int, tmp_path: Any) -> None:
     robot = tmp_path / 'robot.yaml'
     robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.1]\n')
     rng = np.random.default_rng(0)
@@ -72,19 +72,19 @@ def test_odometry_that_is_doubted_is_fused_all_the_same(domain_id: int, tmp_path
         node._filter.change_map(LandmarkMap(tuple(landmarks)))
         start = PoseEstimate(0, np.zeros(3), np.diag([0.02, 0.02, 0.01]) ** 2)
         node._on_initial_pose(encode.pose(ros_factory, start))
-        said = []
+        reported = []
         for k in range(60):
             fused.clear()
             hear(encode.odometry(ros_factory, OdometrySample(k * PERIOD_NS, np.zeros(3))))
             assert [decode.stamp_ns(one.header) for one in fused] == [k * PERIOD_NS]
-            said.append(node._checked_health().reason)
+            reported.append(node._checked_health().reason)
             if k % 2 == 0:
-                off = rng.normal(0.0, SIGMA_RAD, 4) + (0.03 if k >= KNOCKED_AT else 0.0)
+                off = rng.normal(0.0, SIGMA_RAD, 4) + (0.03 if k >= DISPLACED_AT else 0.0)
                 node._on_detections(encode.detections(ros_factory, found(k, off)))
-        doubted = ['odometry stands' in reason for reason in said]
-        assert doubted.index(True) == KNOCKED_AT + 1
-        assert sum(doubted) > 10
-        assert 'dropped' not in ''.join(said)
+        inflated = ['odometry stands' in reason for reason in reported]
+        assert inflated.index(True) == DISPLACED_AT + 1
+        assert sum(inflated) > 10
+        assert 'dropped' not in ''.join(reported)
         # What comes twice is no news, and what can't be used is told as before.
         fused.clear()
         hear(encode.odometry(ros_factory, OdometrySample(k * PERIOD_NS, np.zeros(3))))

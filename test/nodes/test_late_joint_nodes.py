@@ -1,7 +1,7 @@
 """
 Joint states that are stamped 200 ms late.
 
-The nodes measure it, and turn pictures by it; a place that they find meanwhile is not sure of a
+The nodes measure it, and turn images by it; a place that they find meanwhile is not sure of a
 heading that such joint states turned.
 """
 
@@ -65,7 +65,9 @@ def localizing(learned_map: Path, start: Callable[..., None], client: RobotClien
     start('triangulation_localizer', robot_file=robot)
     start('odometry_fusion', robot_file=robot)
     client.wait(
-        lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 60.0, 'the map'
+        lambda: client.status_of('odometry_fusion').values.get('landmarks', '0') != '0',
+        60.0,
+        'the map',
     )
 
 
@@ -77,7 +79,7 @@ def true_places(drive: Bag) -> PoseTrack:
 
 
 @pytest.mark.parametrize('arrive_late', [False, True])
-def test_late_joint_states_are_measured_and_pictures_turned_by_it(
+def test_late_joint_states_are_measured_and_images_turned_by_it(
     arrive_late: bool,
     localizing: None,
     client: RobotClient,
@@ -88,7 +90,7 @@ def test_late_joint_states_are_measured_and_pictures_turned_by_it(
     first = next(drive.messages([drive.require('odom')])).message
     begin_ns = decode.stamp_ns(first.header)
     pose = np.array(json.loads((RECORDED / 'start.json').read_text())['pose'])
-    told = PoseEstimate(begin_ns, pose, np.diag(np.square(START_SIGMA)))
+    given = PoseEstimate(begin_ns, pose, np.diag(np.square(START_SIGMA)))
     fused: dict[int, np.ndarray] = {}
     found: dict[int, int] = {}
     delays: list[tuple[float, float]] = []
@@ -105,14 +107,14 @@ def test_late_joint_states_are_measured_and_pictures_turned_by_it(
         if client.fused is not None:
             fused[client.fused.stamp_ns] = client.fused.pose
         elif client.odometry is not None:
-            client.start_at(told)
+            client.start_at(given)
         return player.poll() == 0
 
     client.wait(over, 60.0, 'the end of the drive')
     delay_s, sigma_s = delays[-1]
     assert sigma_s < 0.005
     assert delay_s == pytest.approx(1e-9 * LATE_NS, abs=4.0 * sigma_s + 0.002)
-    assert 'ms late, which is put right' in client.said('odometry_fusion').reason
+    assert 'ms late, which is put right' in client.status_of('odometry_fusion').reason
     truth = true_places(drive)
     later = [stamp for stamp in fused if stamp - begin_ns > KNOWN_S * 1e9]
     errors = pose_errors(np.array([fused[stamp] for stamp in later]), truth.at(later))
@@ -138,16 +140,16 @@ def test_a_place_that_is_found_is_not_sure_of_a_heading_that_late_joint_states_t
     tmp_path: Path,
 ) -> None:
     drive = Bag(stamped_late(tmp_path / 'drive', arrive_late=False))
-    told: list[PoseEstimate] = []
-    client.listen('odometry/fused', lambda message: told.append(decode.pose_estimate(message)))
+    given: list[PoseEstimate] = []
+    client.listen('odometry/fused', lambda message: given.append(decode.pose_estimate(message)))
     player = play(drive.path)
     client.wait(lambda: player.poll() == 0, 60.0, 'the end of the drive')
     errors = pose_errors(
-        np.array([estimate.pose for estimate in told]),
-        true_places(drive).at([estimate.stamp_ns for estimate in told]),
+        np.array([estimate.pose for estimate in given]),
+        true_places(drive).at([estimate.stamp_ns for estimate in given]),
     )
     inside = np.isfinite(errors).all(axis=1)
     assert inside.sum() > 100
-    inverse = np.linalg.inv([estimate.covariance for estimate in told])
+    inverse = np.linalg.inv([estimate.covariance for estimate in given])
     sigmas = np.sqrt(np.einsum('ni,nij,nj->n', errors, inverse, errors)[inside])
     assert sigmas.max() < 5.0

@@ -77,8 +77,8 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
     live(20.0, lambda: len(set(commands)) >= 4)
     assert len(set(commands)) >= 4
     assert all(LIMITS[0] <= pan <= LIMITS[1] for pan in commands)
-    live(3.0, lambda: 'looks around' in client.said(SELECTOR).reason)
-    assert 'looks around' in client.said(SELECTOR).reason
+    live(3.0, lambda: 'looks around' in client.status_of(SELECTOR).reason)
+    assert 'looks around' in client.status_of(SELECTOR).reason
 
     others.append(0.123)
     other.command(0.123)
@@ -90,5 +90,5 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
     assert len(commands) > before
 
     known = True
-    live(3.0, lambda: 'looks around' not in client.said(SELECTOR).reason)
-    assert 'looks around' not in client.said(SELECTOR).reason
+    live(3.0, lambda: 'looks around' not in client.status_of(SELECTOR).reason)
+    assert 'looks around' not in client.status_of(SELECTOR).reason

@@ -56,16 +56,16 @@ def test_all_start_and_end_cleanly(
         ('bag_player', ['-p', 'bag:=/nowhere'], '/nowhere: '),
     ],
 )
-def test_what_cannot_run_says_why(
+def test_what_cannot_run_states_why(
     node: str, arguments: list[str], words: str, domain_id: int
 ) -> None:
-    said = what_it_says(arguments, domain_id, node)
-    assert len(said) == 1
-    assert words in said[0]
+    reported = output_of(arguments, domain_id, node)
+    assert len(reported) == 1
+    assert words in reported[0]
 
 
 def test_a_parameter_file_that_ros_cannot_read_is_named(domain_id: int) -> None:
-    *by_rcl, own = what_it_says(['--params-file', 'nowhere.yaml'], domain_id)
+    *by_rcl, own = output_of(['--params-file', 'nowhere.yaml'], domain_id)
     assert "parse params file: '--params-file nowhere.yaml'" in own
     assert all('rcl' in line for line in by_rcl)
 
@@ -81,7 +81,7 @@ def test_arguments_that_are_not_of_ros_are_answered_with_the_usage(
     assert not done.stderr
 
 
-def what_it_says(arguments: list[str], domain_id: int, node: str = 'sweep_capture') -> list[str]:
+def output_of(arguments: list[str], domain_id: int, node: str = 'sweep_capture') -> list[str]:
     """Lines of a node that cannot run."""
     command = [sys.executable, '-m', f'landmark_nav.nodes.{node}', '--ros-args', *arguments]
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
@@ -90,7 +90,7 @@ def what_it_says(arguments: list[str], domain_id: int, node: str = 'sweep_captur
     return done.stderr.strip().splitlines()
 
 
-def test_without_ros_one_line_says_what_to_install() -> None:
+def test_without_ros_one_line_states_what_to_install() -> None:
     script = 'import sys; sys.modules["rclpy"] = None; import landmark_nav.nodes.sweep_capture'
     done = subprocess.run(
         [sys.executable, '-c', script], capture_output=True, text=True, timeout=30

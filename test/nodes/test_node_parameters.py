@@ -109,7 +109,7 @@ def test_a_bad_value_is_named(context: Context, name: str, value: Any, words: st
         ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
 
 
-def test_a_name_that_nothing_has_is_told_with_what_it_looks_like(context: Context) -> None:
+def test_a_name_that_nothing_has_is_reported_with_what_it_looks_like(context: Context) -> None:
     given = {
         'countt': 3,
         'section.rat_hz': 2.0,

@@ -12,7 +12,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection.height import Lean
+from landmark_nav.localization.detection.height import CameraTilt
 from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -36,7 +36,7 @@ def prior() -> PriorTrack:
 
 
 @pytest.fixture
-def told() -> list[Any]:
+def reported() -> list[Any]:
     return []
 
 
@@ -52,9 +52,9 @@ def ended() -> Future[None]:
 
 @pytest.fixture
 def search(
-    prior: PriorTrack, told: list[Any], services: dict[str, Any], ended: Future[None]
+    prior: PriorTrack, reported: list[Any], services: dict[str, Any], ended: Future[None]
 ) -> PlaceSearch:
-    publisher = SimpleNamespace(publish=told.append)
+    publisher = SimpleNamespace(publish=reported.append)
 
     def offer(service: str, action: Any, **_: Any) -> None:
         services[service] = action
@@ -80,7 +80,7 @@ def fuse(prior: PriorTrack, stamp_ns: int, covariance: np.ndarray) -> None:
     prior.add(pose, OdometrySample(stamp_ns, np.zeros(3)))
 
 
-def test_nobody_told_the_place(search: PlaceSearch) -> None:
+def test_nobody_reported_the_place(search: PlaceSearch) -> None:
     search.consider(0)
     assert search.active
 
@@ -103,11 +103,11 @@ def test_a_pose_that_is_not_known(search: PlaceSearch, prior: PriorTrack) -> Non
 
 
 class Finder:
-    """Finds a place with every picture."""
+    """Finds a place with every image."""
 
     in_time = PoseEstimate(SECOND, np.array([1.0, 2.0, 0.5]), SURE)
-    witnesses = np.array([3, 7])
-    lean_rad = (0.035, -0.01)
+    landmark_ids = np.array([3, 7])
+    tilt_roll_rad = (0.035, -0.01)
 
     def __init__(self, meanwhile: Callable[[], None] = lambda: None) -> None:
         self._meanwhile = meanwhile
@@ -115,7 +115,7 @@ class Finder:
     def add_odometry(self, sample: OdometrySample) -> None:
         """Not needed."""
 
-    def add_frame(self, frame: CameraFrame, lean: Lean) -> PoseEstimate:
+    def add_frame(self, frame: CameraFrame, camera_tilt: CameraTilt) -> PoseEstimate:
         self._meanwhile()
         return replace(self.in_time, covariance=WIDE)
 
@@ -125,17 +125,19 @@ def frame_at(stamp_ns: int) -> CameraFrame:
     return CameraFrame(stamp_ns, np.zeros((16, 16), np.uint8), lens, 0.0, pan_rate_rad_s=0.7)
 
 
-def test_a_place_is_told_with_what_it_was_found_from(search: PlaceSearch, told: list[Any]) -> None:
+def test_a_place_is_reported_with_what_it_was_found_from(
+    search: PlaceSearch, reported: list[Any]
+) -> None:
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND), Lean(), 0.04, -0.01)
-    place = decode.found_place(told[0])
+    search.look(frame_at(SECOND), CameraTilt(), 0.04, -0.01)
+    place = decode.global_pose(reported[0])
     assert place.stamp_ns == SECOND
     np.testing.assert_array_equal(place.pose, Finder.in_time.pose)
     np.testing.assert_array_equal(place.covariance, SURE)
     assert place.ids.tolist() == [3, 7]
     assert (place.pan_rate_rad_s, place.joint_delay_s, place.pan_delay_s) == (0.7, 0.04, -0.01)
-    assert search.lean_rad == Finder.lean_rad
+    assert search.tilt_roll_rad == Finder.tilt_roll_rad
     # It takes a moment to become the fused pose; if it does not, the search begins anew.
     search.consider(SECOND + SECOND // 2)
     assert not search.active
@@ -143,11 +145,13 @@ def test_a_place_is_told_with_what_it_was_found_from(search: PlaceSearch, told: 
     assert search.active
 
 
-def test_a_place_in_a_map_that_is_gone_is_not_told(search: PlaceSearch, told: list[Any]) -> None:
+def test_a_place_in_a_map_that_is_gone_is_not_reported(
+    search: PlaceSearch, reported: list[Any]
+) -> None:
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder(lambda: search.use(search.landmarks)))
-    search.look(frame_at(SECOND), Lean())
-    assert not told
+    search.look(frame_at(SECOND), CameraTilt())
+    assert not reported
     assert search.active
 
 
@@ -160,40 +164,40 @@ def answer(call: Coroutine[None, None, str]) -> str:
         return str(end.value)
 
 
-def test_a_call_is_answered_with_the_place_it_told(
-    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+def test_a_call_is_answered_with_the_place_it_reported(
+    search: PlaceSearch, reported: list[Any], services: dict[str, Any]
 ) -> None:
     call = services['relocalize']()
     call.send(None)
     search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND), Lean())
+    search.look(frame_at(SECOND), CameraTilt())
     assert answer(call) == 'found at (1.00, 2.00) m, 28.6 deg'
-    assert len(told) == 1
+    assert len(reported) == 1
 
 
-def test_a_call_is_not_answered_with_a_place_that_was_not_told(
-    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+def test_a_call_is_not_answered_with_a_place_that_was_not_reported(
+    search: PlaceSearch, reported: list[Any], services: dict[str, Any]
 ) -> None:
     """The search of a lost robot finds the place as the call begins another."""
     call = services['relocalize']()
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder(lambda: call.send(None)))
-    search.look(frame_at(SECOND), Lean())
-    with pytest.raises(LandmarkNavError, match='no picture came'):
+    search.look(frame_at(SECOND), CameraTilt())
+    with pytest.raises(LandmarkNavError, match='no image came'):
         answer(call)
-    assert not told
+    assert not reported
 
 
 def test_who_calls_while_a_place_is_looked_for_gets_the_same_answer(
-    search: PlaceSearch, told: list[Any], services: dict[str, Any]
+    search: PlaceSearch, reported: list[Any], services: dict[str, Any]
 ) -> None:
     first, second = services['relocalize'](), services['relocalize']()
     first.send(None)
     search._relocalizer = cast(Relocalizer, Finder())
     second.send(None)
-    search.look(frame_at(SECOND), Lean())
+    search.look(frame_at(SECOND), CameraTilt())
     assert answer(first) == answer(second) == 'found at (1.00, 2.00) m, 28.6 deg'
-    assert len(told) == 1
+    assert len(reported) == 1
 
 
 def test_a_call_is_not_ended_by_a_pose_that_was_asked_for_before(
@@ -221,13 +225,13 @@ def test_who_calls_together_is_refused_together_and_may_call_again(
     first, second, third = (services['relocalize']() for _ in range(3))
     first.send(None)
     second.send(None)
-    with pytest.raises(LandmarkNavError, match='no picture came'):
+    with pytest.raises(LandmarkNavError, match='no image came'):
         answer(first)
     third.send(None)
-    with pytest.raises(LandmarkNavError, match='no picture came'):
+    with pytest.raises(LandmarkNavError, match='no image came'):
         second.send(None)
     search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND), Lean())
+    search.look(frame_at(SECOND), CameraTilt())
     assert answer(third).startswith('found at')
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from faults import knocked_drive
+from faults import displaced_drive
 import numpy as np
 import pytest
 
@@ -32,19 +32,21 @@ def test_the_place_found_starts_the_fusion(
     learned_map: Path,
     tmp_path: Path,
 ) -> None:
-    """Also where the camera was knocked since the map was learned."""
+    """Also where the camera was displaced since the map was learned."""
     room, robot = str(RECORDED / 'room.yaml'), str(RECORDED / 'robot.yaml')
     localizer = 'triangulation_localizer'
     start('landmark_learner', room_file=room, map_folder=str(learned_map))
     search = {'relocalization.search_s': 30.0, 'relocalization.when_lost': False}
     start(localizer, robot_file=robot, **search)
     start('odometry_fusion', robot_file=robot)
-    client.wait(lambda: client.said('odometry_fusion').reason != '', 60.0, 'the nodes')
+    client.wait(lambda: client.status_of('odometry_fusion').reason != '', 60.0, 'the nodes')
     assert 'landmarks loaded' in client.call('load_map', 30.0)
-    client.wait(lambda: 'no picture' in client.said(localizer).reason, 30.0, 'the map')
+    client.wait(lambda: 'no image' in client.status_of(localizer).reason, 30.0, 'the map')
 
     drive = Bag(RECORDED / 'drive')
-    path = knocked_drive(drive, tmp_path / 'drive', turned_deg) if any(turned_deg) else drive.path
+    path = (
+        displaced_drive(drive, tmp_path / 'drive', turned_deg) if any(turned_deg) else drive.path
+    )
     play(path, 0.5)
     assert client.call('relocalize', 40.0).startswith('found at')
     client.wait(lambda: client.fused is not None, 20.0, 'a fused pose')
@@ -58,4 +60,6 @@ def test_the_place_found_starts_the_fusion(
     assert np.hypot(*error[:2]) < 0.05
     assert abs(error[2]) < np.radians(1.0)
     if any(turned_deg):
-        client.wait(lambda: 'camera leans 2.' in client.said(localizer).reason, 20.0, 'a lean')
+        client.wait(
+            lambda: 'camera leans 2.' in client.status_of(localizer).reason, 20.0, 'a lean'
+        )

@@ -71,11 +71,11 @@ def test_learned_and_localized_as_offline(
         *('panorama_synthesizer', 'landmark_learner'),
         *('triangulation_localizer', 'odometry_fusion'),
     )
-    client.wait(lambda: all(client.said(name).reason for name in nodes), 60.0, 'the nodes')
+    client.wait(lambda: all(client.status_of(name).reason for name in nodes), 60.0, 'the nodes')
     sweeps = Bag(recorded / 'learn').counts['/sweep/trajectory']
     play_all(recorded / 'learn', 20.0)
     client.wait(
-        lambda: client.said('landmark_learner').values.get('panoramas') == str(sweeps),
+        lambda: client.status_of('landmark_learner').values.get('panoramas') == str(sweeps),
         60.0,
         'the panoramas',
     )
@@ -83,20 +83,22 @@ def test_learned_and_localized_as_offline(
     assert 'landmarks on' in learned
     assert 'not saved yet: call save_map' in learned
     client.wait(
-        lambda: client.said('odometry_fusion').values.get('landmarks', '0') != '0', 10.0, 'the map'
+        lambda: client.status_of('odometry_fusion').values.get('landmarks', '0') != '0',
+        10.0,
+        'the map',
     )
 
     drive = Bag(recorded / 'drive')
     first = next(drive.messages([drive.require('odom')])).message
     pose = np.array(json.loads((recorded / 'start.json').read_text())['pose'])
-    told = PoseEstimate(decode.stamp_ns(first.header), pose, np.diag(np.square(START_SIGMA)))
+    given = PoseEstimate(decode.stamp_ns(first.header), pose, np.diag(np.square(START_SIGMA)))
     fused: dict[int, np.ndarray] = {}
 
     def take() -> None:
         if client.fused is not None:
             fused[client.fused.stamp_ns] = client.fused.pose
         elif client.odometry is not None:
-            client.start_at(told)
+            client.start_at(given)
 
     play_all(recorded / 'drive', 1.0, take)
     truth = PoseTrack.of(
@@ -110,8 +112,8 @@ def test_learned_and_localized_as_offline(
     summary = error_summary(errors)
     assert summary['position_rmse_m'] < 0.03
     assert summary['heading_rmse_deg'] < 0.4
-    said = client.said('odometry_fusion')
-    assert not said.lost
-    delay, sigma = (float(word) for word in said.values['joint_delay_ms'].split(' +- '))
+    status_of = client.status_of('odometry_fusion')
+    assert not status_of.lost
+    delay, sigma = (float(node) for node in status_of.values['joint_delay_ms'].split(' +- '))
     assert sigma < 10.0
     assert abs(delay) < 4.0 * sigma + 1.0

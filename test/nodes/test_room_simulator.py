@@ -50,11 +50,11 @@ def speed(linear_m_s: float, angular_rad_s: float) -> Any:
     return message
 
 
-def test_commands_that_are_not_finite_are_dropped_and_told(robot: RoomSimulatorNode) -> None:
+def test_commands_that_are_not_finite_are_dropped_and_reported(robot: RoomSimulatorNode) -> None:
     command(robot, 'pan_tilt/command', pan(0.4))
     for number in (math.nan, math.inf, -math.inf):
-        told = command(robot, 'pan_tilt/command', pan(number))
-        assert 'pan_tilt/command dropped: the pan is not a finite number' in told
+        reported = command(robot, 'pan_tilt/command', pan(number))
+        assert 'pan_tilt/command dropped: the pan is not a finite number' in reported
         for wrong in (speed(number, 0.0), speed(0.0, number)):
             assert 'a speed is not a finite number' in command(robot, 'cmd_vel', wrong)
     for _ in range(120):
@@ -87,15 +87,15 @@ def clocks(monkeypatch: pytest.MonkeyPatch) -> Clocks:
 def stamps(
     clocks: Clocks, robot: RoomSimulatorNode, monkeypatch: pytest.MonkeyPatch
 ) -> dict[str, list[float]]:
-    """Of joint states and pictures, s."""
-    told: dict[str, list[float]] = {'joints': [], 'pictures': []}
+    """Of joint states and images, s."""
+    reported: dict[str, list[float]] = {'joints': [], 'images': []}
 
     def keep(name: str) -> Any:
-        return lambda message: told[name].append(1e-9 * stamp_ns(message.header))
+        return lambda message: reported[name].append(1e-9 * stamp_ns(message.header))
 
     monkeypatch.setattr(robot._joints, 'publish', keep('joints'))
-    monkeypatch.setattr(robot._info, 'publish', keep('pictures'))
-    return told
+    monkeypatch.setattr(robot._info, 'publish', keep('images'))
+    return reported
 
 
 @pytest.mark.parametrize('set_by_s', [3600.0, 5.0, -5.0, -3600.0])
@@ -107,12 +107,12 @@ def test_stamps_follow_a_system_time_that_is_set(
         robot._tick()
     assert stamps['joints'][-1] == pytest.approx(5002.0, abs=0.02)
     clocks.system_s += set_by_s
-    for told in stamps.values():
-        told.clear()
+    for reported in stamps.values():
+        reported.clear()
     clocks.pass_by(1.0)
     robot._tick()
-    for told in stamps.values():
-        assert told[-1] == pytest.approx(5003.0 + set_by_s, abs=0.02)
+    for reported in stamps.values():
+        assert reported[-1] == pytest.approx(5003.0 + set_by_s, abs=0.02)
     assert len(stamps['joints']) == 60
 
 

@@ -64,7 +64,7 @@ class Watch:
         self._client.fused = None
         self._client.wait(self._right, seconds, what)
 
-    def told_wrongly(self, error: np.ndarray) -> PoseEstimate:
+    def given_wrongly(self, error: np.ndarray) -> PoseEstimate:
         """Where the robot is, but for an error, told as if it were sure."""
         assert self._client.odometry is not None
         stamp = self._client.odometry.stamp_ns
@@ -89,61 +89,63 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
     half = replace(whole, landmarks=whole.landmarks[::2])
     publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
     ranked: list[Any] = []
-    standing: list[Any] = []
+    frame_at: list[Any] = []
 
-    def tell(landmark_map: LandmarkMap, stamp_ns: int) -> None:
+    def publish_map(landmark_map: LandmarkMap, stamp_ns: int) -> None:
         messages = encode.landmark_map(ros_factory, landmark_map, stamp_ns)
         for publisher, message in zip(publishers, messages, strict=False):
             publisher.publish(message)
 
     def known() -> int:
-        return int(client.said(FUSION).values.get('landmarks', '0'))
+        return int(client.status_of(FUSION).values.get('landmarks', '0'))
 
-    def said(node: str, words: str) -> Callable[[], bool]:
-        return lambda: words in client.said(node).reason
+    def status_of(node: str, words: str) -> Callable[[], bool]:
+        return lambda: words in client.status_of(node).reason
 
     watch = Watch(client, drive)
-    tell(whole, 1)
+    publish_map(whole, 1)
     for node in (LOCALIZER, SELECTOR):
         start(node, robot_file=ROBOT, use_sim_time=True)
     kind, topic = message_class('sensor_msgs/msg/PointCloud2'), f'{SELECTOR}/ranking'
     client._node.create_subscription(kind, topic, ranked.append, 10)
-    client._node.create_subscription(kind, f'{SELECTOR}/standing', standing.append, 10)
+    client._node.create_subscription(kind, f'{SELECTOR}/standing', frame_at.append, 10)
     with fusion(domain_id):
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map')
-        client.wait(said(LOCALIZER, 'no picture'), 30.0, 'what the localizer waits for')
-        client.wait(said(SELECTOR, 'no fused pose'), 30.0, 'what the selector waits for')
+        client.wait(status_of(LOCALIZER, 'no image'), 30.0, 'what the localizer waits for')
+        client.wait(status_of(SELECTOR, 'no fused pose'), 30.0, 'what the selector waits for')
         # Slowly: there is time enough on slow machines, too.
         first = play(drive.path, 0.5)
         watch.wait(20.0, 'the place, which nobody asked for')
         client.wait(lambda: any(cloud.width > 1 for cloud in ranked), 15.0, 'the ranking')
-        client.wait(lambda: bool(standing), 15.0, 'the standing of the landmarks')
-        reasons = Layout('ranking', np.dtype([('reason', 'u1')]))
+        client.wait(lambda: bool(frame_at), 15.0, 'the standing of the landmarks')
+        reasons = Layout('triplet_scores', np.dtype([('reason', 'u1')]))
         best, *others = unpack_cloud(max(ranked, key=lambda cloud: cloud.width), reasons)
         assert best['reason'] == 0
         assert all(other['reason'] > 0 for other in others)
-        assert standing[-1].width == len(whole.landmarks)
-        # Ages of pictures make sense on the clock of the bag alone.
-        client.wait(lambda: 'latency_median_ms' in client.said(LOCALIZER).values, 15.0, 'ages')
+        assert frame_at[-1].width == len(whole.landmarks)
+        # Ages of images make sense on the clock of the bag alone.
+        client.wait(
+            lambda: 'latency_median_ms' in client.status_of(LOCALIZER).values, 15.0, 'ages'
+        )
     with fusion(domain_id):
         watch.wait(20.0, 'the place after a restart')
-        tell(half, 2)
+        publish_map(half, 2)
         client.wait(lambda: known() == len(half.landmarks), 15.0, 'the other map')
         first.kill()
         # The clock is set back, and the robot is elsewhere.
         second = play(drive.path, 0.5)
-        client.wait(said(LOCALIZER, 'no picture'), 15.0, 'the silence between')
+        client.wait(status_of(LOCALIZER, 'no image'), 15.0, 'the silence between')
         watch.wait(20.0, 'the place by the new clock')
         second.kill()
     # How long a robot stays lost hangs on the landmarks that come into view: there are enough of
     # them at the beginning of the drive, not where a slow machine would be by now.
-    tell(whole, 3)
+    publish_map(whole, 3)
     client.status.clear()
     with fusion(domain_id):
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map once more')
         play(drive.path, 0.5)
         watch.wait(20.0, 'the place once more')
-        client.wait(said(FUSION, 'tracking'), 15.0, 'the word tracking')
-        client.start_at(watch.told_wrongly(np.array([0.8, 0.6, 0.0])))
-        client.wait(lambda: client.said(FUSION).lost, 8.0, 'the word lost')
+        client.wait(status_of(FUSION, 'tracking'), 15.0, 'the word tracking')
+        client.start_at(watch.given_wrongly(np.array([0.8, 0.6, 0.0])))
+        client.wait(lambda: client.status_of(FUSION).lost, 8.0, 'the word lost')
         watch.wait(10.0, 'the place after a wrong start')

@@ -22,9 +22,9 @@ from landmark_nav.demo.graph import node_command, node_environment
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
-from landmark_nav.ros.acquaintance import Acquaintance
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.robot_client import RobotClient
+from landmark_nav.ros.service_discovery import ServiceDiscovery
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import JointSample, Landmark, LandmarkMap, OdometrySample, PoseEstimate
@@ -51,7 +51,7 @@ def small_map() -> LandmarkMap:
     )
 
 
-def test_learner_says_what_is_missing(
+def test_learner_states_what_is_missing(
     start: Callable[..., None], client: RobotClient, setup_files: dict[str, str], tmp_path: Path
 ) -> None:
     folder = tmp_path / 'map'
@@ -68,7 +68,7 @@ def test_learner_says_what_is_missing(
     save_map(small_map(), folder)
     assert client.call('load_map', 10.0).startswith('4 landmarks loaded')
     client.wait(
-        lambda: client.said('landmark_learner').reason == '4 landmarks', 20.0, 'its health'
+        lambda: client.status_of('landmark_learner').reason == '4 landmarks', 20.0, 'its health'
     )
     # A learning that fails leaves the map that is there.
     with pytest.raises(LandmarkNavError, match='two panoramas'):
@@ -83,8 +83,8 @@ def test_a_learner_that_is_to_load_a_map_that_is_not_there_can_still_learn_one(
 ) -> None:
     folder, node = str(tmp_path / 'map'), 'landmark_learner'
     start(node, room_file=setup_files['room_file'], map_folder=folder, load_on_start=True)
-    client.wait(lambda: 'no map loaded' in client.said(node).reason, 30.0, 'word of no map')
-    assert f'{folder}: no map there' in client.said(node).reason
+    client.wait(lambda: 'no map loaded' in client.status_of(node).reason, 30.0, 'word of no map')
+    assert f'{folder}: no map there' in client.status_of(node).reason
     with pytest.raises(LandmarkNavError, match='two panoramas from different places'):
         client.call('learn_landmarks', 30.0)
 
@@ -93,7 +93,7 @@ def test_a_learner_that_is_to_load_a_map_that_is_not_there_can_still_learn_one(
     ('scale', 'frame', 'why'),
     [(1.03, 'map', ''), (1.5, 'map', 'no wall of the one'), (1.0, 'hall', "'hall' and 'map'")],
 )
-def test_a_map_of_another_room_is_told(
+def test_a_map_of_another_room_is_reported(
     start: Callable[..., None],
     client: RobotClient,
     setup_files: dict[str, str],
@@ -111,23 +111,23 @@ def test_a_map_of_another_room_is_told(
     )
     save_map(replace(small_map(), walls=walls, frame_id=frame), folder)
     start(node, room_file=room, map_folder=str(folder), load_on_start=True)
-    client.wait(lambda: '4 landmarks' in client.said(node).reason, 30.0, 'the map')
+    client.wait(lambda: '4 landmarks' in client.status_of(node).reason, 30.0, 'the map')
     files = f'{folder} and {room} are of different rooms: '
-    for said in (
-        client.said(node).reason,
+    for status_of in (
+        client.status_of(node).reason,
         client.call('load_map', 10.0),
         client.call('save_map', 10.0),
     ):
-        assert ('different rooms' in said) == bool(why)
-        assert not why or files + why in said
+        assert ('different rooms' in status_of) == bool(why)
+        assert not why or files + why in status_of
 
 
-def test_localizer_says_what_it_lacks(
+def test_localizer_states_what_it_lacks(
     start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
 ) -> None:
-    word = 'triangulation_localizer'
+    reporter = 'triangulation_localizer'
     robot = setup_files['robot_file']
-    start(word, robot_file=robot, **{'relocalization.search_s': 0.5})
+    start(reporter, robot_file=robot, **{'relocalization.search_s': 0.5})
     with pytest.raises(LandmarkNavError, match='no landmarks: call learn_landmarks or load_map'):
         client.call('relocalize', 30.0)
     landmarks = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
@@ -137,52 +137,56 @@ def test_localizer_says_what_it_lacks(
     ):
         publisher.publish(message)
     wrong = "landmarks dropped: it is in frame 'hall', not in frame map: set map_frame to it"
-    client.wait(lambda: wrong in client.said(word).reason, 20.0, 'word of the frame')
+    client.wait(lambda: wrong in client.status_of(reporter).reason, 20.0, 'word of the frame')
     cloud, atlas, _ = encode.landmark_map(ros_factory, small_map(), 1)
     for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
         publisher.publish(message)
-    client.wait(lambda: 'no picture' in client.said(word).reason, 20.0, 'the map to arrive')
-    with pytest.raises(LandmarkNavError, match=r'within 0.5 s \(no picture came\).*initialpose'):
+    client.wait(lambda: 'no image' in client.status_of(reporter).reason, 20.0, 'the map to arrive')
+    with pytest.raises(LandmarkNavError, match=r'within 0.5 s \(no image came\).*initialpose'):
         client.call('relocalize', 30.0)
 
     images, joints = client.advertise('camera/image_raw'), client.advertise('joint_states')
-    picture = np.zeros((60, 80), dtype=np.uint8)
+    camera_image = np.zeros((60, 80), dtype=np.uint8)
 
     def answer(words: str, late_ns: int) -> Callable[[], bool]:
         def check() -> bool:
             stamp = time.time_ns() - late_ns
-            images.publish(encode.image(ros_factory, picture, stamp, 'camera'))
-            return words in client.said(word).reason
+            images.publish(encode.image(ros_factory, camera_image, stamp, 'camera'))
+            return words in client.status_of(reporter).reason
 
         return check
 
-    client.wait(answer('pictures arrive 3.', 3 * 10**9), 20.0, 'word of late pictures')
+    client.wait(answer('images arrive 3.', 3 * 10**9), 20.0, 'word of late images')
     client.wait(answer('no joint_states after a wait of 0.3 s', 0), 20.0, 'word of no joints')
     sample = JointSample(time.time_ns(), 0.0)
     joints.publish(encode.joint_state(ros_factory, sample, PanTiltMount()))
     client.wait(answer(' ms behind after a wait of 0.3 s', 0), 20.0, 'word of late joints')
-    client.wait(lambda: 'no picture for' in client.said(word).reason, 20.0, 'word of no picture')
+    client.wait(
+        lambda: 'no image for' in client.status_of(reporter).reason, 20.0, 'word of no image'
+    )
 
 
 def test_who_waits_for_a_place_is_answered_as_the_node_ends(
     client: RobotClient, domain_id: int, setup_files: dict[str, str]
 ) -> None:
-    word = 'triangulation_localizer'
+    reporter = 'triangulation_localizer'
     parameters = {'robot_file': setup_files['robot_file'], 'relocalization.search_s': 600.0}
-    node = subprocess.Popen(node_command(word, **parameters), env=node_environment(domain_id))
+    node = subprocess.Popen(node_command(reporter, **parameters), env=node_environment(domain_id))
     try:
         publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
         messages = encode.landmark_map(ros_factory, small_map(), 1)
         for publisher, message in zip(publishers, messages, strict=False):
             publisher.publish(message)
-        client.wait(lambda: 'no picture' in client.said(word).reason, 30.0, 'the map to arrive')
+        client.wait(
+            lambda: 'no image' in client.status_of(reporter).reason, 30.0, 'the map to arrive'
+        )
         words: list[Any] = []
         client.listen('/diagnostics', words.append)
         clients = [client._node.create_client(Trigger, 'relocalize') for _ in range(2)]
         answers: list[Any] = []
         for caller in clients:
             client.wait(caller.service_is_ready, 30.0, 'the service')
-            with Acquaintance(client._node, 'relocalize') as acquaintance:
+            with ServiceDiscovery(client._node, 'relocalize') as acquaintance:
                 client.wait(acquaintance.made, 30.0, 'the node to know its client')
             answers.append(caller.call_async(Trigger.Request()))
         client.wait(lambda: len(words) > 6, 30.0, 'the node to go on')
@@ -201,7 +205,7 @@ def test_fusion_goes_on_through_bad_input(
     start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
 ) -> None:
     start('odometry_fusion', robot_file=setup_files['robot_file'])
-    client.wait(lambda: client.said('odometry_fusion').lost, 30.0, 'the word lost')
+    client.wait(lambda: client.status_of('odometry_fusion').lost, 30.0, 'the word lost')
     odometry = client.advertise('odom')
     stamp = 1_000_000_000_000
     sent = 0
@@ -226,7 +230,7 @@ def test_fusion_goes_on_through_bad_input(
     client.wait(after(lambda: client.fused is not None, 0.0), 20.0, 'a fused pose')
 
     def complains() -> bool:
-        return 'not a number' in client.said('odometry_fusion').reason
+        return 'not a number' in client.status_of('odometry_fusion').reason
 
     client.wait(after(complains, float('nan')), 20.0, 'a complaint about NaN')
     client.fused = None
@@ -252,7 +256,7 @@ def test_start_in_another_frame_is_refused(
     for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
         publisher.publish(message)
     client.wait(lambda: "dropped: it is in frame 'hall'" in log.read_text(), 20.0, 'a warning')
-    assert client.said('odometry_fusion').values['landmarks'] == '0'
+    assert client.status_of('odometry_fusion').values['landmarks'] == '0'
 
 
 def client_log(setup_files: dict[str, str]) -> Path:

@@ -26,7 +26,7 @@ RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 SELECTOR = 'triplet_selector'
 
 
-def test_standings_of_the_whole_map_are_told_while_views_are_left(
+def test_standings_of_the_whole_map_are_reported_while_views_are_left(
     start: Callable[..., None], client: RobotClient, learned_map: Path
 ) -> None:
     mount, landmarks = load_robot(str(RECORDED / 'robot.yaml')), load_map(learned_map)
@@ -40,9 +40,12 @@ def test_standings_of_the_whole_map_are_told_while_views_are_left(
     client.advertise('landmarks').publish(points)
     client.advertise('landmarks/atlas').publish(atlas)
     rankings: list[Any] = []
-    standings: list[Any] = []
+    landmark_visibilities: list[Any] = []
     cloud = message_class('sensor_msgs/msg/PointCloud2')
-    for name, heard in (('ranking', rankings), ('standing', standings)):
+    for name, heard in (
+        ('triplet_scores', rankings),
+        ('landmark_visibility', landmark_visibilities),
+    ):
         client._node.create_subscription(cloud, f'{SELECTOR}/{name}', heard.append, RELIABLE)
 
     def goes_on() -> bool:
@@ -56,8 +59,8 @@ def test_standings_of_the_whole_map_are_told_while_views_are_left(
             encode.odometry(ros_factory, sample, sigma, frame_id='map', child_frame_id='base')
         )
         # A ranking of one triplet alone: that whose views are left.
-        return len(standings) >= 4 and any(ranking.width == 1 for ranking in rankings)
+        return len(landmark_visibilities) >= 4 and any(ranking.width == 1 for ranking in rankings)
 
     # The client watches that the selector runs.
     client.wait(goes_on, 20.0, 'choices, one after the other')
-    assert {standing.width for standing in standings} == {len(landmarks.landmarks)}
+    assert {frame_at.width for frame_at in landmark_visibilities} == {len(landmarks.landmarks)}

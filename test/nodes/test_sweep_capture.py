@@ -39,7 +39,7 @@ STRIPES = 20 * np.sign(np.arange(64) % 8 - 3.5)
 
 class SmallRobot(LandmarkNode):
     """
-    Joint states at 50 Hz, every third with a picture; keeps what a sweep publishes.
+    Joint states at 50 Hz, every third with an image; keeps what a sweep publishes.
 
     `stuck`, `limit_rad`, `frozen`, `x_m` (of its odometry) and `lone_tilt_rad`, which is told in
     messages of its own now and then, may be changed while it runs.
@@ -89,10 +89,12 @@ class SmallRobot(LandmarkNode):
         place = OdometrySample(stamp, np.array([self.x_m, 0.0, 0.0]))
         self._odometry.publish(encode.odometry(ros_factory, place))
         if self._count % 3 == 0:
-            # The picture tells the pan it was taken at.
+            # The image tells the pan it was taken at.
             grey = 100.0 + 50.0 * self._pan * (not self.frozen) + STRIPES
-            picture = np.tile(np.rint(grey).astype(np.uint8), (48, 1))
-            self._image.publish(self._encode(ros_factory, picture, stamp, 'camera_optical_frame'))
+            camera_image = np.tile(np.rint(grey).astype(np.uint8), (48, 1))
+            self._image.publish(
+                self._encode(ros_factory, camera_image, stamp, 'camera_optical_frame')
+            )
             self._info.publish(encode.camera_info(ros_factory, CAMERA, stamp, 'camera'))
 
 
@@ -153,7 +155,7 @@ def check_frames(small: SmallRobot, client: RobotClient) -> None:
         assert abs(float(decode.image(message).mean()) - (100 + 50 * sample.pan_rad)) < 2.0
 
 
-def test_refusals_say_why_and_leave_the_node_running(
+def test_refusals_state_why_and_leave_the_node_running(
     robot: Callable[..., SmallRobot],
     start: Callable[..., None],
     client: RobotClient,
@@ -166,7 +168,7 @@ def test_refusals_say_why_and_leave_the_node_running(
         client.call('capture_sweep', 30.0)
     small = robot('raw', command)
     small.stuck = True
-    client.wait(lambda: client.said('sweep_capture').reason == 'ready', 20.0, 'joint states')
+    client.wait(lambda: client.status_of('sweep_capture').reason == 'ready', 20.0, 'joint states')
     with pytest.raises(LandmarkNavError, match=r'frame 1 of 8, -57.3 deg.*the pan is 0.00 deg'):
         client.call('capture_sweep', 30.0)
     small.stuck, small.lone_tilt_rad = False, 0.1
@@ -216,7 +218,9 @@ def test_it_is_interrupted_goes_on_begins_anew_and_tells(
 
     called = False
     assert 'capture_sweep was called again' in interrupt(call_again)
-    client.wait(lambda: 'interrupted' in client.said('sweep_capture').reason, 20.0, 'its word')
+    client.wait(
+        lambda: 'interrupted' in client.status_of('sweep_capture').reason, 20.0, 'its word'
+    )
     frames = len(small.images)
     assert not small.trajectories
     assert f'gone on after {frames} frames' in client.call('capture_sweep', 60.0)
@@ -225,13 +229,13 @@ def test_it_is_interrupted_goes_on_begins_anew_and_tells(
     # Another sweep, of a robot that drives away; then one of a joint that stops on its way.
     assert 'the robot moved 50.0 cm' in interrupt(lambda: setattr(small, 'x_m', 0.5))
     small.limit_rad = 0.5
-    said = client.call('capture_sweep', 60.0)
-    assert 'begun anew without' in said
-    assert 'a partial sweep, nothing is seen from pan' in said
-    assert 'the pan joint stops at -28.6 and 28.6 deg' in said
+    status_of = client.call('capture_sweep', 60.0)
+    assert 'begun anew without' in status_of
+    assert 'a partial sweep, nothing is seen from pan' in status_of
+    assert 'the pan joint stops at -28.6 and 28.6 deg' in status_of
     client.wait(lambda: len(small.trajectories) == 2, 20.0, 'the trajectory')
     np.testing.assert_allclose(measured(small), STEP_RAD * np.arange(-2, 3), atol=0.01)
-    client.wait(lambda: 'partial' in client.said('sweep_capture').reason, 20.0, 'its word')
+    client.wait(lambda: 'partial' in client.status_of('sweep_capture').reason, 20.0, 'its word')
 
 
 def test_a_frozen_camera_is_named_and_a_stop_in_a_sweep_is_clean(

@@ -33,15 +33,17 @@ def test_a_sweep_may_come_in_another_form_than_the_last(
     )
     log = tmp_path / 'logs' / f'{NODE}.log'
 
-    def told(times: int) -> Callable[[], bool]:
+    def reported(times: int) -> Callable[[], bool]:
         return lambda: log.read_text().count('no panorama') == times
 
     for number, topic in enumerate([*forms, 'sweep/image'], start=1):
         samples = [JointSample(1000 * number + k, 0.5 * k) for k in range(3)]
         for sample in samples:
-            picture = np.full((48, 64), 100, np.uint8)
-            images[topic].publish(forms[topic](ros_factory, picture, sample.stamp_ns, 'camera'))
+            camera_image = np.full((48, 64), 100, np.uint8)
+            images[topic].publish(
+                forms[topic](ros_factory, camera_image, sample.stamp_ns, 'camera')
+            )
             info.publish(encode.camera_info(ros_factory, CAMERA, sample.stamp_ns, 'camera'))
         trajectory.publish(encode.sweep_trajectory(ros_factory, samples, PanTiltMount()))
-        client.wait(told(number), 30.0, f'word of the sweep on {topic}')
+        client.wait(reported(number), 30.0, f'word of the sweep on {topic}')
     assert 'lacks all' not in log.read_text()

@@ -12,7 +12,7 @@ from landmark_nav.cli import learn
 from landmark_nav.geometry.camera import CameraModel
 
 SEED = 5100
-# A small picture with a wide view: few make a turn.
+# A small image with a wide view: few make a turn.
 CAMERA = CameraModel(300, 300, 230.0, 230.0, 149.5, 149.5)
 
 
@@ -26,13 +26,13 @@ def known() -> dict[str, Case]:
     [
         'a lamp switched between',
         'an overexposed window',
-        'upside down, as told',
-        'people in most pictures',
+        'upside down, as given',
+        'people in most images',
     ],
 )
 def test_a_map_is_right_or_the_refusal_clear(
     known: dict[str, Case], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(learn, '_draw', lambda *_: None)  # a third of the time
-    good, told = judge(known[name], tmp_path, SEED)
-    assert good, told
+    good, reported = judge(known[name], tmp_path, SEED)
+    assert good, reported

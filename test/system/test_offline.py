@@ -105,7 +105,7 @@ def test_learn_finds_the_sweeps_and_enough_landmarks(study):
         assert report['stages'][stage]['peak_memory_mb'] > 10.0
 
 
-def test_learn_writes_the_map_and_its_pictures(study):
+def test_learn_writes_the_map_and_its_images(study):
     names = {path.name for path in study.learned.iterdir()}
     assert names == {'map.yaml', 'patches', 'views', 'map.png', 'panorama_1.png', 'panorama_2.png'}
     assert len(list((study.learned / 'patches').iterdir())) == study.figures['elected']
@@ -134,8 +134,8 @@ def test_evaluate_reaches_the_figures_and_repeats_them(study, tmp_path, capsys):
         arguments += ['--out', str(figures.parent)]
         assert main(arguments) == 0
         reports.append(json.loads(figures.read_text()))
-        for picture in ('trajectory.png', 'errors.png'):
-            assert cv2.imread(str(figures.parent / picture)) is not None
+        for camera_image in ('trajectory.png', 'errors.png'):
+            assert cv2.imread(str(figures.parent / camera_image)) is not None
         assert 'data:image/png' in page.read_text()
     whole, one, two = reports
     assert whole['frames'] == 184
@@ -167,17 +167,17 @@ def test_a_drive_without_a_start_finds_its_own_place(study, tmp_path):
 def test_photographs_become_a_panorama_of_a_full_turn(shared_data, tmp_path, capsys, name):
     folder, out = shared_data / 'pan_sweeps' / name, tmp_path / 'panorama.png'
     assert main(['panorama', str(folder), '--out', str(out)]) == 0
-    told = ' '.join(capsys.readouterr().out.split())
-    (focal_px,) = map(float, re.findall(r'focal length ([\d.]+) \+-', told))
-    (closure_deg,) = map(float, re.findall(r'closure error ([\d.]+) deg', told))
+    reported = ' '.join(capsys.readouterr().out.split())
+    (focal_px,) = map(float, re.findall(r'focal length ([\d.]+) \+-', reported))
+    (closure_deg,) = map(float, re.findall(r'closure error ([\d.]+) deg', reported))
     with (folder / 'frames.csv').open() as stream:
         listed_px = np.median([float(row['focal_px']) for row in csv.DictReader(stream)])
     assert focal_px == pytest.approx(listed_px, rel=0.005)
     assert closure_deg <= 0.1
-    picture = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
-    assert picture.shape[1] > 3000
-    assert np.mean(picture[..., 3] > 0) > 0.9
-    middle = picture[picture.shape[0] // 2]
+    camera_image = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
+    assert camera_image.shape[1] > 3000
+    assert np.mean(camera_image[..., 3] > 0) > 0.9
+    middle = camera_image[camera_image.shape[0] // 2]
     assert np.all(middle[:, 3] > 0)
 
 
@@ -302,11 +302,11 @@ def test_odometry_that_is_no_number_is_left_out(study, tmp_path, caplog):
     bag = rewrite(study.folder / 'drive', tmp_path / 'nan', poisoned)
     report = tmp_path / 'report.json'
     assert main([str(a) for a in [*evaluate(bag, study), '--json', report]]) == 0
-    told = [line.getMessage() for line in caplog.records if '5000.550 s' in line.getMessage()]
-    assert len(told) == 1
-    assert '10 of 21 messages left out' in told[0]
-    assert '/odom' in told[0]
-    assert 'nan' in told[0]
+    reported = [line.getMessage() for line in caplog.records if '5000.550 s' in line.getMessage()]
+    assert len(reported) == 1
+    assert '10 of 21 messages left out' in reported[0]
+    assert '/odom' in reported[0]
+    assert 'nan' in reported[0]
     assert json.loads(report.read_text())['fused']['position_rmse_m'] < 0.02
 
 

@@ -56,9 +56,9 @@ def test_a_plan_is_written_and_drawn(folder: Path, capsys: pytest.CaptureFixture
     assert mean < compared['left_right']['mean_m']
     assert predicted['landmarks'] >= 3
     assert predicted['localization']['median_m'] <= predicted['localization']['p95_m']
-    picture = cv2.imread(str(folder / 'new' / 'plan.png'))
-    assert picture is not None
-    assert picture.shape[1] > picture.shape[0] > 300
+    camera_image = cv2.imread(str(folder / 'new' / 'plan.png'))
+    assert camera_image is not None
+    assert camera_image.shape[1] > camera_image.shape[0] > 300
     printed = capsys.readouterr().out
     assert 'left and right of the middle: ' in printed
     assert 'times the error of the plan' in printed
@@ -88,7 +88,7 @@ def test_another_camera_gives_another_plan(folder: Path) -> None:
         (('--room', 'nowhere.yaml'), '2', 'nowhere.yaml: cannot be read: No such file'),
     ],
 )
-def test_what_can_not_be_planned_is_told_in_a_line(
+def test_what_can_not_be_planned_is_reported_in_a_line(
     options: tuple[str, ...],
     positions: str,
     message: str,
@@ -121,7 +121,7 @@ def test_a_camera_that_can_not_be_is_wrong_usage(options: tuple[str, ...], folde
     assert plan(folder, *options) == 2
 
 
-def test_a_plan_is_not_written_over_its_picture(
+def test_a_plan_is_not_written_over_its_image(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert plan(folder, out='plan.png') == 2

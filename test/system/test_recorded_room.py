@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from faults import knocked_drive, late_drive
+from faults import displaced_drive, late_drive
 import numpy as np
 import pytest
 
@@ -70,7 +70,7 @@ def test_landmarks_lie_where_things_really_hang(figures: tuple[dict[str, float],
     assert min(np.linalg.norm(k.position - centers[target]) for k in landmarks) < 0.02
 
 
-def test_the_planner_would_have_foretold_it(figures: tuple[dict[str, float], Path]) -> None:
+def test_the_planner_would_have_forereported_it(figures: tuple[dict[str, float], Path]) -> None:
     sweeps = json.loads((figures[1] / 'learn.json').read_text())['sweeps']
     room, mount = load_room(BAGS / 'room.yaml'), load_robot(BAGS / 'robot.yaml')
     poses = np.array([sweep['pose'] for sweep in sweeps])
@@ -100,7 +100,7 @@ def evaluated_late(
     return run
 
 
-def test_joint_states_that_are_stamped_late_are_told_and_put_right(
+def test_joint_states_that_are_stamped_late_are_reported_and_put_right(
     figures: tuple[dict[str, float], Path],
     evaluated_late: Callable[[float, float], dict[str, Any]],
     capsys: pytest.CaptureFixture[str],
@@ -129,21 +129,21 @@ def test_joint_states_that_become_late_are_not_put_right_from_the_start(
     assert 'and not all the time' in caplog.text
 
 
-def test_pictures_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
+def test_images_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
     for name in ('map/map.png', 'map/panorama_1.png', 'map/panorama_2.png'):
         assert (figures[1] / name).stat().st_size > 10_000
     assert '<img' in (figures[1] / 'run.html').read_text()
 
 
 @pytest.mark.parametrize('turned_deg', [(2.0, 0.0, 0.0), (-1.0, 0.0, 1.5)])
-def test_a_camera_that_was_knocked_while_switched_off_finds_its_place(
+def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
     turned_deg: tuple[float, float, float],
     figures: tuple[dict[str, float], Path],
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """No start is given; it looks above or below, or leans, from the first picture on."""
-    drive = knocked_drive(Bag(BAGS / 'drive'), tmp_path / 'knocked', turned_deg)
+    """No start is given; it looks above or below, or leans, from the first image on."""
+    drive = displaced_drive(Bag(BAGS / 'drive'), tmp_path / 'displaced', turned_deg)
     evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map')]
     evaluate += ['--robot', str(BAGS / 'robot.yaml'), '--json', str(tmp_path / 'run.json')]
     assert main(evaluate) == 0

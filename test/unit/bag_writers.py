@@ -20,7 +20,7 @@ SECOND = 1_000_000_000
 START = 1000 * SECOND
 
 
-def picture(value):
+def camera_image(value):
     return np.full((48, 64), value % 256, np.uint8)
 
 
@@ -33,7 +33,7 @@ def write_sweep(bag, start, pans, *, keep=None, trajectory=True, damaged=()):
     for k, sample in enumerate(samples):
         stamp = sample.stamp_ns
         if keep is None or keep(k):
-            image = encode.image(FACTORY, picture(k), stamp, 'cam')
+            image = encode.image(FACTORY, camera_image(k), stamp, 'cam')
             if k in damaged:
                 image.data = image.data[:100]
             bag.write('sweep/image', image, stamp)
@@ -62,7 +62,7 @@ def write_drive(
     lone_tilt=None,
 ):
     """
-    Pan turns at 0.3 rad/s; joint states at 20 Hz, pictures at 5 Hz between two of them.
+    Pan turns at 0.3 rad/s; joint states at 20 Hz, images at 5 Hz between two of them.
 
     `bad` tells which messages hold no number, `set_back` by how much the clock is behind,
     `lone_tilt` the tilt, where it has messages of its own, 10 ms before those of the pan.
@@ -88,7 +88,7 @@ def write_drive(
             bag.write('ground_truth/odom', odometry(stamp, [1.0, 2.0, 0.0], frame_id='map'), log)
             if k % 4 == 0:
                 shot, log = stamp + 20_000_000, log + 20_000_000
-                message = encode.compressed_image(FACTORY, picture(k), shot, 'cam')
+                message = encode.compressed_image(FACTORY, camera_image(k), shot, 'cam')
                 if k // 4 in damaged:
                     message.data = message.data[:30]
                 bag.write('camera/image_raw/compressed', message, log)

@@ -14,7 +14,7 @@ __all__ = ['bare_landmark']
 def bare_landmark(
     number: int, position: FloatArray, covariance: FloatArray, **given: Any
 ) -> Landmark:
-    """Landmark without a picture, independent of others; `given` sets further fields."""
+    """Landmark without an image, independent of others; `given` sets further fields."""
     fields: dict[str, Any] = {
         'shared_loading': np.zeros((3, 0)),
         'normal': np.array([1.0, 0.0, 0.0]),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from degraded_drives import Sensed, sensed_drive
 import pytest
-from spoiled_drives import Sensed, sensed_drive
 
 
 @pytest.fixture(scope='session')
 def sensed() -> list[Sensed]:
-    """A drive that nothing has spoiled yet."""
+    """A drive that nothing has degraded yet."""
     return sensed_drive()

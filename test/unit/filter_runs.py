@@ -41,7 +41,7 @@ def started(
     return fused
 
 
-def sighting(moment: Moment, k: int, noise: npt.ArrayLike = 0.0) -> Detections:
+def measurement(moment: Moment, k: int, noise: npt.ArrayLike = 0.0) -> Detections:
     places = (k + np.array([0, 1, 3, 4])) % 10
     return detections(MAP, moment.pose, moment.odometry.stamp_ns, places, SIGMA, np.asarray(noise))
 
@@ -54,5 +54,5 @@ def run(fused: PoseFilter, steps: int, first: int = 0) -> tuple[Moment, list[Fus
             continue
         fused.add_odometry(moment.odometry)
         if k % EVERY == 0:
-            updates.append(fused.add_detections(sighting(moment, k)))
+            updates.append(fused.add_detections(measurement(moment, k)))
     return moment, updates

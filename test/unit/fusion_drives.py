@@ -82,7 +82,7 @@ def detections(
     sigma: float,
     noise: FloatArray | float = 0.0,
 ) -> Detections:
-    """Sightings of some landmarks from a pose."""
+    """Detections of some landmarks from a pose."""
     chosen = np.asarray(places, dtype=np.intp)
     n = len(chosen)
     return Detections(

@@ -11,7 +11,7 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import wall_stretches
 from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
-from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
 ROOM = rectangle_room(6.0, 5.0)
@@ -72,11 +72,11 @@ def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Pano
     ]
 
 
-def sightings_of(
+def measurements_of(
     world: World,
     rng: np.random.Generator | None,
     common: tuple[float, float] = (CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma),
-) -> list[list[Sighting]]:
+) -> list[list[PatchMeasurement]]:
     """The first view proposed each landmark; the other found it with its own noise as well."""
     groups = []
     for point in world.points:
@@ -90,7 +90,9 @@ def sightings_of(
             # Azimuths come unwrapped, as from columns.
             turns = 2.0 * np.pi * view
             group.append(
-                Sighting(view, float(seen[0] + turns), float(seen[1]), *own.tolist(), score=0.9)
+                PatchMeasurement(
+                    view, float(seen[0] + turns), float(seen[1]), *own.tolist(), score=0.9
+                )
             )
         groups.append(group)
     return groups
@@ -98,31 +100,31 @@ def sightings_of(
 
 def solve(
     world: World,
-    sightings: list[list[Sighting]],
+    measurements: list[list[PatchMeasurement]],
     prior_poses: FloatArray,
     config: AdjustmentConfig = CONFIG,
 ) -> Adjustment:
     # From anywhere near by on the same stretch of wall.
     start = world.points + 0.05 * (ROOM.normals[world.walls] + [0.0, 0.0, 1.0])
-    return adjusted(world, sightings, start, panoramas_at(prior_poses), config)
+    return adjusted(world, measurements, start, panoramas_at(prior_poses), config)
 
 
 def adjusted(
     world: World,
-    sightings: list[list[Sighting]],
+    measurements: list[list[PatchMeasurement]],
     start: FloatArray,
     panoramas: list[Panorama],
     config: AdjustmentConfig = CONFIG,
 ) -> Adjustment:
     places = places_of(panoramas)
-    return adjust(sightings, world.walls, start, panoramas, places, ROOM, config)
+    return adjust(measurements, world.walls, start, panoramas, places, ROOM, config)
 
 
 def places_of(panoramas: list[Panorama]) -> FloatArray:
     return joint_covariance(panoramas, ROOM, ReferenceAreaConfig())
 
 
-def told_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> FloatArray:
+def given_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> FloatArray:
     """Poses as the panoramas tell them; most of the error in height is the camera's."""
     count = len(world.poses)
     error = rng.multivariate_normal(np.zeros(4), PRIOR, count)
@@ -132,7 +134,7 @@ def told_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> F
 
 
 def draw(rng: np.random.Generator, world: World) -> Adjustment:
-    return solve(world, sightings_of(world, rng), told_poses(world, rng))
+    return solve(world, measurements_of(world, rng), given_poses(world, rng))
 
 
 def total_covariance(found: Adjustment) -> FloatArray:

@@ -93,7 +93,10 @@ def simulated(
     shared = noise * learned.shared_loadings @ rng.normal(size=2)
     own = noise * map_sigma_m * rng.normal(size=shape)
     scale, drift, turn_scale = noise * wheels.bias_sigmas * rng.normal(size=3)
-    slip, lean = wheels.slip_sigma * rng.normal(), config.lean_sigma_rad * rng.normal(size=2)
+    slip, floor_roll = (
+        wheels.slip_sigma * rng.normal(),
+        config.floor_tilt_sigma_rad * rng.normal(size=2),
+    )
     pose = np.array([1.5, 1.0, 0.0])
     start = pose + noise * START_SIGMA * rng.normal(size=3)
     drive = Drive(learned, prior, true, PoseEstimate(0, start, np.diag(START_SIGMA**2)))
@@ -112,12 +115,14 @@ def simulated(
             return kept * value + sigma * np.sqrt(1 - kept**2) * rng.normal(size=np.shape(value))
 
         slip = walked(slip, noise * wheels.slip_sigma, wheels.slip_length_m)
-        lean = walked(lean, noise * config.lean_sigma_rad, config.lean_length_m)
-        own = walked(own, noise * map_sigma_m, config.map_memory_m)
+        floor_roll = walked(
+            floor_roll, noise * config.floor_tilt_sigma_rad, config.floor_tilt_length_m
+        )
+        own = walked(own, noise * map_sigma_m, config.correlation_length_m)
         drive.events.append(step)
         if tick % IMAGE_EVERY:
             continue
-        state = np.concatenate([pose, noise * lean, np.zeros(CALIBRATION - 5), true.values])
+        state = np.concatenate([pose, noise * floor_roll, np.zeros(CALIBRATION - 5), true.values])
         blank = _panned(tick * PERIOD_S, len(learned.landmarks), pixel_sigma)
         off = noise * rng.normal(0.0, true.base.pan_sigma_rad)
         model = project(

@@ -113,7 +113,7 @@ def draw(
     rays_of: Callable[[FloatArray], FloatArray],
 ) -> npt.NDArray[np.float32]:
     """
-    BGR (rows, columns, 3) of a picture whose pixels look along `rays`.
+    BGR (rows, columns, 3) of an image whose pixels look along `rays`.
 
     Pixels at the edge of a board are averaged over many rays, `rays_of` parts of pixels (..., 2).
     """
@@ -181,7 +181,7 @@ def wall_board(wall: Wall, texture: npt.NDArray[np.float32]) -> Board:
 
 
 def paper_board(paper: Paper, room: Room) -> Board:
-    """A coloured paper, as flat on its wall as can be told apart."""
+    """A coloured paper, as flat on its wall as can be distinguished."""
     normal = room.normals[int(room.nearest_wall(np.array(paper.center[:2])))]
     center = np.array(paper.center) + 1e-5 * normal
     texture = flat_texture(COLORS[paper.color])
@@ -249,7 +249,7 @@ def draw_frame(
     rng: np.random.Generator | None = None,
     sigma: float = 3.0,
 ) -> CameraFrame:
-    """Picture of the scene through a lens, with noise if there is `rng`."""
+    """Image of the scene through a lens, with noise if there is `rng`."""
     rotation, center = mount.camera_pose_map(pose_map_base, pan_rad, tilt_rad)
 
     def rays_of(pixels: FloatArray) -> FloatArray:
@@ -258,8 +258,8 @@ def draw_frame(
         return _turned(rays, rotation)
 
     rays = _turned(camera.ray_grid, rotation)
-    picture = draw(scene, center, rays, rays_of)
-    return CameraFrame(stamp_ns, with_noise(picture, rng, sigma), camera, pan_rad, tilt_rad)
+    camera_image = draw(scene, center, rays, rays_of)
+    return CameraFrame(stamp_ns, with_noise(camera_image, rng, sigma), camera, pan_rad, tilt_rad)
 
 
 def _turned(rays: npt.NDArray[np.float32], rotation: FloatArray) -> FloatArray:
@@ -326,6 +326,6 @@ def true_landmark(
 
 
 def blurred_by(image: ImageArray, across_px: float, down_px: float) -> ImageArray:
-    """A picture through a softer lens, which blurs light, not what a camera makes of it."""
+    """An image through a softer lens, which blurs light, not what a camera makes of it."""
     light = cv2.GaussianBlur(light_of(image), (0, 0), sigmaX=across_px, sigmaY=down_px)
     return values_of(np.asarray(light, np.uint16))

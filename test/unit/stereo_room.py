@@ -7,7 +7,7 @@ from scenes import draw_panorama, rectangle_room, Scene
 from wall_views import candidate_at, greys_of
 
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
@@ -31,7 +31,7 @@ def patch_at(panorama: Panorama, point: FloatArray) -> WallPatch | Refusal:
 
 def match_at(
     panoramas: list[Panorama], point: FloatArray, config: StereoConfig = CONFIG
-) -> tuple[WallPatch, Sighting | Refusal]:
+) -> tuple[WallPatch, PatchMeasurement | Refusal]:
     patch = patch_at(panoramas[0], point)
     assert isinstance(patch, WallPatch)
     return patch, match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, config)

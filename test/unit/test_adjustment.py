@@ -9,15 +9,15 @@ from hung_rooms import (
     AS_EXPECTED,
     CONFIG,
     draw,
+    given_poses,
+    measurements_of,
     nees,
     panoramas_at,
     places_of,
     POSES,
     PRIOR,
     ROOM,
-    sightings_of,
     solve,
-    told_poses,
     total_covariance,
     world_hung,
     world_of,
@@ -32,7 +32,7 @@ from landmark_nav.types import FloatArray
 
 def test_the_truth_is_found_without_noise() -> None:
     world = world_of(np.random.default_rng(0), 20, flat=True)
-    found = solve(world, sightings_of(world, None), world.poses)
+    found = solve(world, measurements_of(world, None), world.poses)
     np.testing.assert_allclose(found.positions, world.points, atol=1e-6)
     error = found.poses - world.poses
     error[:, 3] = wrap_rad(error[:, 3])
@@ -54,7 +54,7 @@ def test_landmarks_and_poses_err_as_their_covariances_say() -> None:
         misfit.append(found.chi_square.mean())
     assert 0.75 < np.mean(of_landmarks) / 3.0 < 1.25
     assert 0.6 < np.mean(of_poses) / 4.0 < 1.4
-    # Two sightings of two numbers and a wall, for three unknowns.
+    # Two measurements of two numbers and a wall, for three unknowns.
     assert 1.0 < np.mean(misfit) < 3.0
 
 
@@ -63,12 +63,12 @@ def test_the_solution_is_that_of_least_squares() -> None:
     third = [3.0, 1.2, 1.1, 0.3]
     # So little noise that nothing is taken for less certain than it says.
     world = replace(world_of(rng, 6, flat=True), poses=np.vstack([POSES, [third]]))
-    prior = told_poses(world, rng)
-    sightings = sightings_of(world, None)
-    found = solve(world, sightings, prior, AS_EXPECTED)
+    prior = given_poses(world, rng)
+    measurements = measurements_of(world, None)
+    found = solve(world, measurements, prior, AS_EXPECTED)
     stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     views = panoramas_at(prior)
-    problem = Problem(sightings, world.walls, stretch, views, places_of(views), ROOM)
+    problem = Problem(measurements, world.walls, stretch, views, places_of(views), ROOM)
     sigma = np.hypot(problem.own_sigma, [CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
     hanging = (CONFIG.common_hanging_sigma_m, CONFIG.wall_sigma_m, CONFIG.hanging_sigma_m)
     spread = np.array([1.0, 1.0, *hanging])
@@ -92,9 +92,9 @@ def test_landmarks_share_what_the_poses_err() -> None:
     errors, loadings, owns = [], [], []
     for _ in range(250):
         # What hangs there is fixed: what varies is what a map of this world would.
-        prior = told_poses(world, rng)
+        prior = given_poses(world, rng)
         hung = world_hung(world, rng)
-        found = solve(hung, sightings_of(hung, rng), prior, AS_EXPECTED)
+        found = solve(hung, measurements_of(hung, rng), prior, AS_EXPECTED)
         if found.chi_square.max() > 50.0:
             continue  # told to be false
         errors.append(found.positions - hung.points)
@@ -119,11 +119,11 @@ def test_landmarks_share_what_the_poses_err() -> None:
 
 def test_a_better_known_panorama_makes_better_known_landmarks() -> None:
     world = world_of(np.random.default_rng(5), 20, flat=True)
-    sightings = sightings_of(world, None)
+    measurements = measurements_of(world, None)
     start = world.points
     sizes = []
     for scale in (1.0, 9.0):
-        found = adjusted(world, sightings, start, panoramas_at(POSES, scale * PRIOR))
+        found = adjusted(world, measurements, start, panoramas_at(POSES, scale * PRIOR))
         sizes.append(np.trace(total_covariance(found), axis1=1, axis2=2).mean())
         # Nobody knows less after the measurements than before.
         assert np.all(
@@ -137,8 +137,8 @@ def test_a_third_view_helps() -> None:
     rng = np.random.default_rng(6)
     world = world_of(rng, 16, flat=True)
     third = replace(world, poses=np.vstack([POSES, [[3.0, 1.2, 1.1, 0.3]]]))
-    two = solve(world, sightings_of(world, None), world.poses)
-    three = solve(third, sightings_of(third, None), third.poses)
+    two = solve(world, measurements_of(world, None), world.poses)
+    three = solve(third, measurements_of(third, None), third.poses)
     assert three.poses.shape == (3, 4)
     np.testing.assert_allclose(three.positions, world.points, atol=1e-6)
     assert np.trace(three.own_covariance.sum(0)) < np.trace(two.own_covariance.sum(0))

@@ -26,13 +26,13 @@ PANS = -np.pi + STEP * np.arange(18)
 def test_wrong_angles_and_focal_length_are_mended() -> None:
     rng = np.random.default_rng(1)
     true = turn_sweep(TRUE, MOUNT, PANS, 0.01, -0.015)
-    told = replace(TRUE, fx=TRUE.fx * 1.01, fy=TRUE.fy * 1.01, distortion=())
+    given = replace(TRUE, fx=TRUE.fx * 1.01, fy=TRUE.fy * 1.01, distortion=())
     wrong = Sweep(
         0,
         tuple(
             replace(
                 frame,
-                camera=told,
+                camera=given,
                 pan_rad=frame.pan_rad + rng.normal(0.0, 0.003),
                 tilt_rad=0.0,
                 roll_rad=0.0,
@@ -56,9 +56,9 @@ def test_wrong_angles_and_focal_length_are_mended() -> None:
 @pytest.mark.parametrize('k1', [0.0, -0.14])
 def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
     true = replace(TRUE, distortion=(k1,))
-    told = replace(TRUE, fx=1.02 * TRUE.fx, fy=1.02 * TRUE.fx, distortion=())
+    given = replace(TRUE, fx=1.02 * TRUE.fx, fy=1.02 * TRUE.fx, distortion=())
     frames = turn_sweep(true, MOUNT, PANS).frames
-    sweep = Sweep(0, tuple(replace(frame, camera=told) for frame in frames))
+    sweep = Sweep(0, tuple(replace(frame, camera=given) for frame in frames))
     aligned = align_sweep(sweep, MOUNT)
     lens = aligned.sweep.frames[0].camera
     assert lens.fx == pytest.approx(TRUE.fx, rel=2e-3)
@@ -67,8 +67,8 @@ def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
     # What is told is what a lens without distortion would need for the turn to close.
     problem = OverlapProblem(track_overlaps(aligned.sweep, MOUNT, True), sweep, MOUNT)
     plain = problem.fit([COMMON.index('focal_length')], (0.03, 0.01, 0.01))
-    assert aligned.focal_px == pytest.approx(told.fx * np.exp(plain.common[0]), rel=4e-3)
-    assert aligned.focal_px == pytest.approx(told.fx * aligned.focal_scale)
+    assert aligned.focal_px == pytest.approx(given.fx * np.exp(plain.common[0]), rel=4e-3)
+    assert aligned.focal_px == pytest.approx(given.fx * aligned.focal_scale)
 
 
 def test_right_angles_stay() -> None:
@@ -81,7 +81,7 @@ def test_right_angles_stay() -> None:
         assert abs(after.roll_rad) < 3e-4
 
 
-def test_too_few_frames_or_no_texture_is_told() -> None:
+def test_too_few_frames_or_no_texture_is_reported() -> None:
     sweep = turn_sweep(TRUE, MOUNT, PANS[:2])
     with pytest.raises(LandmarkNavError, match='2 frames are too few to align'):
         align_sweep(sweep, MOUNT)

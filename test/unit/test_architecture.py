@@ -101,7 +101,7 @@ def test_ros_stays_behind_its_door() -> None:
     assert not {str(m): name for m in outside for name in imports(m) if is_ros(name)}
 
 
-def test_modules_say_what_they_are_for() -> None:
+def test_modules_state_what_they_are_for() -> None:
     assert not [str(module) for module, tree in TREES.items() if not ast.get_docstring(tree)]
 
 

@@ -121,7 +121,7 @@ def test_bare_wall_yields_nothing(noise):
 
 
 @pytest.mark.parametrize('value', [0, 255])
-def test_uniform_picture_yields_nothing(value):
+def test_uniform_image_yields_nothing(value):
     found = attend(panorama(np.full((HEIGHT, WIDTH), float(value))), AttentionConfig())
     assert found.candidates == ()
     assert found.refused == ()
@@ -223,16 +223,16 @@ def test_saliency_falls_and_sizes_are_as_asked():
 
 
 def test_least_response_ends_the_selection():
-    picture = panorama(clutter(np.random.default_rng(11)))
-    few = attend(picture, AttentionConfig(least_response=0.6)).candidates
-    many = attend(picture, AttentionConfig(least_response=0.05)).candidates
+    camera_image = panorama(clutter(np.random.default_rng(11)))
+    few = attend(camera_image, AttentionConfig(least_response=0.6)).candidates
+    many = attend(camera_image, AttentionConfig(least_response=0.05)).candidates
     assert 0 < len(few) < len(many)
 
 
 def test_every_feature_runs_alone():
     gray = clutter(np.random.default_rng(12))
-    picture = panorama(gray)
-    gray = picture.image[..., 0]
+    camera_image = panorama(gray)
+    gray = camera_image.image[..., 0]
     off = {f'weight_{name}': 0.0 for name in FEATURES}
     for name in FEATURES:
         alone = AttentionConfig(**{**off, f'weight_{name}': 1.0})
@@ -241,14 +241,14 @@ def test_every_feature_runs_alone():
         assert saliency.dtype == np.float32
         assert 0.0 <= saliency.min() < saliency.max() <= 1.0
         assert AttentionConfig().alone(name) == alone
-        assert attend(picture, alone).candidates
+        assert attend(camera_image, alone).candidates
 
 
 def test_the_same_panorama_gives_the_same_candidates():
-    picture = panorama(clutter(np.random.default_rng(13)))
+    camera_image = panorama(clutter(np.random.default_rng(13)))
     assert (
-        attend(picture, AttentionConfig()).candidates
-        == attend(picture, AttentionConfig()).candidates
+        attend(camera_image, AttentionConfig()).candidates
+        == attend(camera_image, AttentionConfig()).candidates
     )
 
 

@@ -1,15 +1,12 @@
-"""Pictures and joint states that fail, and a camera that was knocked, fed to the localizer."""
+"""Images and joint states that fail, and a camera that was displaced, fed to the localizer."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 import re
 
-import numpy as np
-from picture_drives import MAP, MOUNT, START, START_SIGMA, Step
-import pytest
-from spoiled_drives import (
-    check_honest,
+from degraded_drives import (
+    check_consistent,
     FAULT_S,
     first,
     pan_rad,
@@ -17,6 +14,9 @@ from spoiled_drives import (
     Sensed,
     untouched,
 )
+import numpy as np
+import pytest
+from rendered_drives import MAP, MOUNT, START, START_SIGMA, Step
 
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.replay import replay as replay_events
@@ -30,7 +30,7 @@ from landmark_nav.localization.pipeline import (
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate, Refusal
 
 
-def test_pictures_that_stop_or_come_from_another_clock(sensed: list[Sensed]) -> None:
+def test_images_that_stop_or_come_from_another_clock(sensed: list[Sensed]) -> None:
     def shifted(step: Step, frame: CameraFrame | None) -> Sensed:
         if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 2.5:
             frame = replace(frame, stamp_ns=frame.stamp_ns - 100 * 10**9)
@@ -43,7 +43,7 @@ def test_pictures_that_stop_or_come_from_another_clock(sensed: list[Sensed]) -> 
     assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
 
 
-def test_a_picture_angle_that_is_not_a_number_is_left_out(sensed: list[Sensed]) -> None:
+def test_an_image_angle_that_is_not_a_number_is_left_out(sensed: list[Sensed]) -> None:
     def broken_pan(step: Step, frame: CameraFrame | None) -> Sensed:
         if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 2.0:
             frame = replace(frame, pan_rad=float('nan'))
@@ -62,17 +62,17 @@ def test_a_camera_bumped_against_the_base_goes_on(sensed: list[Sensed], angle_de
         return step, frame
 
     moments = list(run(sensed, bumped))
-    told = next(m for m in moments if m.after_s >= 0.0 and 'turned' in m.reason)
-    assert told.after_s <= 2.0
-    assert told.status == 'coasting'
-    assert np.degrees(told.sigma[2]) > 1.0
+    given = next(m for m in moments if m.after_s >= 0.0 and 'turned' in m.reason)
+    assert given.after_s <= 2.0
+    assert given.status == 'coasting'
+    assert np.degrees(given.sigma[2]) > 1.0
     assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
     assert max(np.hypot(*m.error[:2]) for m in moments if m.after_s > 2.0) < 0.05
-    check_honest(moments)
+    check_consistent(moments)
 
 
 @pytest.mark.parametrize(
-    ('angle_deg', 'of', 'said'),
+    ('angle_deg', 'of', 'reported'),
     [
         (1.0, 'tilt', r'looks ([\d.]+) deg below'),
         (-2.0, 'tilt', r'looks ([\d.]+) deg above'),
@@ -81,7 +81,11 @@ def test_a_camera_bumped_against_the_base_goes_on(sensed: list[Sensed], angle_de
     ],
 )
 def test_a_camera_bumped_in_its_tilt_or_roll_finds_all_as_before(
-    sensed: list[Sensed], angle_deg: float, of: str, said: str, caplog: pytest.LogCaptureFixture
+    sensed: list[Sensed],
+    angle_deg: float,
+    of: str,
+    reported: str,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """The joints say too much, so the camera looks lower, or leans to the left."""
 
@@ -98,30 +102,30 @@ def test_a_camera_bumped_in_its_tilt_or_roll_finds_all_as_before(
     moments, usual = list(run(short, tilted)), list(run(short, untouched))
     assert {m.status for m in moments} == {'tracking'}
     assert max(np.hypot(*m.error[:2]) for m in moments) < 0.03
-    check_honest(moments)
+    check_consistent(moments)
     seen, without = (
         sum(len(m.update.observation.detections) for m in ms) for ms in (moments, usual)
     )
     assert seen > 0.9 * without
-    (told,) = re.findall(said, caplog.text)
-    assert float(told) == pytest.approx(abs(angle_deg), abs=0.2)
+    (given,) = re.findall(reported, caplog.text)
+    assert float(given) == pytest.approx(abs(angle_deg), abs=0.2)
 
 
-def test_a_place_is_found_with_a_camera_whose_tilt_was_knocked_before(
+def test_a_place_is_found_with_a_camera_whose_tilt_was_displaced_before(
     sensed: list[Sensed],
 ) -> None:
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     search: list[PoseEstimate | Refusal | None] = []
-    told_wrong = False
+    reported_wrong = False
     for step, frame in sensed:
         seconds = step.stamp_ns * 1e-9
         localizer.add_odometry(step.odometry)
-        if seconds > FAULT_S + 1.0 and not told_wrong:
+        if seconds > FAULT_S + 1.0 and not reported_wrong:
             off = np.array([-1.0, 0.9, 2.5])
             wrong = PoseEstimate(step.stamp_ns, step.pose + off, np.eye(3) * 1e-4)
             localizer.initialize(wrong)
-            told_wrong = True
+            reported_wrong = True
         if frame is None or seconds > FAULT_S + 6.0:
             continue
         knock = np.radians(2.0) if seconds > 1.0 else 0.0
@@ -152,15 +156,15 @@ def test_joint_states_that_are_late_are_measured(sensed: list[Sensed], late_s: f
     assert abs(offsets.boresight_rad) < 4.0 * offsets.boresight_sigma_rad
 
 
-def test_a_wheel_that_slips_tells_of_no_late_joints(sensed: list[Sensed]) -> None:
+def test_a_wheel_that_slips_shows_no_late_joints(sensed: list[Sensed]) -> None:
     events: list[CameraFrame | OdometrySample] = []
-    told, before = sensed[0][0].odometry.pose_odom_base, sensed[0][0].odometry.pose_odom_base
+    given, before = sensed[0][0].odometry.pose_odom_base, sensed[0][0].odometry.pose_odom_base
     for step, frame in sensed:
         odometry, seconds = step.odometry, step.stamp_ns * 1e-9
         moved, before = se2.relative(before, odometry.pose_odom_base), odometry.pose_odom_base
         slips = 7.0 < seconds < 7.6
-        told = se2.compose(told, moved + np.array([0.0, 0.0, -0.003 if slips else 0.0]))
-        events.append(replace(odometry, pose_odom_base=told))
+        given = se2.compose(given, moved + np.array([0.0, 0.0, -0.003 if slips else 0.0]))
+        events.append(replace(odometry, pose_odom_base=given))
         if frame is None or seconds > 9.0:
             continue
         rate = (pan_rad(seconds + 0.025) - pan_rad(seconds - 0.025)) / 0.05
@@ -184,19 +188,19 @@ def test_joint_states_far_too_late_lose_the_pose_for_as_long_as_they_last(
         return step, frame
 
     moments = list(run(sensed, late))
-    told = next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking')
-    assert told.after_s <= 2.0
-    assert told.reason
+    given = next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking')
+    assert given.after_s <= 2.0
+    assert given.reason
     back = next(m for m in moments if m.after_s > 1.5 and m.status == 'tracking')
     assert back.after_s <= 5.0
     assert np.hypot(*back.error[:2]) < 0.05
-    check_honest(moments)
+    check_consistent(moments)
 
 
-def test_without_joint_states_no_picture_counts_and_odometry_goes_on(
+def test_without_joint_states_no_image_counts_and_odometry_goes_on(
     sensed: list[Sensed],
 ) -> None:
-    """Pictures without joint angles reach nobody: readers and nodes leave them out."""
+    """Images without joint angles reach nobody: readers and nodes leave them out."""
     fused = PoseFilter(MAP, MOUNT)
     fused.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     sigmas = []

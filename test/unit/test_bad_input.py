@@ -10,19 +10,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import fusion_drives
-import numpy as np
-from picture_drives import MAP, START, Step
-import pytest
-from scipy.stats import chi2
-from spoiled_drives import (
-    check_honest,
+from degraded_drives import (
+    check_consistent,
     FAULT_S,
     first,
     run,
     Sensed,
     untouched,
 )
+import fusion_drives
+import numpy as np
+import pytest
+from rendered_drives import MAP, START, Step
+from scipy.stats import chi2
 
 from landmark_nav.geometry import se2
 from landmark_nav.localization import observation
@@ -30,14 +30,14 @@ from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.pipeline import LocalizationConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig
-from landmark_nav.localization.relocalization.narrowing import narrowed
 from landmark_nav.localization.relocalization.verification import Verification
+from landmark_nav.localization.relocalization.within_prior import localize_within_prior
 from landmark_nav.types import CameraFrame, PoseEstimate, Refusal
 
 
 def test_without_faults_it_tracks(sensed: list[Sensed]) -> None:
     moments = list(run(sensed, untouched))
-    check_honest(moments)
+    check_consistent(moments)
     # Towards the end the camera looks where no landmark is.
     assert {m.status for m in moments if m.after_s < 6.0} == {'tracking'}
     assert all(m.update.search is None for m in moments)
@@ -56,11 +56,11 @@ def test_a_wrong_start_is_noticed_and_put_right(
     assert lost.after_s + FAULT_S <= 2.0
     assert 'were found' in lost.reason
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
-    # It takes one picture more to be sure.
+    # It takes one image more to be sure.
     assert found.status == 'coasting'
     assert np.hypot(*found.error[:2]) < 0.05
     assert {m.status for m in moments if found.after_s < m.after_s < 6.0} == {'tracking'}
-    check_honest([m for m in moments if m.after_s >= lost.after_s])
+    check_consistent([m for m in moments if m.after_s >= lost.after_s])
 
 
 def test_a_wrong_start_is_lost_until_what_is_claimed_holds_the_truth(
@@ -76,30 +76,30 @@ def test_a_wrong_start_is_lost_until_what_is_claimed_holds_the_truth(
     later = [m for m in moments if lost[-1].after_s + 1.0 < m.after_s < 6.0]
     assert {m.status for m in later} == {'tracking'}
     assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
-    check_honest([m for m in moments if m.after_s >= lost[0].after_s])
+    check_consistent([m for m in moments if m.after_s >= lost[0].after_s])
 
 
 def test_a_pose_that_expects_nothing_is_put_right_all_the_same(sensed: list[Sensed]) -> None:
-    """Behind the walls no landmark is to be seen, so that no picture contradicts it."""
+    """Behind the walls no landmark is to be seen, so that no image contradicts it."""
     moments = list(run(sensed, untouched, start=START + np.array([-30.0, 0.0, 0.0])))
     assert not any(m.update.observation.refused for m in moments[:5])
-    told = next(m for m in moments if m.status != 'tracking')
-    assert told.after_s + FAULT_S <= 2.0
-    assert 'nothing accepted for' in told.reason
+    reported = next(m for m in moments if m.status != 'tracking')
+    assert reported.after_s + FAULT_S <= 2.0
+    assert 'nothing accepted for' in reported.reason
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
     assert found.after_s + FAULT_S <= 6.0
     # Some landmarks speak for another place, though not surely.
-    doubted = first([m for m in moments if m.after_s < found.after_s], 'lost', since_s=-FAULT_S)
-    assert 'landmarks speak for' in doubted.reason
-    assert np.hypot(*doubted.sigma[:2]) > 0.15
+    inflated = first([m for m in moments if m.after_s < found.after_s], 'lost', since_s=-FAULT_S)
+    assert 'landmarks speak for' in inflated.reason
+    assert np.hypot(*inflated.sigma[:2]) > 0.15
     later = [m for m in moments if found.after_s < m.after_s < 6.0]
     assert {m.status for m in later} == {'tracking'}
     assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
-    check_honest(later)
+    check_consistent(later)
 
 
 def test_a_kidnapped_robot_finds_its_place(sensed: list[Sensed]) -> None:
-    """From one picture to the next it is where it comes seconds later; the wheels know nothing."""
+    """From one image to the next it is where it comes seconds later; the wheels know nothing."""
     begin, back = round(FAULT_S * 20), 64
     before, after = (sensed[k][0].odometry.pose_odom_base for k in (begin, begin - back))
     offset = se2.compose(before, se2.inverse(after))
@@ -119,10 +119,10 @@ def test_a_kidnapped_robot_finds_its_place(sensed: list[Sensed]) -> None:
     assert lost.after_s <= 2.0
     assert moments[-1].status == 'tracking'
     assert np.hypot(*moments[-1].error[:2]) < 0.05
-    check_honest(moments)
+    check_consistent(moments)
 
 
-def test_a_covered_lens_is_told_and_forgotten_when_free(sensed: list[Sensed]) -> None:
+def test_a_covered_lens_is_reported_and_forgotten_when_free(sensed: list[Sensed]) -> None:
     def covered(step: Step, frame: CameraFrame | None) -> Sensed:
         if frame is not None and step.stamp_ns * 1e-9 < FAULT_S + 3.0:
             frame = replace(frame, image=np.zeros_like(frame.image))
@@ -137,7 +137,7 @@ def test_a_covered_lens_is_told_and_forgotten_when_free(sensed: list[Sensed]) ->
     back = next(m for m in moments if m.after_s > 3.0 and m.status == 'tracking')
     assert back.after_s <= 4.5
     assert np.hypot(*back.error[:2]) < 0.05
-    check_honest(moments)
+    check_consistent(moments)
 
 
 def test_a_map_of_another_room_is_not_believed(
@@ -146,7 +146,7 @@ def test_a_map_of_another_room_is_not_believed(
     tried: dict[int, Verification | Refusal] = {}
 
     def counted(frame: CameraFrame, *arguments: Any) -> Verification | Refusal:
-        tried[frame.stamp_ns] = place = narrowed(frame, *arguments)
+        tried[frame.stamp_ns] = place = localize_within_prior(frame, *arguments)
         return place
 
     monkeypatch.setattr(observation, 'narrowed', counted)
@@ -159,7 +159,7 @@ def test_a_map_of_another_room_is_not_believed(
     moments = list(run(sensed, untouched, landmarks=replace(MAP, landmarks=landmarks)))
     assert all(m.status == 'lost' for m in moments if m.after_s + FAULT_S >= 2.0)
     assert not any(isinstance(m.update.search, PoseEstimate) for m in moments)
-    # What is in vain is not tried with each picture.
+    # What is in vain is not tried with each image.
     assert all(isinstance(place, Refusal) for place in tried.values())
     assert 5 < len(tried) < 0.6 * sum(m.status == 'lost' for m in moments)
 
@@ -174,11 +174,11 @@ def test_a_covered_and_an_exchanged_landmark_do_no_harm(sensed: list[Sensed]) ->
     moments = list(run(sensed, untouched, replace(MAP, landmarks=tuple(landmarks))))
     assert 'lost' not in {m.status for m in moments}
     assert np.sqrt(np.mean([np.sum(m.error[:2] ** 2) for m in moments])) < 0.04
-    check_honest(moments)
+    check_consistent(moments)
 
 
-def test_a_minute_without_landmarks_is_told_and_survived() -> None:
-    """Along walls without landmarks; the claim grows with the error, and ends with a sighting."""
+def test_a_minute_without_landmarks_is_reported_and_survived() -> None:
+    """Along walls without landmarks; the claim grows with the error, and ends with a detection."""
     nees = []
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -213,7 +213,7 @@ def test_a_minute_without_landmarks_is_told_and_survived() -> None:
 
 
 @pytest.mark.parametrize('count', [5, 2])
-def test_a_picture_exchanged_for_a_similar_one_does_not_pull_again_and_again(count: int) -> None:
+def test_an_image_exchanged_for_a_similar_one_does_not_pull_again_and_again(count: int) -> None:
     """It is found about there, a little less alike, and off by the same amount each time."""
     true_map = fusion_drives.landmark_map(14)
     errors = {}
@@ -224,7 +224,7 @@ def test_a_picture_exchanged_for_a_similar_one_does_not_pull_again_and_again(cou
             fused.add_odometry(moment.odometry)
             if k % 4 == 0:
                 stamp = moment.odometry.stamp_ns
-                # Pictures that show many show what to expect of those that show few.
+                # Images that show many show what to expect of those that show few.
                 shown = slice(5 - (count if k > 16 else 5), 5)
                 offset = np.array([0.0, 0.0, 0.0, 0.0, 1.4e-3])[shown]
                 places = np.arange(5)[shown]

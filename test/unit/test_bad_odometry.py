@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import fusion_drives
-import numpy as np
-from picture_drives import error_of, MAP, MOUNT, picture, START, START_SIGMA, Step
-import pytest
-from spoiled_drives import (
+from degraded_drives import (
     FAULT_S,
     first,
     run,
     Sensed,
 )
+import fusion_drives
+import numpy as np
+import pytest
+from rendered_drives import camera_image, error_of, MAP, MOUNT, START, START_SIGMA, Step
 
 from landmark_nav.geometry import se2
 from landmark_nav.localization.fusion import PoseFilter
@@ -28,7 +28,7 @@ def jumping(k: int, step: Step) -> Step | None:
     return replace(step, odometry=replace(step.odometry, pose_odom_base=moved))
 
 
-def standing(k: int, step: Step) -> Step | None:
+def frame_at(k: int, step: Step) -> Step | None:
     """Odometry that repeats its last sample."""
     return replace(step, odometry=replace(step.odometry, stamp_ns=round(FAULT_S * 1e9)))
 
@@ -59,18 +59,18 @@ def behind(k: int, step: Step) -> Step | None:
     ('fault', 'reason'),
     [
         (jumping, 'odometry jumped'),
-        (standing, 'repeated a stamp'),
+        (frame_at, 'repeated a stamp'),
         (silent, 'no odometry for'),
         (broken, 'not a number'),
         (behind, 'back'),
     ],
 )
-def test_odometry_that_fails_is_told_while_the_camera_goes_on(
+def test_odometry_that_fails_is_reported_while_the_camera_goes_on(
     sensed: list[Sensed], fault: Callable[[int, Step], Step | None], reason: str
 ) -> None:
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
-    told: list[tuple[float, str, str]] = []
+    reported: list[tuple[float, str, str]] = []
     for k, (step, frame) in enumerate(sensed):
         seconds = step.stamp_ns * 1e-9 - FAULT_S
         wrong = fault(k, step) if 0.0 < seconds < 4.0 else step
@@ -83,14 +83,14 @@ def test_odometry_that_fails_is_told_while_the_camera_goes_on(
         update = localizer.add_frame(frame)
         assert isinstance(update, LocalizationUpdate)
         assert np.isfinite(update.fused.pose).all()
-        told.append((seconds, update.status, update.reason))
+        reported.append((seconds, update.status, update.reason))
         error = error_of(update.fused, step.pose)
         spread = np.linalg.solve(update.fused.covariance, error)
         assert update.status == 'lost' or error @ spread < 40.0
-    assert any(reason in text for seconds, _, text in told if 0.0 <= seconds <= 2.0)
-    assert all(status != 'tracking' for _, status, text in told if reason in text)
+    assert any(reason in text for seconds, _, text in reported if 0.0 <= seconds <= 2.0)
+    assert all(status != 'tracking' for _, status, text in reported if reason in text)
     # It is over soon after the fault is.
-    assert told[-1][1] == 'tracking'
+    assert reported[-1][1] == 'tracking'
     assert np.hypot(*error[:2]) < 0.05
 
 
@@ -148,7 +148,7 @@ def test_wheels_that_spin_are_not_taken_for_a_turned_camera_alone(
 
 
 @pytest.mark.parametrize('late', [0, 5])
-def test_odometry_that_says_it_stands_is_not_believed_while_pictures_show_motion(
+def test_odometry_that_states_it_stands_is_not_believed_while_images_show_motion(
     sensed: list[Sensed], late: int
 ) -> None:
     here = sensed[round(FAULT_S * 20)][0].odometry.pose_odom_base
@@ -213,15 +213,15 @@ def test_one_sample_of_the_future_is_not_believed(ahead_s: int) -> None:
     assert fused.status[0] == 'lost'
 
 
-def test_pictures_that_show_nothing_do_not_hold_up_the_verdict_where_odometry_stops() -> None:
+def test_images_that_show_nothing_do_not_hold_up_the_verdict_where_odometry_stops() -> None:
     localizer = Localizer(LandmarkMap(()), MOUNT, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     localizer.add_odometry(OdometrySample(0, np.zeros(3)))
-    told = []
+    reported = []
     for k in range(50):
-        update = localizer.add_frame(replace(picture(START, 0.0), stamp_ns=k * 200_000_000))
+        update = localizer.add_frame(replace(camera_image(START, 0.0), stamp_ns=k * 200_000_000))
         assert isinstance(update, LocalizationUpdate)
-        told.append(update.status)
-    assert told[0] == 'tracking'
-    assert 'tracking' not in told[10:]
-    assert told[-1] == 'lost'
+        reported.append(update.status)
+    assert reported[0] == 'tracking'
+    assert 'tracking' not in reported[10:]
+    assert reported[-1] == 'lost'

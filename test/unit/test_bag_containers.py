@@ -39,7 +39,7 @@ def test_what_a_summary_may_leave_out_is_found_in_the_file(tmp_path, options):
 
 
 @pytest.mark.parametrize('compression', CompressionType)
-def test_damaged_chunks_are_told(tmp_path, compression):
+def test_damaged_chunks_are_reported(tmp_path, compression):
     path = tmp_path / 'damaged.mcap'
     with foreign_bag(path, compression=compression) as add:
         add('/text', TEXT, 'cdr', [HI] * 100)
@@ -56,7 +56,7 @@ def test_damaged_chunks_are_told(tmp_path, compression):
 
 
 @pytest.mark.parametrize('indexed', [True, False])
-def test_a_byte_that_changed_is_told_by_the_checksum(tmp_path, indexed):
+def test_a_byte_that_changed_is_recognized_by_the_checksum(tmp_path, indexed):
     path = tmp_path / 'flipped.mcap'
     with foreign_bag(path, compression=CompressionType.NONE, use_statistics=indexed) as add:
         add('/text', TEXT, 'cdr', [HI] * 7)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from bag_writers import CAMERA, FACTORY, MOUNT, picture, SECOND, START, write_drive
+from bag_writers import CAMERA, camera_image, FACTORY, MOUNT, SECOND, START, write_drive
 import numpy as np
 import pytest
 
@@ -29,7 +29,7 @@ def test_frames_carry_the_pan_of_their_own_stamp(tmp_path):
     np.testing.assert_allclose(truth[0].pose, [1.0, 2.0, 0.0])
 
 
-def test_ground_truth_in_another_frame_than_the_map_is_told(tmp_path, caplog):
+def test_ground_truth_in_another_frame_than_the_map_is_reported(tmp_path, caplog):
     bag = Bag(write_drive(tmp_path / 'drive'))
     check_truth_frame(bag, 'map')
     assert not caplog.messages
@@ -38,34 +38,34 @@ def test_ground_truth_in_another_frame_than_the_map_is_told(tmp_path, caplog):
     assert 'ground_truth/odom is in frame map, the map in hall' in words
 
 
-def test_raw_pictures_are_preferred_to_compressed_ones(tmp_path):
+def test_raw_images_are_preferred_to_compressed_ones(tmp_path):
     path = write_drive(tmp_path / 'drive')
     with BagWriter(tmp_path / 'both') as both:
         for entry in Bag(path).messages():
             both.write_serialized(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
         stamp = START + SECOND
-        both.write('camera/image_raw', encode.image(FACTORY, picture(9), stamp, ''), stamp)
+        both.write('camera/image_raw', encode.image(FACTORY, camera_image(9), stamp, ''), stamp)
     frames = [
         e for e in sensor_events(Bag(tmp_path / 'both'), MOUNT) if isinstance(e, CameraFrame)
     ]
     assert [f.stamp_ns for f in frames] == [stamp]
 
 
-def test_of_one_moment_pictures_come_last(tmp_path):
+def test_of_one_moment_images_come_last(tmp_path):
     moment = 50_000_000
     entries = list(Bag(write_drive(tmp_path / 'drive')).messages())
     with BagWriter(tmp_path / 'same') as same:
         for entry in sorted(entries, key=lambda e: 'image' not in e.topic):
             log_ns = entry.stamp_ns // moment * moment
             same.write_serialized(entry.topic, entry.type_name, entry.data, log_ns)
-    passed, pictures = [], 0
+    passed, images = [], 0
     for event in sensor_events(Bag(tmp_path / 'same'), MOUNT):
         if isinstance(event, OdometrySample):
             passed.append(event.stamp_ns)
         elif isinstance(event, CameraFrame):
-            pictures += 1
+            images += 1
             assert passed[-1] // moment == event.stamp_ns // moment
-    assert pictures == 10
+    assert images == 10
 
 
 def test_joint_states_in_degrees_are_refused(tmp_path):
@@ -97,18 +97,18 @@ def test_what_was_recorded_twice_counts_once(tmp_path):
     assert sorted(map(str, again)) == sorted(map(str, once))
 
 
-def test_a_damaged_picture_is_left_out_and_told(tmp_path):
+def test_a_damaged_image_is_left_out_and_reported(tmp_path):
     warnings = []
     bag = Bag(write_drive(tmp_path / 'drive', damaged=(2, 5)), warnings.append)
     frames = [e for e in sensor_events(bag, MOUNT) if isinstance(e, CameraFrame)]
     assert len(frames) == 8
     assert len(warnings) == 1
-    assert '2 of 10 pictures left out' in warnings[0]
+    assert '2 of 10 images left out' in warnings[0]
     assert 'does not decode' in warnings[0]
 
 
 @pytest.mark.parametrize('topic', ['odom', 'joint_states', 'camera/camera_info'])
-def test_what_is_not_a_number_is_left_out_and_told(tmp_path, topic):
+def test_what_is_not_a_number_is_left_out_and_reported(tmp_path, topic):
     warnings = []
     drive = write_drive(tmp_path / 'drive', bad=lambda name, k: (name, k) == (topic, 8))
     events = list(sensor_events(Bag(drive, warnings.append), MOUNT))
@@ -119,16 +119,16 @@ def test_what_is_not_a_number_is_left_out_and_told(tmp_path, topic):
     assert re.search(rf'1 of [14]0 messages left out: .*/{topic}: .*nan', warning)
 
 
-def test_a_clock_that_is_set_back_leaves_pictures_the_pan_of_their_time(tmp_path):
+def test_a_clock_that_is_set_back_leaves_images_the_pan_of_their_time(tmp_path):
     drive = write_drive(tmp_path / 'drive', set_back=lambda k: SECOND if k >= 21 else 0)
     frames = [e for e in sensor_events(Bag(drive), MOUNT) if isinstance(e, CameraFrame)]
     known = np.delete(0.3 * (0.2 * np.arange(10) + 0.02), 5)
-    # At the moment itself no joint state comes after the picture.
+    # At the moment itself no joint state comes after the image.
     np.testing.assert_allclose([f.pan_rad for f in frames], known)
 
 
 @pytest.mark.parametrize('step_back_ns', [0, SECOND])
-def test_a_tilt_that_is_told_by_itself_is_that_of_the_picture(tmp_path, step_back_ns):
+def test_a_tilt_that_is_recognized_by_itself_is_that_of_the_image(tmp_path, step_back_ns):
     drive = write_drive(
         tmp_path / 'drive',
         set_back=lambda k: step_back_ns if k >= 21 else 0,
@@ -138,7 +138,7 @@ def test_a_tilt_that_is_told_by_itself_is_that_of_the_picture(tmp_path, step_bac
     known = 0.2 * np.arange(10) + 0.02
     tilts = 0.01 / 0.05 * known
     if step_back_ns:
-        # At the moment itself no joint state comes after the picture.
+        # At the moment itself no joint state comes after the image.
         known, tilts = np.delete(known, 5), np.delete(tilts, 5)
     np.testing.assert_allclose([f.pan_rad for f in frames], 0.3 * known)
     np.testing.assert_allclose([f.tilt_rad for f in frames], tilts, atol=1e-6)

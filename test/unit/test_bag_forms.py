@@ -124,7 +124,7 @@ def test_definitions_that_are_not_in_the_bag_are_those_of_ros(drive, tmp_path):
 
 
 @pytest.mark.parametrize('mode', ['NONE', 'none', 'None', '', 'FILE'])
-def test_what_metadata_say_of_compression_is_not_needed(drive, tmp_path, mode):
+def test_what_metadata_state_of_compression_is_not_needed(drive, tmp_path, mode):
     shutil.copytree(drive, tmp_path / 'copy')
     metadata = tmp_path / 'copy' / 'metadata.yaml'
     text = metadata.read_text()
@@ -133,7 +133,7 @@ def test_what_metadata_say_of_compression_is_not_needed(drive, tmp_path, mode):
     assert events(tmp_path / 'copy') == events(drive)
 
 
-def test_a_folder_of_bags_says_which_are_inside(drive):
+def test_a_folder_of_bags_states_which_are_inside(drive):
     with pytest.raises(LandmarkNavError, match=r'holds 1 bags \(drive\): give one of them'):
         Bag(drive.parent)
 

@@ -1,10 +1,10 @@
-"""Sweeps come out of bags and folders of pictures, with what is missing named."""
+"""Sweeps come out of bags and folders of images, with what is missing named."""
 
 from __future__ import annotations
 
 import re
 
-from bag_writers import FACTORY, full_turn, MOUNT, picture, SECOND, START, write_sweep
+from bag_writers import camera_image, FACTORY, full_turn, MOUNT, SECOND, START, write_sweep
 import cv2
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_sweeps_come_back_with_the_measured_pans(tmp_path):
 @pytest.mark.parametrize(
     ('lost', 'frames', 'words'),
     [
-        # The pictures are 56 degrees wide and 15 apart.
+        # The images are 56 degrees wide and 15 apart.
         ([8], 23, r'1 frame is missing, at pan -60 deg; their neighbours see it all'),
         (range(8, 13), 19, r'at pan -60, .*, 0 deg; nothing is seen from pan -47 to -13 deg'),
     ],
@@ -71,7 +71,7 @@ def test_a_sweep_without_any_frame_is_refused(tmp_path):
         list(read_sweeps(Bag(tmp_path / 'none'), MOUNT))
 
 
-def test_a_gap_that_no_trajectory_tells_of_is_found_too(tmp_path):
+def test_a_gap_that_no_trajectory_shows_is_found_too(tmp_path):
     with BagWriter(tmp_path / 'gap') as bag:
         write_sweep(bag, START, np.delete(full_turn(), slice(8, 14)))
     warnings = []
@@ -119,7 +119,7 @@ def test_images_that_nothing_makes_up_for_are_refused_by_their_gap(tmp_path, dam
     assert which in str(error.value)
 
 
-def test_without_trajectory_the_joint_states_tell(tmp_path):
+def test_without_trajectory_the_joint_states_give(tmp_path):
     with BagWriter(tmp_path / 'learn') as bag:
         write_sweep(bag, START, full_turn(), trajectory=False)
         write_sweep(bag, START + 90 * SECOND, full_turn(), trajectory=False)
@@ -147,7 +147,7 @@ def test_recording_cut_off_in_a_sweep_keeps_the_whole_ones(tmp_path):
         write_sweep(bag, START + 60 * SECOND, full_turn())
     path = folder / 'learn.mcap'
     whole = path.read_bytes()
-    needle = whole.rindex(picture(9).tobytes())
+    needle = whole.rindex(camera_image(9).tobytes())
     path.write_bytes(whole[: needle + 100])
     warnings = []
     (sweep,) = read_sweeps(Bag(folder, warnings.append), MOUNT)
@@ -155,10 +155,10 @@ def test_recording_cut_off_in_a_sweep_keeps_the_whole_ones(tmp_path):
     assert any('was cut off' in w for w in warnings)
 
 
-def test_a_folder_of_pictures_is_a_sweep(tmp_path):
+def test_a_folder_of_images_is_a_sweep(tmp_path):
     rows = ['file,pan_rad,focal_px,width,height']
     for k, pan in enumerate(full_turn(6)):
-        cv2.imwrite(str(tmp_path / f'{k}.png'), picture(k * 10))
+        cv2.imwrite(str(tmp_path / f'{k}.png'), camera_image(k * 10))
         rows.append(f'{k}.png,{pan},{50 + k},64,48')
     (tmp_path / 'frames.csv').write_text('\n'.join(rows))
     sweep = read_sweep_folder(tmp_path)

@@ -50,7 +50,7 @@ def test_lone_file_and_serialised_copy_hold_the_same(odometry_bag, tmp_path):
 
 
 @pytest.mark.parametrize('share', [0.02, 0.3, 0.77, 0.995])
-def test_truncated_file_is_read_up_to_the_break_and_says_so(odometry_bag, share):
+def test_truncated_file_is_read_up_to_the_break_and_reports_it(odometry_bag, share):
     path = odometry_bag / 'odometry.mcap'
     whole = path.read_bytes()
     path.write_bytes(whole[: int(len(whole) * share)])
@@ -64,7 +64,7 @@ def test_truncated_file_is_read_up_to_the_break_and_says_so(odometry_bag, share)
     assert [e.message.data for e in entries if e.topic == '/note'][-1] == 'x' * 12000
 
 
-def test_lost_metadata_is_told_and_done_without(odometry_bag):
+def test_lost_metadata_is_reported_and_done_without(odometry_bag):
     (odometry_bag / 'metadata.yaml').unlink()
     warnings = []
     assert Bag(odometry_bag, warnings.append).counts['/odom'] == 200
@@ -143,7 +143,7 @@ def test_types_come_from_the_bag_itself(tmp_path):
     assert (entry.message.a, entry.message.b) == (7, 9)
 
 
-def test_damage_anywhere_is_told_in_one_line_or_does_not_matter(tmp_path):
+def test_damage_anywhere_is_reported_in_one_line_or_does_not_matter(tmp_path):
     whole = (write_drive(tmp_path / 'drive') / 'drive.mcap').read_bytes()
     rng = np.random.default_rng(0)
     path = tmp_path / 'damaged.mcap'
@@ -191,7 +191,7 @@ def test_contract_names_are_found_under_any_namespace(topic, name):
     assert relative_name(topic) == name
 
 
-def test_missing_ambiguous_and_wrong_topics_are_told(tmp_path):
+def test_missing_ambiguous_and_wrong_topics_are_reported(tmp_path):
     with BagWriter(tmp_path / 'bag') as bag:
         for name in ('/ground_truth/odom', '/r1/odom', '/r2/odom'):
             bag.write(name, odometry(START, [0, 0, 0]), START)
@@ -200,29 +200,29 @@ def test_missing_ambiguous_and_wrong_topics_are_told(tmp_path):
     assert bag.find('ground_truth/odom') == '/ground_truth/odom'
     with pytest.raises(
         LandmarkNavError, match=r'several topics could be odom \(/r1/odom, /r2'
-    ) as told:
+    ) as reported:
         bag.find('odom')
-    assert '--topic odom=/r1/odom' in str(told.value)
+    assert '--topic odom=/r1/odom' in str(reported.value)
     with pytest.raises(LandmarkNavError, match=r'camera_info is missing.*/r1/odom \(1\)'):
         bag.require('camera/camera_info')
     with pytest.raises(LandmarkNavError, match='nav_msgs/msg/Odometry, not sensor_msgs'):
         bag.find('joint_states')
 
 
-def test_what_could_be_the_missing_topic_is_told(tmp_path):
+def test_what_could_be_the_missing_topic_is_reported(tmp_path):
     with BagWriter(tmp_path / 'bag') as bag:
         for name in ('/wheels', '/visual/odometry', '/ground_truth/odom'):
             bag.write(name, odometry(START, [0, 0, 0]), START)
-        picture = encode.compressed_image(FACTORY, np.zeros((4, 4), np.uint8), START, 'cam')
-        bag.write('/usb_cam/image_raw/compressed', picture, START)
+        camera_image = encode.compressed_image(FACTORY, np.zeros((4, 4), np.uint8), START, 'cam')
+        bag.write('/usb_cam/image_raw/compressed', camera_image, START)
     bag = Bag(tmp_path / 'bag')
-    with pytest.raises(LandmarkNavError) as told:
+    with pytest.raises(LandmarkNavError) as reported:
         bag.require('odom')
     # Of the truth it is known that it is no odometry.
-    assert 'give --topic odom=/visual/odometry or --topic odom=/wheels;' in str(told.value)
-    with pytest.raises(LandmarkNavError) as told:
+    assert 'give --topic odom=/visual/odometry or --topic odom=/wheels;' in str(reported.value)
+    with pytest.raises(LandmarkNavError) as reported:
         bag.require('camera/image_raw', 'camera/image_raw/compressed')
     name = 'camera/image_raw/compressed'
-    assert f'--topic {name}=/usb_cam/image_raw/compressed;' in str(told.value)
+    assert f'--topic {name}=/usb_cam/image_raw/compressed;' in str(reported.value)
     with pytest.raises(LandmarkNavError, match='joint_states is missing: record it; there are'):
         bag.require('joint_states')

@@ -1,4 +1,4 @@
-"""What of a picture's bearings a filter can use, and how far the pan swung about it."""
+"""What of an image's bearings a filter can use, and how far the pan swung about it."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def test_one_that_is_far_less_alike_than_the_others_shows_something_else() -> No
     assert list(found.ids) == [0, 1, 3, 4]
 
 
-def test_where_few_are_found_those_of_pictures_before_tell_what_to_expect() -> None:
+def test_where_few_are_found_those_of_images_before_gives_what_to_expect() -> None:
     assert list(frame([0.97, 0.6], before=[0.98, 0.97, 0.96]).unusable) == [1]
 
 
-def test_a_picture_less_alike_as_a_whole_is_one_in_other_light() -> None:
+def test_an_image_less_alike_as_a_whole_is_one_in_other_light() -> None:
     assert not frame([0.6, 0.62, 0.58], before=[0.98] * 12).unusable
 
 
@@ -41,5 +41,5 @@ def test_the_pan_swings_about_where_the_joints_are_taken_to_be() -> None:
     about = np.linspace(-1.0, 1.0, 401)
     track = PanTrack(about, np.exp(about))
     found = frame([0.9], pan_track=track, pan_delay_s=0.2)
-    assert found.swing_rad(0.1) == pytest.approx(np.exp(0.3) - np.exp(0.2), rel=0.01)
-    assert frame([0.9], pan_rate_rad_s=-2.0).swing_rad(0.1) == pytest.approx(0.2)
+    assert found.pan_range_rad(0.1) == pytest.approx(np.exp(0.3) - np.exp(0.2), rel=0.01)
+    assert frame([0.9], pan_rate_rad_s=-2.0).pan_range_rad(0.1) == pytest.approx(0.2)

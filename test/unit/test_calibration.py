@@ -27,10 +27,10 @@ def turn() -> Sweep:
     return turn_sweep(TRUE, MOUNT, PANS)
 
 
-def told(
+def reported(
     sweep: Sweep, focal: float = 1.0, scale: float = 1.0, tilt: float = 0.0, roll: float = 0.0
 ) -> Sweep:
-    """The same pictures with wrong figures beside them."""
+    """The same images with wrong figures beside them."""
     camera = replace(TRUE, fx=TRUE.fx * focal, fy=TRUE.fy * focal)
     return replace(
         sweep,
@@ -75,7 +75,7 @@ def test_what_is_right_is_left_alone(turn: Sweep) -> None:
 def test_a_wrong_figure_is_found_and_mended(
     turn: Sweep, name: str, wrong: dict[str, float], value: float, within: float
 ) -> None:
-    found = calibrate_sweep(told(turn, **wrong), MOUNT, CalibrationConfig())
+    found = calibrate_sweep(reported(turn, **wrong), MOUNT, CalibrationConfig())
     assert used(found) == {name}
     term = next(term for term in found.quality.calibration if term.name == name)
     assert term.value == pytest.approx(value, abs=within)
@@ -88,8 +88,8 @@ def test_a_wrong_figure_is_found_and_mended(
     )
 
 
-def test_all_at_once_are_told_apart(turn: Sweep) -> None:
-    sweep = told(turn, 0.985, 0.995, -0.02, 0.015)
+def test_all_at_once_are_distinguished(turn: Sweep) -> None:
+    sweep = reported(turn, 0.985, 0.995, -0.02, 0.015)
     found = calibrate_sweep(sweep, MOUNT, CalibrationConfig())
     assert used(found) == {'focal_length', 'pan_scale', 'tilt', 'roll'}
     frame = found.sweep.frames[30]
@@ -99,7 +99,7 @@ def test_all_at_once_are_told_apart(turn: Sweep) -> None:
 
 
 def test_nothing_is_used_unless_asked_for(turn: Sweep) -> None:
-    sweep = told(turn, focal=1.015)
+    sweep = reported(turn, focal=1.015)
     found = calibrate_sweep(sweep, MOUNT, CalibrationConfig(enabled=False))
     assert used(found) == set()
     assert found.sweep.frames[0].camera == sweep.frames[0].camera
@@ -107,14 +107,14 @@ def test_nothing_is_used_unless_asked_for(turn: Sweep) -> None:
 
 
 def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
-    part = told(replace(turn, frames=turn.frames[5:20]), scale=1.005)
+    part = reported(replace(turn, frames=turn.frames[5:20]), scale=1.005)
     found = calibrate_sweep(part, MOUNT, CalibrationConfig())
     assert found.quality.closure_rad is None
     # Pan scale and focal length are one number there; the encoder is believed.
     assert 'pan_scale' not in {term.name for term in found.quality.calibration}
 
 
-def test_a_blank_wall_leaves_the_closure_unknown_and_is_told(turn: Sweep) -> None:
+def test_a_blank_wall_leaves_the_closure_unknown_and_is_reported(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     frames = [replace(f, image=blank) if 15 <= k < 21 else f for k, f in enumerate(turn.frames)]
     found = calibrate_sweep(replace(turn, frames=tuple(frames)), MOUNT, CalibrationConfig())
@@ -129,7 +129,7 @@ def test_a_blank_wall_leaves_the_closure_unknown_and_is_told(turn: Sweep) -> Non
     assert 'closure error' in str(whole)
 
 
-def test_frames_that_share_nothing_tell_nothing(turn: Sweep) -> None:
+def test_frames_that_share_nothing_gives_nothing(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     plain = replace(turn, frames=tuple(replace(f, image=blank) for f in turn.frames))
     for sweep in (plain, replace(turn, frames=turn.frames[:2])):

@@ -65,7 +65,7 @@ def test_camera_of_the_image_that_is_published(msg, image, expected):
     np.testing.assert_allclose(camera.project(POINTS), true.project(POINTS), atol=1e-6)
 
 
-def test_what_cannot_be_decided_is_taken_as_ros_defines_it_and_said(caplog):
+def test_what_cannot_be_decided_is_taken_as_ros_defines_it_and_reported(caplog):
     roi = (60, 0, 1220, 960)
     info = decode.camera_info(message(roi=roi))
     with caplog.at_level(logging.WARNING, logger='landmark_nav'):
@@ -77,9 +77,11 @@ def test_what_cannot_be_decided_is_taken_as_ros_defines_it_and_said(caplog):
 
 @pytest.mark.parametrize('image', [(640, 360), (1279, 960), (1920, 1440), (1, 1), (65000, 16000)])
 def test_an_image_of_another_size_is_refused_with_both_sizes(image):
-    with pytest.raises(LandmarkNavError, match=rf'{image[0]} x {image[1]}.*1280 x 960') as told:
+    with pytest.raises(
+        LandmarkNavError, match=rf'{image[0]} x {image[1]}.*1280 x 960'
+    ) as reported:
         decode.camera_info(message()).for_image(*image)
-    assert len(str(told.value)) < 200
+    assert len(str(reported.value)) < 200
 
 
 @pytest.mark.parametrize('model', ['plumb_bob', 'rational_polynomial', 'equidistant', ''])
@@ -92,9 +94,9 @@ def test_every_usual_number_of_coefficients_is_read_or_refused_in_one_line(model
         assert camera.distortion == (() if not count else values[:4])
     used = message(distortion_model=model, d=np.array(values[:count]))
     if (model == 'equidistant' and count > 4) or (not model and count):
-        with pytest.raises(LandmarkNavError, match='camera model') as told:
+        with pytest.raises(LandmarkNavError, match='camera model') as reported:
             decode.camera_model(used)
-        assert len(str(told.value)) < 200
+        assert len(str(reported.value)) < 200
     else:
         back = decode.camera_model(encode.camera_info(FACTORY, decode.camera_model(used), 1, ''))
         assert back == decode.camera_model(used)
@@ -112,7 +114,7 @@ def test_a_tilted_sensor_and_a_skew_are_refused():
     assert decode.camera_model(skewed).fx == 900.0
 
 
-def test_a_lens_that_folds_is_said_once(caplog):
+def test_a_lens_that_folds_is_reported_once(caplog):
     msg = message(d=np.array([-0.4, 0.0, 0.0, 0.0, 0.0]))
     with caplog.at_level(logging.WARNING, logger='landmark_nav'):
         for _ in range(3):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from turning_robot import check_sweep, Picture, Robot, SHORT, STEP_NS, TURN
+from turning_robot import check_sweep, FakeImage, Robot, SHORT, STEP_NS, TURN
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.capture import Shot
@@ -17,13 +17,13 @@ from landmark_nav.types import JointSample
 @pytest.mark.parametrize('late_ns', [1_000_000, 7_000_000, 300_000_000])
 def test_keeps_one_still_frame_at_every_angle(every, late_ns):
     class Delayed(Robot):
-        """Delivers the picture that was taken when its stamp says."""
+        """Delivers the image that was taken when its stamp says."""
 
-        def picture(self):
+        def camera_image(self):
             if self.k % every:
                 return None
             pan = np.interp(self.now - late_ns, STEP_NS * np.arange(len(self.past)), self.past)
-            return Picture(float(pan), self.k), self.now - late_ns
+            return FakeImage(float(pan), self.k), self.now - late_ns
 
     robot = Delayed()
     check_sweep(robot.run())
@@ -51,12 +51,12 @@ def test_whatever_comes_every_kept_frame_is_right(seed):
     class Hostile(Robot):
         last = None
 
-        def picture(self):
+        def camera_image(self):
             self.mute = bool(rng.random() < 0.2)
             if rng.random() < 0.03:
                 self.rate += rng.normal(0.0, 0.3)
             kind = rng.integers(16)
-            fresh = Picture(self.pan, self.k), self.now - 1_000_000 * int(rng.integers(8))
+            fresh = FakeImage(self.pan, self.k), self.now - 1_000_000 * int(rng.integers(8))
             if kind == 0:
                 return None
             if kind == 1 and self.last:
@@ -122,7 +122,7 @@ def test_a_robot_slower_than_the_clock_gets_its_time():
             self.target = self.target if command is None else command
             self.turn()
             stamp = self.k * STEP_NS
-            self.sweep.add_frame(Shot(Picture(self.pan, self.k), stamp - 1, b'%d' % self.k), 0)
+            self.sweep.add_frame(Shot(FakeImage(self.pan, self.k), stamp - 1, b'%d' % self.k), 0)
             self.sweep.add_joints(JointSample(stamp, self.pan), self.now)
             self.sweep.check(self.now)
 
@@ -131,11 +131,11 @@ def test_a_robot_slower_than_the_clock_gets_its_time():
     assert robot.now > SHORT.step_timeout_s * 1e9 * len(robot.sweep.kept)
 
 
-def test_time_to_go_is_told():
+def test_time_to_go_is_reported():
     robot = Robot()
     assert robot.sweep.seconds_to_go(robot.now) is None
     robot.until(6)
-    told, start = robot.sweep.seconds_to_go(robot.now), robot.now
+    reported, start = robot.sweep.seconds_to_go(robot.now), robot.now
     robot.run()
-    assert told == pytest.approx((robot.now - start) * 1e-9, rel=0.5)
+    assert reported == pytest.approx((robot.now - start) * 1e-9, rel=0.5)
     assert robot.sweep.seconds_to_go(robot.now) == 0.0

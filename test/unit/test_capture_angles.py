@@ -93,11 +93,11 @@ def test_default_is_a_full_turn():
     assert config.frames * config.step_rad == pytest.approx(2 * np.pi)
 
 
-def test_what_is_covered_is_told():
+def test_what_is_covered_is_reported():
     half = float(AZIMUTH[-1])
     assert describe_sweep(Robot(TURN).run(), half) == 'the full turn'
-    said = describe_sweep(Robot(TURN, limits=(-2.5, 1.9)).run(), half)
-    assert said == (
+    reported = describe_sweep(Robot(TURN, limits=(-2.5, 1.9)).run(), half)
+    assert reported == (
         'a partial sweep, nothing is seen from pan 130 to 200 deg; '
         'the pan joint stops at -143.2 and 108.9 deg'
     )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from turning_robot import check_sweep, Picture, Robot, SHORT, TURN
+from turning_robot import check_sweep, FakeImage, Robot, SHORT, TURN
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.capture import CaptureConfig
@@ -20,41 +20,41 @@ class Faulty(Robot):
 
     first, last, count = 1, 3, 0
 
-    def bad(self, picture, stamp):
-        return picture, stamp
+    def bad(self, camera_image, stamp):
+        return camera_image, stamp
 
-    def picture(self):
-        picture, stamp = super().picture()
+    def camera_image(self):
+        camera_image, stamp = super().camera_image()
         if len(self.sweep.kept) < 5:
-            return picture, stamp
+            return camera_image, stamp
         # Count those that arrive while the joint is at rest.
         self.count += abs(self.rate) < 0.01 and abs(self.pan - self.target) < 0.005
         bad = self.first <= self.count <= self.last
-        return self.bad(picture, stamp) if bad else (picture, stamp)
+        return self.bad(camera_image, stamp) if bad else (camera_image, stamp)
 
 
-def blurred(self, picture, stamp):
-    return replace(picture, sharpness=0.4), stamp
+def blurred(self, camera_image, stamp):
+    return replace(camera_image, sharpness=0.4), stamp
 
 
-def frozen(self, picture, stamp):
+def frozen(self, camera_image, stamp):
     return self.sweep.kept[-1].frame, stamp
 
 
-def repeated(self, picture, stamp):
+def repeated(self, camera_image, stamp):
     return self.sweep.kept[-1].frame, self.sweep.kept[-1].joints.stamp_ns
 
 
-def from_the_future(self, picture, stamp):
-    return picture, stamp + 10**9
+def from_the_future(self, camera_image, stamp):
+    return camera_image, stamp + 10**9
 
 
-def from_the_past(self, picture, stamp):
-    return picture, 5
+def from_the_past(self, camera_image, stamp):
+    return camera_image, 5
 
 
-def unreadable(self, picture, stamp):
-    return replace(picture, broken="image encoding 'yuv' is not supported"), stamp
+def unreadable(self, camera_image, stamp):
+    return replace(camera_image, broken="image encoding 'yuv' is not supported"), stamp
 
 
 BAD = [
@@ -93,8 +93,8 @@ def test_frames_that_stay_bad_interrupt_it_with_the_reason(bad, reason):
 
 def test_a_camera_frozen_from_the_start_leaves_no_frame():
     class Frozen(Robot):
-        def picture(self):
-            return Picture(0.0, 0), self.now - 7_000_000
+        def camera_image(self):
+            return FakeImage(0.0, 0), self.now - 7_000_000
 
     robot = Frozen()
     with pytest.raises(LandmarkNavError, match='refused, the last as frozen'):
@@ -104,8 +104,8 @@ def test_a_camera_frozen_from_the_start_leaves_no_frame():
 
 def test_blank_walls_dark_and_noiseless_views_are_taken():
     class Blank(Robot):
-        def picture(self):
-            return Picture(0.0, 0, flat=True), self.now - 7_000_000
+        def camera_image(self):
+            return FakeImage(0.0, 0, flat=True), self.now - 7_000_000
 
     robot = Blank()
     assert robot.run().done
@@ -114,9 +114,9 @@ def test_blank_walls_dark_and_noiseless_views_are_taken():
 
 def test_a_view_that_stays_less_sharp_is_taken_in_the_end():
     class Foggy(Robot):
-        def picture(self):
+        def camera_image(self):
             fog = 0.2 if 0.4 < self.pan < 0.6 else 1.0
-            return Picture(self.pan, self.k, fog), self.now - 7_000_000
+            return FakeImage(self.pan, self.k, fog), self.now - 7_000_000
 
     sweep = Foggy().run()
     assert sweep.done
@@ -130,9 +130,9 @@ def test_people_who_pass_do_not_keep_it_from_ending(seed):
     rng = np.random.default_rng(seed)
 
     class Crowded(Robot):
-        def picture(self):
+        def camera_image(self):
             person = rng.uniform(-0.4, 0.4) if rng.random() < 0.8 else np.inf
-            return Picture(self.pan, self.k, person=person), self.now - 7_000_000
+            return FakeImage(self.pan, self.k, person=person), self.now - 7_000_000
 
     robot = Crowded(TURN)
     check_sweep(robot.run(), -np.pi + np.pi / 12 * np.arange(24))
@@ -141,8 +141,8 @@ def test_people_who_pass_do_not_keep_it_from_ending(seed):
 
 def test_a_blurred_first_frame_is_found_out_by_its_neighbours():
     class Shaky(Robot):
-        def picture(self):
-            return Picture(self.pan, self.k, 0.3 if not self.sweep.kept else 1.0), self.now - 7
+        def camera_image(self):
+            return FakeImage(self.pan, self.k, 0.3 if not self.sweep.kept else 1.0), self.now - 7
 
     config = replace(SHORT, start_rad=0.2, step_rad=0.1)
     robot = Shaky(config)
@@ -150,27 +150,27 @@ def test_a_blurred_first_frame_is_found_out_by_its_neighbours():
     assert robot.sweep.refused['blurred or covered'] == 1
 
 
-def test_a_picture_that_outran_its_joint_state_is_not_frozen_for_ever():
+def test_an_image_that_outran_its_joint_state_is_not_frozen_for_ever():
     config = CaptureConfig()
     log, track = FrameLog(config), JointTrack(config)
     track.add(JointSample(0, -0.9))
     # It shows -1.0 already, of which the joint states do not know yet.
-    assert not log.seen_elsewhere(b'picture', 20_000_000, track)
+    assert not log.seen_elsewhere(b'image', 20_000_000, track)
     for k in range(1, 4):
         track.add(JointSample(20_000_000 * k, -1.0))
-        assert not log.seen_elsewhere(b'picture', 20_000_000 * k, track)
+        assert not log.seen_elsewhere(b'image', 20_000_000 * k, track)
     track.add(JointSample(10_000_000_000, 0.5))
-    assert log.seen_elsewhere(b'picture', 10_000_000_000, track)
+    assert log.seen_elsewhere(b'image', 10_000_000_000, track)
 
 
-def test_a_picture_whose_pan_was_never_known_is_not_frozen():
+def test_an_image_whose_pan_was_never_known_is_not_frozen():
     config = CaptureConfig()
     log, track = FrameLog(config), JointTrack(config)
     track.add(JointSample(0, -0.9))
     # It shows 0.5, where the joint came while its states were lost.
-    assert not log.seen_elsewhere(b'picture', 200_000_000, track)
+    assert not log.seen_elsewhere(b'image', 200_000_000, track)
     for stamp_ns in (10_000_000_000, 10_020_000_000):
         track.add(JointSample(stamp_ns, 0.5))
-        assert not log.seen_elsewhere(b'picture', stamp_ns, track)
+        assert not log.seen_elsewhere(b'image', stamp_ns, track)
     track.add(JointSample(20_000_000_000, -0.9))
-    assert log.seen_elsewhere(b'picture', 20_000_000_000, track)
+    assert log.seen_elsewhere(b'image', 20_000_000_000, track)

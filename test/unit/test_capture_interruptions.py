@@ -36,10 +36,10 @@ def test_it_goes_on_after_a_topic_was_lost(lost):
     }[lost]
     robot.mute = lost == 'joints'
     if lost == 'images':
-        robot.picture = lambda: None
+        robot.camera_image = lambda: None
     with pytest.raises(LandmarkNavError, match=words):
         robot.run()
-    robot.mute, robot.picture = False, lambda: Robot.picture(robot)
+    robot.mute, robot.camera_image = False, lambda: Robot.camera_image(robot)
     robot.sweep.resume(robot.now)
     check_sweep(robot.run())
 
@@ -59,7 +59,7 @@ def test_a_robot_that_drives_away_ends_it():
     assert '700 s have passed' in robot.sweep.why_not_resumed(robot.now + 700 * 10**9)
 
 
-def test_a_call_goes_on_or_begins_anew_and_says_so():
+def test_a_call_goes_on_or_begins_anew_and_reports_it():
     robot = Robot()
     config, now = SHORT, 5 * 10**9
     assert begin_or_resume(None, config, inspect, now)[1] == ''

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from hung_rooms import (
     AS_EXPECTED,
+    measurements_of,
     nees,
     panoramas_at,
     POSES,
     PRIOR,
-    sightings_of,
     World,
     world_of,
 )
@@ -38,15 +38,15 @@ CONFIG = ReferenceAreaConfig()
 FOCAL_PX = 320.0
 
 
-def test_a_paper_that_hangs_elsewhere_moves_sweeps_as_told() -> None:
-    told = rectangle_room(6.0, 5.0, EAST)
+def test_a_paper_that_hangs_elsewhere_moves_sweeps_as_given() -> None:
+    given = rectangle_room(6.0, 5.0, EAST)
     moved_m = 0.002
     hung = (EAST[0], replace(EAST[1], center=(6.0, 2.3 + moved_m, 1.35)), EAST[2])
     for pose in np.array([[3.6, 2.2, 0.1], [4.4, 3.4, -0.4]]):
-        truly = error_of(locate(sweep_at(scene_of(told), pose), told), pose)
-        off = error_of(locate(sweep_at(scene_of(told, hung), pose), told), pose) - truly
+        truly = error_of(locate(sweep_at(scene_of(given), pose), given), pose)
+        off = error_of(locate(sweep_at(scene_of(given, hung), pose), given), pose) - truly
         eye = [*MOUNT.axis_pose_map(pose)[:2], 1.1]
-        _, by_papers = pose_errors(np.array([eye]), told, CONFIG, CAMERA.fx)
+        _, by_papers = pose_errors(np.array([eye]), given, CONFIG, CAMERA.fx)
         # Size first, then how far along the wall and up each paper hangs; it runs along +y.
         expected = -by_papers[0, :, 3] * moved_m / CONFIG.paper_sigma_m
         # Of the viewpoint; the lever to the base is short.
@@ -54,7 +54,7 @@ def test_a_paper_that_hangs_elsewhere_moves_sweeps_as_told() -> None:
         np.testing.assert_allclose(off[:2], expected[:2], atol=0.3 * np.linalg.norm(expected[:2]))
 
 
-def told_by_papers(world: World, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def given_by_papers(world: World, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Poses (v, 4) with errors as papers make them, and covariances (v, 4, 4) of each alone."""
     covariance, by_papers = pose_errors(world.poses[:, :3], ROOM, CONFIG, FOCAL_PX)
     poses = world.poses.copy()
@@ -74,16 +74,16 @@ def test_what_sweeps_err_together_is_not_taken_for_agreement() -> None:
     of_poses, if_apart = [], []
     for _ in range(60):
         world = world_of(rng, 60)
-        prior, covariance = told_by_papers(world, rng)
+        prior, covariance = given_by_papers(world, rng)
         panoramas = [
             replace(p, covariance=c, cylinder=replace(p.cylinder, fy=FOCAL_PX))
             for p, c in zip(panoramas_at(prior), covariance, strict=True)
         ]
-        sightings = sightings_of(world, rng)
+        measurements = measurements_of(world, rng)
         for room, found in ((ROOM, of_poses), (replace(ROOM, papers=()), if_apart)):
             places = joint_covariance(panoramas, room, CONFIG)
             done = adjust(
-                sightings, world.walls, world.points, panoramas, places, ROOM, AS_EXPECTED
+                measurements, world.walls, world.points, panoramas, places, ROOM, AS_EXPECTED
             )
             error = done.poses - world.poses
             error[:, 3] = wrap_rad(error[:, 3])
@@ -93,7 +93,7 @@ def test_what_sweeps_err_together_is_not_taken_for_agreement() -> None:
     assert np.mean(of_poses) < np.mean(if_apart)
 
 
-def test_places_that_are_given_better_than_papers_would_tell_keep_to_themselves() -> None:
+def test_places_that_are_given_better_than_papers_would_gives_keep_to_themselves() -> None:
     exact = np.diag([1e-4, 1e-4, 5e-3, 5e-5]) ** 2
     panoramas = panoramas_at(POSES, exact)
     places = joint_covariance(panoramas, ROOM, CONFIG)

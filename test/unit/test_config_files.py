@@ -107,7 +107,7 @@ def test_learn_refuses_parameters_that_cannot_be(
     ):
         path.write_text(text)
         assert main(learn_command(path)) == 1
-        told = capsys.readouterr().err
-        assert str(path) in told
-        assert complaint in told
+        reported = capsys.readouterr().err
+        assert str(path) in reported
+        assert complaint in reported
     assert [p.name for p in tmp_path.iterdir()] == ['learn.yaml']

@@ -196,7 +196,7 @@ def test_light_that_changed_changes_no_bearing() -> None:
     assert np.abs(errors_of(result, HERE)).max() < 5e-4
 
 
-def test_grey_pictures_serve_as_well() -> None:
+def test_grey_images_serve_as_well() -> None:
     frame = draw_frame(SCENE, LENS, MOUNT, HERE)
     grey = replace(frame, image=frame.image[..., 0].copy())
     np.testing.assert_allclose(
@@ -218,7 +218,7 @@ def test_a_covered_landmark_is_refused() -> None:
     assert np.abs(errors_of(result, HERE)).max() < 2e-4
 
 
-def test_a_picture_that_was_rehung_higher_is_refused() -> None:
+def test_an_image_that_was_rehung_higher_is_refused() -> None:
     # By 2 cm, which is 3 pixels from here: inside the window, but not where the others have it.
     frame = draw_frame(SCENE, LENS, MOUNT, HERE)
     moved = LANDMARKS.landmarks[1]
@@ -228,17 +228,17 @@ def test_a_picture_that_was_rehung_higher_is_refused() -> None:
     )))  # fmt: skip
     assert sorted(result.detections.ids) == [1, 3, 4]
     assert result.refused[2].reason == 'wrong height'
-    # Expected lower than it is: in the picture it is above, by a negative number of rows.
+    # Expected lower than it is: in the image it is above, by a negative number of rows.
     assert -4.0 < float(result.refused[2].detail.split()[0]) < -2.0
 
 
 @pytest.mark.parametrize('over', [{'tilt_rad': 0.006}, {'roll_rad': 0.006}], ids=str)
-def test_a_floor_that_leans_moves_all_heights_and_refuses_none(over: dict[str, float]) -> None:
+def test_a_floor_that_is_tilted_moves_all_heights_and_refuses_none(over: dict[str, float]) -> None:
     # By 2.4 pixels in the middle, or at one focal length aside.
     frame = replace(draw_frame(SCENE, LENS, MOUNT, HERE), tilt_rad=over.get('tilt_rad', 0.0))
     if 'roll_rad' in over:
-        leaning = replace(MOUNT, camera_roll_rad=over['roll_rad'])
-        frame = draw_frame(SCENE, LENS, leaning, HERE)
+        tilted = replace(MOUNT, camera_roll_rad=over['roll_rad'])
+        frame = draw_frame(SCENE, LENS, tilted, HERE)
     assert len(detect(frame, HERE).detections) == 4
 
 

@@ -1,4 +1,4 @@
-"""Rows of landmarks in the picture, beside each other."""
+"""Rows of landmarks in the image, beside each other."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.detection.height import (
     CAMERA_HEIGHT_SIGMA_M,
-    Heights,
-    Lean,
+    CameraTilt,
+    estimate_camera_tilt,
     RowModel,
-    told_lean,
+    RowResiduals,
     wrong_heights,
 )
 from landmark_nav.types import FloatArray
@@ -74,7 +74,7 @@ def test_derivatives_are_those_of_the_camera(
         for s in step
     ]
     np.testing.assert_allclose(model.by_pose.T, by[:3], rtol=1e-3, atol=0.05)
-    np.testing.assert_allclose(model.by_lean.T, by[3:5], rtol=1e-3, atol=0.05)
+    np.testing.assert_allclose(model.by_tilt_roll.T, by[3:5], rtol=1e-3, atol=0.05)
     np.testing.assert_allclose(model.by_height, by[5], rtol=1e-3, atol=0.05)
 
 
@@ -121,7 +121,7 @@ def rows_at(pose: FloatArray, points: FloatArray, higher_m: float) -> FloatArray
 @pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
 def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: CameraModel) -> None:
     model, _ = model_of(camera, 0.8)
-    covariance = rows_of(model, 0.15) + 0.002**2 * model.by_lean @ model.by_lean.T
+    covariance = rows_of(model, 0.15) + 0.002**2 * model.by_tilt_roll @ model.by_tilt_roll.T
     rng = np.random.default_rng(2)
     # Of one row, given the others: a single near point tells a height from a tilt.
     own_px = 1.0 / np.sqrt(np.diag(np.linalg.inv(covariance)))
@@ -137,32 +137,32 @@ def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: Camera
     assert refused <= 3
 
 
-def test_two_heights_do_not_tell_which_is_wrong() -> None:
+def test_two_heights_do_not_gives_which_is_wrong() -> None:
     assert not wrong_heights(np.array([0.0, 9.0]), 0.01 * np.eye(2)).any()
 
 
 @pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
-def test_a_lean_is_told_by_all_rows_together_and_not_by_any_single_one(
+def test_a_tilt_is_recognized_by_all_rows_together_and_not_by_any_single_one(
     camera: CameraModel,
 ) -> None:
     model, points = model_of(camera, 0.8)
-    runs, leant = 200, np.array([0.01, -0.03])
+    runs, tilted = 200, np.array([0.01, -0.03])
     covariance = rows_of(model, 0.3)
     rng = np.random.default_rng(4)
 
-    def lean_of(off: FloatArray) -> Lean:
-        return told_lean(Heights(off, model.by_lean, covariance, points))
+    def tilt_of(off: FloatArray) -> CameraTilt:
+        return estimate_camera_tilt(RowResiduals(off, model.by_tilt_roll, covariance, points))
 
-    squares, level, mistaken, told = [], 0, 0, 0
+    squares, level, mistaken, reported = [], 0, 0, 0
     for _ in range(runs):
         off = rng.multivariate_normal(np.zeros(8), covariance)
-        level += lean_of(off).sure
-        lean = lean_of(off + model.by_lean @ leant)
-        told += lean.sure
-        squares.append(((lean.roll_rad - leant[1]) / lean.roll_sigma_rad) ** 2)
+        level += tilt_of(off).sure
+        camera_tilt = tilt_of(off + model.by_tilt_roll @ tilted)
+        reported += camera_tilt.sure
+        squares.append(((camera_tilt.roll_rad - tilted[1]) / camera_tilt.roll_sigma_rad) ** 2)
         off[int(rng.integers(8))] += 5.0 * rng.choice([-1.0, 1.0])
-        mistaken += lean_of(off).sure
-    assert told == runs
+        mistaken += tilt_of(off).sure
+    assert reported == runs
     assert level + mistaken <= 2
     assert 0.75 < np.mean(squares) < 1.3
 
@@ -174,37 +174,42 @@ def test_no_single_thing_on_a_wall_decides_a_lean() -> None:
     assert 1 < near.sum(axis=1).max() < 5
     shared = rows_of(model, 0.0)
     rng = np.random.default_rng(11)
-    told = []
+    reported = []
     for _ in range(100):
         covariance = shared + np.diag(rng.uniform(0.1, 1.0, 8))
-        off = rng.multivariate_normal(model.by_lean @ [0.0, 0.014], covariance)
-        heights = Heights(off, model.by_lean, covariance, points)
-        left = [told_lean(heights.chosen(~out)) for out in near]
-        lean = told_lean(heights)
-        if lean.matches < 8 or [one.matches for one in left] != np.sum(~near, axis=1).tolist():
+        off = rng.multivariate_normal(model.by_tilt_roll @ [0.0, 0.014], covariance)
+        heights = RowResiduals(off, model.by_tilt_roll, covariance, points)
+        left = [estimate_camera_tilt(heights.chosen(~out)) for out in near]
+        camera_tilt = estimate_camera_tilt(heights)
+        if (
+            camera_tilt.matches < 8
+            or [one.matches for one in left] != np.sum(~near, axis=1).tolist()
+        ):
             continue
-        told.append(lean.sure)
+        reported.append(camera_tilt.sure)
         rolls = np.array([one[1:3] for one in left])
-        agree = np.all(rolls[:, 0] * np.sign(lean.roll_rad) > 3.0 * rolls[:, 1])
-        assert lean.sure == (agree and abs(lean.roll_rad) > 3.0 * lean.roll_sigma_rad)
-    assert 15 < sum(told) < len(told) - 15
+        agree = np.all(rolls[:, 0] * np.sign(camera_tilt.roll_rad) > 3.0 * rolls[:, 1])
+        assert camera_tilt.sure == (
+            agree and abs(camera_tilt.roll_rad) > 3.0 * camera_tilt.roll_sigma_rad
+        )
+    assert 15 < sum(reported) < len(reported) - 15
 
 
-def test_a_poster_that_was_exchanged_is_no_lean() -> None:
+def test_a_poster_that_was_exchanged_is_no_tilt() -> None:
     """Two things are in view; what hangs now instead of one of them looks like it, and higher."""
     by_roll = np.array([-3.0, -1.0, 1.0, 3.0, 140.0, 150.0, 160.0, 170.0])
     exchanged = by_roll > 10.0
-    by_lean = np.column_stack([np.full(8, 560.0), by_roll])
+    by_tilt_roll = np.column_stack([np.full(8, 560.0), by_roll])
     off = np.where(exchanged, 0.012 * by_roll, 0.0)
     covariance = 1.0 + 0.15**2 * np.eye(8)
     two_things = np.where(exchanged[:, None], [0.0, 1.0, 1.5], [4.0, 1.0, 1.5])
     eight_things = np.arange(8.0)[:, None] * [1.0, 0.0, 0.0]
-    assert not told_lean(Heights(off, by_lean, covariance, two_things)).sure
-    assert told_lean(Heights(off, by_lean, covariance, eight_things)).sure
+    assert not estimate_camera_tilt(RowResiduals(off, by_tilt_roll, covariance, two_things)).sure
+    assert estimate_camera_tilt(RowResiduals(off, by_tilt_roll, covariance, eight_things)).sure
 
 
-def test_a_height_that_was_measured_wrongly_is_no_lean() -> None:
-    """What is near, on one side of the picture, is shifted more than what is far on the other."""
+def test_a_height_that_was_measured_wrongly_is_no_tilt() -> None:
+    """What is near, on one side of the image, is shifted more than what is far on the other."""
     rotation, center = MOUNT.camera_pose_map(POSE, PAN, TILT)
     aside = np.linspace(-0.35, 0.35, 8)
     reach = np.linspace(1.2, 4.0, 8)
@@ -216,6 +221,10 @@ def test_a_height_that_was_measured_wrongly_is_no_lean() -> None:
     for lower_m in (-0.01, 0.01):
         for _ in range(20):
             off = lower_m * model.by_height + own * rng.normal(size=8)
-            assert not told_lean(Heights(off, model.by_lean, covariance, points)).is_roll
-            leans = off + model.by_lean @ [0.0, 0.035]
-            assert told_lean(Heights(leans, model.by_lean, covariance, points)).is_roll
+            assert not estimate_camera_tilt(
+                RowResiduals(off, model.by_tilt_roll, covariance, points)
+            ).is_roll
+            leans = off + model.by_tilt_roll @ [0.0, 0.035]
+            assert estimate_camera_tilt(
+                RowResiduals(leans, model.by_tilt_roll, covariance, points)
+            ).is_roll

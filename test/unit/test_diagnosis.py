@@ -84,7 +84,7 @@ def test_a_clock_that_is_off_is_measured(drive: Motion, stream: str, late_s: flo
 
 
 @pytest.mark.parametrize('late_s', [0.25, -2.0])
-def test_images_that_are_late_are_told_from_all_others_that_are_early(
+def test_images_that_are_late_are_distinguished_from_all_others_that_are_early(
     drive: Motion, late_s: float
 ) -> None:
     late = replace(drive, before_s=drive.before_s + late_s, after_s=drive.after_s + late_s)
@@ -101,7 +101,7 @@ def test_a_clock_that_drifts_is_measured(drive: Motion, stream: str) -> None:
     assert judged.cause.value == pytest.approx(0.04, abs=0.003)
 
 
-def test_a_clock_that_steps_is_told_from_one_that_drifts(drive: Motion) -> None:
+def test_a_clock_that_steps_distinguished_from_one_that_drifts(drive: Motion) -> None:
     def stepped(t: Track) -> Track:
         return replace(t, seconds=t.seconds + 0.4 * (t.seconds > 12.0))
 
@@ -126,7 +126,7 @@ def test_a_yaw_of_another_scale_is_measured(drive: Motion, scale: float) -> None
     assert judged.cause.value == pytest.approx(1.0 / scale, rel=0.05)
 
 
-def test_a_lens_is_told_from_a_pan_by_the_odometry(drive: Motion) -> None:
+def test_a_lens_distinguished_from_a_pan_by_the_odometry(drive: Motion) -> None:
     judged = verdict(replace(drive, turns_rad=0.8 * drive.turns_rad))
     assert (judged.cause.stream, judged.cause.kind) == (IMAGES, 'scale')
     assert judged.cause.value == pytest.approx(0.8, abs=0.01)
@@ -174,7 +174,7 @@ def test_turns_are_read_off_images(turn_rad: float, roll_rad: float) -> None:
     assert score > 0.6
 
 
-def test_blank_images_tell_nothing() -> None:
+def test_blank_images_gives_nothing() -> None:
     view, rng = StripView(CAMERA, PanTiltMount()), np.random.default_rng(0)
     blank = [view.strip(rng.integers(120, 123, (240, 320), dtype=np.uint8)) for _ in range(2)]
     assert np.isnan(view.turn(*blank)[0])
@@ -185,7 +185,7 @@ def stream(seconds: FloatArray, values: FloatArray) -> Stream:
     return Stream('joint_states', '/joint_states', stamps, stamps, values[:, None])
 
 
-def test_two_sources_are_told_apart() -> None:
+def test_two_sources_are_distinguished() -> None:
     fast, slow = np.arange(0.0, 10.0, 0.02), np.arange(0.007, 10.0, 0.1)
     moving = stream(fast, 1.2 * np.sin(fast))
     assert two_sources(moving, (0,)) is None
@@ -269,9 +269,9 @@ def test_learning_refuses_what_it_cannot_calibrate(
     bag = write_drive(Bag(BAGS / 'learn'), tmp_path / 'learn', SWEEPS[name])
     files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml')]
     assert main(['learn', str(bag), *files, '--out', str(tmp_path / 'map')]) == 1
-    said = capsys.readouterr().err
-    assert SWEEPS[name].names in said
-    assert SWEEPS[name].says in said
+    reported = capsys.readouterr().err
+    assert SWEEPS[name].names in reported
+    assert SWEEPS[name].says in reported
     assert not (tmp_path / 'map').exists()
 
 

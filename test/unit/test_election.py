@@ -16,7 +16,7 @@ from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfi
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
@@ -72,13 +72,16 @@ def elect_from(
     free: Adjustment | None = None,
 ) -> list[Landmark | Refusal]:
     scores = scores or [0.9] * len(patches)
-    sightings = [
-        [Sighting(0, 0.0, 0.0, 0.0, 0.0, 1.0), Sighting(1, 0.0, 0.0, 1e-4, 1e-4, score)]
+    measurements = [
+        [
+            PatchMeasurement(0, 0.0, 0.0, 0.0, 0.0, 1.0),
+            PatchMeasurement(1, 0.0, 0.0, 1e-4, 1e-4, score),
+        ]
         for score in scores
     ]
     return elect(
         patches,
-        sightings,
+        measurements,
         adjustment or perfect(patches),
         free or perfect(patches),
         panoramas,
@@ -248,7 +251,7 @@ def test_no_more_than_the_strongest_are_kept(panoramas: list[Panorama]) -> None:
     assert outcomes[0].reason == 'enough landmarks'
 
 
-def test_what_its_sightings_alone_do_not_place_is_refused(panoramas: list[Panorama]) -> None:
+def test_what_its_measurements_alone_do_not_place_is_refused(panoramas: list[Panorama]) -> None:
     # The wall makes its place look certain, whatever stands there.
     patch = patch_at((6.0, 2.4, 1.2))
     spread = np.diag([0.025, 0.002, 0.002])
@@ -274,7 +277,7 @@ def reconstruct(
 ) -> list[Landmark | Refusal]:
     """Stereo, adjustment and election of candidates where the first panorama shows points."""
     greys = greys_of(panoramas)
-    patches, sightings = [], []
+    patches, measurements = [], []
     for point in points:
         turned = (point - CENTERS[0])[:2] @ se2.rotation(HEADINGS[0])
         column, row = panoramas[0].cylinder.project([*turned, point[2] - CENTERS[0][2]])
@@ -282,28 +285,28 @@ def reconstruct(
         patch = hypothesize(candidate, 0, panoramas[0], ROOM, StereoConfig())
         assert isinstance(patch, WallPatch)
         seen = match_in(patch, 1, panoramas, greys, ROOM, StereoConfig())
-        assert isinstance(seen, Sighting)
+        assert isinstance(seen, PatchMeasurement)
         patches.append(patch)
-        sightings.append([own_sighting(patch, panoramas[0]), seen])
+        measurements.append([own_measurement(patch, panoramas[0]), seen])
     start = np.array([p.position for p in patches])
     walls = [p.wall for p in patches]
     places = joint_covariance(panoramas, ROOM, ReferenceAreaConfig())
-    found = adjust(sightings, walls, start, panoramas, places, ROOM, AdjustmentConfig())
+    found = adjust(measurements, walls, start, panoramas, places, ROOM, AdjustmentConfig())
     adjusted = [
         replace(p, center_map=pose[:3], heading_rad=float(pose[3]))
         for p, pose in zip(panoramas, found.poses, strict=True)
     ]
-    return elect(patches, sightings, found, found, adjusted, greys, ROOM, ElectionConfig())
+    return elect(patches, measurements, found, found, adjusted, greys, ROOM, ElectionConfig())
 
 
-def test_a_picture_on_the_wall_is_elected_and_a_box_before_it_is_not() -> None:
+def test_an_image_on_the_wall_is_elected_and_a_box_before_it_is_not() -> None:
     rng = np.random.default_rng(8)
     normal = ROOM.normals[EAST]
-    picture, box = (
+    camera_image, box = (
         Board(np.array(center), normal, 0.7, 0.7, smooth_texture(rng, 0.7, 0.7, 0.05))
         for center in ((5.96, 1.9, 1.2), (5.6, 2.9, 1.1))
     )
-    panoramas = views_of(replace(SCENE, boards=(*SCENE.boards, picture, box)))
+    panoramas = views_of(replace(SCENE, boards=(*SCENE.boards, camera_image, box)))
     on_walls = [
         np.array(p)
         for p in (
@@ -311,8 +314,8 @@ def test_a_picture_on_the_wall_is_elected_and_a_box_before_it_is_not() -> None:
             (0.0, 1.4, 1.1), (0.0, 3.0, 1.2), (3.0, 0.0, 1.1), (2.0, 0.0, 1.0),
         )
     ]  # fmt: skip
-    outcomes = reconstruct(panoramas, [*on_walls, picture.center, box.center])
-    for point, outcome in zip([*on_walls, picture.center], outcomes[:-1], strict=True):
+    outcomes = reconstruct(panoramas, [*on_walls, camera_image.center, box.center])
+    for point, outcome in zip([*on_walls, camera_image.center], outcomes[:-1], strict=True):
         assert isinstance(outcome, Landmark)
         np.testing.assert_allclose(outcome.position, point, atol=0.03)
     hung = outcomes[-2]

@@ -127,7 +127,7 @@ def test_recovers_the_pose_without_noise() -> None:
     exactly = replace(drive.prior, covariance=np.zeros_like(drive.prior.covariance))
     pose = drive.start.pose + np.array([0.04, -0.03, 0.02])
     drive.start = replace(drive.start, pose=pose)
-    floor = EstimatorConfig(lean_sigma_rad=0.0)
+    floor = EstimatorConfig(floor_tilt_sigma_rad=0.0)
     run = driven(drive, floor, prior=replace(exactly, base=replace(MOUNT, pan_sigma_rad=0.0)))
     images = [event for event in drive.events if isinstance(event, ImagePoints)]
     fixed = np.array([len(seen) >= 3 for seen in images])
@@ -206,7 +206,7 @@ def test_a_robot_that_stands_does_not_learn_its_pan_zero() -> None:
 
 @pytest.mark.parametrize('share', [0.15, 0.3])
 def test_outliers_cost_little(share: float) -> None:
-    clean, spoilt = (
+    clean, degraded = (
         [driven(simulated(seed, outliers=part, seconds=24.0)) for seed in range(4)]
         for part in (0.0, share)
     )
@@ -215,11 +215,11 @@ def test_outliers_cost_little(share: float) -> None:
         errors = np.concatenate([run.errors[20:, :2] for run in runs])  # type: ignore[attr-defined]
         return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
-    assert rms(spoilt) < 2.0 * rms(clean)
-    assert np.mean([run.nees.mean() for run in spoilt]) < 6.0
+    assert rms(degraded) < 2.0 * rms(clean)
+    assert np.mean([run.nees.mean() for run in degraded]) < 6.0
 
 
-def knocked(rad: float, at: int) -> object:
+def displaced(rad: float, at: int) -> object:
     def change(k: int, seen: ImagePoints) -> ImagePoints:
         return replace(seen, pan_rad=seen.pan_rad - rad) if k >= at else seen
 
@@ -227,7 +227,7 @@ def knocked(rad: float, at: int) -> object:
 
 
 def test_a_knock_of_the_camera_is_noticed_at_once() -> None:
-    run = driven(simulated(4, seconds=24.0), changed=knocked(0.05, 60))  # type: ignore[arg-type]
+    run = driven(simulated(4, seconds=24.0), changed=displaced(0.05, 60))  # type: ignore[arg-type]
     steps = [update.stamp_ns for update in run.updates if update.stepped]
     assert len(steps) == 1
     assert 0 <= steps[0] - 61 * NS // 5 <= NS
@@ -372,7 +372,7 @@ def test_a_kidnapped_robot_is_lost_and_a_right_one_is_not() -> None:
             assert states.index(Status.LOST) <= 70
 
 
-def test_landmarks_that_are_missed_or_hidden_tell_slowly() -> None:
+def test_landmarks_that_are_missed_or_hidden_gives_slowly() -> None:
     integrity, good = Integrity(), PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
     integrity.add(0, driven(simulated(5, seconds=4.0)).updates[-1])
     assert integrity.status(good)[0] is Status.OK

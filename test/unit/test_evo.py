@@ -34,7 +34,7 @@ def posts() -> LandmarkMap:
 
 @pytest.fixture(scope='module')
 def run() -> Replay:
-    """A circle with a wrong scale of the odometry and noisy bearings, 200 pictures."""
+    """A circle with a wrong scale of the odometry and noisy bearings, 200 images."""
     rng = np.random.default_rng(0)
     events: list[Detections | OdometrySample | PoseEstimate] = []
     pose = np.array([1.0, 0.0, 3.0])
@@ -72,7 +72,7 @@ def test_the_files_hold_the_poses_to_the_last_bit(run: Replay, tmp_path: Path) -
     np.testing.assert_allclose(rows[:, 0], 1e-9 * run.stamps_ns, rtol=1e-15)
     heading = 2.0 * np.arctan2(rows[:, 6], rows[:, 7])
     np.testing.assert_allclose(wrap_rad(heading - run.fused[:, 2]), 0.0, atol=1e-12)
-    # The truth ends a millisecond before the last odometry, not before the last picture.
+    # The truth ends a millisecond before the last odometry, not before the last image.
     assert len(np.loadtxt(paths[0])) == 200
 
 

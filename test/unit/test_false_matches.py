@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hung_rooms import CONFIG, POSES, sightings_of, solve, told_poses, total_covariance, world_of
+from hung_rooms import (
+    CONFIG,
+    given_poses,
+    measurements_of,
+    POSES,
+    solve,
+    total_covariance,
+    world_of,
+)
 import numpy as np
 import pytest
 
@@ -35,13 +43,13 @@ def test_a_false_match_stays_its_own_affair(
     for seed in range(6):
         rng = np.random.default_rng(seed)
         world = replace(world_of(rng, 14), poses=np.vstack([POSES, MORE])[:views])
-        sightings = sightings_of(world, rng)
-        wrong = sightings[0][-1]
+        measurements = measurements_of(world, rng)
+        wrong = measurements[0][-1]
         turn, rise = (off_rad * rng.standard_normal(2)).tolist()
-        sightings[0][-1] = replace(
+        measurements[0][-1] = replace(
             wrong, azimuth_rad=wrong.azimuth_rad + turn, tangent=wrong.tangent + rise
         )
-        found = solve(world, sightings, told_poses(world, rng), config)
+        found = solve(world, measurements, given_poses(world, rng), config)
         assert np.abs(found.positions).max() < 100.0
         assert np.abs(found.poses[:, :2] - world.poses[:, :2]).max() < 0.05
         assert np.linalg.eigvalsh(total_covariance(found)).min() > 0.0

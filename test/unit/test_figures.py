@@ -60,10 +60,10 @@ def a_map(count=3):
 
 
 def share_of(path, color):
-    """Share of a picture that has a colour; fails if it is no picture."""
-    picture = cv2.imread(str(path))
-    assert picture is not None
-    return float(np.mean(np.all(np.abs(picture.astype(int) - color) < 30, axis=-1)))
+    """Share of an image that has a colour; fails if it is no image."""
+    camera_image = cv2.imread(str(path))
+    assert camera_image is not None
+    return float(np.mean(np.all(np.abs(camera_image.astype(int) - color) < 30, axis=-1)))
 
 
 def test_map_shows_its_landmarks(tmp_path):
@@ -145,7 +145,7 @@ def a_run(truth=True, fixed=True):
     return Replay(start, (), tuple(updates), np.full(30, 0.01), odometry, known, 1.0)
 
 
-def test_lines_follow_odometry_where_pictures_are_far_apart(tmp_path, monkeypatch):
+def test_lines_follow_odometry_where_images_are_far_apart(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(run_figures, 'save', lambda figure, _path: drawn.append(figure))
     run = a_run()

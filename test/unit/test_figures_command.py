@@ -121,9 +121,9 @@ def test_figures_of_attention_from_a_bag(tmp_path, capsys):
     arguments = ['figures', '--out', str(tmp_path), '--bag', str(BAGS / 'learn')]
     arguments += ['--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml')]
     assert main([*arguments, '--figure', '4', '7', '--feature', 'corners']) == 0
-    told = capsys.readouterr().out
-    assert 'Figure 4' in told
-    assert 'Figure 7' in told
+    reported = capsys.readouterr().out
+    assert 'Figure 4' in reported
+    assert 'Figure 7' in reported
     assert {p.name for p in tmp_path.iterdir()} == {
         'figure_4_attention.png',
         'figure_7_features_alone.png',
@@ -141,7 +141,7 @@ def test_a_map_gives_its_observation_areas(tmp_path, capsys):
     assert 'need --bag' in capsys.readouterr().err
 
 
-def test_wrong_usage_is_told_in_a_line(tmp_path, capsys):
+def test_wrong_usage_is_reported_in_a_line(tmp_path, capsys):
     assert main(['figures', '--out', str(tmp_path), '--bag', str(BAGS / 'learn')]) == 2
     assert '--bag needs --room and --robot' in capsys.readouterr().err
     assert main(['figures', '--out', str(tmp_path), '--feature', 'smell']) == 2

@@ -64,9 +64,9 @@ def along(result: LearningResult) -> FloatArray:
     return np.linalg.norm(result.map.positions[:, :2] - true_places(result, POSES, MOUNT), axis=1)
 
 
-def test_true_rays_tell_of_errors_along_the_wall_alone(learned: LearningResult) -> None:
+def test_true_rays_shows_errors_along_the_wall_alone(learned: LearningResult) -> None:
     assert np.median(along(learned)) < 0.002
-    # Pictures hang before their walls, and landmarks with them, on the ray that shows them.
+    # Posters hang before their walls, and landmarks with them, on the ray that shows them.
     aside = 0.01 * np.ones(len(learned.map.landmarks))
     np.testing.assert_allclose(along(moved(learned, 0.0, 0.01)), aside, atol=0.005)
     for result in (learned, moved(learned, 0.012, 0.0)):
@@ -75,41 +75,41 @@ def test_true_rays_tell_of_errors_along_the_wall_alone(learned: LearningResult) 
         np.testing.assert_allclose(off, 0.0, atol=1e-9)
 
 
-def test_figure_8_tells_how_far_landmarks_lie_from_the_true_rays(
+def test_figure_8_gives_how_far_landmarks_lie_from_the_true_rays(
     learned: LearningResult, tmp_path: Path
 ) -> None:
     path = tmp_path / 'figure.png'
-    told = draw_learned(learned, ROOM, path, true_places(learned, POSES, MOUNT))
+    reported = draw_learned(learned, ROOM, path, true_places(learned, POSES, MOUNT))
     assert cv2.imread(str(path)) is not None
-    (median_mm,) = re.findall(r'all landmarks ([\d.]+) mm', told)
+    (median_mm,) = re.findall(r'all landmarks ([\d.]+) mm', reported)
     assert float(median_mm) == pytest.approx(1e3 * np.median(along(learned)), abs=0.051)
-    assert f'{len(learned.map.landmarks)} landmarks out of' in told
+    assert f'{len(learned.map.landmarks)} landmarks out of' in reported
     assert 'true rays' not in draw_learned(learned, ROOM, path)
 
 
-def test_figure_5_tells_the_angle_between_the_two_rays(
+def test_figure_5_gives_the_angle_between_the_two_rays(
     learned: LearningResult, tmp_path: Path
 ) -> None:
     path = tmp_path / 'figure.png'
-    told = draw_reconstruction(learned, ROOM, path)
+    reported = draw_reconstruction(learned, ROOM, path)
     assert cv2.imread(str(path)) is not None
-    ((number, angle_deg),) = re.findall(r'landmark (\d+) is searched.* a = (\d+)°', told)
+    ((number, angle_deg),) = re.findall(r'landmark (\d+) is searched.* a = (\d+)°', reported)
     point = learned.map.landmarks[learned.map.indices(np.array([int(number)]))[0]].position[:2]
     left, right = (point - panorama.center_map[:2] for panorama in learned.panoramas)
     cosine = left @ right / np.linalg.norm(left) / np.linalg.norm(right)
     assert float(angle_deg) == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.6)
 
 
-def test_figure_3_tells_how_frames_overlap(learned: LearningResult, tmp_path: Path) -> None:
+def test_figure_3_gives_how_frames_overlap(learned: LearningResult, tmp_path: Path) -> None:
     # 60 degrees wide, one each 10 degrees: six show a column, and neighbours share 5 / 6.
     camera = CameraModel(200, 160, 100.0 / np.tan(np.radians(30.0)), 173.2, 99.5, 79.5)
     empty = np.zeros((160, 200, 3), np.uint8)
     pans = np.radians(np.arange(0.0, 360.0, 10.0))
     sweep = Sweep(0, tuple(CameraFrame(k, empty, camera, pan) for k, pan in enumerate(pans)))
     path = tmp_path / 'figure.png'
-    told = draw_sweeps([sweep, sweep], learned.panoramas, ROOM, path)
-    assert '36 frames of 200 x 160 px, one each 10.00°' in told
-    assert 'overlap by 83%; a column is shown by 6 frames in the median' in told
+    reported = draw_sweeps([sweep, sweep], learned.panoramas, ROOM, path)
+    assert '36 frames of 200 x 160 px, one each 10.00°' in reported
+    assert 'overlap by 83%; a column is shown by 6 frames in the median' in reported
     assert cv2.imread(str(path)) is not None
 
 

@@ -15,10 +15,10 @@ OTHER = textured_room(ROOM, seed=23, feature_m=0.045)
 POSE = (2.4, 1.9, 0.4)
 
 
-def told(frames: list[CameraFrame]) -> tuple[list[str], int]:
-    """What the state says with each picture of a robot that turns its camera, and places found."""
+def reported(frames: list[CameraFrame]) -> tuple[list[str], int]:
+    """What the state says with each image of a robot that turns its camera, and places found."""
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
-    said, places = [], 0
+    statuses, places = [], 0
     for k, frame in enumerate(frames):
         for tick in range(4):
             stamp_ns = 200_000_000 * k + 50_000_000 * tick
@@ -27,20 +27,20 @@ def told(frames: list[CameraFrame]) -> tuple[list[str], int]:
         update = localizer.add_frame(frame)
         found = update.search if isinstance(update, LocalizationUpdate) else update
         places += isinstance(found, PoseEstimate)
-        said.append(localizer.status[0])
-    return said, places
+        statuses.append(localizer.status[0])
+    return statuses, places
 
 
 def test_one_known_wall_in_a_foreign_room_is_not_the_room() -> None:
     boards = (SCENE.boards[0], *OTHER.boards[1:])
     pans = np.radians(np.arange(-180, 360, 30))
-    said, places = told(sweep(replace(OTHER, boards=boards), POSE, pans))
+    statuses, places = reported(sweep(replace(OTHER, boards=boards), POSE, pans))
     assert places
-    assert 'tracking' not in said
+    assert 'tracking' not in statuses
 
 
 def test_the_room_itself_is_sure_when_two_walls_were_seen() -> None:
-    said, places = told(sweep(SCENE, POSE, np.radians(np.arange(-180, 180, 30))))
+    statuses, places = reported(sweep(SCENE, POSE, np.radians(np.arange(-180, 180, 30))))
     assert places == 1
-    assert said[-1] == 'tracking'
-    assert 'lost' not in said[said.index('tracking') :]
+    assert statuses[-1] == 'tracking'
+    assert 'lost' not in statuses[statuses.index('tracking') :]

@@ -11,7 +11,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again
 from landmark_nav.learning.stereo.free_stereo import explain, match_freely
-from landmark_nav.learning.stereo.wall_patch import Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
@@ -67,19 +67,19 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(
 
 
 @pytest.mark.parametrize('east_m', [5.3, 6.9])
-def test_a_wall_that_is_told_too_near_or_too_far_is_found_where_it_is(east_m: float) -> None:
-    told = rectangle_room(east_m, 5.0)
+def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(east_m: float) -> None:
+    given = rectangle_room(east_m, 5.0)
     panoramas = views_of(SCENE, SCENE)
     greys = greys_of(panoramas)
     points = [np.array([6.0, y, z]) for y in (1.6, 2.2, 2.8) for z in (1.0, 1.3)]
     candidates = [[candidate_at(panoramas[0], point, 30) for point in points], []]
-    found = find_again(panoramas, candidates, greys, told, CONFIG)
+    found = find_again(panoramas, candidates, greys, given, CONFIG)
     assert len(found.off_walls) >= 4
     assert found.anywhere.walls[-len(found.off_walls) :] == [1] * len(found.off_walls)
-    for match, sightings in zip(found.off_walls, found.anywhere.sightings, strict=False):
+    for match, measurements in zip(found.off_walls, found.anywhere.measurements, strict=False):
         assert match.patch.position[0] == pytest.approx(6.0, abs=0.08)
         assert match.before_wall_m == pytest.approx(east_m - 6.0, abs=0.08)
-        assert [s.panorama for s in sightings] == [0, 1]
+        assert [s.panorama for s in measurements] == [0, 1]
 
 
 def test_a_hall_is_searched_too() -> None:
@@ -91,7 +91,7 @@ def test_a_hall_is_searched_too() -> None:
     assert explain(patch, panoramas, greys_of(panoramas), CONFIG) is None
 
 
-def test_what_hangs_on_a_wall_is_not_said_to_stand_before_it() -> None:
+def test_what_hangs_on_a_wall_is_not_reported_to_stand_before_it() -> None:
     panoramas = views_of(SCENE, SCENE)
     for point in ((6.0, 1.2, 1.1), (6.0, 2.4, 1.3), (3.6, 5.0, 1.2), (4.4, 5.0, 1.0)):
         patch = patch_at(panoramas[0], np.array(point))
@@ -124,4 +124,6 @@ def test_a_look_alike_does_not_lead_back() -> None:
     assert refused.reason == 'no way back'
     panoramas = views_of(one, one)
     patch = patch_at(panoramas[0], second.center)
-    assert isinstance(match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, wide), Sighting)
+    assert isinstance(
+        match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, wide), PatchMeasurement
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from filter_runs import EVERY, EXACT, MAP, run, sighting, SIGMA, started
+from filter_runs import EVERY, EXACT, MAP, measurement, run, SIGMA, started
 from fusion_drives import (
     bearings,
     detections,
@@ -54,7 +54,7 @@ class TestRecovery:
         for k, moment in enumerate(drive(60, start=start)):
             fused.add_odometry(moment.odometry)
             if k % EVERY == 0:
-                update = fused.add_detections(sighting(moment, k))
+                update = fused.add_detections(measurement(moment, k))
                 assert not update.rejected
         assert np.abs(error_of(fused.estimate(), moment.pose)).max() < 5e-3
 
@@ -73,7 +73,7 @@ class TestRecovery:
         for k, moment in enumerate(drive(400, biases=biases)):
             fused.add_odometry(moment.odometry)
             if k % EVERY == 0:
-                fused.add_detections(sighting(moment, k))
+                fused.add_detections(measurement(moment, k))
         state = fused.state
         assert state is not None
         spread = np.sqrt(np.diag(state.covariance))[3:6]
@@ -86,15 +86,15 @@ class TestRecovery:
         for k, moment in enumerate(drive(300)):
             fused.add_odometry(moment.odometry)
             if k % EVERY == 0:
-                fused.add_detections(sighting(moment, k, turned))
+                fused.add_detections(measurement(moment, k, turned))
         state = fused.state
         assert state is not None
         assert state.mean[BORESIGHT] == pytest.approx(turned, abs=np.radians(0.5))
         assert abs(error_of(fused.estimate(), moment.pose)[2]) < np.radians(0.5)
 
-    def test_what_sightings_repeat_is_estimated_where_landmarks_are_refined(self) -> None:
-        as_told = OdometryNoiseConfig(learning_sigma=0.0)
-        fused = PoseFilter(EXACT, MOUNT, FusionConfig(landmarks='refine'), as_told)
+    def test_what_measurements_repeat_is_estimated_where_landmarks_are_refined(self) -> None:
+        as_given = OdometryNoiseConfig(learning_sigma=0.0)
+        fused = PoseFilter(EXACT, MOUNT, FusionConfig(landmarks='refine'), as_given)
         fused.initialize(PoseEstimate(0, START, 1e-14 * np.eye(3)))
         moment = next(drive(1))
         for k in range(20):
@@ -102,13 +102,13 @@ class TestRecovery:
             off = np.array([SIGMA, 0.0, 0.0, 0.0, 0.0])
             fused.add_detections(detections(EXACT, moment.pose, k * 10**8, range(5), SIGMA, off))
         assert fused.state is not None
-        # Over the sigma of the share of a sighting's error that others repeat.
+        # Over the sigma of the share of a detection's error that others repeat.
         first, *others = fused.state.map_errors.repeated(np.arange(5))
-        assert 0.8 < first < 1.0 / np.sqrt(FusionConfig().repeated_share)
+        assert 0.8 < first < 1.0 / np.sqrt(FusionConfig().correlated_noise_fraction)
         assert np.abs(others).max() < 0.3 * first
 
     def test_what_was_seen_of_landmarks_is_forgotten_on_the_way(self) -> None:
-        """Slowly what each is off by itself, soon what sightings repeat, not what all share."""
+        """Slowly what each is off by itself, soon what detections repeat, not what all share."""
         fused = started(FusionConfig(landmarks='estimate'), offset=[0.02, -0.01, 0.005])
         run(fused, 40)
         before = fused.state
@@ -131,7 +131,7 @@ class TestRecovery:
         fused.initialize(PoseEstimate(moment.odometry.stamp_ns, moment.pose, 1e-4 * np.eye(3)))
         assert not fused.state.map_errors.estimate.any()
 
-    def test_slip_stays_as_large_as_told(self) -> None:
+    def test_slip_stays_as_large_as_given(self) -> None:
         config = OdometryNoiseConfig(learning_sigma=0.0)
         state = initial_state(start_estimate(), MAP, config, 0.0)
         for k in range(1, 6):

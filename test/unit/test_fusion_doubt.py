@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from filter_runs import EVERY, EXACT, MAP, run, sighting, SIGMA, started
+from filter_runs import EVERY, EXACT, MAP, measurement, run, SIGMA, started
 from fusion_drives import (
     detections,
     drive,
@@ -27,12 +27,12 @@ from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import OdometrySample, PoseEstimate
 
 
-class TestDoubt:
-    def test_a_pan_that_is_hardly_known_tells_the_place_but_not_the_heading(self) -> None:
+class TestInflation:
+    def test_a_pan_that_is_hardly_known_gives_the_place_but_not_the_heading(self) -> None:
         fused = started()
         moment, _ = run(fused, 60)
         before = fused.estimate()
-        found = sighting(moment, 0, np.full(4, 0.02))
+        found = measurement(moment, 0, np.full(4, 0.02))
         update = fused.add_detections(replace(found, pan_sigma_rad=0.02))
         assert len(update.accepted_ids) == 4
         assert not update.turned_rad
@@ -45,12 +45,12 @@ class TestDoubt:
     def test_outlier_is_left_out(self) -> None:
         fused = started()
         moment, _ = run(fused, 40)
-        update = fused.add_detections(sighting(moment, 1, [0.0, 0.05, 0.0, 0.0]))
+        update = fused.add_detections(measurement(moment, 1, [0.0, 0.05, 0.0, 0.0]))
         assert list(update.rejected) == [12]
         assert len(update.accepted_ids) == 3
         assert update.degrees == 3
 
-    def test_a_pose_is_doubted_up_to_two_metres(self) -> None:
+    def test_a_pose_is_flagged_up_to_two_metres(self) -> None:
         state = initial_state(start_estimate(), MAP, OdometryNoiseConfig(), 0.0)
         sigmas = []
         for _ in range(200):
@@ -59,10 +59,10 @@ class TestDoubt:
         assert sigmas[1] > sigmas[0] > 0.15
         assert 2.0 <= sigmas[-2] == sigmas[-1] < 2.1
 
-    def test_what_leaves_a_bearing_astray_is_less_likely(self) -> None:
+    def test_what_makes_a_bearing_wrong_is_less_likely(self) -> None:
         fused = started()
         moment, _ = run(fused, 39)
-        seen = sighting(moment, 1, [0.0, 0.05, 0.0, 0.0])
+        seen = measurement(moment, 1, [0.0, 0.05, 0.0, 0.0])
         with_it = fused.add_detections(seen)
         other = started()
         run(other, 39)
@@ -104,7 +104,7 @@ class TestDoubt:
     def test_few_among_many_missing_are_used_where_they_cannot_be_mistaken(
         self, score: float, used: int
     ) -> None:
-        """Before a wall whose other pictures were exchanged."""
+        """Before a wall whose other posters were exchanged."""
         fused = started()
         moment, _ = run(fused, 40)
         stamp = moment.odometry.stamp_ns
@@ -155,7 +155,7 @@ class TestDoubt:
             refusal = fused.add_odometry(odometry)
             assert (refusal is not None) == (k == 50)
             if k % EVERY == 0:
-                assert fused.add_detections(sighting(moment, k)).refusal is None
+                assert fused.add_detections(measurement(moment, k)).refusal is None
         assert np.abs(error_of(fused.estimate(), moment.pose)).max() < 0.02
 
     def test_start_pose_must_be_numbers(self) -> None:
@@ -191,7 +191,7 @@ class TestStatus:
         status, reason = fused.status
         assert status == 'coasting'
         assert 'nothing accepted for' in reason
-        fused.add_detections(sighting(moment, 0))
+        fused.add_detections(measurement(moment, 0))
         assert fused.status[0] == 'tracking'
 
     @pytest.mark.parametrize('shift', [(1.0, 0.0, 0.0), (0.0, -0.5, 0.4), (0.3, 0.3, -0.3)])
@@ -207,19 +207,19 @@ class TestStatus:
                 continue
             fused.add_odometry(moment.odometry)
             if k % EVERY == 0:
-                fused.add_detections(sighting(moment, k))
+                fused.add_detections(measurement(moment, k))
                 states.append(fused.status[0])
                 error = error_of(fused.estimate(), moment.pose)
                 spread = fused.estimate().covariance  # type: ignore[union-attr]
                 if len(states) > 5 and states[-1] == 'tracking':
                     assert error @ np.linalg.solve(spread, error) < 25.0
-        # Said so within five pictures; sure again at the end.
+        # Said so within five images; sure again at the end.
         assert 'lost' in states[:6]
         assert states[-1] == 'tracking'
         assert np.hypot(*error[:2]) < 0.03
 
     @pytest.mark.parametrize('seen_once', [False, True])
-    def test_pictures_that_go_blind_as_the_odometry_stands_doubt_the_stand(
+    def test_images_that_go_blind_as_the_odometry_stands_flag_the_stand(
         self, seen_once: bool
     ) -> None:
         """They do not where one of that stand has been used: then the camera is to blame."""
@@ -244,13 +244,13 @@ class TestStatus:
         assert status == 'coasting'
         assert 'odometry stands' in reason
         assert 0.2 < sigma_m < 1.0
-        # The next picture that shows something tells where the robot went meanwhile.
+        # The next image that shows something tells where the robot went meanwhile.
         pose = compose(moment.pose, [0.2, 0.0, 0.4])
         update = fused.add_detections(detections(MAP, pose, stamp_ns, range(8), SIGMA))
         assert update.degrees == 8
         assert np.abs(error_of(fused.estimate(stamp_ns), pose)).max() < 0.02
 
-    def test_pictures_that_were_blind_before_a_stand_say_nothing_of_it(self) -> None:
+    def test_images_that_were_blind_before_a_stand_state_nothing_of_it(self) -> None:
         """A robot that stops where nothing is to be seen knows where it is."""
         fused, sigmas, moments = started(), [], list(drive(140))
         run(fused, 61)
@@ -279,13 +279,13 @@ class TestStatus:
     def test_innovations_that_stay_too_large(self) -> None:
         """A camera four times as noisy as it says, which is not to be learned."""
         rng = np.random.default_rng(0)
-        as_told = OdometryNoiseConfig(learning_sigma=0.0)
-        fused = PoseFilter(EXACT, MOUNT, FusionConfig(bearing_probability=1.0), as_told)
+        as_given = OdometryNoiseConfig(learning_sigma=0.0)
+        fused = PoseFilter(EXACT, MOUNT, FusionConfig(bearing_probability=1.0), as_given)
         fused.initialize(start_estimate())
         for k, moment in enumerate(drive(100)):
             fused.add_odometry(moment.odometry)
             if k % EVERY == 0:
-                fused.add_detections(sighting(moment, k, rng.normal(0.0, 4.0 * SIGMA, 4)))
+                fused.add_detections(measurement(moment, k, rng.normal(0.0, 4.0 * SIGMA, 4)))
         status, reason = fused.status
         assert status == 'lost'
         assert 'innovations' in reason
@@ -296,6 +296,6 @@ class TestStatus:
             if k > 100:
                 fused.add_odometry(moment.odometry)
                 if k % EVERY == 0:
-                    fused.add_detections(sighting(moment, k))
+                    fused.add_detections(measurement(moment, k))
         assert fused.status == ('tracking', '')
         assert np.trace(fused.estimate().covariance[:2, :2]) < 0.02**2  # type: ignore[union-attr]

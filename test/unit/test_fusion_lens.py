@@ -37,9 +37,9 @@ CONFIG = FusionConfig(
 
 def run(seed: int, lens: float, config: FusionConfig) -> tuple[PoseFilter, FloatArray]:
     """
-    Drive with pictures of a camera that turns slowly; the filter and its error.
+    Drive with images of a camera that turns slowly; the filter and its error.
 
-    Pixels are tan(angle) + lens instead of tan(angle); the middle of the picture is off by a draw.
+    Pixels are tan(angle) + lens instead of tan(angle); the middle of the image is off by a draw.
     """
     rng = np.random.default_rng(seed)
     true_map = landmark_map(24, seed=seed)

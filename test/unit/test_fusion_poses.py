@@ -81,8 +81,8 @@ def test_is_the_weighted_mean(known: LandmarkMap) -> None:
     np.testing.assert_allclose(fused.estimate().covariance, same / 2.0, atol=1e-9)  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize('told', [True, False])
-def test_a_standing_robot_never_claims_more_than_the_map_knows(told: bool) -> None:
+@pytest.mark.parametrize('given', [True, False])
+def test_a_standing_robot_never_claims_more_than_the_map_knows(given: bool) -> None:
     """Three hundred poses err with the same landmarks; bearings have it exactly."""
     rng = np.random.default_rng(0)
     places = [0, 1, 3, 4, 6]
@@ -93,14 +93,14 @@ def test_a_standing_robot_never_claims_more_than_the_map_knows(told: bool) -> No
         for fused in (poses, single):
             fused.add_odometry(OdometrySample(stamp_ns, np.zeros(3)))
         single.add_detections(seen)
-        if told:
+        if given:
             poses.add_detections(seen)
         poses.add_pose(fix_of(START, stamp_ns, places, noise))
     claims = [
         float(np.sqrt(np.trace(f.estimate().covariance[:2, :2])))  # type: ignore[union-attr]
         for f in (poses, single)
     ]
-    if told:
+    if given:
         assert claims[0] == pytest.approx(claims[1], rel=0.3)
     # Else it is taken to be made of all landmarks: at least what they share remains.
     assert claims[0] > 0.004
@@ -146,7 +146,7 @@ def test_poses_that_keep_disagreeing_lose_the_old_place_and_then_hold() -> None:
     assert np.hypot(*error_of(fused.estimate(), carried)[:2]) < 0.02
 
 
-def test_why_no_pose_came_is_told() -> None:
+def test_why_no_pose_came_is_reported() -> None:
     fused = started()
     for moment in drive(40):
         fused.add_odometry(moment.odometry)
@@ -157,7 +157,7 @@ def test_why_no_pose_came_is_told() -> None:
 
 
 def test_a_pose_of_a_few_that_chance_may_have_made_does_not_end_the_search() -> None:
-    fused, told = started(), []
+    fused, given = started(), []
     for k, moment in enumerate(drive(60)):
         fused.add_odometry(moment.odometry)
         if k % 4 == 0:
@@ -165,6 +165,6 @@ def test_a_pose_of_a_few_that_chance_may_have_made_does_not_end_the_search() -> 
             carried = moment.pose + np.array([0.8, 0.6, 0.0])
             seen = detections(MAP, carried, stamp_ns, [0, 1, 3], SIGMA)
             fused.add_detections(replace(seen, missed=np.delete(MAP.ids, [0, 1, 3])))
-            told.append(fused.add_pose(fix_of(carried, stamp_ns, [0, 1, 3])).refusal)
+            given.append(fused.add_pose(fix_of(carried, stamp_ns, [0, 1, 3])).refusal)
     assert fused.status[0] == 'lost'
-    assert str(told[-1]) == 'too few found: 3 of 10 landmarks'
+    assert str(given[-1]) == 'too few found: 3 of 10 landmarks'

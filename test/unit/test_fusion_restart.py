@@ -74,14 +74,14 @@ def test_a_place_of_seconds_ago_moves_on_with_the_odometry_since_then(begun: boo
     np.testing.assert_allclose(estimate.covariance, expected.covariance, rtol=0.05, atol=1e-7)
 
 
-@pytest.mark.parametrize('told', [(0, 0, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1)])
-def test_a_start_without_a_variance_is_not_exact(told: tuple[int, int, int]) -> None:
+@pytest.mark.parametrize('given', [(0, 0, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1)])
+def test_a_start_without_a_variance_is_not_exact(given: tuple[int, int, int]) -> None:
     first, *moments = drive(60)
-    covariance = np.outer(told, told) * (np.diag([0.02, 0.03, 0.03]) ** 2 + 1e-5)
+    covariance = np.outer(given, given) * (np.diag([0.02, 0.03, 0.03]) ** 2 + 1e-5)
     off = first.pose + np.array([0.05, -0.05, 0.08])
     start = with_sigmas(PoseEstimate(0, off, covariance), 0.3, 0.2)
     assert np.linalg.eigvalsh(start.covariance)[0] > 0.0
-    known = np.ix_(np.flatnonzero(told), np.flatnonzero(told))
+    known = np.ix_(np.flatnonzero(given), np.flatnonzero(given))
     np.testing.assert_array_equal(start.covariance[known], covariance[known])
     fused = PoseFilter(MAP, MOUNT)
     fused.initialize(start)
@@ -93,7 +93,7 @@ def test_a_start_without_a_variance_is_not_exact(told: tuple[int, int, int]) -> 
     assert np.hypot(*error_of(fused.estimate(), moment.pose)[:2]) < 0.02
 
 
-def test_a_person_who_tells_a_place_of_seconds_ago_is_at_another_clock() -> None:
+def test_a_person_who_gives_a_place_of_seconds_ago_is_at_another_clock() -> None:
     moments = list(drive(100))
     fused = PoseFilter(MAP, MOUNT)
     for moment in moments:
@@ -115,7 +115,7 @@ def test_a_new_map_makes_a_found_place_no_surer() -> None:
     assert fused.status[0] == 'coasting'
 
 
-def test_the_same_map_told_again_leaves_what_the_pose_shares_with_it() -> None:
+def test_the_same_map_given_again_leaves_what_the_pose_shares_with_it() -> None:
     """A learner that is started anew, or loads its map again; ids may be others."""
     fused, _ = driven(60)
     before = fused.state
@@ -132,7 +132,7 @@ def test_the_same_map_told_again_leaves_what_the_pose_shares_with_it() -> None:
 
 
 @pytest.mark.parametrize('before_s', [30.0, 0.0])
-def test_a_start_told_before_any_odometry_is_that_of_the_first(before_s: float) -> None:
+def test_a_start_reported_before_any_odometry_is_that_of_the_first(before_s: float) -> None:
     """With a stamp of nobody's clock, such as 0, as the command line of ROS gives it."""
     start = start_estimate()
     fused = PoseFilter(MAP, MOUNT)
@@ -147,7 +147,7 @@ def test_a_start_told_before_any_odometry_is_that_of_the_first(before_s: float) 
 
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('sigmas', [(1e9, 1e9, 1e9), (0.05, 0.05, 1e9), (1e9, 1e9, 0.03)])
-def test_unknown_may_be_told_by_any_number(sigmas: tuple[float, float, float]) -> None:
+def test_unknown_may_be_reported_by_any_number(sigmas: tuple[float, float, float]) -> None:
     fused = PoseFilter(MAP, MOUNT)
     fused.initialize(PoseEstimate(0, start_estimate().pose, np.diag(np.square(sigmas))))
     for k, moment in enumerate(drive(20)):
@@ -161,14 +161,14 @@ def test_unknown_may_be_told_by_any_number(sigmas: tuple[float, float, float]) -
 
 @pytest.mark.parametrize('after', [4, 60])
 @pytest.mark.parametrize('by', ['camera', 'person'])
-def test_a_place_told_after_the_camera_was_bumped_has_an_uncertain_heading(
+def test_a_place_given_after_the_camera_was_bumped_has_an_uncertain_heading(
     after: int, by: str
 ) -> None:
     """A camera that finds the place is off by 2 deg, and so is the heading it tells."""
     fused, moment = driven(160 + after, bumped_at=160)
-    told = moment.pose - np.array([0.0, 0.0, BUMP_RAD if by == 'camera' else 0.0])
+    given = moment.pose - np.array([0.0, 0.0, BUMP_RAD if by == 'camera' else 0.0])
     stamp_ns = moment.odometry.stamp_ns
-    fused.initialize(PoseEstimate(stamp_ns, told, np.diag(FOUND_SIGMA**2)))
+    fused.initialize(PoseEstimate(stamp_ns, given, np.diag(FOUND_SIGMA**2)))
     errors = []
     for k, moment in enumerate(drive(360 + after, biases=(0.03, 0.0, 0.0))):
         if moment.odometry.stamp_ns > stamp_ns:
@@ -183,7 +183,7 @@ def test_a_place_told_after_the_camera_was_bumped_has_an_uncertain_heading(
     assert np.degrees(np.sqrt(state.covariance[HEADING, HEADING])) < 0.6
     assert state.mean[BORESIGHT] == pytest.approx(BUMP_RAD, abs=np.radians(0.6))
     assert fused.status == ('tracking', '')
-    # What was known of the camera before is known again with the next picture.
+    # What was known of the camera before is known again with the next image.
     if after == 60:
         assert errors[0] == pytest.approx(0.5 * BUMP_RAD, rel=0.2)
         assert max(errors[5:]) < np.radians(0.4)
@@ -231,11 +231,11 @@ def found_after(
 
     The place is searched for, or landmarks are seen where they should be.
 
-    The filter; errors and sigmas of the heading at all pictures since, degrees; what was told
+    The filter; errors and sigmas of the heading at all images since, degrees; what was told
     after the first.
     """
     fused, last = driven(160)
-    away, headings, told = np.zeros(3), [], []
+    away, headings, given = np.zeros(3), [], []
     for k, here in enumerate(drive(400, biases=(0.03, 0.0, 0.0))):
         if k == 180:
             away = compose(compose(here.pose, moved), inverse(here.pose))
@@ -252,9 +252,9 @@ def found_after(
             found = fused.estimate()
             assert found is not None
             headings.append([error_of(found, true)[2], np.sqrt(found.covariance[2, 2])])
-            told.append(fused.status[1])
+            given.append(fused.status[1])
     errors, sigmas = np.degrees(headings).T
-    return fused, np.abs(errors), sigmas, told[0]
+    return fused, np.abs(errors), sigmas, given[0]
 
 
 def boresight(fused: PoseFilter) -> tuple[float, float]:
@@ -276,12 +276,12 @@ def boresight(fused: PoseFilter) -> tuple[float, float]:
         (0.0, (0.0, 0.0, -BUMP_RAD), False),
     ],
 )
-def test_what_happened_unseen_to_the_camera_or_the_base_is_told_by_the_way_after_it(
+def test_what_happened_unseen_to_the_camera_or_the_base_is_recognized_by_the_way_after_it(
     bumped_rad: float, moved: tuple[float, float, float], searched: bool
 ) -> None:
-    fused, errors, sigmas, told = found_after(bumped_rad, moved, searched)
+    fused, errors, sigmas, given = found_after(bumped_rad, moved, searched)
     assert sigmas[0] > 0.5
-    off_deg = float(told.rsplit(': ')[-1].removesuffix(' deg'))
+    off_deg = float(given.rsplit(': ')[-1].removesuffix(' deg'))
     assert off_deg == pytest.approx(np.degrees(bumped_rad - moved[2]), abs=0.4)
     assert (errors < 3.0 * sigmas + 0.05).all()
     angle, sigma = boresight(fused)
@@ -290,7 +290,7 @@ def test_what_happened_unseen_to_the_camera_or_the_base_is_told_by_the_way_after
 
 
 @pytest.mark.parametrize('searched', [True, False])
-def test_a_heading_to_which_odometry_led_leaves_the_camera_beyond_doubt(searched: bool) -> None:
+def test_a_heading_to_which_odometry_led_leaves_the_camera_certain(searched: bool) -> None:
     fused, errors, sigmas, _ = found_after(searched=searched)
     assert boresight(fused) == (0.0, 0.0)
     assert max(sigmas) < 0.2
@@ -300,7 +300,7 @@ def test_a_heading_to_which_odometry_led_leaves_the_camera_beyond_doubt(searched
 @pytest.mark.parametrize(
     'moved', [(1.0, 0.5, 0.1), (0.0, 0.0, 0.5), (0.1, 0.0, -1.6), (0.0, 0.0, 3.0)]
 )
-def test_a_robot_that_was_carried_or_turned_tells_nothing_of_its_camera(
+def test_a_robot_that_was_carried_or_turned_gives_nothing_of_its_camera(
     moved: tuple[float, float, float],
 ) -> None:
     fused, errors, sigmas, _ = found_after(moved=moved)
@@ -322,7 +322,7 @@ def test_joints_of_which_nothing_is_known_any_more_are_taken_as_in_time() -> Non
 
 
 def test_a_found_place_by_another_clock_is_of_now() -> None:
-    """As pictures whose stamps count from the start of the camera: not replayed for decades."""
+    """As images whose stamps count from the start of the camera: not replayed for decades."""
     fused = PoseFilter(MAP, MOUNT)
     for moment in drive(20):
         stamp_ns = moment.odometry.stamp_ns + 50 * 365 * 86400 * 10**9

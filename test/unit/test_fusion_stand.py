@@ -14,8 +14,8 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
 from landmark_nav.types import OdometrySample, PoseEstimate
 
-# A picture with each second sample of an odometry that never moves.
-PICTURE_NS = 2 * PERIOD_NS
+# An image with each second sample of an odometry that never moves.
+IMAGE_NS = 2 * PERIOD_NS
 EVENT = 10
 
 
@@ -31,11 +31,11 @@ def watch(
     rng: np.random.Generator,
     off_rad: float = 0.0,
 ) -> tuple[FloatArray, float]:
-    """Error (3,) of the pose and its NEES after picture `k`, which a robot took at a pose."""
+    """Error (3,) of the pose and its NEES after image `k`, which a robot took at a pose."""
     still(fused, k)
     noise = rng.normal(0.0, SIGMA, 6) + off_rad
     places = (k + np.arange(6)) % 10
-    fused.add_detections(detections(MAP, pose, k * PICTURE_NS, places, SIGMA, noise))
+    fused.add_detections(detections(MAP, pose, k * IMAGE_NS, places, SIGMA, noise))
     found = fused.estimate()
     assert found is not None
     error = error_of(found, pose)
@@ -55,17 +55,17 @@ def sigma_m(fused: PoseFilter) -> float:
 def test_a_robot_that_is_pushed_is_followed(
     step: tuple[float, float, float], seed: int, landmarks: str
 ) -> None:
-    """Its wheels do not turn, or what they tell hangs: nothing but pictures tells where it is."""
+    """Its wheels do not turn, or what they tell hangs: nothing but images tells where it is."""
     rng, fused = np.random.default_rng(seed), started(FusionConfig(landmarks=landmarks))
-    pose, told = START, []
+    pose, reported = START, []
     for k in range(1, 60):
         pose = compose(pose, step) if EVENT <= k < 40 else pose
         error, nees = watch(fused, pose, k, rng)
         assert nees < 25.0
         if EVENT + 2 <= k < 40:
-            told.append(fused.status[1])
+            reported.append(fused.status[1])
             assert np.hypot(*error[:2]) < 0.03
-    assert np.mean(['odometry stands' in reason for reason in told]) > 0.9
+    assert np.mean(['odometry stands' in reason for reason in reported]) > 0.9
     # It is believed again when they agree that it stands.
     assert np.hypot(*error[:2]) < 0.015
     assert sigma_m(fused) < 0.02
@@ -73,7 +73,7 @@ def test_a_robot_that_is_pushed_is_followed(
 
 @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
 @pytest.mark.parametrize(('seed', 'off_rad'), [(0, 0.03), (1, -0.03), (2, 0.01)])
-def test_a_camera_that_is_knocked_does_not_carry_the_robot_away(
+def test_a_camera_that_is_displaced_does_not_carry_the_robot_away(
     off_rad: float, seed: int, landmarks: str
 ) -> None:
     """Then it drives 1 m on, by which landmarks tell who was turned, it or the robot."""
@@ -131,14 +131,14 @@ def test_few_mistaken_bearings_do_not_carry_a_robot_away(count: int) -> None:
         still(fused, k)
         wrong = (rng.uniform(0.05, 0.3, 2) * [1.0, -1.0])[:count]
         places = [k % 10, (k + 3) % 10][:count]
-        fused.add_detections(detections(MAP, START, k * PICTURE_NS, places, SIGMA, wrong))
+        fused.add_detections(detections(MAP, START, k * IMAGE_NS, places, SIGMA, wrong))
         state = fused.state
         assert state is not None
         assert not state.hangs
         assert np.hypot(*(state.mean[:2] - START[:2])) < 0.02
 
 
-def test_pictures_that_agree_doubt_no_stand() -> None:
+def test_images_that_agree_flag_no_stand() -> None:
     rng, fused = np.random.default_rng(0), started()
     for k in range(1, 200):
         watch(fused, START, k, rng)
@@ -156,7 +156,7 @@ def test_poses_follow_a_robot_that_is_pushed() -> None:
         pose = compose(pose, [0.03, 0.0, 0.0]) if EVENT <= k < 40 else pose
         still(fused, k)
         measured = pose + rng.multivariate_normal(np.zeros(3), covariance)
-        fused.add_pose(PoseEstimate(k * PICTURE_NS, measured, covariance))
+        fused.add_pose(PoseEstimate(k * IMAGE_NS, measured, covariance))
         found = fused.estimate()
         assert found is not None
         error = error_of(found, pose)
@@ -167,14 +167,14 @@ def test_poses_follow_a_robot_that_is_pushed() -> None:
     assert np.hypot(*error[:2]) < 0.03
 
 
-def test_poses_of_a_camera_that_is_knocked_leave_the_heading_open() -> None:
+def test_poses_of_a_camera_that_is_displaced_leave_the_heading_open() -> None:
     rng, fused = np.random.default_rng(0), started(FusionConfig(mode='poses'))
     covariance = np.diag(np.square([0.01, 0.01, 0.001]))
     for k in range(1, 40):
         still(fused, k)
         off = np.array([0.0, 0.0, 0.03 if k >= EVENT else 0.0])
         measured = START + off + rng.multivariate_normal(np.zeros(3), covariance)
-        fused.add_pose(PoseEstimate(k * PICTURE_NS, measured, covariance))
+        fused.add_pose(PoseEstimate(k * IMAGE_NS, measured, covariance))
         found = fused.estimate()
         assert found is not None
         error = error_of(found, START)
@@ -182,7 +182,7 @@ def test_poses_of_a_camera_that_is_knocked_leave_the_heading_open() -> None:
 
 
 @pytest.mark.parametrize('anew', ['start', 'map'])
-def test_what_is_told_while_a_stand_is_doubted_keeps_its_own_covariance(anew: str) -> None:
+def test_what_is_reported_while_a_stand_is_flagged_keeps_its_own_covariance(anew: str) -> None:
     rng, fused, pose = np.random.default_rng(0), started(), START
     for k in range(1, 20):
         pose = compose(pose, [0.02, 0.0, 0.03]) if k >= EVENT else pose
@@ -191,8 +191,8 @@ def test_what_is_told_while_a_stand_is_doubted_keeps_its_own_covariance(anew: st
         fused.add_odometry(OdometrySample((38 + j) * PERIOD_NS, np.zeros(3)))
     stamp_ns = 41 * PERIOD_NS
     if anew == 'start':
-        told = PoseEstimate(stamp_ns, pose, np.diag(np.square([0.02, 0.02, 0.01])))
-        fused.initialize(told)
+        reported = PoseEstimate(stamp_ns, pose, np.diag(np.square([0.02, 0.02, 0.01])))
+        fused.initialize(reported)
     else:
         fused.change_map(MAP)
     noise = rng.normal(0.0, SIGMA, 6)
@@ -207,14 +207,14 @@ def test_what_is_told_while_a_stand_is_doubted_keeps_its_own_covariance(anew: st
 
 
 def test_a_camera_that_is_covered_for_long_moves_no_robot_that_stands() -> None:
-    """However long the history is in which pictures were of use."""
+    """However long the history is in which images were of use."""
     rng, fused = np.random.default_rng(0), started(FusionConfig(history_s=1.0))
     for k in range(1, 80):
         if k < 40:
             watch(fused, START, k, rng)
             continue
         still(fused, k)
-        seen = detections(MAP, START, k * PICTURE_NS, range(6), SIGMA)
+        seen = detections(MAP, START, k * IMAGE_NS, range(6), SIGMA)
         nothing = seen.chosen(np.zeros(6, dtype=np.bool_))
         fused.add_detections(replace(nothing, missed=MAP.ids))
         state = fused.state

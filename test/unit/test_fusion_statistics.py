@@ -45,7 +45,7 @@ def one_run(
     """
     NEES at the end, mean squared position error and mean NIS per degree of freedom.
 
-    Sightings of a landmark repeat so much of their variance; if the view stays, all pictures show
+    Detections of a landmark repeat so much of their variance; if the view stays, all images show
     the same four, and the map is exact.
     """
     rng = np.random.default_rng(seed)
@@ -80,7 +80,7 @@ def test_nees_lies_in_its_interval(landmarks: str) -> None:
     config = FusionConfig(
         landmarks=landmarks,
         bearing_probability=0.99999,
-        repeated_share=0.0,
+        correlated_noise_fraction=0.0,
     )
     mount = replace(MOUNT, pan_sigma_rad=5e-4)
     results = np.array([one_run(seed, config, mount=mount) for seed in range(RUNS)])
@@ -90,13 +90,15 @@ def test_nees_lies_in_its_interval(landmarks: str) -> None:
 
 
 @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
-def test_what_sightings_repeat_is_counted_once(landmarks: str) -> None:
+def test_what_measurements_repeat_is_counted_once(landmarks: str) -> None:
     """Told so, NEES and NIS are as they should be; taken as independent, the pose is too sure."""
-    told = FusionConfig(landmarks=landmarks, repeated_share=0.9, bearing_probability=0.99999)
-    runs = np.array([one_run(k, told, 80, 0.9, True) for k in range(100)])
-    check_honest(runs[:, 0].tolist())
+    given = FusionConfig(
+        landmarks=landmarks, correlated_noise_fraction=0.9, bearing_probability=0.99999
+    )
+    runs = np.array([one_run(k, given, 80, 0.9, True) for k in range(100)])
+    check_consistent(runs[:, 0].tolist())
     assert runs[:, 2].mean() == pytest.approx(1.0, abs=0.2)
-    independent = replace(told, repeated_share=0.0)
+    independent = replace(given, correlated_noise_fraction=0.0)
     assert np.mean([one_run(k, independent, 80, 0.9, True)[0] for k in range(20)]) > 4.5
 
 
@@ -105,12 +107,12 @@ def learning_run(
     key: int,
     wheels: float,
     claimed: float,
-    sightings: float,
+    measurements: float,
     count: int,
     config: FusionConfig | None = None,
     turns: float | None = None,
 ) -> tuple[PoseFilter, float]:
-    """Drive with wheels and sightings so many times as noisy as they claim; filter and NEES."""
+    """Drive with wheels and detections so many times as noisy as they claim; filter and NEES."""
     noisy = NOISE.scaled(wheels, wheels if turns is None else turns, wheels)
     rng = np.random.default_rng([seed, key])
     true_map = landmark_map(14, seed=seed)
@@ -120,14 +122,14 @@ def learning_run(
         fused.add_odometry(moment.odometry)
         if k % 4 == 0:
             places = (int(rng.integers(14)) + np.arange(count)) % 14
-            noise = sightings * rng.normal(0.0, claimed, count)
+            noise = measurements * rng.normal(0.0, claimed, count)
             noise += rng.normal(0.0, MOUNT.pan_sigma_rad)
             stamp = moment.odometry.stamp_ns
             fused.add_detections(detections(true_map, moment.pose, stamp, places, claimed, noise))
     return fused, nees_of(fused.estimate(), moment.pose)
 
 
-def check_honest(nees: list[float]) -> None:
+def check_consistent(nees: list[float]) -> None:
     """The mean of independent runs lies where it does in 19 of 20 cases."""
     low, high = chi2.ppf([0.025, 0.975], 3 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
@@ -143,7 +145,7 @@ def test_how_noisy_the_wheels_are_is_learned(factor: float) -> None:
     off = np.exp(np.abs(np.log(found).mean(axis=0) - wanted))
     assert off[0] < 1.2
     assert off[1] < 1.8
-    check_honest([nees for _, nees in runs])
+    check_consistent([nees for _, nees in runs])
 
 
 @pytest.mark.parametrize(('factor', 'at_least', 'at_most'), [(0.1, 0.0, 0.6), (3.0, 2.0, 4.0)])
@@ -162,17 +164,20 @@ def test_turns_are_learned_apart_from_the_way(
 @pytest.mark.parametrize(
     'config',
     # The latter with errors that do not repeat, as they are drawn here.
-    [FusionConfig(landmarks='consider'), FusionConfig(landmarks='refine', repeated_share=0.0)],
+    [
+        FusionConfig(landmarks='consider'),
+        FusionConfig(landmarks='refine', correlated_noise_fraction=0.0),
+    ],
 )
-def test_how_noisy_sightings_are_is_learned(factor: float, config: FusionConfig) -> None:
+def test_how_noisy_measurements_are_is_learned(factor: float, config: FusionConfig) -> None:
     runs = [learning_run(seed, 10, 1.0, 2e-3, factor, 8, config) for seed in range(8)]
-    found = [fused.sighting_sigma for fused, _ in runs]
+    found = [fused.detection_sigma_factor for fused, _ in runs]
     assert np.exp(np.mean(np.log(found))) == pytest.approx(factor, rel=0.2)
-    check_honest([nees for _, nees in runs])
+    check_consistent([nees for _, nees in runs])
 
 
-def test_a_few_lucky_sightings_claim_little() -> None:
-    """Four pictures without any error, in the worst case, leave the noise near what it was."""
+def test_a_few_lucky_detections_claim_little() -> None:
+    """Four images without any error, in the worst case, leave the noise near what it was."""
     true_map = landmark_map(14)
     fused = PoseFilter(true_map, MOUNT, FusionConfig(), NOISE)
     fused.initialize(start_estimate())
@@ -181,11 +186,11 @@ def test_a_few_lucky_sightings_claim_little() -> None:
         if k % 4 == 0:
             stamp = moment.odometry.stamp_ns
             fused.add_detections(detections(true_map, moment.pose, stamp, [0, 3, 6, 9], 3e-4))
-    assert 0.5 < fused.sighting_sigma < 1.0
+    assert 0.5 < fused.detection_sigma_factor < 1.0
 
 
-@pytest.mark.parametrize(('sigmas', 'knocked'), [(4.3, False), (8.0, True)])
-def test_a_slip_of_the_wheels_is_not_taken_for_a_knock(sigmas: float, knocked: bool) -> None:
+@pytest.mark.parametrize(('sigmas', 'displaced'), [(4.3, False), (8.0, True)])
+def test_a_slip_of_the_wheels_is_not_taken_for_a_knock(sigmas: float, displaced: bool) -> None:
     """All bearings are off by one angle: a little more than wheels err, or far more."""
     exact = landmark_map(14, shared=1e-5, own=1e-4)
     fused = PoseFilter(
@@ -209,10 +214,10 @@ def test_a_slip_of_the_wheels_is_not_taken_for_a_knock(sigmas: float, knocked: b
     after = fused.state
     assert after is not None
     assert update.degrees == len(places)
-    assert (update.turned_rad != 0.0) == knocked
+    assert (update.turned_rad != 0.0) == displaced
     grown = np.sqrt(np.diag(after.covariance) / (np.diag(before.covariance) + 1e-12))
-    assert (grown[BORESIGHT] > 100.0) == knocked
-    assert (grown[HEADING] > 10.0) == knocked
+    assert (grown[BORESIGHT] > 100.0) == displaced
+    assert (grown[HEADING] > 10.0) == displaced
 
 
 @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
@@ -222,7 +227,7 @@ def test_landmarks_that_are_seen_again_after_long_repeat_their_errors(landmarks:
     for seed in range(10):
         rng = np.random.default_rng(seed)
         true_map = landmark_map(14, 1e-5, 0.2, seed)
-        config = FusionConfig(landmarks=landmarks, repeated_share=0.0)
+        config = FusionConfig(landmarks=landmarks, correlated_noise_fraction=0.0)
         fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, config, NOISE)
         fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
         for k, moment in enumerate(drive(900, rng, NOISE)):
@@ -235,7 +240,7 @@ def test_landmarks_that_are_seen_again_after_long_repeat_their_errors(landmarks:
                     detections(true_map, moment.pose, stamp, range(4), SIGMA, noise)
                 )
         nees.append(nees_of(fused.estimate(), moment.pose))
-    check_honest(nees)
+    check_consistent(nees)
 
 
 @pytest.mark.parametrize('wheels', [1.0, 0.3])
@@ -257,7 +262,7 @@ def test_the_pose_never_claims_more_than_what_landmarks_share(wheels: float) -> 
         assert final is not None
         assert np.sqrt(np.diag(final.covariance)[:2]).min() > 0.8 * 0.03
         nees.append(nees_of(final, moment.pose))
-    check_honest(nees)
+    check_consistent(nees)
 
 
 def test_refining_the_map_is_worth_it() -> None:
@@ -310,7 +315,7 @@ def test_dead_reckoning_covariance_is_that_of_many_drives() -> None:
     np.testing.assert_allclose(np.diag(spread), np.diag(claimed.covariance), rtol=0.25)
 
 
-def test_repeated_sightings_never_claim_more_than_the_map() -> None:
+def test_repeated_measurements_never_claim_more_than_the_map() -> None:
     """What any number of perfect bearings from one place leaves open is the map's error."""
     true_map = landmark_map(6)
     still = OdometryNoiseConfig(floor_m_per_sqrt_s=0.0, floor_rad_per_sqrt_s=0.0)
@@ -333,6 +338,6 @@ def test_repeated_sightings_never_claim_more_than_the_map() -> None:
     assert not isinstance(fix, Refusal)
     np.testing.assert_allclose(fix.pose, axis, atol=1e-6)
     bound = base_from_axis(fix.at(0), MOUNT).covariance
-    # 200 sightings of 1e-4 rad and the start pose change the bound by less than that.
+    # 200 detections of 1e-4 rad and the start pose change the bound by less than that.
     assert np.linalg.eigvalsh(estimate.covariance - 0.99 * bound)[0] > 0.0
     assert np.trace(estimate.covariance[:2, :2]) < 1.2 * np.trace(bound[:2, :2])

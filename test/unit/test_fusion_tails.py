@@ -26,15 +26,15 @@ def squared_error(seed: int, degrees: float, landmarks: str, own_m: float) -> fl
     rng = np.random.default_rng(seed)
     exact = landmark_map(COUNT, 1e-5, own_m)
     off = own_m * drawn(rng, degrees, COUNT, 2)
-    told = LandmarkMap(
+    given = LandmarkMap(
         tuple(
             replace(k, position=k.position + np.append(away, 0.0))
             for k, away in zip(exact.landmarks, off, strict=True)
         )
     )
     # Errors that do not repeat.
-    config = FusionConfig(landmarks=landmarks, repeated_share=0.0)
-    fused, squares = PoseFilter(told, MOUNT, config, NOISE), []
+    config = FusionConfig(landmarks=landmarks, correlated_noise_fraction=0.0)
+    fused, squares = PoseFilter(given, MOUNT, config, NOISE), []
     fused.initialize(start_estimate())
     for k, moment in enumerate(drive(160, rng, NOISE)):
         fused.add_odometry(moment.odometry)

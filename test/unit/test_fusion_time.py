@@ -61,10 +61,10 @@ class TestTime:
         np.testing.assert_allclose(delayed.covariance, in_order.covariance, atol=1e-12)
 
     @pytest.mark.parametrize('moved_m', [0.0, 0.1])
-    def test_a_late_picture_that_contradicts_a_stand_counts_as_in_order(
+    def test_a_late_image_that_contradicts_a_stand_counts_as_in_order(
         self, moved_m: float
     ) -> None:
-        """A camera is knocked, or a robot is pushed as well, that stands as odometry says."""
+        """A camera is displaced, or a robot is pushed as well, that stands as odometry says."""
         found = []
         for late in (0, 3):
             rng, fused = np.random.default_rng(0), started()
@@ -72,9 +72,9 @@ class TestTime:
                 fused.add_odometry(OdometrySample(k * PERIOD_NS, np.zeros(3)))
                 seen = k - late
                 if seen >= 0 and seen % EVERY == 0:
-                    knocked = seen == 20
-                    pose = START + moved_m * knocked * np.array([1.0, 0.0, 0.0])
-                    noise = rng.normal(0.0, SIGMA, 4) + 0.03 * knocked
+                    displaced = seen == 20
+                    pose = START + moved_m * displaced * np.array([1.0, 0.0, 0.0])
+                    noise = rng.normal(0.0, SIGMA, 4) + 0.03 * displaced
                     places = (seen + np.arange(4)) % 10
                     fused.add_detections(
                         detections(MAP, pose, seen * PERIOD_NS, places, SIGMA, noise)
@@ -151,10 +151,10 @@ class TestTime:
         now_ns = moment.odometry.stamp_ns + 5 * 10**9
         for stamp_ns in (now_ns, 10**18):
             fused.initialize(start_estimate(stamp_ns=stamp_ns), now_ns)
-            told = fused.estimate(now_ns)
-            assert told is not None
-            assert told.stamp_ns == now_ns
-            np.testing.assert_allclose(told.covariance, start_estimate().covariance, atol=1e-9)
+            reported = fused.estimate(now_ns)
+            assert reported is not None
+            assert reported.stamp_ns == now_ns
+            np.testing.assert_allclose(reported.covariance, start_estimate().covariance, atol=1e-9)
         status, reason = fused.status_at(now_ns)
         assert status == 'coasting'
         assert 'no odometry for 5.0 s' in reason

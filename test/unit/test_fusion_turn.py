@@ -1,4 +1,4 @@
-"""All bearings of a picture off by one angle: odometry that strays, or a camera that turned."""
+"""All bearings of an image off by one angle: odometry that strays, or a camera that turned."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_an_angle_just_outside_the_gates_is_laid_to_the_odometry(fused: PoseFilt
 
 
 @pytest.mark.parametrize('angle_sigmas', [-7.0, 9.0])
-def test_a_larger_one_is_doubted_by_as_much_as_was_seen(
+def test_a_larger_one_is_flagged_by_as_much_as_was_seen(
     fused: PoseFilter, angle_sigmas: float
 ) -> None:
     update, angle_rad, moment = drive_and_turn(fused, angle_sigmas)
@@ -83,7 +83,7 @@ def test_a_larger_one_is_doubted_by_as_much_as_was_seen(
 
 
 @pytest.mark.parametrize('angle_rad', [0.03, 0.06])
-def test_an_angle_is_told_after_a_second_without_pictures_as_well(
+def test_an_angle_is_reported_after_a_second_without_images_as_well(
     fused: PoseFilter, angle_rad: float
 ) -> None:
     for k, moment in enumerate(drive(LAST)):
@@ -105,7 +105,7 @@ def test_an_angle_is_told_after_a_second_without_pictures_as_well(
     [('consider', MAP), ('refine', landmark_map(10, shared=0.002, own=0.001))],
 )
 @pytest.mark.parametrize(
-    ('knock_rad', 'blind', 'turn_noise', 'sigmas', 'told_s'),
+    ('knock_rad', 'blind', 'turn_noise', 'sigmas', 'reported_s'),
     [(0.022, 16, 0.08, 4.0, 0.0), (0.035, 240, 0.015, 2.0, 20.0)],
 )
 def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(
@@ -113,7 +113,7 @@ def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(
     blind: int,
     turn_noise: float,
     sigmas: float,
-    told_s: float,
+    reported_s: float,
     landmarks: str,
     known: LandmarkMap,
 ) -> None:
@@ -121,7 +121,7 @@ def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(
     noise = OdometryNoiseConfig(turn_rad_per_sqrt_rad=turn_noise, slip_sigma=0.02)
     fused = PoseFilter(known, MOUNT, FusionConfig(landmarks=landmarks), noise)
     fused.initialize(start_estimate())
-    first, off_rad, told = 200 + blind, 0.0, []
+    first, off_rad, reported = 200 + blind, 0.0, []
     for k, moment in enumerate(drive(first + 1000)):
         fused.add_odometry(moment.odometry)
         if k % 4 or 200 < k < first:
@@ -135,8 +135,8 @@ def test_a_knock_while_the_heading_was_hardly_known_does_not_stay_in_it(
         seen = detections(known, moment.pose, stamp_ns, range(4), 2e-3, off_rad)
         fused.add_detections(seen)
         if off_rad and 'turned' in fused.status[1]:
-            told.append(0.05 * (k - first))
-    assert told[0] <= told_s
+            reported.append(0.05 * (k - first))
+    assert reported[0] <= reported_s
     state = fused.state
     assert state is not None
     error_rad = abs(state.mean[HEADING] - moment.pose[2])
@@ -148,7 +148,7 @@ def slipped(seed: int, slip_deg: float, late_s: float) -> tuple[PoseFilter, Floa
     """
     Drive for 4 m; half way, while the pan swings, wheels turn the base for half a second.
 
-    Errors of the heading, degrees: at the last picture of that swing, and in the end.
+    Errors of the heading, degrees: at the last image of that swing, and in the end.
     """
     rng = np.random.default_rng(seed)
     fused = PoseFilter(as_surveyed(MAP, rng), MOUNT)
@@ -190,7 +190,7 @@ def test_wheels_that_slip_while_the_camera_swings_are_not_laid_to_the_joints(
 @pytest.mark.parametrize(
     ('late_s', 'slip_deg'), [(0.03, 0.0), (0.06, 0.0), (0.2, 0.0), (0.2, 2.0)]
 )
-def test_joints_that_are_late_are_told_from_wheels_that_slip(
+def test_joints_that_are_late_are_distinguished_from_wheels_that_slip(
     late_s: float, slip_deg: float
 ) -> None:
     """At once where that moves bearings by far more than wheels turn the base, else by and by."""
@@ -200,9 +200,11 @@ def test_joints_that_are_late_are_told_from_wheels_that_slip(
         assert abs(errors[1]) < 1.2
 
 
-def test_an_angle_that_was_told_while_nothing_was_seen_is_told_once(fused: PoseFilter) -> None:
-    """Odometry is not asked again of what the picture after it has told."""
-    told, pivot = [], np.zeros(3)
+def test_an_angle_that_was_given_while_nothing_was_seen_is_reported_once(
+    fused: PoseFilter,
+) -> None:
+    """Odometry is not asked again of what the image after it has told."""
+    reported, pivot = [], np.zeros(3)
     for k, moment in enumerate(drive(140)):
         wheels = moment.odometry.pose_odom_base
         pivot = wheels if k <= 80 else pivot
@@ -212,11 +214,11 @@ def test_an_angle_that_was_told_while_nothing_was_seen_is_told_once(fused: PoseF
         if k % 4 == 0 and not 72 < k < 100:
             seen = detections(MAP, moment.pose, moment.odometry.stamp_ns, range(8), SIGMA_RAD)
             fused.add_detections(seen)
-            told.append(fused.status[1])
-    assert len({reason for reason in told if 'turned' in reason}) == 1
+            reported.append(fused.status[1])
+    assert len({reason for reason in reported if 'turned' in reason}) == 1
 
 
-def test_wheels_may_slip_again_and_again_but_a_camera_is_knocked_once(fused: PoseFilter) -> None:
+def test_wheels_may_slip_again_and_again_but_a_camera_is_displaced_once(fused: PoseFilter) -> None:
     """Ten slips leave the boresight no more open than one does."""
     rng, doubts, slips = np.random.default_rng(0), [], 0
     for k, moment in enumerate(drive(240)):

@@ -36,13 +36,13 @@ def run(seed: int, loss: float, noise: OdometryNoiseConfig) -> tuple[PoseFilter,
     true_map = landmark_map(12, seed=seed)
     fused = PoseFilter(as_surveyed(true_map, rng), MOUNT, odometry=noise)
     fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
-    told = before = np.zeros(3)
+    reported = before = np.zeros(3)
     for k, moment in enumerate(drive(400, rng, NOISE)):
         # Told of as much more way as it loses.
         step = relative(before, moment.odometry.pose_odom_base)
-        told = compose(told, step + np.array([loss * abs(step[2]), 0.0, 0.0]))
+        reported = compose(reported, step + np.array([loss * abs(step[2]), 0.0, 0.0]))
         before = moment.odometry.pose_odom_base
-        fused.add_odometry(replace(moment.odometry, pose_odom_base=told))
+        fused.add_odometry(replace(moment.odometry, pose_odom_base=reported))
         if k % 4 == 0 and k < 300:
             places = (int(rng.integers(12)) + np.arange(4)) % 12
             noise_rad = rng.normal(0.0, SIGMA, 4)
@@ -51,7 +51,7 @@ def run(seed: int, loss: float, noise: OdometryNoiseConfig) -> tuple[PoseFilter,
     return fused, error_of(fused.estimate(), moment.pose)
 
 
-def test_it_is_found_and_coasting_is_better_and_honest() -> None:
+def test_it_is_found_and_coasting_is_better_and_consistent() -> None:
     nees, squares, off = [], [], []
     for seed in range(12):
         loss = float(np.random.default_rng([seed, 7]).normal(0.0, LOSS_SIGMA))

@@ -49,7 +49,7 @@ def test_the_first_of_several_walls_stops_the_ray() -> None:
     assert wall.tolist() == [3, 4, 5, 0]
 
 
-def test_a_ray_that_meets_nothing_says_so() -> None:
+def test_a_ray_that_meets_nothing_reports_it() -> None:
     distance, wall = ROOM.raycast([7.0, 1.0], 0.0)
     assert np.isinf(distance)
     assert wall == -1

@@ -18,7 +18,7 @@ def status(health: Health, seconds: float) -> str:
     return health.status(here, here.stamp_ns)[0]
 
 
-def test_what_pictures_contradicted_for_long_is_doubted_for_six_seconds_more() -> None:
+def test_what_images_contradicted_for_long_is_flagged_for_six_seconds_more() -> None:
     health = Health(HealthConfig(coasting_after_s=1000.0))
     health.restart(0)
     for k in range(61):
@@ -27,15 +27,15 @@ def test_what_pictures_contradicted_for_long_is_doubted_for_six_seconds_more() -
     assert status(health, 15.0 + 6.1) == 'tracking'
 
 
-def test_trouble_with_the_odometry_is_told_from_then_on() -> None:
+def test_trouble_with_the_odometry_distinguished_from_then_on() -> None:
     health = Health(HealthConfig(coasting_after_s=1000.0))
     health.restart(0)
     health.note_trouble(10 * NS, Refusal('odometry jumped'))
-    told = [status(health, seconds) for seconds in (9.9, 10.0, 11.9, 12.1)]
-    assert told == ['tracking', 'coasting', 'coasting', 'tracking']
+    reported = [status(health, seconds) for seconds in (9.9, 10.0, 11.9, 12.1)]
+    assert reported == ['tracking', 'coasting', 'coasting', 'tracking']
 
 
-def test_a_picture_that_comes_late_makes_those_after_it_no_older() -> None:
+def test_an_image_that_comes_late_makes_those_after_it_no_older() -> None:
     health = Health(HealthConfig())
     health.restart(0)
     for seconds in (10.0, 8.5):
@@ -44,7 +44,7 @@ def test_a_picture_that_comes_late_makes_those_after_it_no_older() -> None:
     assert status(health, 11.1) == 'coasting'
 
 
-def test_a_pose_that_was_contradicted_for_long_is_doubted_after_it_fits_again() -> None:
+def test_a_pose_that_was_contradicted_for_long_is_flagged_after_it_fits_again() -> None:
     health = Health(HealthConfig(coasting_after_s=1000.0))
     health.restart(0)
     for k in range(21):
@@ -86,12 +86,12 @@ def test_what_is_too_little_to_be_used_is_no_contradiction(
 @pytest.mark.parametrize(
     ('contradict', 'verdict'),
     [
-        ([7, 8], 'coasting'),  # Pictures that were exchanged, as often as they are looked at.
+        ([7, 8], 'coasting'),  # Posters that were exchanged, as often as they are looked at.
         ([7, 3], 'lost'),  # One that agreed before.
         ([7, 8, 9, 10, 11], 'lost'),  # So many are not all exchanged.
     ],
 )
-def test_a_few_pictures_never_seen_before_do_not_call_the_pose_lost(
+def test_a_few_images_never_seen_before_do_not_call_the_pose_lost(
     contradict: list[int], verdict: str
 ) -> None:
     health = Health(HealthConfig(coasting_after_s=1.0))

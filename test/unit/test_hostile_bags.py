@@ -146,9 +146,9 @@ def test_an_index_that_is_wrong_is_done_without(tmp_path):
         struct.pack_into('<Q', content, place, value)
         files.append(bytes(content))
     for content in files:
-        (tmp_path / 'spoiled').write_bytes(content)
+        (tmp_path / 'degraded').write_bytes(content)
         warnings = []
-        bag = Bag(tmp_path / 'spoiled', warnings.append)
+        bag = Bag(tmp_path / 'degraded', warnings.append)
         assert len(list(sensor_events(bag, MOUNT))) == 90
         assert bag.counts['/odom'] == 40
         assert warnings == []
@@ -171,7 +171,7 @@ def test_a_database_with_odd_values_is_one_line(tmp_path):
     base.close()
 
 
-def test_a_bag_without_messages_says_what_is_missing(tmp_path):
+def test_a_bag_without_messages_states_what_is_missing(tmp_path):
     (tmp_path / 'none.mcap').write_bytes(mcap())
     with pytest.raises(LandmarkNavError, match=r'camera/image_raw is missing'):
         list(sensor_events(Bag(tmp_path / 'none.mcap'), MOUNT))

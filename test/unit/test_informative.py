@@ -53,8 +53,8 @@ def test_what_is_not_more_than_asked_for_is_taken_as_it_is() -> None:
 
 @pytest.mark.parametrize('worse', [0, 7])
 def test_landmarks_whose_place_is_uncertain_are_passed_over(worse: int) -> None:
-    doubtful = replace(LANDMARKS.landmarks[worse], covariance=np.eye(3))
-    landmarks = tuple(doubtful if k == worse else LANDMARKS.landmarks[k] for k in EVERY)
+    suspect = replace(LANDMARKS.landmarks[worse], covariance=np.eye(3))
+    landmarks = tuple(suspect if k == worse else LANDMARKS.landmarks[k] for k in EVERY)
     assert worse not in most_informative(AXIS, LandmarkMap(landmarks), EVERY, SIGMA, 12)
 
 
@@ -68,7 +68,7 @@ def test_what_is_wanted_comes_first() -> None:
     assert set(most_informative(AXIS, LANDMARKS, EVERY[:6], SIGMA, 4, [9])) <= set(EVERY[:6])
 
 
-def test_what_was_looked_for_before_gives_way_to_what_tells_about_as_much() -> None:
+def test_what_was_looked_for_before_gives_way_to_what_gives_about_as_much() -> None:
     novelty = np.ones(len(EVERY))
     looked_for: set[int] = set()
     for _ in range(4):
@@ -77,6 +77,6 @@ def test_what_was_looked_for_before_gives_way_to_what_tells_about_as_much() -> N
         novelty[chosen] *= 0.5
     assert len(looked_for) >= 10
     # But not to what tells next to nothing.
-    doubtful = replace(LANDMARKS.landmarks[0], covariance=np.eye(3))
-    landmarks = LandmarkMap((doubtful, *LANDMARKS.landmarks[1:]))
+    suspect = replace(LANDMARKS.landmarks[0], covariance=np.eye(3))
+    landmarks = LandmarkMap((suspect, *LANDMARKS.landmarks[1:]))
     assert 0 not in most_informative(AXIS, landmarks, EVERY, SIGMA, 4, novelty=novelty)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from filter_runs import EVERY, MAP, run, sighting, started
+from filter_runs import EVERY, MAP, measurement, run, started
 from fusion_drives import drive, error_of, MOUNT, start_estimate
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ LEVER = np.asarray(MOUNT.axis_xyz[:2])
 NOBODY = np.empty(0, dtype=np.int64)
 
 
-def swing_rad(seconds: float | FloatArray) -> float | FloatArray:
+def pan_range_rad(seconds: float | FloatArray) -> float | FloatArray:
     """A pan at full rate that slows down after 3.3 s and then goes back."""
     after = np.asarray(seconds) - 3.3
     slowing = np.where(after < 0.0, after, after / (1.0 + (after / 0.3) ** 2))
@@ -48,13 +48,13 @@ def swing_rad(seconds: float | FloatArray) -> float | FloatArray:
 def track_at(stamp_ns: int) -> PanTrack:
     """What joint states that are late tell of the pan about a time."""
     about = np.linspace(-0.4, 0.4, 33)
-    return PanTrack(about, np.asarray(swing_rad(1e-9 * stamp_ns - LATE_S + about)))
+    return PanTrack(about, np.asarray(pan_range_rad(1e-9 * stamp_ns - LATE_S + about)))
 
 
 def late(seen: Detections) -> Detections:
     """Bearings by the pan that joint states tell which are late."""
     seconds = 1e-9 * seen.stamp_ns
-    off_rad = float(swing_rad(seconds) - swing_rad(seconds - LATE_S))
+    off_rad = float(pan_range_rad(seconds) - pan_range_rad(seconds - LATE_S))
     track = track_at(seen.stamp_ns)
     before, after = track.at([-0.01, 0.01])
     return replace(
@@ -104,7 +104,7 @@ def test_each_delay_turns_the_place_that_was_found_about_the_pan_axis() -> None:
 
 @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
 @pytest.mark.parametrize('found_at', [48, 60])
-def test_a_place_found_in_a_swing_is_put_right_by_the_next_pictures(
+def test_a_place_found_in_a_swing_is_put_right_by_the_next_images(
     found_at: int, landmarks: str
 ) -> None:
     """Found with the pan 24 deg off, at a constant rate; then the pan slows down."""
@@ -112,7 +112,7 @@ def test_a_place_found_in_a_swing_is_put_right_by_the_next_pictures(
     for k, moment in enumerate(drive(84)):
         fused.add_odometry(moment.odometry)
         stamp_ns = moment.odometry.stamp_ns
-        seen = late(sighting(moment, k))
+        seen = late(measurement(moment, k))
         if k == found_at:
             turned = LATE_S * RATE_RAD_S
             axis = MOUNT.axis_pose_map(moment.pose) + np.array([0.0, 0.0, turned])
@@ -140,48 +140,48 @@ def test_a_place_found_with_a_delay_that_is_open_is_turned_back_for_joints_in_ti
     assert first.mean[HEADING] == pytest.approx(state.mean[HEADING] - turned)
 
 
-@pytest.mark.parametrize(('seconds', 'doubted'), [(2.8, True), (3.8, True), (30.0, False)])
-def test_joints_are_in_doubt_where_the_pan_turned_shortly_before(
-    seconds: float, doubted: bool
+@pytest.mark.parametrize(('seconds', 'inflated'), [(2.8, True), (3.8, True), (30.0, False)])
+def test_joints_are_uncertain_where_the_pan_turned_shortly_before(
+    seconds: float, inflated: bool
 ) -> None:
     """After 3.8 s the pan turns back: it stands for a moment."""
     track = track_at(round(1e9 * seconds))
     found = Found(NOBODY, float(np.diff(track.at([-0.01, 0.01]))[0]) / 0.02, track)
     start = start_estimate(np.array([0.01, 0.01, 0.005]))
-    assert joints_in_doubt(start, found, JointDelay(), None) == doubted
+    assert joints_in_doubt(start, found, JointDelay(), None) == inflated
     assert not joints_in_doubt(start, found, JointDelay(0.2, 0.001), None)
 
 
-@pytest.mark.parametrize(('rate_rad_s', 'doubted'), [(0.13, True), (-0.4, True), (0.01, False)])
-def test_a_slow_swing_leaves_joints_in_doubt_as_well(rate_rad_s: float, doubted: bool) -> None:
+@pytest.mark.parametrize(('rate_rad_s', 'inflated'), [(0.13, True), (-0.4, True), (0.01, False)])
+def test_a_slow_swing_leaves_joints_uncertain_as_well(rate_rad_s: float, inflated: bool) -> None:
     """0.2 s late, the first makes the heading 1.5 deg off, which is claimed to 0.05 deg."""
     start = start_estimate(np.array([0.003, 0.003, 0.001]))
     found = Found(NOBODY, rate_rad_s)
-    assert joints_in_doubt(start, found, JointDelay(), None) == doubted
+    assert joints_in_doubt(start, found, JointDelay(), None) == inflated
 
 
 @pytest.mark.parametrize('turns', [True, False])
-def test_landmarks_that_go_out_of_sight_in_a_swing_doubt_the_joints(turns: bool) -> None:
-    fused, told, sigmas = started(), [], []
+def test_landmarks_that_go_out_of_sight_in_a_swing_flag_the_joints(turns: bool) -> None:
+    fused, reported, sigmas = started(), [], []
     run(fused, 40)
     for k, moment in enumerate(drive(52)):
         if k <= 40:
             continue
         fused.add_odometry(moment.odometry)
         if k % EVERY == 0:
-            nothing = sighting(moment, k).chosen(np.zeros(4, dtype=np.bool_))
+            nothing = measurement(moment, k).chosen(np.zeros(4, dtype=np.bool_))
             rate = RATE_RAD_S if turns else 0.0
             fused.add_detections(replace(nothing, missed=MAP.ids, pan_rate_rad_s=rate))
-            told.append(fused.status)
+            reported.append(fused.status)
             sigmas.append(fused.late.sigma_s)
-    assert told[0] == ('tracking', '')
+    assert reported[0] == ('tracking', '')
     assert sigmas[0] == 0.0
     # Two in a row are no chance; and they are doubted once.
-    assert (told[1][0] == 'coasting') == turns
-    assert ('joint_states are late' in told[1][1]) == turns
+    assert (reported[1][0] == 'coasting') == turns
+    assert ('joint_states are late' in reported[1][1]) == turns
     assert (sigmas[1] > 0.05) == turns
     assert sigmas[-1] == pytest.approx(sigmas[1])
-    fused.add_detections(sighting(moment, k))
+    fused.add_detections(measurement(moment, k))
     assert fused.status == ('tracking', '')
 
 
@@ -194,7 +194,7 @@ def test_a_slow_swing_after_that_does_not_make_a_wrong_heading_sure(landmarks: s
         if k <= 40:
             continue
         fused.add_odometry(moment.odometry)
-        seen = sighting(moment, k, np.full(4, -LATE_S * rate))
+        seen = measurement(moment, k, np.full(4, -LATE_S * rate))
         if k < 100 and k % EVERY == 0:
             nothing = seen.chosen(np.zeros(4, dtype=np.bool_))
             fused.add_detections(replace(nothing, missed=MAP.ids, pan_rate_rad_s=RATE_RAD_S))
@@ -206,7 +206,7 @@ def test_a_slow_swing_after_that_does_not_make_a_wrong_heading_sure(landmarks: s
             assert fused.status[0] != 'tracking' or error**2 < 9.0 * found.covariance[2, 2]
 
 
-def test_what_is_in_doubt_is_not_doubted_again() -> None:
+def test_what_is_uncertain_is_not_flagged_again() -> None:
     once = seen_in_swing(Mixture((found_state(),)))
     assert len(once.states) == 6
     assert once.weights.sum() == pytest.approx(1.0)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from degraded_drives import check_consistent, FAULT_S, first, pan_rad, run, Sensed
 import numpy as np
-from picture_drives import MAP, MOUNT, picture, START, START_SIGMA, Step
 import pytest
-from spoiled_drives import check_honest, FAULT_S, first, pan_rad, run, Sensed
+from rendered_drives import camera_image, MAP, MOUNT, START, START_SIGMA, Step
 
 from landmark_nav.geometry.pan_track import PanTrack
-from landmark_nav.localization.frozen import FrozenPicture
+from landmark_nav.localization.frozen_image import FrozenImage
 from landmark_nav.localization.joint_delay import in_time, JointDelay, seen_in_time
 from landmark_nav.localization.pipeline import (
     LocalizationConfig,
@@ -34,18 +34,18 @@ def stamped_late(step: Step, frame: CameraFrame | None, late_s: float = LATE_S) 
     if frame is None:
         return step, frame
     about = np.linspace(-0.4, 0.4, 17)
-    told = np.array([pan_rad(step.stamp_ns * 1e-9 - late_s + t) for t in about])
-    rate = float((told[9] - told[7]) / (about[9] - about[7]))
-    track = PanTrack(about, told)
-    frame = replace(frame, pan_rad=float(told[8]), pan_rate_rad_s=rate, pan_track=track)
+    given = np.array([pan_rad(step.stamp_ns * 1e-9 - late_s + t) for t in about])
+    rate = float((given[9] - given[7]) / (about[9] - about[7]))
+    track = PanTrack(about, given)
+    frame = replace(frame, pan_rad=float(given[8]), pan_rate_rad_s=rate, pan_track=track)
     return step, frame
 
 
 @pytest.mark.parametrize('rpy', [(np.pi, 0.0, 0.0), (np.pi, 0.0, 0.3), (0.0, 0.0, 0.3)], ids=str)
-def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_tells_the_same(
+def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_gives_the_same(
     sensed: list[Sensed], rpy: tuple[float, float, float]
 ) -> None:
-    """Pan and tilt are counted otherwise, and the pictures are the same."""
+    """Pan and tilt are counted otherwise, and the images are the same."""
     sense = np.cos(rpy[0])
     x, y, z = MOUNT.optical_center_offset
     hung = replace(
@@ -89,20 +89,20 @@ def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_tells_the_same(
     np.testing.assert_allclose(same[half:], same[:half], atol=1e-3)
 
 
-def test_joint_states_that_are_late_for_good_are_told_measured_and_put_right(
+def test_joint_states_that_are_late_for_good_are_reported_measured_and_put_right(
     sensed: list[Sensed],
 ) -> None:
     moments = list(run(sensed, stamped_late))
-    told = next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking')
-    assert told.after_s <= 2.0
+    given = next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking')
+    assert given.after_s <= 2.0
     assert 'joint_states are late' in first(moments, 'coasting').reason
-    check_honest(moments)
+    check_consistent(moments)
     later = [m for m in moments if 3.0 < m.after_s < 6.0]
     assert sum(m.status == 'tracking' for m in later) > 0.5 * len(later)
     assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
 
 
-def test_how_late_they_are_is_known_after_a_few_pictures(sensed: list[Sensed]) -> None:
+def test_how_late_they_are_is_known_after_a_few_images(sensed: list[Sensed]) -> None:
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     for step, frame in sensed:
@@ -144,10 +144,10 @@ def test_joint_states_that_freeze_are_never_believed_for_long(sensed: list[Sense
 
     moments = list(run(sensed, frozen))
     assert next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking').after_s <= 2.0
-    check_honest(moments)
+    check_consistent(moments)
 
 
-def test_pictures_that_freeze_are_told_and_not_used(sensed: list[Sensed]) -> None:
+def test_images_that_freeze_are_reported_and_not_used(sensed: list[Sensed]) -> None:
     shown = next(f for s, f in sensed if f is not None and s.stamp_ns * 1e-9 >= FAULT_S - 0.3)
 
     def frozen(step: Step, frame: CameraFrame | None) -> Sensed:
@@ -158,17 +158,17 @@ def test_pictures_that_freeze_are_told_and_not_used(sensed: list[Sensed]) -> Non
     moments = list(run(sensed, frozen))
     coasting = first(moments, 'coasting')
     assert coasting.after_s <= 2.0
-    assert 'picture is the one before' in coasting.reason
+    assert 'image is the one before' in coasting.reason
     hidden = [m for m in moments if 0.5 < m.after_s < 2.5]
     assert not any(m.update.fusion.degrees for m in hidden)
     assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
-    check_honest(moments)
+    check_consistent(moments)
 
 
-def test_a_picture_may_stay_the_same_while_nothing_moves(sensed: list[Sensed]) -> None:
+def test_an_image_may_stay_the_same_while_nothing_moves(sensed: list[Sensed]) -> None:
     _, frame = next(pair for pair in sensed if pair[1] is not None)
     assert frame is not None
-    frozen = FrozenPicture()
+    frozen = FrozenImage()
     assert not any(frozen.repeats(frame) for _ in range(3))
     turned = replace(frame, pan_rad=frame.pan_rad + 0.02)
     assert frozen.repeats(turned)
@@ -183,14 +183,14 @@ def test_a_picture_may_stay_the_same_while_nothing_moves(sensed: list[Sensed]) -
 
 
 def test_a_camera_without_noise_that_stands_goes_on() -> None:
-    """As in a simulator; the first picture corrects a start that was a little off."""
+    """As in a simulator; the first image corrects a start that was a little off."""
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
     covariance = np.diag(np.square([0.05, 0.05, 0.035]))
     localizer.initialize(PoseEstimate(0, START + np.array([0.03, -0.02, 0.01]), covariance))
     for k in range(12):
         stamp_ns = k * 200_000_000
         localizer.add_odometry(OdometrySample(stamp_ns, np.zeros(3)))
-        update = localizer.add_frame(replace(picture(START, 0.0), stamp_ns=stamp_ns))
+        update = localizer.add_frame(replace(camera_image(START, 0.0), stamp_ns=stamp_ns))
         assert isinstance(update, LocalizationUpdate)
         assert update.status == 'tracking'
         assert update.fusion.degrees >= 3
@@ -224,10 +224,10 @@ def test_what_was_thought_meanwhile_is_taken_back_from_bearings() -> None:
     about = np.linspace(-0.4, 0.4, 81)
     track = PanTrack(about, about**2)
     ids, nothing = np.arange(2), np.zeros(2)
-    told = np.array([0.3, 0.7])
+    given = np.array([0.3, 0.7])
     seen = Detections(
-        0, ids, told + 0.01, nothing, nothing, np.zeros((2, 2)), pan_track=track, pan_delay_s=0.1
+        0, ids, given + 0.01, nothing, nothing, np.zeros((2, 2)), pan_track=track, pan_delay_s=0.1
     )
     in_the_end = seen_in_time(seen, JointDelay(0.2))
-    np.testing.assert_allclose(in_the_end.bearing_rad, told + 0.04)
-    np.testing.assert_allclose(seen_in_time(in_the_end, JointDelay()).bearing_rad, told)
+    np.testing.assert_allclose(in_the_end.bearing_rad, given + 0.04)
+    np.testing.assert_allclose(seen_in_time(in_the_end, JointDelay()).bearing_rad, given)

@@ -27,7 +27,7 @@ from landmark_nav.geometry.rotation import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.attention import AttentionConfig
 from landmark_nav.learning.calibration import CalibrationConfig
-from landmark_nav.learning.calibration.lean import levelled
+from landmark_nav.learning.calibration.axis_tilt import levelled
 from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
@@ -162,12 +162,12 @@ def test_papers_that_hang_askew_make_landmarks_less_certain(learned: LearningRes
         replace(p, center=tuple(p.center + np.array([0.0, *rng.normal(0.0, askew, 2)])))
         for p in PAPERS
     )
-    told = replace(ROOM, papers=moved)
-    views = [panorama_from_sweep(sweep_at(pose), told, MOUNT, stages) for pose in POSES]
+    given = replace(ROOM, papers=moved)
+    views = [panorama_from_sweep(sweep_at(pose), given, MOUNT, stages) for pose in POSES]
     for view, pose in zip(views, POSES, strict=True):
         error = np.append(view.center_map - axis_of(pose), wrap_rad(view.heading_rad - pose[2]))
         assert np.abs(error / np.sqrt(np.diag(view.covariance))).max() < 3.5
-    result = learn_from_panoramas(views, told, LearningConfig())
+    result = learn_from_panoramas(views, given, LearningConfig())
     errors, covariances = errors_of(result)
     nees = np.einsum('ni,nij,nj->n', errors, np.linalg.inv(covariances), errors)
     assert np.mean(nees) / 3.0 < 2.0
@@ -232,16 +232,16 @@ def test_a_place_that_papers_contradict_is_refused() -> None:
     panorama_from_sweep(near, ROOM, MOUNT, PanoramaStages())
 
 
-def test_an_axis_that_leans_untold_is_levelled(panoramas: list[Panorama]) -> None:
-    lean = np.radians([0.5, -0.3])
-    mount = replace(MOUNT, axis_rpy=(*lean, 0.0))
+def test_an_axis_that_is_tilted_unreported_is_levelled(panoramas: list[Panorama]) -> None:
+    camera_tilt = np.radians([0.5, -0.3])
+    mount = replace(MOUNT, axis_rpy=(*camera_tilt, 0.0))
     panorama = panorama_from_sweep(sweep_at(POSES[0], mount), ROOM, MOUNT, PanoramaStages())
     error = panorama.center_map - axis_of(POSES[0])
     assert np.abs(error[:2]).max() < 0.015
     assert panorama.quality is not None
     terms = [t for t in panorama.quality.calibration if t.name in ('axis_roll', 'axis_pitch')]
     assert len(terms) == 2
-    for term, true in zip(terms, lean, strict=True):
+    for term, true in zip(terms, camera_tilt, strict=True):
         assert term.used
         assert abs(term.value - true) < 3.5 * term.sigma
     # It shows what a level camera shows, but for what of the lean is not known.
@@ -252,11 +252,11 @@ def test_an_axis_that_leans_untold_is_levelled(panoramas: list[Panorama]) -> Non
 
 
 @pytest.mark.parametrize('yaw', [0.0, 2.0])
-def test_a_lean_turns_the_axis_in_the_base(yaw: float) -> None:
+def test_a_tilt_turns_the_axis_in_the_base(yaw: float) -> None:
     mount = replace(MOUNT, axis_rpy=(0.01, -0.02, yaw))
-    lean, information = np.array([0.006, -0.004]), np.diag([1e6, 4e6])
-    turned, terms = levelled(mount, information @ lean, information, CalibrationConfig())
-    expected = Rotation.from_rotvec([*lean, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
+    camera_tilt, information = np.array([0.006, -0.004]), np.diag([1e6, 4e6])
+    turned, terms = levelled(mount, information @ camera_tilt, information, CalibrationConfig())
+    expected = Rotation.from_rotvec([*camera_tilt, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
     np.testing.assert_allclose(rotation_rpy(turned.axis_rpy), expected, atol=1e-12)
     assert [t.sigma for t in terms] == pytest.approx([1e-3, 5e-4])
     noise = np.array([0.002, -0.001])
@@ -307,7 +307,7 @@ def test_a_map_of_too_few_landmarks_is_warned_of(
     assert not caplog.text
 
 
-def test_a_room_told_too_long_is_learned_right_and_told(
+def test_a_room_given_too_long_is_learned_right_and_reported(
     panoramas: list[Panorama], learned: LearningResult, caplog: pytest.LogCaptureFixture
 ) -> None:
     def farther(point: tuple[float, float]) -> tuple[float, float]:
@@ -316,9 +316,9 @@ def test_a_room_told_too_long_is_learned_right_and_told(
     walls = tuple(replace(w, start=farther(w.start), end=farther(w.end)) for w in ROOM.walls)
     result = learn_from_panoramas(panoramas, replace(ROOM, walls=walls), LearningConfig())
     assert 'room.yaml may be wrong' in caplog.text
-    told = {wall.wall_id: wall for wall in result.walls}
+    given = {wall.wall_id: wall for wall in result.walls}
     usual = {wall.wall_id: wall for wall in learned.walls}
-    for name, wall in told.items():
+    for name, wall in given.items():
         off_m = 0.04 if name == 'w' else 0.0
         assert abs(wall.off_m - usual[name].off_m - off_m) < 0.005
         assert abs(usual[name].off_m) < 4.0 * usual[name].sigma_m + 0.002

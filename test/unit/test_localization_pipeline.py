@@ -3,20 +3,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from picture_drives import (
+import pytest
+from rendered_drives import (
+    camera_image,
     drive,
     error_of,
     FRAME_NS,
     LENS,
     MAP,
     MOUNT,
-    picture,
     ROOM,
     START,
     start_of,
     START_SIGMA,
 )
-import pytest
 
 from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.fusion import FusionConfig
@@ -36,7 +36,7 @@ from landmark_nav.types import (
     Triplet,
 )
 
-GATHER_S = 3.0
+FIX_WINDOW_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,9 @@ class Run:
 def localize(
     mode: str, seed: int = 1, seconds: float = 9.0, views: str = 'one', turns: bool = True
 ) -> Run:
-    """Drive with the camera turned, if it turns, to what the last picture asked for."""
+    """Drive with the camera turned, if it turns, to what the last image asked for."""
     rng = np.random.default_rng(seed)
-    observation = ObservationConfig(triplet=TripletConfig(views=views, gather_s=GATHER_S))
+    observation = ObservationConfig(triplet=TripletConfig(views=views, fix_window_s=FIX_WINDOW_S))
     config = LocalizationConfig(observation, FusionConfig(mode=mode))
     localizer = Localizer(MAP, MOUNT, config)
     localizer.initialize(start_of(rng))
@@ -63,7 +63,7 @@ def localize(
         assert localizer.add_odometry(step.odometry) is None
         if step.stamp_ns % FRAME_NS:
             continue
-        frame = replace(picture(step.pose, pan, rng), stamp_ns=step.stamp_ns)
+        frame = replace(camera_image(step.pose, pan, rng), stamp_ns=step.stamp_ns)
         update = localizer.add_frame(frame)
         assert isinstance(update, LocalizationUpdate)
         error = error_of(update.fused, step.pose)
@@ -89,12 +89,12 @@ def test_a_drive_is_followed(run: Run) -> None:
     assert np.mean(run.nees) / 3.0 < 2.5
     assert {update.status for update in run.updates} == {'tracking'}
     assert all(isinstance(update.triplet, Triplet) for update in run.updates)
-    # The camera is turned so that the three are in the picture.
+    # The camera is turned so that the three are in the image.
     counts = [len(update.observation.detections) for update in run.updates]
     assert np.mean(counts[1:]) >= 3.0
 
 
-def test_odometry_alone_is_led_astray() -> None:
+def test_odometry_alone_is_misled() -> None:
     rng = np.random.default_rng(1)
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
     localizer.initialize(start_of(rng))
@@ -132,9 +132,9 @@ def test_a_fix_waits_no_longer_for_views_that_the_camera_does_not_turn_to() -> N
     fixed = [isinstance(update.observation.fix, PoseEstimate) for update in run.updates]
     stamps = 1e-9 * np.array([update.stamp_ns for update in run.updates])
     waits = np.diff([0.0, *stamps[fixed], stamps[-1]])
-    # A wait begins with the picture after a fix, and is over with one.
-    assert np.all(waits <= GATHER_S + 2e-9 * FRAME_NS)
-    assert max(waits) > GATHER_S
+    # A wait begins with the image after a fix, and is over with one.
+    assert np.all(waits <= FIX_WINDOW_S + 2e-9 * FRAME_NS)
+    assert max(waits) > FIX_WINDOW_S
     for fix, pose in run.fixes:
         error = error_of(fix, pose)
         assert error @ np.linalg.solve(fix.covariance, error) < 16.3  # 99.9 %
@@ -151,7 +151,7 @@ def test_poses_may_correct_the_odometry_instead_of_bearings() -> None:
 
 def test_the_fix_comes_from_the_bearings_alone() -> None:
     # Priors that differ lead to one fix: they only tell where to look.
-    frame = picture(START, 0.2)
+    frame = camera_image(START, 0.2)
     found = []
     for shift in ((0.0, 0.0, 0.0), (0.04, -0.03, 0.01), (-0.03, 0.04, -0.012)):
         prior = PoseEstimate(0, START + np.array(shift), np.diag([0.04, 0.04, 0.012]) ** 2)
@@ -165,7 +165,7 @@ def test_the_fix_comes_from_the_bearings_alone() -> None:
 
 def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
     prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
-    seen = Observer(MAP, MOUNT, ObservationConfig()).look(picture(START, 0.2), prior)
+    seen = Observer(MAP, MOUNT, ObservationConfig()).look(camera_image(START, 0.2), prior)
     assert not set(seen.detections.ids.tolist()) & set(seen.refused)
     assert len(seen.detections) + len(seen.refused) >= 4
     assert all(refusal.reason for refusal in seen.refused.values())
@@ -173,8 +173,8 @@ def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
 
 def test_where_most_is_found_few_are_looked_for_and_all_once_they_are_not() -> None:
     prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
-    observer = Observer(MAP, MOUNT, ObservationConfig(detection=DetectionConfig(enough=3)))
-    frame = picture(START, 0.2)
+    observer = Observer(MAP, MOUNT, ObservationConfig(detection=DetectionConfig(target_count=3)))
+    frame = camera_image(START, 0.2)
     blank = replace(frame, image=np.full_like(frame.image, 90))
 
     def looked_for(k: int, frame: CameraFrame) -> int:
@@ -187,7 +187,7 @@ def test_where_most_is_found_few_are_looked_for_and_all_once_they_are_not() -> N
     assert counts == [counts[0], 3, counts[0], counts[0], counts[0], 3]
 
 
-def test_a_blank_picture_gives_no_fix_and_odometry_goes_on() -> None:
+def test_a_blank_image_gives_no_fix_and_odometry_goes_on() -> None:
     rng = np.random.default_rng(3)
     localizer = Localizer(MAP, MOUNT, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
@@ -219,7 +219,7 @@ def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
         localizer.add_odometry(step.odometry)
         if step.stamp_ns % FRAME_NS:
             continue
-        frame = picture(step.pose, 0.8 * step.stamp_ns * 1e-9 - 1.0, rng)
+        frame = camera_image(step.pose, 0.8 * step.stamp_ns * 1e-9 - 1.0, rng)
         outcomes.append(localizer.add_frame(replace(frame, stamp_ns=step.stamp_ns)))
         if isinstance(outcomes[-1], PoseEstimate):
             found = error_of(outcomes[-1], step.pose)
@@ -236,7 +236,7 @@ def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
 def test_a_map_without_landmarks_gives_refusals() -> None:
     localizer = Localizer(LandmarkMap((), walls=ROOM.walls), MOUNT, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
-    update = localizer.add_frame(picture(START, 0.0))
+    update = localizer.add_frame(camera_image(START, 0.0))
     assert isinstance(update, LocalizationUpdate)
     assert isinstance(update.triplet, Refusal)
     assert isinstance(update.observation.fix, Refusal)

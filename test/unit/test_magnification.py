@@ -37,18 +37,18 @@ def two_views(
 def test_how_much_larger_a_view_shows_a_pattern_is_recovered(larger: float) -> None:
     for seed in range(5):
         template, found = two_views(np.random.default_rng(seed), larger)
-        told = log_magnification(template, found, 1.0)
-        assert told is not None
-        assert told[0] == pytest.approx(np.log(larger), rel=0.05, abs=1e-3)
+        reported = log_magnification(template, found, 1.0)
+        assert reported is not None
+        assert reported[0] == pytest.approx(np.log(larger), rel=0.05, abs=1e-3)
 
 
 def test_a_blurred_view_does_not_seem_larger() -> None:
     off = []
     for seed in range(20):
         template, found = two_views(np.random.default_rng(seed), 1.0, blur=0.7)
-        told = log_magnification(template, found, 1.0)
-        assert told is not None
-        off.append(told[0])
+        reported = log_magnification(template, found, 1.0)
+        assert reported is not None
+        off.append(reported[0])
     assert np.sqrt(np.mean(np.square(off))) < 2e-3
 
 
@@ -58,13 +58,13 @@ def test_its_sigma_is_that_of_the_noise() -> None:
     for seed in range(100):
         template, found = two_views(np.random.default_rng(seed), 1.02)
         found = found + rng.normal(0.0, 3.0, found.shape).astype(np.float32)
-        told = log_magnification(template, found, 1.0)
-        assert told is not None
-        normalized.append((told[0] - np.log(1.02)) / told[1])
+        reported = log_magnification(template, found, 1.0)
+        assert reported is not None
+        normalized.append((reported[0] - np.log(1.02)) / reported[1])
     assert 0.8 < np.sqrt(np.mean(np.square(normalized))) < 1.25
 
 
-def test_what_has_no_pattern_tells_nothing() -> None:
+def test_what_has_no_pattern_gives_nothing() -> None:
     flat = np.full((SIZE, SIZE), 90.0, np.float32)
     assert log_magnification(flat, flat, 1.0) is None
     # Stripes grow across alone, and would from any depth.

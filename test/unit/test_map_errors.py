@@ -98,9 +98,9 @@ class Both:
 
     def covariance(self) -> FloatArray:
         """Of place and errors, as `MapErrors` has it."""
-        errors, told = prior_covariance(), self.errors.told
-        if told is not None:
-            errors[np.ix_(told.which, told.which)] -= told.less
+        errors, reported = prior_covariance(), self.errors.reported
+        if reported is not None:
+            errors[np.ix_(reported.which, reported.which)] -= reported.less
         return np.block([[self.pose, self.cross], [self.cross.T, errors]])
 
 
@@ -114,8 +114,8 @@ def test_as_a_filter_of_all_errors(
     seed: int, shared: bool, course: list[tuple[int, float, float]]
 ) -> None:
     both = Both(seed, shared)
-    for pictures, known, again in course:
-        for _ in range(pictures):
+    for images, known, again in course:
+        for _ in range(images):
             both.look()
         both.move(known, again)
     np.testing.assert_allclose(both.errors.estimate, both.mean[2:], atol=1e-9)
@@ -176,7 +176,7 @@ def test_what_was_seen_of_single_landmarks_is_forgotten_as_a_whole() -> None:
     assert kept.all()
 
 
-def test_two_sightings_of_one_landmark_in_a_picture() -> None:
+def test_two_detections_of_one_landmark_in_an_image() -> None:
     """They repeat its error."""
     columns, gradient = np.array([2, 2]), np.array([[0.3, 0.0], [0.3, 0.0]])
     through = ERRORS.influence(columns, gradient, np.full(2, 1e-3))

@@ -40,7 +40,7 @@ class Texture:
 def match_shifted(
     seed: int, noise: float, shortest_px: float = 5.0
 ) -> tuple[FloatArray, Match | Refusal]:
-    """Error of a match at a random shift; the search picture has noise, gain and offset."""
+    """Error of a match at a random shift; the search image has noise, gain and offset."""
     rng = np.random.default_rng([seed, 1])
     texture = Texture(seed, shortest_px=shortest_px)
     shift = rng.uniform(8.0, 16.0, 2)
@@ -60,7 +60,7 @@ def test_a_sub_pixel_shift_is_recovered_without_noise() -> None:
 
 @pytest.mark.parametrize('noise', [20.0, 35.0])
 @pytest.mark.parametrize('shortest_px', [3.0, 5.0, 10.0])
-def test_noise_moves_matches_as_far_as_their_covariance_says(
+def test_noise_moves_matches_as_far_as_their_covariance_states(
     noise: float, shortest_px: float
 ) -> None:
     # Fine texture and coarse.
@@ -81,7 +81,7 @@ def test_noise_moves_matches_as_far_as_their_covariance_says(
 def test_parts_of_a_patch_that_are_out_of_place_count_as_far_as_they_are(
     out_of_place_px: float,
 ) -> None:
-    # As those of a picture and its frame are, which do not hang equally far from the wall.
+    # As those of an image and its frame are, which do not hang equally far from the wall.
     squares = []
     for seed in range(150):
         rng = np.random.default_rng([seed, 3])
@@ -100,23 +100,23 @@ def test_parts_of_a_patch_that_are_out_of_place_count_as_far_as_they_are(
 
 
 @pytest.mark.parametrize('sigmas', [(0.0, 0.0), (0.6, 0.6), (1.0, 0.0), (0.0, 1.0)])
-def test_how_much_more_a_picture_is_blurred_is_told(sigmas: tuple[float, float]) -> None:
-    told = []
+def test_how_much_more_an_image_is_blurred_is_reported(sigmas: tuple[float, float]) -> None:
+    reported = []
     for seed in range(20):
         texture = Texture(seed, shortest_px=6.0)
         search = blur_by(0.8 * texture.sample(56, 52) + 12.0, sigmas)
         found = match_template(search, texture.sample(32, 28, 11.3, 9.8))
         assert isinstance(found, Match)
-        told.append(found.blur_px2)
-        # A match in a picture that is blurred alike everywhere stays where it is.
+        reported.append(found.blur_px2)
+        # A match in an image that is blurred alike everywhere stays where it is.
         assert np.abs(found.xy - (11.3 + 15.5, 9.8 + 13.5)).max() < 0.15
     # To first order: what repeats of it is put right in the next look.
     by_interpolation = [0.3 * 0.7, 0.8 * 0.2]
     truth = np.square(sigmas) + by_interpolation
-    np.testing.assert_allclose(np.median(told, axis=0), truth, atol=0.05, rtol=0.15)
+    np.testing.assert_allclose(np.median(reported, axis=0), truth, atol=0.05, rtol=0.15)
 
 
-def test_noise_of_a_blurred_picture_counts_as_far_as_it_is_blurred() -> None:
+def test_noise_of_a_blurred_image_counts_as_far_as_it_is_blurred() -> None:
     step = (2.0, 1.5)
     nees = []
     for seed in range(150):
@@ -153,7 +153,7 @@ def test_a_blank_template_is_refused() -> None:
     assert found.reason == 'blank template'
 
 
-def test_a_blank_search_picture_is_refused() -> None:
+def test_a_blank_search_image_is_refused() -> None:
     found = match_template(np.full((60, 60), 99.0, np.float32), Texture(4).sample(30, 30))
     assert isinstance(found, Refusal)
 
@@ -189,17 +189,19 @@ def test_a_texture_that_repeats_is_refused() -> None:
 def test_stripes_fix_a_shift_across_but_not_along() -> None:
     # Vertical stripes with a little texture: sharp across, loose along.
     wave = Texture(9, deviation=50.0).sample(70, 1)
-    picture = np.repeat(wave, 60, axis=0) + 0.12 * (Texture(10).sample(70, 60) - 128.0)
+    camera_image = np.repeat(wave, 60, axis=0) + 0.12 * (Texture(10).sample(70, 60) - 128.0)
     rng = np.random.default_rng(0)
-    noisy = (picture + 3.0 * rng.standard_normal(picture.shape)).astype(np.float32)
-    found = match_template(noisy, picture[15:45, 20:50].astype(np.float32), max_second_ratio=1.01)
+    noisy = (camera_image + 3.0 * rng.standard_normal(camera_image.shape)).astype(np.float32)
+    found = match_template(
+        noisy, camera_image[15:45, 20:50].astype(np.float32), max_second_ratio=1.01
+    )
     assert isinstance(found, Match)
     sigma = np.sqrt(np.diag(found.covariance))
     assert sigma[1] > 1.5 * sigma[0]
 
 
 def test_blurring_keeps_fine_texture_from_aliasing() -> None:
-    # Pixels three times as wide average what the fine picture resolves.
+    # Pixels three times as wide average what the fine image resolves.
     fine = Texture(11, deviation=25.0, shortest_px=2.0).sample(180, 180)
     light = cv2.resize(fine**2.2, (60, 60), interpolation=cv2.INTER_AREA)
     coarse = (light ** (1.0 / 2.2))[4:-4, 4:-4]
@@ -224,7 +226,7 @@ def test_blurring_leaves_outlines_where_light_has_them(bright: bool) -> None:
 
 
 def _seen_with(fine: ImageArray, pixel: int) -> Float32Array:
-    """A picture that a camera with a soft lens shows in as many times fewer pixels each way."""
+    """An image that a camera with a soft lens shows in as many times fewer pixels each way."""
     light = light_of(fine[..., None])[..., 0]
     soft = cv2.GaussianBlur(light, (0, 0), 0.4 * pixel)
     size = (fine.shape[1] // pixel, fine.shape[0] // pixel)
@@ -233,9 +235,11 @@ def _seen_with(fine: ImageArray, pixel: int) -> Float32Array:
 
 
 def test_blurring_works_across_and_down_apart() -> None:
-    picture = Texture(12).sample(60, 60)
-    across = blur_to(picture, np.array([4.0, 1.0]))
-    assert np.abs(np.diff(across, axis=1)).mean() < 0.6 * np.abs(np.diff(picture, axis=1)).mean()
+    camera_image = Texture(12).sample(60, 60)
+    across = blur_to(camera_image, np.array([4.0, 1.0]))
+    assert (
+        np.abs(np.diff(across, axis=1)).mean() < 0.6 * np.abs(np.diff(camera_image, axis=1)).mean()
+    )
     column = np.zeros((40, 40), np.float32)
     column[:, 20:] = 100.0
     np.testing.assert_allclose(blur_to(column, np.array([1.0, 4.0])), column, atol=1e-3)
@@ -243,8 +247,8 @@ def test_blurring_works_across_and_down_apart() -> None:
 
 @pytest.mark.parametrize('step', [[1.0, 1.0], [0.3, 0.7]])
 def test_nothing_is_blurred_that_is_coarse_already(step: list[float]) -> None:
-    picture = Texture(13).sample(30, 30)
-    np.testing.assert_array_equal(blur_to(picture, np.array(step)), picture)
+    camera_image = Texture(13).sample(30, 30)
+    np.testing.assert_array_equal(blur_to(camera_image, np.array(step)), camera_image)
 
 
 def test_many_templates_are_found_as_each_alone() -> None:

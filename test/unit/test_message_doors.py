@@ -15,7 +15,7 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
 from landmark_nav.messages.layouts import (
     DETECTIONS,
-    FOUND_PLACE,
+    GLOBAL_POSE,
     JOINT_DELAY,
     LANDMARKS,
     TRIPLET,
@@ -23,7 +23,7 @@ from landmark_nav.messages.layouts import (
 from landmark_nav.types import JointSample, OdometrySample, PoseEstimate
 
 LAYOUTS = {
-    layout.topic: layout for layout in (DETECTIONS, FOUND_PLACE, JOINT_DELAY, LANDMARKS, TRIPLET)
+    layout.topic: layout for layout in (DETECTIONS, GLOBAL_POSE, JOINT_DELAY, LANDMARKS, TRIPLET)
 }
 HEAD = encode.header(FACTORY, STAMP, 'map')
 INTEGERS, FLOATS = ('i1', 'u1', 'i2', 'u2', 'i4', 'u4'), ('f4', 'f8')
@@ -144,11 +144,11 @@ NO_COVARIANCE = [*([value] * 9 for value in NOT_NUMBERS), SKEW, BEYOND_ONE, NEGA
         (decode.triplet, TRIPLET, 3, 'pan', NOT_NUMBERS),
         (decode.triplet, TRIPLET, 3, 'id', [5]),
         (decode.triplet, TRIPLET, 3, 'covariance', NO_COVARIANCE),
-        (decode.found_place, FOUND_PLACE, 3, 'pose', [*NOT_NUMBERS, 1e9]),
-        (decode.found_place, FOUND_PLACE, 3, 'id', [5]),
-        (decode.found_place, FOUND_PLACE, 3, 'pan_rate', NOT_NUMBERS),
-        (decode.found_place, FOUND_PLACE, 3, 'joint_delay', NOT_NUMBERS),
-        (decode.found_place, FOUND_PLACE, 3, 'covariance', NO_COVARIANCE),
+        (decode.global_pose, GLOBAL_POSE, 3, 'pose', [*NOT_NUMBERS, 1e9]),
+        (decode.global_pose, GLOBAL_POSE, 3, 'id', [5]),
+        (decode.global_pose, GLOBAL_POSE, 3, 'pan_rate', NOT_NUMBERS),
+        (decode.global_pose, GLOBAL_POSE, 3, 'joint_delay', NOT_NUMBERS),
+        (decode.global_pose, GLOBAL_POSE, 3, 'covariance', NO_COVARIANCE),
     ],
 )
 def test_values_that_can_not_be_are_refused(decoder, layout, points, name, wrong):
@@ -160,7 +160,7 @@ def test_values_that_can_not_be_are_refused(decoder, layout, points, name, wrong
         assert '\n' not in str(refused.value)
 
 
-def test_what_is_not_estimated_is_unknown_and_both_ways_to_say_so_are_read():
+def test_what_is_not_estimated_is_unknown_and_both_ways_to_report_it_are_read():
     covariance = np.diag([1e-4, 2e-4, 3e-5])
     estimate = PoseEstimate(STAMP, np.array([1.0, 2.0, 0.3]), covariance)
     for msg in (
@@ -272,7 +272,7 @@ def test_panoramas_of_another_size_or_shape_are_refused():
         ('k', np.zeros(9)),
         ('k', np.zeros(4)),
     ):
-        picture, info, pose = deepcopy(messages)
+        camera_image, info, pose = deepcopy(messages)
         setattr(info, attribute, value)
         with pytest.raises(LandmarkNavError):
-            decode.panorama(picture, info, pose)
+            decode.panorama(camera_image, info, pose)

@@ -16,10 +16,10 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
-from landmark_nav.messages.found_place import FoundPlace
+from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.messages.layouts import (
     DETECTIONS,
-    FOUND_PLACE,
+    GLOBAL_POSE,
     JOINT_DELAY,
     Layout,
     TRIPLET,
@@ -212,8 +212,8 @@ def test_found_place_comes_back(deliver):
     rng = np.random.default_rng(3)
     pose, root = rng.normal(size=3), rng.normal(size=(3, 3))
     covariance = root @ root.T
-    place = FoundPlace(STAMP, pose, covariance, np.array([4, 8, 15]), 0.7, 0.04, -0.01)
-    again = decode.found_place(deliver(encode.found_place(FACTORY, place)))
+    place = GlobalPose(STAMP, pose, covariance, np.array([4, 8, 15]), 0.7, 0.04, -0.01)
+    again = decode.global_pose(deliver(encode.global_pose(FACTORY, place)))
     assert again.stamp_ns == STAMP
     np.testing.assert_array_equal(again.pose, pose)
     np.testing.assert_array_equal(again.covariance, covariance)
@@ -222,16 +222,16 @@ def test_found_place_comes_back(deliver):
 
 
 def test_found_place_without_landmarks_or_numbers_is_refused():
-    short = np.zeros(1, dtype=[(k, 'f8') for k in FOUND_PLACE.fields.names])
+    short = np.zeros(1, dtype=[(k, 'f8') for k in GLOBAL_POSE.fields.names])
     with pytest.raises(LandmarkNavError, match='field id is 1 of type float64'):
-        decode.found_place(pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'map'), short))
-    head, points = encode.header(FACTORY, STAMP, 'map'), np.zeros(2, dtype=FOUND_PLACE.fields)
+        decode.global_pose(pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'map'), short))
+    head, points = encode.header(FACTORY, STAMP, 'map'), np.zeros(2, dtype=GLOBAL_POSE.fields)
     points['id'] = range(2)
     with pytest.raises(LandmarkNavError, match='names no landmark'):
-        decode.found_place(pack_cloud(FACTORY, head, points[:0]))
+        decode.global_pose(pack_cloud(FACTORY, head, points[:0]))
     points['pan_rate'] = np.nan
-    with pytest.raises(LandmarkNavError, match=r'found_place pan .* not a number'):
-        decode.found_place(pack_cloud(FACTORY, head, points))
+    with pytest.raises(LandmarkNavError, match=r'global_localization/pose pan .* not a number'):
+        decode.global_pose(pack_cloud(FACTORY, head, points))
 
 
 @both
@@ -276,13 +276,13 @@ def test_panorama_comes_back(deliver):
 
 
 def test_panorama_of_parts_that_do_not_belong_together_is_refused():
-    picture, info, pose = encode.panorama(FACTORY, some_panorama())
+    camera_image, info, pose = encode.panorama(FACTORY, some_panorama())
     info.distortion_model = 'plumb_bob'
     with pytest.raises(LandmarkNavError, match='plumb_bob'):
-        decode.panorama(picture, info, pose)
+        decode.panorama(camera_image, info, pose)
     pose.header = encode.header(FACTORY, STAMP + 1, 'map')
     with pytest.raises(LandmarkNavError, match='comes with'):
-        decode.panorama(picture, info, pose)
+        decode.panorama(camera_image, info, pose)
 
 
 def some_map(count, factors):

@@ -1,4 +1,4 @@
-"""Pictures and cameras come back from their messages, or are refused by name."""
+"""Images and cameras come back from their messages, or are refused by name."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def raw(pixels, encoding, padding=0, big=False):
 @both
 @pytest.mark.parametrize('shape', [(5, 7), (5, 7, 3)])
 def test_image_comes_back(deliver, shape):
-    picture = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
-    msg = deliver(encode.image(FACTORY, picture, STAMP, 'cam'))
+    camera_image = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
+    msg = deliver(encode.image(FACTORY, camera_image, STAMP, 'cam'))
     assert decode.stamp_ns(msg.header) == STAMP
-    np.testing.assert_array_equal(decode.image(msg), picture)
+    np.testing.assert_array_equal(decode.image(msg), camera_image)
 
 
 @both
@@ -61,7 +61,7 @@ def test_every_encoding_becomes_bgr_or_grey(deliver):
 
 
 @pytest.mark.parametrize('packed', [False, True])
-def test_pictures_are_grey_on_request(packed):
+def test_images_are_grey_on_request(packed):
     bgr = np.zeros((8, 16, 3), np.uint8)
     bgr[:, 8:] = [40, 120, 200]
     if packed:
@@ -279,7 +279,7 @@ def test_small_images_are_not_touched():
     assert its == camera
 
 
-def test_a_header_that_promises_too_much_is_refused_before_memory_is_taken():
+def test_a_header_that_predict_too_much_is_refused_before_memory_is_taken():
     jpeg = bytearray(cv2.imencode('.jpg', np.zeros((16, 16), np.uint8))[1].tobytes())
     at = jpeg.index(b'\xff\xc0') + 5
     jpeg[at : at + 4] = struct.pack('>HH', 16000, 65000)
@@ -296,9 +296,9 @@ def test_a_header_that_promises_too_much_is_refused_before_memory_is_taken():
 
 def test_unknown_encodings_are_refused_by_name():
     for name in ('32FC1', 'bayer_rggb12', 'h264', 'x' * 1000):
-        with pytest.raises(LandmarkNavError, match=f'{name[:10]}') as told:
+        with pytest.raises(LandmarkNavError, match=f'{name[:10]}') as reported:
             decode.image(raw(np.zeros((4, 4), np.uint8), name))
-        assert len(str(told.value)) < 200
+        assert len(str(reported.value)) < 200
 
 
 @both

@@ -13,7 +13,7 @@ from landmark_nav.evaluation.metrics import (
     error_summary,
     pose_errors,
     result_hash,
-    silently_wrong,
+    undetected_failures,
 )
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
@@ -63,7 +63,7 @@ def test_interpolation_wraps_and_knows_its_ends():
 
 def test_poses_are_carried_on_as_odometry_moves():
     odometry = PoseTrack(np.arange(2, 10), np.column_stack([np.arange(8.0), np.zeros((8, 2))]))
-    # Pictures come late, and one before there is odometry.
+    # Images come late, and one before there is odometry.
     seen = [(6, [5.0, 1.0, np.pi / 2]), (4, [3.0, 0.0, 0.0]), (1, [0.0, 0.0, 0.0])]
     line = odometry.carry(PoseTrack.of(seen))
     assert line.stamps_ns.tolist() == [1, 2, 3, 4, 5, 6]
@@ -133,27 +133,27 @@ def test_nees_interval_knows_that_the_map_is_drawn_once():
     rng = np.random.default_rng(4)
     by_map = np.broadcast_to(np.sqrt(2.0 / 3.0) * np.eye(3), (200, 3, 3))
     covariances = np.broadcast_to(np.eye(3), (200, 3, 3))
-    told, alone = 0, 0
+    reported, alone = 0, 0
     for _ in range(200):
         errors = by_map[0] @ rng.normal(size=3) + rng.normal(0.0, np.sqrt(1.0 / 3.0), (200, 3))
         low, high = consistency(errors, covariances, by_map).interval_95
-        told += low < np.mean(np.sum(errors**2, 1)) < high
+        reported += low < np.mean(np.sum(errors**2, 1)) < high
         low, high = consistency(errors, covariances).interval_95
         alone += low < np.mean(np.sum(errors**2, 1)) < high
-    assert told >= 0.93 * 200
+    assert reported >= 0.93 * 200
     # A map that happens to be good hides how much is the map's.
-    assert alone < told
+    assert alone < reported
 
 
 def test_what_is_sure_and_wrong_is_counted():
     errors = np.zeros((6, 3))
     errors[1, 0], errors[2, 2], errors[3, 1], errors[4, :2] = 0.06, -0.06, 0.04, np.nan
     covariances = np.broadcast_to(np.eye(3) * 0.01**2, (6, 3, 3))
-    assert silently_wrong(errors, covariances, np.ones(6, bool)) == 2
-    assert silently_wrong(errors, covariances, np.zeros(6, bool)) == 0
+    assert undetected_failures(errors, covariances, np.ones(6, bool)) == 2
+    assert undetected_failures(errors, covariances, np.zeros(6, bool)) == 0
 
 
-def test_hash_tells_results_apart_but_not_rounding():
+def test_hash_gives_results_apart_but_not_rounding():
     stamps = np.arange(5, dtype=np.int64)
     fused = np.random.default_rng(1).integers(-9, 9, (5, 3)) * 0.123456
     fixes = fused.copy()
@@ -197,7 +197,7 @@ def silent_odometry():
     )
 
 
-def sighting(stamp, variance):
+def detection(stamp, variance):
     count = len(PLACES)
     return Detections(
         stamp,
@@ -210,18 +210,18 @@ def sighting(stamp, variance):
 
 
 def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
-    fusion = FusionConfig(repeated_share=0.0)
+    fusion = FusionConfig(correlated_noise_fraction=0.0)
     config = LocalizationConfig(fusion=fusion, odometry=silent_odometry())
     pose = np.array([0.3, -0.2, 0.5])
     truth = PoseTrack.of([(k * SECOND // 10, pose) for k in range(times * 10)])
     prior = np.diag([0.1**2, 0.2**2, 0.1**2])
-    sightings = [sighting(k * SECOND, 1e-6) for k in range(times)]
+    detections = [detection(k * SECOND, 1e-6) for k in range(times)]
     mount = PanTiltMount(axis_xyz=(lever, 0.0, 1.0), pan_sigma_rad=0.0)
     start = PoseEstimate(0, pose + 0.1, prior)
     return (
         pose,
         prior,
-        posterior_bound(truth, sightings, landmarks(covariance, loading), mount, config, start),
+        posterior_bound(truth, detections, landmarks(covariance, loading), mount, config, start),
     )
 
 
@@ -252,6 +252,6 @@ def test_bound_is_unknown_without_truth():
     world = landmarks(1e-6 * np.eye(3), np.zeros((3, 1)))
     for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
         bound = posterior_bound(
-            truth, [sighting(SECOND, 1e-6)], world, PanTiltMount(), config, start
+            truth, [detection(SECOND, 1e-6)], world, PanTiltMount(), config, start
         )
         assert np.isnan(bound).all()

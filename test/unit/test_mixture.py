@@ -153,7 +153,7 @@ def seen_before(prior: FilterState) -> Outcome:
     return one._replace(state=refined(one.state, one.model, shared=False))
 
 
-def test_landmarks_are_refined_where_nothing_is_in_doubt() -> None:
+def test_landmarks_are_refined_where_nothing_is_uncertain() -> None:
     prior = known_state(0.01, 0.01, 0.005)
     one = measured_once(prior, 0)
     assert not refine([one], prior, 'consider').any()
@@ -163,11 +163,11 @@ def test_landmarks_are_refined_where_nothing_is_in_doubt() -> None:
     assert own[3:].any()
 
 
-def test_in_doubt_what_was_seen_of_landmarks_is_forgotten() -> None:
+def test_uncertain_what_was_seen_of_landmarks_is_forgotten() -> None:
     prior = known_state(0.01, 0.01, 0.005)
     before = seen_before(prior)
     assert not refine([before, before], prior).any()
-    # As of a picture whose bearings had to turn.
+    # As of an image whose bearings had to turn.
     used = replace(before.update, degrees=3)
     assert not refine([before._replace(update=used, model=None)], prior).any()
     against = replace(before.update, contradicts=True)

@@ -64,7 +64,7 @@ def test_survives_its_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ('changes', 'said'),
+    ('changes', 'reported'),
     [
         ({'joint_delay': 'soon'}, 'joint_delay'),
         ({'joint_delay': 25.0}, 'joint_delay'),
@@ -84,19 +84,21 @@ def test_survives_its_file(tmp_path: Path) -> None:
         ({'focal_scale_sigmas': 0.1}, 'focal_scale_sigma'),
     ],
 )
-def test_says_which_field_is_wrong(tmp_path: Path, changes: dict[str, object], said: str) -> None:
+def test_states_which_field_is_wrong(
+    tmp_path: Path, changes: dict[str, object], reported: str
+) -> None:
     file = written(tmp_path, {**ROBOT, **changes})
-    with pytest.raises(LandmarkNavError, match=said) as caught:
+    with pytest.raises(LandmarkNavError, match=reported) as caught:
         load_calibration(file)
     assert str(file) in str(caught.value)
     assert '\n' not in str(caught.value)
 
 
-@pytest.mark.parametrize('spoilt', [np.nan, np.inf])
-def test_takes_numbers_only(spoilt: float) -> None:
+@pytest.mark.parametrize('degraded', [np.nan, np.inf])
+def test_takes_numbers_only(degraded: float) -> None:
     good = Calibration.of_mount(MOUNT)
     with pytest.raises(LandmarkNavError):
-        Calibration(np.full(len(NAMES), spoilt), good.covariance, MOUNT)
+        Calibration(np.full(len(NAMES), degraded), good.covariance, MOUNT)
     with pytest.raises(LandmarkNavError):
         Calibration(good.values, -good.covariance, MOUNT)
 

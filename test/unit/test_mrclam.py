@@ -20,7 +20,7 @@ FILES = {
     'Robot2_Odometry': (
         '# t v w\n1248444175.156 0.086 -0.398\n1248444175.186 0.1 0\n1248444175.186 0.2 0\n'
     ),
-    # Robot 1, two landmarks in one picture, a barcode nobody has, a landmark later on.
+    # Robot 1, two landmarks in one image, a barcode nobody has, a landmark later on.
     'Robot2_Measurement': (
         '# t subject range bearing\n1248444175.200 5 3.0 0.1\n1248444175.200 63 3.0 0.2\n'
         '1248444175.200 81 3.0 -0.3\n1248444175.300 99 3.0 0.4\n1248444175.900 63 3.0 0.5\n'
@@ -35,13 +35,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_barcodes_become_subjects_and_pictures(folder: Path) -> None:
+def test_barcodes_become_subjects_and_images(folder: Path) -> None:
     log = read_mrclam(folder, 2, SIGMA)
     assert log.landmark_map.ids.tolist() == [6, 7]
-    assert [seen.ids.tolist() for seen in log.sightings] == [[6, 7], [6]]
-    assert [seen.stamp_ns for seen in log.sightings] == [1248444175200000000, 1248444175900000000]
-    np.testing.assert_array_equal(log.sightings[0].bearing_rad, [0.2, -0.3])
-    np.testing.assert_allclose(log.sightings[0].variance_rad2, SIGMA**2)
+    assert [seen.ids.tolist() for seen in log.detections] == [[6, 7], [6]]
+    assert [seen.stamp_ns for seen in log.detections] == [1248444175200000000, 1248444175900000000]
+    np.testing.assert_array_equal(log.detections[0].bearing_rad, [0.2, -0.3])
+    np.testing.assert_allclose(log.detections[0].variance_rad2, SIGMA**2)
     assert log.unknown == 1
 
 
@@ -106,5 +106,5 @@ def test_no_folder(tmp_path: Path) -> None:
 def test_the_data_set_itself(shared_data: Path) -> None:
     log = read_mrclam(shared_data / 'mrclam', 1, SIGMA)
     assert len(log.landmark_map.landmarks) == 15
-    assert sum(len(seen) for seen in log.sightings) == 1534
+    assert sum(len(seen) for seen in log.detections) == 1534
     assert log.unknown == 1

@@ -177,7 +177,7 @@ def test_a_map_of_exact_points_equals_itself(
     assert 'no landmark moved or changed' in capsys.readouterr().out
 
 
-def test_points_without_a_picture_cross_all_borders(converted: Path) -> None:
+def test_points_without_an_image_cross_all_borders(converted: Path) -> None:
     """They are kept and sent like other landmarks, but no camera is to look for a texture."""
     points = load_map(f'{converted}_map')
     np.testing.assert_allclose(points.positions[:, :2], POSTS)

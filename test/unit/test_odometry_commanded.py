@@ -39,7 +39,7 @@ def late_robot(delay_s: float) -> tuple[np.ndarray, np.ndarray, list[Detections]
     commands = np.column_stack([np.full(6000, 0.05), turns])
     samples = integrate_commands(stamps, commands, delay_s)
     posts = np.array([[4.0, 0.0], [0.0, 4.0], [-4.0, -1.0]])
-    sightings = []
+    detections = []
     for sample in samples[::10]:
         bearing = se2.bearings(sample.pose_odom_base, posts)
         seen = np.abs(bearing) < 0.9
@@ -48,8 +48,8 @@ def late_robot(delay_s: float) -> tuple[np.ndarray, np.ndarray, list[Detections]
         found = Detections(
             sample.stamp_ns, np.arange(3), bearing, none, none, np.zeros((3, 2))
         ).chosen(seen)
-        sightings.append(found)
-    return stamps, commands, sightings
+        detections.append(found)
+    return stamps, commands, detections
 
 
 @pytest.mark.parametrize('delay_s', [0.0, 0.13, 0.4])
@@ -58,20 +58,20 @@ def test_the_delay_is_found_without_truth(delay_s: float) -> None:
 
 
 def test_mistaken_landmarks_do_not_matter() -> None:
-    stamps, commands, sightings = late_robot(0.2)
+    stamps, commands, detections = late_robot(0.2)
     rng = np.random.default_rng(4)
     mixed = [
         replace(seen, ids=(seen.ids + 1) % 3) if rng.random() < 0.15 else seen
-        for seen in sightings
+        for seen in detections
     ]
     assert command_delay_s(stamps, commands, mixed) == pytest.approx(0.2, abs=0.02)
 
 
 def test_nothing_seen_twice_or_never_turned() -> None:
-    stamps, commands, sightings = late_robot(0.2)
+    stamps, commands, detections = late_robot(0.2)
     with pytest.raises(LandmarkNavError, match='delay of the commands cannot be found'):
-        command_delay_s(stamps, commands, sightings[:5])
+        command_delay_s(stamps, commands, detections[:5])
     with pytest.raises(LandmarkNavError, match='give it'):
-        command_delay_s(stamps, commands * [1.0, 0.0], sightings)
+        command_delay_s(stamps, commands * [1.0, 0.0], detections)
     with pytest.raises(LandmarkNavError, match='0 bearings'):
         command_delay_s(stamps, commands, [])

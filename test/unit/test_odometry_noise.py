@@ -69,7 +69,7 @@ class TestTrack:
         assert {o.reason for o in outcomes[2:] if o is not None} == {'odometry has frozen'}
         assert None not in outcomes[2:]
         assert track.stamps_ns == (0, 10**9)
-        assert track.stands_since_ns is None
+        assert track.still_since_ns is None
         np.testing.assert_allclose(
             track.motion(0, 12 * 10**8).increment, whole.motion(0, 12 * 10**8).increment
         )
@@ -92,11 +92,11 @@ class TestTrack:
     def test_time_for_which_it_stands(self) -> None:
         """On the way until 1 s, then still until 1.5 s, and on the way again."""
         track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
-        assert track.stands_since_ns is None
+        assert track.still_since_ns is None
         for k in range(1, 11):
             spot = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.0, angular_rad_s=0.0)
             assert track.add(spot) is None
-            assert track.stands_since_ns == 10**9
+            assert track.still_since_ns == 10**9
 
         def still(begin_s: float, end_s: float) -> float:
             motion = track.motion(round(1e9 * begin_s), round(1e9 * end_s))
@@ -111,7 +111,7 @@ class TestTrack:
         # Nothing is known of what comes after the time that a twist predicts.
         assert still(1.4, 3.0) == pytest.approx(0.1 + HORIZON_S)
         track.add(sample(1.55))
-        assert track.stands_since_ns is None
+        assert track.still_since_ns is None
         assert still(1.4, 1.6) == pytest.approx(0.1)
         assert still(0.0, 9.0) == pytest.approx(0.5)
 
@@ -249,18 +249,18 @@ class TestTrack:
         )
 
 
-def test_a_source_that_tells_no_speeds_goes_on_as_its_poses_did() -> None:
+def test_a_source_that_gives_no_speeds_goes_on_as_its_poses_did() -> None:
     """As scan matchers publish it."""
-    told, untold = circle_track(), OdometryTrack(CONFIG)
+    informed, uninformed = circle_track(), OdometryTrack(CONFIG)
     for k in range(11):
-        untold.add(replace(sample(0.1 * k), linear_m_s=0.0, angular_rad_s=0.0))
+        uninformed.add(replace(sample(0.1 * k), linear_m_s=0.0, angular_rad_s=0.0))
     ahead = round(1e9), round(1.1e9)
-    expected, motion = told.motion(*ahead), untold.motion(*ahead)
+    expected, motion = informed.motion(*ahead), uninformed.motion(*ahead)
     np.testing.assert_allclose(motion.increment, expected.increment, atol=2e-3)
     assert motion.ahead_s4 == expected.ahead_s4
 
 
-def test_a_source_that_has_told_speeds_stands_where_it_tells_none() -> None:
+def test_a_source_that_has_reported_speeds_stands_where_it_gives_none() -> None:
     track = OdometryTrack(CONFIG)
     for k, speed in enumerate([0.0, 0.5, 0.0]):
         track.add(OdometrySample(k * 10**8, np.array([0.02 * k, 0.0, 0.0]), speed))

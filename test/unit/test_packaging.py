@@ -172,6 +172,8 @@ def test_make_has_what_the_documents_name() -> None:
     makefile = (REPOSITORY / 'Makefile').read_text(encoding='utf-8')
     targets = set(re.findall(r'^([a-z-]+):', makefile, re.MULTILINE))
     for name in ('README.md', 'CONTRIBUTING.md'):
-        told = set(re.findall(r'`make ([a-z-]+)', (REPOSITORY / name).read_text(encoding='utf-8')))
-        assert told
-        assert told <= targets
+        reported = set(
+            re.findall(r'`make ([a-z-]+)', (REPOSITORY / name).read_text(encoding='utf-8'))
+        )
+        assert reported
+        assert reported <= targets

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bag_writers import full_turn, picture, SECOND, START, write_sweep
+from bag_writers import camera_image, full_turn, SECOND, START, write_sweep
 import cv2
 import pytest
 
@@ -45,18 +45,18 @@ def test_a_crop_that_leaves_gaps_is_warned_of(bag: Path, caplog: pytest.LogCaptu
     assert '--crop 5: so narrow parts of the frames do not meet' in caplog.text
 
 
-def test_a_picture_that_is_missing_is_told_in_one_line(
+def test_an_image_that_is_missing_is_reported_in_one_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    cv2.imwrite(str(tmp_path / '0.png'), picture(5))
+    cv2.imwrite(str(tmp_path / '0.png'), camera_image(5))
     assert panorama(tmp_path) == 1
-    assert 'pictures without frames.csv (file,pan_rad' in capfd.readouterr().err
+    assert 'images without frames.csv (file,pan_rad' in capfd.readouterr().err
     rows = ['file,pan_rad,focal_px,width,height', '0.png,0,60,64,48', 'gone.png,0.3,60,64,48']
     (tmp_path / 'frames.csv').write_text('\n'.join(rows))
     assert panorama(tmp_path) == 1
-    told = capfd.readouterr().err
-    assert told.startswith('landmark-nav panorama: ')
-    assert told.count('\n') == 1
-    assert 'gone.png: cannot be read: No such file' in told
+    reported = capfd.readouterr().err
+    assert reported.startswith('landmark-nav panorama: ')
+    assert reported.count('\n') == 1
+    assert 'gone.png: cannot be read: No such file' in reported
     assert panorama(tmp_path, '--sweep', '1') == 2
     assert 'is one sweep: leave out --sweep 1' in capfd.readouterr().err

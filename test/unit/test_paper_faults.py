@@ -89,7 +89,7 @@ def test_papers_that_changed_colours_are_named() -> None:
     assert judged(swapped).faults[0].kind == 'swapped'
 
 
-def test_a_paper_of_another_size_and_one_that_is_turned_are_told_apart() -> None:
+def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> None:
     larger = replace(EAST[1], width=1.414 * EAST[1].width, height=1.414 * EAST[1].height)
     found = judged((EAST[0], larger, EAST[2])).faults[0]
     assert (found.kind, found.paper) == ('size', 1)

@@ -44,14 +44,14 @@ def wall_with(rectangles: list[Rectangle]) -> FloatArray:
     return image
 
 
-def picture(image: FloatArray, noise: float = 0.0) -> ImageArray:
+def camera_image(image: FloatArray, noise: float = 0.0) -> ImageArray:
     rng = np.random.default_rng(0)
     noisy = image + noise * rng.standard_normal(image.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 def search_in(image: FloatArray, noise: float = 0.0) -> ColorSearch:
-    return ColorSearch(CylinderImage(picture(image, noise), np.ones(SHAPE, bool), CYLINDER))
+    return ColorSearch(CylinderImage(camera_image(image, noise), np.ones(SHAPE, bool), CYLINDER))
 
 
 def test_a_paper_is_found_among_books_that_have_rather_its_hue() -> None:
@@ -147,7 +147,7 @@ def edges_of(
     """Offsets outwards (2, n) from the true left (side 0) or top (1) edge, and their sigmas."""
     if blur_px:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
-    jpeg = cv2.imencode('.jpg', picture(image, noise=1.0), [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
+    jpeg = cv2.imencode('.jpg', camera_image(image, noise=1.0), [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
     decoded = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), dtype=np.uint8)
     along = 47.0 + np.arange(4 * PROFILES) if side == 0 else 208.0 + np.arange(4 * PROFILES)
     across = np.full(len(along), at + guess)
@@ -160,7 +160,7 @@ def edges_of(
 @pytest.mark.parametrize('blur_px', [0.0, 0.5, 1.0])
 @pytest.mark.parametrize('side', [0, 1], ids=['left', 'top'])
 def test_edges_in_jpeg_with_halved_colours_are_unbiased(blur_px: float, side: int) -> None:
-    """However sharp the picture, wherever in its pixel the edge lies."""
+    """However sharp the image, wherever in its pixel the edge lies."""
     means = []
     for shift in np.arange(0.0, 2.0, 0.25):
         place = (200.0 + shift, 40.0) if side == 0 else (200.0, 40.0 + shift)

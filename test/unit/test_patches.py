@@ -50,7 +50,7 @@ def test_texels_are_square_and_centred(azimuth: float, rows: int, columns: int) 
     rpy=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.5, 0.5)),
     ray=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
 )
-def test_rays_meet_the_patch_where_the_plane_says(
+def test_rays_meet_the_patch_where_the_plane_states(
     azimuth: float,
     off: float,
     reach: float,
@@ -74,7 +74,7 @@ def test_rays_meet_the_patch_where_the_plane_says(
     homography = rays_to_patch(position[None], normal[None], rotation, center)[0]
     found = homography @ np.array([*ray, 1.0])
     np.testing.assert_allclose(found[:2] / found[2], expected, rtol=1e-8, atol=1e-9)
-    # In front of the camera the scale is positive: what lies behind is told apart by its sign.
+    # In front of the camera the scale is positive: what lies behind is distinguished by its sign.
     assert found[2] > 0.0
 
 

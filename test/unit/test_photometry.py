@@ -92,7 +92,7 @@ def test_a_sweep_in_the_dark_is_brightened_as_a_whole(even: Sweep, light: float)
     assert likeness > 0.99
 
 
-def test_black_frames_tell_nothing(even: Sweep) -> None:
+def test_black_frames_gives_nothing(even: Sweep) -> None:
     dark = replace(
         even, frames=tuple(replace(f, image=np.zeros_like(f.image)) for f in even.frames)
     )

@@ -87,7 +87,7 @@ class TestRoomGrid:
 
 class TestViews:
     def test_places_without_all_papers_are_left_out(self) -> None:
-        # Round the corner; so near that the papers rise out of the picture; well; well.
+        # Round the corner; so near that the papers rise out of the image; well; well.
         xy = np.array([[2.5, 4.5], [2.7, 0.5], [2.7, 1.8], [1.5, 1.9]])
         samples = sample_walls(L_SHAPED, 0.5, 100)
         views = look(sweep_poses(xy, L_SHAPED), samples, L_SHAPED, MOUNT, CONFIG)
@@ -132,7 +132,7 @@ class TestViews:
         assert not len(look(poses, samples, ROOM, mount, config))
 
     def test_patches_spread_over_azimuth(self) -> None:
-        # Tall pictures see the whole band everywhere, and nothing is refused as too oblique.
+        # Tall images see the whole band everywhere, and nothing is refused as too oblique.
         config = PlanConfig(height_px=4000, candidates=90)
         samples = sample_walls(ROOM, 0.05, 1000)
         views = look(np.array([[2.5, 2.0, 0.0]]), samples, ROOM, MOUNT, config)
@@ -146,7 +146,7 @@ class TestViews:
 
 
 class TestPrediction:
-    def test_walls_straight_ahead_of_both_places_give_landmarks_if_sizes_tell(self) -> None:
+    def test_walls_straight_ahead_of_both_places_give_landmarks_if_sizes_give(self) -> None:
         samples = sample_walls(ROOM, 0.05, 1000)
         # Both see the papers in the south and look at the middle of the east wall in line.
         poses = sweep_poses(np.array([[1.0, 2.0], [3.5, 2.0]]), ROOM)
@@ -296,7 +296,7 @@ class TestPlan:
         np.testing.assert_allclose(same.sigma_m, plan.best.sigma_m, rtol=1e-6)
         assert same.landmarks == pytest.approx(plan.best.landmarks)
 
-    def test_blank_walls_above_the_picture_give_nothing(self, plan: Plan) -> None:
+    def test_blank_walls_above_the_image_give_nothing(self, plan: Plan) -> None:
         config = replace(CONFIG, texture_low_m=3.9, texture_high_m=4.0)
         tall = rectangle_room(5.0, 4.0, PAPERS, height=4.0)
         (nothing,) = forecast([plan.best.poses_map_base], plan.best.floor_xy, tall, MOUNT, config)
@@ -315,7 +315,7 @@ class TestBadInput:
             (rectangle_room(5.0, 4.0), 2, 'names 0 reference papers: hang three'),
             (rectangle_room(5.0, 4.0, PAPERS[:2]), 2, 'names 2 reference papers'),
             (rectangle_room(5.0, 0.7, PAPERS), 2, 'too small for this clearance'),
-            # The papers hang so high that no place in the room has them in its picture.
+            # The papers hang so high that no place in the room has them in its image.
             (
                 rectangle_room(
                     5.0,
@@ -328,7 +328,7 @@ class TestBadInput:
             ),
         ],
     )
-    def test_is_told_in_a_line(self, room: Room, count: int, message: str) -> None:
+    def test_is_reported_in_a_line(self, room: Room, count: int, message: str) -> None:
         with pytest.raises(LandmarkNavError, match=message):
             plan_positions(room, MOUNT, count, CONFIG, np.random.default_rng(0))
 

@@ -12,7 +12,7 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.reference_area import joined, joint_covariance, pose_errors
-from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
@@ -42,8 +42,8 @@ class TestPaperPose:
         rng = np.random.default_rng(5)
         area = CONFIG.reference_area
         tilts = [area.horizon_sigma_rad] * 2
-        told = [area.height_sigma_m, *tilts, area.paper_size_sigma]
-        prior = np.array([np.inf] * 3 + told)
+        given = [area.height_sigma_m, *tilts, area.paper_size_sigma]
+        prior = np.array([np.inf] * 3 + given)
         prior = np.append(prior, [area.paper_sigma_m] * 6)
         pixel = np.hypot(0.03, area.edge_sigma_px) / CONFIG.focal_px
 
@@ -127,8 +127,8 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
     sigma = 4e-4
     delta = xy - poses[:, None, :2]
     azimuth = np.arctan2(delta[..., 1], delta[..., 0])
-    sightings = [
-        [Sighting(i, azimuth[i, k] - poses[i, 2], 0.0, sigma, 1e-3, 1.0) for i in range(3)]
+    measurements = [
+        [PatchMeasurement(i, azimuth[i, k] - poses[i, 2], 0.0, sigma, 1e-3, 1.0) for i in range(3)]
         for k in range(24)
     ]
     eye = np.column_stack([poses[:, :2], np.full(3, 1.1)])
@@ -136,7 +136,7 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
     config = AdjustmentConfig(camera_weight=1e9, place_weight=1e9, room_weight=1e9)
     views = panoramas(poses, spread)
     places = joint_covariance(views, ROOM, CONFIG.reference_area)
-    done = adjust(sightings, list(walls), points, views, places, ROOM, config)
+    done = adjust(measurements, list(walls), points, views, places, ROOM, config)
     own, loading = landmark_errors(
         azimuth,
         np.linalg.norm(delta, axis=-1),
@@ -196,7 +196,7 @@ def test_localization_sigma_is_that_of_a_triangulation() -> None:
         assert found[k] == pytest.approx(np.sqrt(np.trace(fix.covariance[:2, :2])), rel=1e-6)
 
 
-def test_fewer_than_three_landmarks_tell_nothing() -> None:
+def test_fewer_than_three_landmarks_gives_nothing() -> None:
     landmarks = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.5], [0.3, -2.0]])
     gradient = bearing_gradients(np.zeros((3, 2)), landmarks)
     seen = np.array([[1.0, 1.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.0], [0.7, 0.7, 0.7, 0.8]])

@@ -1,4 +1,4 @@
-"""The prior of a picture comes from the fused pose nearest to it."""
+"""The prior of an image comes from the fused pose nearest to it."""
 
 from __future__ import annotations
 

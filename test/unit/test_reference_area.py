@@ -73,18 +73,18 @@ def test_noise_and_papers_that_hang_askew_stay_within_the_covariance() -> None:
 
 
 @pytest.mark.parametrize(('scale', 'words'), [(1.0, ''), (1.03, 'larger'), (0.975, 'smaller')])
-def test_a_room_that_is_scaled_with_its_papers_is_told(scale: float, words: str) -> None:
+def test_a_room_that_is_scaled_with_its_papers_is_reported(scale: float, words: str) -> None:
     room, pose = rectangle_room(papers=EAST), np.array([3.5, 2.0, 0.3])
     sweep = sweep_at(scene_of(room), pose, np.random.default_rng(7))
     papers = tuple(
         replace(p, center=(scale * p.center[0], scale * p.center[1], p.center[2])) for p in EAST
     )
-    told = rectangle_room(6.0 * scale, 5.0 * scale, papers)
-    place = locate(sweep, told)
+    given = rectangle_room(6.0 * scale, 5.0 * scale, papers)
+    place = locate(sweep, given)
     if not words:
-        assert not place.doubt
+        assert not place.warning
         return
-    share = re.search(rf'look (\S+) % {words} than told', place.doubt)
+    share = re.search(rf'look (\S+) % {words} than given', place.warning)
     assert share is not None
     assert float(share[1]) == pytest.approx(100.0 * abs(scale - 1.0), abs=0.8)
     # The place is right in the room as it is told.
@@ -135,7 +135,7 @@ def test_turned_edges_of_one_paper_pass_for_no_height(monkeypatch: pytest.Monkey
     assert abs(height(-0.04)[0] - straight) < 0.7 * sigma
 
 
-def test_papers_in_linear_and_in_gamma_coded_pictures_give_the_same_place() -> None:
+def test_papers_in_linear_and_in_gamma_coded_images_give_the_same_place() -> None:
     # What blurs edges blurs light; most cameras write its root: dark papers seem to shrink.
     room = rectangle_room(papers=EAST)
     pose = np.array([3.4, 2.4, 0.2])
@@ -168,7 +168,7 @@ def test_other_light_changes_nothing(light: tuple[float, float, float]) -> None:
     assert deviations(place, pose).max() < 3.0
 
 
-def test_other_things_in_the_papers_colours_do_not_lead_astray() -> None:
+def test_other_things_in_the_papers_colours_do_not_mislead() -> None:
     room = rectangle_room(papers=EAST)
     others = tuple(
         Paper(color, center, width, height)
@@ -224,7 +224,7 @@ MOUNTS = {
         replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0), optical_center_offset=(0.05, 0.0, 0.04)),
         -0.1,
     ),
-    'leaning, as told': (replace(MOUNT, axis_rpy=(0.04, -0.05, 0.0)), 0.0),
+    'leaning, as given': (replace(MOUNT, axis_rpy=(0.04, -0.05, 0.0)), 0.0),
 }
 
 

@@ -15,10 +15,10 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.overturned import why_overturned
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
-from landmark_nav.learning.reference_area.refusals import doubtful_size
+from landmark_nav.learning.reference_area.refusals import size_warning
+from landmark_nav.learning.upside_down import why_upside_down
 from landmark_nav.types import FloatArray, Sweep
 
 
@@ -30,7 +30,7 @@ def test_a_missing_paper_is_named() -> None:
     assert '\n' not in str(caught.value)
 
 
-def test_pictures_without_colour_are_told() -> None:
+def test_images_without_colour_are_reported() -> None:
     room = rectangle_room(papers=EAST)
     sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
     locate(sweep, room)
@@ -41,7 +41,7 @@ def test_pictures_without_colour_are_told() -> None:
         jpeg = cv2.imencode('.jpg', cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))[1]
         image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), dtype=np.uint8)
         frames.append(replace(frame, image=image))
-    with pytest.raises(LandmarkNavError, match='by their colour, and the pictures have none'):
+    with pytest.raises(LandmarkNavError, match='by their colour, and the images have none'):
         locate(replace(sweep, frames=tuple(frames)), room)
 
 
@@ -81,11 +81,11 @@ def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share: float, tall:
 
 
 def test_papers_that_changed_places_are_named() -> None:
-    told = rectangle_room(papers=EAST)
+    given = rectangle_room(papers=EAST)
     hung = (EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green'))
-    sweep = sweep_at(scene_of(told, hung), np.array([3.5, 2.0, 0.3]))
+    sweep = sweep_at(scene_of(given, hung), np.array([3.5, 2.0, 0.3]))
     with pytest.raises(LandmarkNavError, match=r'swapped, blue where green .* green where blue'):
-        locate(sweep, told)
+        locate(sweep, given)
 
 
 @pytest.mark.parametrize(
@@ -93,16 +93,16 @@ def test_papers_that_changed_places_are_named() -> None:
     [(2.0, 0.0, 1.3), (6.0, 2.38, 1.35), (6.0, 2.3, 1.43), (6.0, 2.315, 1.35)],
     ids=str,
 )
-def test_papers_that_hang_elsewhere_than_the_room_says(
+def test_papers_that_hang_elsewhere_than_the_room_states(
     center: tuple[float, float, float],
 ) -> None:
     """A refusal, or, where what is seen of the paper can't be its, the place by the others."""
-    told = rectangle_room(papers=EAST)
+    given = rectangle_room(papers=EAST)
     hung = (EAST[0], replace(EAST[1], center=center), EAST[2])
     pose = np.array([3.5, 2.0, 0.3])
-    sweep = sweep_at(scene_of(told, hung), pose)
+    sweep = sweep_at(scene_of(given, hung), pose)
     try:
-        place = locate(sweep, told)
+        place = locate(sweep, given)
     except LandmarkNavError as error:
         message = str(error)
     else:
@@ -111,12 +111,12 @@ def test_papers_that_hang_elsewhere_than_the_room_says(
     assert re.search('not found: green|do not fit together|no place .* green', message)
 
 
-def test_a_camera_that_hangs_otherwise_than_told_is_refused() -> None:
+def test_a_camera_that_hangs_otherwise_than_given_is_refused() -> None:
     room = rectangle_room(papers=EAST)
     pose = np.array([3.5, 2.0, 0.3])
     upside_down = replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0))
-    leaning = replace(MOUNT, axis_rpy=(0.03, 0.04, 0.0))
-    for mount in (upside_down, leaning):
+    tilted = replace(MOUNT, axis_rpy=(0.03, 0.04, 0.0))
+    for mount in (upside_down, tilted):
         with pytest.raises(LandmarkNavError) as caught:
             locate(sweep_at(scene_of(room), pose, mount=mount), room)
         assert '\n' not in str(caught.value)
@@ -129,10 +129,10 @@ def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m:
     sweep = sweep_at(scene_of(room), pose, rise_m=rise_m)
     with pytest.raises(LandmarkNavError) as refused:
         locate(sweep, room)
-    told = re.search(r'camera is (\S+) cm (higher|lower) than robot.yaml', str(refused.value))
-    assert told is not None
-    assert float(told[1]) == pytest.approx(100.0 * abs(rise_m), abs=1.0)
-    assert told[2] == ('higher' if rise_m > 0.0 else 'lower')
+    given = re.search(r'camera is (\S+) cm (higher|lower) than robot.yaml', str(refused.value))
+    assert given is not None
+    assert float(given[1]) == pytest.approx(100.0 * abs(rise_m), abs=1.0)
+    assert given[2] == ('higher' if rise_m > 0.0 else 'lower')
     place = locate(sweep, room, config=ReferenceAreaConfig(height_sigma_m=0.1))
     assert deviations(place, pose).max() < 3.5
     sigma = np.sqrt(place.covariance[2, 2])
@@ -140,11 +140,11 @@ def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m:
     assert sigma < 0.01
 
 
-def test_a_camera_that_is_told_to_hang_upside_down_and_does_not_is_told() -> None:
-    room, told = rectangle_room(papers=EAST), replace(MOUNT, camera_roll_rad=np.pi)
+def test_a_camera_that_is_given_as_hung_upside_down_and_does_not_is_reported() -> None:
+    room, given = rectangle_room(papers=EAST), replace(MOUNT, camera_roll_rad=np.pi)
     sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
-    said = str(why_overturned(sweep, room, told, ReferenceAreaConfig()))
-    assert said.endswith('set camera_roll: 0')
+    reported = str(why_upside_down(sweep, room, given, ReferenceAreaConfig()))
+    assert reported.endswith('set camera_roll: 0')
 
 
 @pytest.mark.parametrize(
@@ -155,14 +155,14 @@ def test_a_camera_that_is_told_to_hang_upside_down_and_does_not_is_told() -> Non
         (MOUNT, None),
     ],
 )
-def test_what_hangs_upside_down_is_told(mount: PanTiltMount, remedy: str | None) -> None:
+def test_what_hangs_upside_down_is_reported(mount: PanTiltMount, remedy: str | None) -> None:
     room = rectangle_room(papers=EAST)
     sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]), mount=mount)
-    told = why_overturned(sweep, room, MOUNT, ReferenceAreaConfig())
-    assert told is None if remedy is None else re.search(remedy, str(told))
+    given = why_upside_down(sweep, room, MOUNT, ReferenceAreaConfig())
+    assert given is None if remedy is None else re.search(remedy, str(given))
 
 
-def test_a_camera_upside_down_is_as_good_as_another_if_it_is_told() -> None:
+def test_a_camera_upside_down_is_as_good_as_another_if_it_is_reported() -> None:
     room = rectangle_room(papers=EAST)
     pose, rolled = np.array([3.5, 2.0, 0.3]), replace(MOUNT, camera_roll_rad=np.pi)
     place = locate(sweep_at(scene_of(room), pose, mount=rolled), room, rolled)
@@ -208,20 +208,20 @@ def fit_of_size(size: float, sigma: float, misfit: float) -> PaperFit:
 
 
 @pytest.mark.parametrize('misfit', [0.8, 3.0])
-def test_papers_that_say_nothing_of_their_size_are_not_doubted(misfit: float) -> None:
+def test_papers_that_state_nothing_of_their_size_are_not_flagged(misfit: float) -> None:
     config = ReferenceAreaConfig()
     # As the estimate scatters where papers tell a tenth of a percent of what is known before.
-    told = 0.001 * config.paper_size_sigma**2
-    sigma = float(np.sqrt(config.paper_size_sigma**2 - told))
-    assert doubtful_size(fit_of_size(2.0 * float(np.sqrt(told)), sigma, misfit), config) == ''
+    given = 0.001 * config.paper_size_sigma**2
+    sigma = float(np.sqrt(config.paper_size_sigma**2 - given))
+    assert size_warning(fit_of_size(2.0 * float(np.sqrt(given)), sigma, misfit), config) == ''
 
 
-def test_papers_that_are_surely_larger_are_told_with_how_much() -> None:
+def test_papers_that_are_surely_larger_are_reported_with_how_much() -> None:
     config = ReferenceAreaConfig()
     measured = 0.002
     sigma = (config.paper_size_sigma**-2 + measured**-2) ** -0.5
     drawn = 0.015 * config.paper_size_sigma**2 / (config.paper_size_sigma**2 + measured**2)
-    told = doubtful_size(fit_of_size(drawn, sigma, 1.0), config)
-    assert '1.5 % larger' in told
+    given = size_warning(fit_of_size(drawn, sigma, 1.0), config)
+    assert '1.5 % larger' in given
     # Edges that scatter by ten times as much as they should could look so by chance.
-    assert doubtful_size(fit_of_size(drawn, sigma, 100.0), config) == ''
+    assert size_warning(fit_of_size(drawn, sigma, 100.0), config) == ''

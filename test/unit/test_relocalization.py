@@ -21,9 +21,16 @@ from scenes import (
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.looking import LookingConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, UnsurePlace
+from landmark_nav.localization.relocalization import (
+    RelocalizationConfig,
+    Relocalizer,
+    UncertainPose,
+)
+from landmark_nav.localization.relocalization.candidate_detections import (
+    CandidateDetections,
+    find_candidate_detections,
+)
 from landmark_nav.localization.relocalization.hypotheses import propose
-from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import (
     CarriedFrames,
     Verification,
@@ -39,7 +46,7 @@ from landmark_nav.types import (
 )
 
 
-def standing(
+def frame_at(
     frames: Sequence[CameraFrame], landmark_map: LandmarkMap = MAP
 ) -> PoseEstimate | Refusal:
     return driven(frames, np.zeros((len(frames), 3)), landmark_map)
@@ -48,7 +55,7 @@ def standing(
 def driven(
     frames: Sequence[CameraFrame], poses_odom: FloatArray, landmark_map: LandmarkMap = MAP
 ) -> PoseEstimate | Refusal:
-    """The first place that is found, or why there is none after all pictures."""
+    """The first place that is found, or why there is none after all images."""
     relocalizer = Relocalizer(landmark_map, MOUNT)
     for k, (frame, pose) in enumerate(zip(frames, poses_odom, strict=True)):
         relocalizer.add_odometry(OdometrySample(10**8 * k, pose))
@@ -59,21 +66,21 @@ def driven(
 
 
 @pytest.mark.parametrize('pose', [(2.4, 1.9, 0.4), (1.5, 2.6, 3.1), (3.6, 1.4, -1.9)])
-def test_one_sweep_tells_the_place(pose: tuple[float, float, float]) -> None:
-    assert_right(standing(sweep(SCENE, pose)), pose)
+def test_one_sweep_gives_the_place(pose: tuple[float, float, float]) -> None:
+    assert_right(frame_at(sweep(SCENE, pose)), pose)
 
 
-def test_a_blurred_sweep_tells_the_place_as_well() -> None:
+def test_a_blurred_sweep_gives_the_place_as_well() -> None:
     """Sharp landmarks looked for in it are 19 mm off here."""
     pose = (1.5, 2.6, 3.1)
     frames = [replace(f, image=blurred_by(f.image, 3.0, 3.0)) for f in sweep(SCENE, pose)]
-    found = standing(frames)
+    found = frame_at(frames)
     assert_right(found, pose)
     assert isinstance(found, PoseEstimate)
     assert np.hypot(*(found.pose - pose)[:2]) < 0.012
 
 
-def test_other_light_and_pictures_exchanged_do_no_harm() -> None:
+def test_other_light_and_images_exchanged_do_no_harm() -> None:
     pose = (2.2, 2.3, -2.5)
     other = textured_room(ROOM, seed=8, feature_m=0.045)
     # A whole wall looks different now.
@@ -82,7 +89,7 @@ def test_other_light_and_pictures_exchanged_do_no_harm() -> None:
         replace(frame, image=np.asarray(0.5 * frame.image + 20.0, dtype=np.uint8))
         for frame in sweep(changed, pose)
     ]
-    assert_right(standing(frames), pose)
+    assert_right(frame_at(frames), pose)
 
 
 def test_views_from_different_places_are_joined_by_odometry() -> None:
@@ -110,7 +117,7 @@ def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
         for b in (south, east)
     ]
     symmetric = Scene((south, east, *twins))
-    found = standing(sweep(symmetric, (1.9, 1.5, 0.7)), learned(symmetric))
+    found = frame_at(sweep(symmetric, (1.9, 1.5, 0.7)), learned(symmetric))
     assert isinstance(found, Refusal)
     assert found.reason == 'not unique'
     # Both places are told.
@@ -124,17 +131,17 @@ def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
     sparse = replace(
         known, landmarks=tuple(k for k in known.landmarks if k not in south_east or k.id in few)
     )
-    found = standing(sweep(symmetric, (1.9, 1.5, 0.7)), sparse)
+    found = frame_at(sweep(symmetric, (1.9, 1.5, 0.7)), sparse)
     assert isinstance(found, Refusal)
     assert found.reason == 'not unique'
 
     # A wall that is different decides.
     north = SCENE.boards[2]
     decided = Scene((south, east, north, twins[1]))
-    assert_right(standing(sweep(decided, (1.9, 1.5, 0.7)), learned(decided)), (1.9, 1.5, 0.7))
+    assert_right(frame_at(sweep(decided, (1.9, 1.5, 0.7)), learned(decided)), (1.9, 1.5, 0.7))
 
 
-def test_the_same_picture_on_every_wall_is_no_place() -> None:
+def test_the_same_image_on_every_wall_is_no_place() -> None:
     # One texture four times, on walls as long as each other: four places, turned by a quarter.
     room = rectangle_room(4.0, 4.0)
     boards = textured_room(room, seed=5, feature_m=0.045).boards
@@ -144,7 +151,7 @@ def test_the_same_picture_on_every_wall_is_no_place() -> None:
         for k, board in enumerate(scene.boards)
         for j, (across, up) in enumerate(ALONG)
     ]
-    found = standing(
+    found = frame_at(
         sweep(scene, (1.6, 1.9, -0.8)), LandmarkMap(tuple(landmarks), walls=room.walls)
     )
     assert isinstance(found, Refusal)
@@ -152,20 +159,20 @@ def test_the_same_picture_on_every_wall_is_no_place() -> None:
 
 
 @pytest.mark.parametrize('tilt_rad', [-0.2, 0.25])
-def test_a_sweep_at_a_known_tilt_tells_the_place(tilt_rad: float) -> None:
-    assert_right(standing(sweep(SCENE, (2.4, 1.9, 0.4), tilt_rad=tilt_rad)), (2.4, 1.9, 0.4))
+def test_a_sweep_at_a_known_tilt_gives_the_place(tilt_rad: float) -> None:
+    assert_right(frame_at(sweep(SCENE, (2.4, 1.9, 0.4), tilt_rad=tilt_rad)), (2.4, 1.9, 0.4))
 
 
 def test_a_view_at_another_tilt_is_a_new_one() -> None:
     pose = (2.4, 1.9, 0.4)
     ceiling = sweep(SCENE, pose, tilt_rad=0.8)
-    assert isinstance(standing(ceiling), Refusal)
-    assert_right(standing([*ceiling, *sweep(SCENE, pose)]), pose)
+    assert isinstance(frame_at(ceiling), Refusal)
+    assert_right(frame_at([*ceiling, *sweep(SCENE, pose)]), pose)
 
 
 def test_another_room_is_not_recognised() -> None:
     other = textured_room(ROOM, seed=11, feature_m=0.045)
-    found = standing(sweep(other, (2.4, 1.9, 0.4)))
+    found = frame_at(sweep(other, (2.4, 1.9, 0.4)))
     assert isinstance(found, Refusal)
     assert found.reason == 'nothing recognised'
 
@@ -174,7 +181,7 @@ def test_a_known_wall_in_another_room_is_not_enough() -> None:
     other = textured_room(ROOM, seed=11, feature_m=0.045)
     stolen = Scene((SCENE.boards[0], *other.boards[1:]))
     # It comes into view last.
-    found = standing(sweep(stolen, (2.4, 1.9, 0.4), np.roll(PANS, -4)))
+    found = frame_at(sweep(stolen, (2.4, 1.9, 0.4), np.roll(PANS, -4)))
     assert isinstance(found, Refusal)
     assert found.reason == 'nothing recognised'
     assert 'of' in found.detail
@@ -182,7 +189,7 @@ def test_a_known_wall_in_another_room_is_not_enough() -> None:
 
 def test_one_narrow_view_is_too_little() -> None:
     few = replace(MAP, landmarks=MAP.landmarks[:5])
-    found = standing(sweep(SCENE, (2.4, 1.9, 0.4)), few)
+    found = frame_at(sweep(SCENE, (2.4, 1.9, 0.4)), few)
     assert isinstance(found, Refusal)
     assert found.reason == 'too little seen'
 
@@ -190,14 +197,14 @@ def test_one_narrow_view_is_too_little() -> None:
 def test_darkness_and_an_empty_map_are_refusals() -> None:
     dark = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
     for landmark_map in (MAP, LandmarkMap(())):
-        found = standing([dark], landmark_map)
+        found = frame_at([dark], landmark_map)
         assert isinstance(found, Refusal)
         assert found.reason == 'nothing recognised'
 
 
-def test_sightings_tell_bearing_and_range() -> None:
+def test_candidate_detections_give_bearing_and_range() -> None:
     pose = np.array([2.4, 1.9, 0.4])
-    seen = find_sightings(sweep(SCENE, pose.tolist(), np.zeros(1))[0], MAP, MOUNT)
+    seen = find_candidate_detections(sweep(SCENE, pose.tolist(), np.zeros(1))[0], MAP, MOUNT)
     # The landmarks of the east wall that are in view from there.
     place = se2.transform_points(se2.inverse(pose), MAP.positions[:, :2]) - seen.center[0]
     azimuth = np.arctan2(place[:, 1], place[:, 0])[seen.landmark]
@@ -214,7 +221,7 @@ def test_no_place_is_proposed_behind_a_wall() -> None:
     west = np.flatnonzero(MAP.normals[:, 0] > 0.9)
     place = se2.transform_points(se2.inverse(behind), MAP.positions[west, :2])
     n = len(west)
-    seen = Sightings(
+    seen = CandidateDetections(
         west,
         np.arctan2(place[:, 1], place[:, 0]),
         np.hypot(*place.T),
@@ -235,7 +242,7 @@ def test_no_place_is_proposed_behind_a_wall() -> None:
     ('limit', 'words'),
     [({}, 'look around'), ({'max_sigma_m': 1e-6}, 'sigma'), ({'max_sigma_rad': 1e-7}, 'sigma')],
 )
-def test_what_is_seen_must_tell_the_place_well(limit: dict[str, float], words: str) -> None:
+def test_what_is_seen_must_gives_the_place_well(limit: dict[str, float], words: str) -> None:
     """Or all around is looked for more; six landmarks within 0.6 rad tell it hardly."""
     pose = (4.6, 2.0, np.pi) if not limit else (2.4, 1.9, 0.4)
     frames = sweep(SCENE, pose, np.zeros(1) if not limit else PANS[::3])
@@ -245,7 +252,7 @@ def test_what_is_seen_must_tell_the_place_well(limit: dict[str, float], words: s
         relocalizer.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
         outcome = relocalizer.add_frame(frame)
         assert isinstance(outcome, Refusal)
-    assert isinstance(outcome, UnsurePlace)
+    assert isinstance(outcome, UncertainPose)
     assert words in outcome.detail
     assert np.hypot(*(outcome.place.pose - pose)[:2]) < 0.1
 
@@ -265,7 +272,7 @@ def test_no_single_landmark_decides(max_sigma_m: float, found: bool) -> None:
     if found:
         assert_right(outcome, pose)
     else:
-        assert isinstance(outcome, UnsurePlace)
+        assert isinstance(outcome, UncertainPose)
         assert f'landmark {lone} decides' in outcome.detail
 
 
@@ -286,20 +293,20 @@ def test_what_odometry_may_have_erred_by_is_left_open() -> None:
 @pytest.mark.parametrize(
     ('tilt_rad', 'roll_rad'), [(0.035, 0.0), (-0.035, 0.0), (0.0, 0.035), (0.015, -0.02)]
 )
-def test_a_camera_that_was_knocked_finds_its_place_and_how_it_looks(
+def test_a_camera_that_was_displaced_finds_its_place_and_how_it_looks(
     tilt_rad: float, roll_rad: float
 ) -> None:
     pose = (2.4, 1.9, 0.4)
     # The joints, as drawn, are those of a camera that looks higher than they say.
-    knocked = [
+    displaced = [
         replace(k, tilt_rad=k.tilt_rad - tilt_rad, roll_rad=k.roll_rad - roll_rad)
         for k in sweep(SCENE, pose)
     ]
     relocalizer, level = (
         Relocalizer(MAP, MOUNT, config)
-        for config in (RelocalizationConfig(), RelocalizationConfig(lean_sigma_rad=0.0))
+        for config in (RelocalizationConfig(), RelocalizationConfig(tilt_sigma_rad=0.0))
     )
-    for frame in knocked:
+    for frame in displaced:
         for each in (relocalizer, level):
             each.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
         outcome = relocalizer.add_frame(frame)
@@ -308,4 +315,4 @@ def test_a_camera_that_was_knocked_finds_its_place_and_how_it_looks(
         if isinstance(outcome, PoseEstimate):
             break
     assert_right(outcome, pose)
-    np.testing.assert_allclose(relocalizer.lean_rad, (tilt_rad, roll_rad), atol=2e-3)
+    np.testing.assert_allclose(relocalizer.tilt_roll_rad, (tilt_rad, roll_rad), atol=2e-3)

@@ -1,4 +1,4 @@
-"""A place that is searched for while pictures and odometry come in."""
+"""A place that is searched for while images and odometry come in."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_stream_gathers_views_until_they_suffice() -> None:
 
 
 def test_a_place_found_while_the_camera_turns_has_an_uncertain_heading() -> None:
-    """Joint states that are late make all pictures agree on a wrong one."""
+    """Joint states that are late make all images agree on a wrong one."""
     relocalizer = Relocalizer(MAP, MOUNT)
     pose = np.array([2.4, 1.9, 0.4])
     relocalizer.add_odometry(OdometrySample(0, np.zeros(3)))
@@ -63,7 +63,7 @@ def test_a_stream_that_shows_the_same_again_gives_the_same_answer() -> None:
     assert relocalizer.add_frame(replace(dark, stamp_ns=10**8)) is first
 
 
-def test_a_camera_that_froze_shows_nothing_new_wherever_its_joints_say_it_looks() -> None:
+def test_a_camera_that_froze_shows_nothing_new_wherever_its_joints_state_it_looks() -> None:
     relocalizer = Relocalizer(MAP, MOUNT)
     frame, turned = sweep(SCENE, (2.4, 1.9, 0.4), PANS[:2])
     for k in range(2):
@@ -81,7 +81,7 @@ def test_the_same_view_from_elsewhere_is_a_new_one() -> None:
         assert shows_new(frame, ahead, ahead[None], before) == new
 
 
-def test_a_stream_without_pictures_does_not_grow() -> None:
+def test_a_stream_without_images_does_not_grow() -> None:
     relocalizer = Relocalizer(MAP, MOUNT)
     sizes = []
     for k in range(4000):

@@ -89,7 +89,7 @@ def test_without_a_landmark_in_view_odometry_is_all_there_is():
 
 @pytest.mark.parametrize('exact', [0, 2, 4])
 @pytest.mark.parametrize('own_m', [1e-3, 0.0])
-def test_what_poses_owe_to_a_map_is_told_where_it_is_exact_too(exact, own_m):
+def test_what_poses_owe_to_a_map_is_reported_where_it_is_exact_too(exact, own_m):
     """Poses that follow known shares of the landmarks' errors owe them that much variance."""
     loading = np.array([[1e-4], [2e-4], [0.0]])
     learned = a_map()
@@ -155,7 +155,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
     assert first['triangulation']['position_rmse_m'] is None
 
 
-def test_stretches_without_tracking_are_told_with_the_first_reason():
+def test_stretches_without_tracking_are_reported_with_the_first_reason():
     done = run(drive())
     shown = [(0, 'tracking', ''), (3, 'lost', '<nothing>'), (9, 'coasting', 'later')]
     updates = [
@@ -177,14 +177,14 @@ def test_stretches_without_tracking_are_told_with_the_first_reason():
     gone = tuple(replace(update, status='lost') for update in done.updates[3:])
     done = replace(done, updates=(*done.updates[:3], *gone))
     report = run_report(done, run_errors(done), a_map(), MOUNT, CONFIG)
-    told = 'lost in 81 % of the pictures'
+    reported = 'lost in 81 % of the images'
     report['camera'] = dict.fromkeys(OFFSETS, 0.0)
-    assert run_summary(report).startswith(f'WARNING: {told}')
-    assert f'Warning: {told}' in html_report('run', report, {})
+    assert run_summary(report).startswith(f'WARNING: {reported}')
+    assert f'Warning: {reported}' in html_report('run', report, {})
 
 
 def test_a_place_that_nothing_speaks_for_is_not_found():
-    with pytest.raises(LandmarkNavError, match=r'not found in 16 pictures .*give --start'):
+    with pytest.raises(LandmarkNavError, match=r'not found in 16 images .*give --start'):
         replay(drive(), a_map(), MOUNT, CONFIG)
 
 
@@ -201,14 +201,14 @@ def test_without_truth_the_errors_stay_empty(tmp_path):
     assert '<td>-</td>' in page
 
 
-def test_a_drive_without_pictures_or_odometry_is_refused():
+def test_a_drive_without_images_or_odometry_is_refused():
     for left_out in (CameraFrame, OdometrySample):
         events = [event for event in drive() if not isinstance(event, left_out)]
-        with pytest.raises(LandmarkNavError, match='no picture or no odometry'):
+        with pytest.raises(LandmarkNavError, match='no image or no odometry'):
             run(events)
 
 
-def test_truth_is_never_told_to_the_localizer():
+def test_truth_is_never_given_to_the_localizer():
     shifted = [
         replace(event, pose=event.pose + 5.0) if isinstance(event, PoseEstimate) else event
         for event in drive()
@@ -238,7 +238,7 @@ def test_stamps_that_go_back_alone_or_a_little_stay():
     assert shifts_by_odometry([5, 7], [-1, -1], []).tolist() == [0, 0]
 
 
-def test_a_picture_that_came_late_is_smoothed_in_its_time():
+def test_an_image_that_came_late_is_smoothed_in_its_time():
     events = list(drive(3))
     frames = [k for k, event in enumerate(events) if isinstance(event, CameraFrame)]
     events.insert(frames[5] + 1, events.pop(frames[4]))
@@ -249,7 +249,7 @@ def test_a_picture_that_came_late_is_smoothed_in_its_time():
     assert len(smoothed.stamps_ns) == len(frames)
 
 
-def test_pictures_without_stamps_are_refused():
+def test_images_without_stamps_are_refused():
     unstamped = (replace(event, stamp_ns=0) for event in drive(3))
-    with pytest.raises(LandmarkNavError, match='16 pictures are of one moment'):
+    with pytest.raises(LandmarkNavError, match='16 images are of one moment'):
         run(unstamped)

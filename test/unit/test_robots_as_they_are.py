@@ -116,7 +116,7 @@ def quaternion_of(matrix):
     return [*(float(part / (4.0 * w)) for part in (x, y, z)), float(w)]
 
 
-def only_transforms(child, lean=(0.0, 0.0, 0.0), static=(0.0, 0.0, 0.0)):
+def only_transforms(child, camera_tilt=(0.0, 0.0, 0.0), static=(0.0, 0.0, 0.0)):
     """The pan joint in ``/tf``, behind a fixed joint of the base."""
 
     def change(topic, message):
@@ -125,7 +125,7 @@ def only_transforms(child, lean=(0.0, 0.0, 0.0), static=(0.0, 0.0, 0.0)):
             return
         stamp, pan = stamp_of(message), float(message.position[0])
         fixed = rotation_rpy(static)
-        turned = fixed.T @ rotation_rpy(lean) @ rotation_rpy([0.0, 0.0, pan])
+        turned = fixed.T @ rotation_rpy(camera_tilt) @ rotation_rpy([0.0, 0.0, pan])
         odom = transform('/odom', 'base_link', [0.0, 0.0, 0.0, 1.0], stamp)
         pan_tf = transform('/mast', child, quaternion_of(turned), stamp)
         mast = transform('base_link', 'mast', quaternion_of(fixed), stamp)
@@ -143,9 +143,9 @@ def test_the_pan_is_taken_from_transforms_where_it_is_only_there(tmp_path, child
 
 
 def test_the_pan_is_that_about_the_axis_of_the_robot(tmp_path):
-    lean, mast = (0.05, -0.1, 0.3), (0.2, 0.0, 1.0)
-    mount = PanTiltMount(axis_rpy=lean)
-    path = rewritten(tmp_path, only_transforms('turret', lean, mast))
+    camera_tilt, mast = (0.05, -0.1, 0.3), (0.2, 0.0, 1.0)
+    mount = PanTiltMount(axis_rpy=camera_tilt)
+    path = rewritten(tmp_path, only_transforms('turret', camera_tilt, mast))
     found, _ = pans(path, mount, {'joint_states': '/tf:turret'})
     np.testing.assert_allclose(found, PANS, atol=1e-9)
     with pytest.raises(LandmarkNavError, match='has no frame camera: it has base_link, turret'):
@@ -207,7 +207,7 @@ def test_topics_of_other_names_are_given(tmp_path):
         pans(path, topics={k: v for k, v in topics.items() if k != 'odom'})
 
 
-def test_a_namespace_is_found_and_said_once(tmp_path):
+def test_a_namespace_is_found_and_reported_once(tmp_path):
     path = rewritten(tmp_path, lambda t, m: [(t, m)], lambda topic: f'//r1{topic}')
     found, warnings = pans(path)
     np.testing.assert_allclose(found, PANS)

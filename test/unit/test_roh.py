@@ -82,7 +82,7 @@ def refined(beacons: FloatArray, seen: FloatArray) -> FloatArray:
             for k, b in enumerate(beacons)
         )
     )
-    sightings = [
+    detections = [
         Detections(
             (k + 1) * 10**11, np.arange(4), row, np.full(4, 1e-4), np.ones(4), np.zeros((4, 2))
         )
@@ -90,7 +90,7 @@ def refined(beacons: FloatArray, seen: FloatArray) -> FloatArray:
     ]
     anywhere = PoseEstimate(0, np.array([3.0, 3.0, 0.0]), 9.0 * np.eye(3))
     initial = np.median(subset_poses(beacons, seen), axis=1)
-    return smooth(anywhere, [], sightings, initial, corners, PanTiltMount()).landmarks
+    return smooth(anywhere, [], detections, initial, corners, PanTiltMount()).landmarks
 
 
 def test_beacons_are_put_right_by_what_is_seen_of_them(
@@ -102,16 +102,16 @@ def test_beacons_are_put_right_by_what_is_seen_of_them(
     What changes from one reading to the next, a robot that stands takes the median of.
     """
     places, bearings = readings
-    standing, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
+    frame_at, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
     errors = [
         np.linalg.norm(subset_poses(corners, seen)[..., :2] - place[:, None], axis=-1)
-        for corners in (beacons[:, :2], refined(beacons[:, :2], standing))
-        for seen, place in ((bearings, places), (standing, true))
+        for corners in (beacons[:, :2], refined(beacons[:, :2], frame_at))
+        for seen, place in ((bearings, places), (frame_at, true))
     ]
-    each, standing_there, each_refined, standing_refined = map(np.median, errors)
-    assert standing_there > 0.11
+    each, at_rest, each_refined, refined_at_rest = map(np.median, errors)
+    assert at_rest > 0.11
     assert each_refined < 0.098 < 0.8 * each
-    assert standing_refined <= 0.09
+    assert refined_at_rest <= 0.09
 
 
 def test_least_squares_of_all_four(

@@ -1,4 +1,4 @@
-"""Blur is seen beside other pictures of the same wall, whatever else differs."""
+"""Blur is seen beside other posters of the same wall, whatever else differs."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_camera_that_is_rolled_over_is_known_to_be():
 
 @pytest.mark.parametrize('kind', BLURS)
 @pytest.mark.parametrize('seed', range(4))
-def test_a_blurred_picture_is_not(kind, seed):
+def test_a_blurred_image_is_not(kind, seed):
     rng = np.random.default_rng(seed)
     wall = texture(rng)
     here = look_at(view(wall, 0.3, rng, blur=BLURS[kind]), CAMERA)
@@ -90,12 +90,12 @@ def test_somebody_who_stands_in_a_third_of_the_view_hardly_counts():
     rng = np.random.default_rng(0)
     wall = texture(rng)
     there = look_at(view(wall, STEP, rng), CAMERA)
-    picture = view(wall, 0.0, rng)
-    picture[:, 90:170] = 40
-    assert relative_sharpness(look_at(picture, CAMERA), there, -STEP) > 0.8
+    camera_image = view(wall, 0.0, rng)
+    camera_image[:, 90:170] = 40
+    assert relative_sharpness(look_at(camera_image, CAMERA), there, -STEP) > 0.8
 
 
-def test_blank_pictures_and_pictures_of_other_places():
+def test_blank_images_and_images_of_other_places():
     rng = np.random.default_rng(0)
     blank = look_at(np.full((192, 256, 3), 255, np.uint8), CAMERA)
     assert blank.flat

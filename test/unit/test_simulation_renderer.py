@@ -83,7 +83,7 @@ def shift_between(image: np.ndarray, reference: np.ndarray, where: np.ndarray) -
     return np.asarray(fit[:2] / fit[2])
 
 
-# Near, far (other levels of detail), slanted; pan puts the targets all over the picture.
+# Near, far (other levels of detail), slanted; pan puts the targets all over the image.
 @pytest.mark.parametrize(
     ('pose', 'pans', 'tilts'),
     [

@@ -138,11 +138,11 @@ class TestCameraEffects:
         effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
         for level in (40, 180):
             flat = np.full((96, 128, 3), level, np.uint8)
-            pictures = np.array([effects.apply(flat) for _ in range(4)], dtype=np.float64)
-            assert pictures.mean() == pytest.approx(level, abs=0.3)
+            images = np.array([effects.apply(flat) for _ in range(4)], dtype=np.float64)
+            assert images.mean() == pytest.approx(level, abs=0.3)
             # A twelfth: rounding to whole grey levels.
-            assert pictures.var() == pytest.approx(9.0 + 0.2 * level + 1.0 / 12.0, rel=0.05)
-            assert not np.array_equal(pictures[0], pictures[1])
+            assert images.var() == pytest.approx(9.0 + 0.2 * level + 1.0 / 12.0, rel=0.05)
+            assert not np.array_equal(images[0], images[1])
 
     def test_a_lens_mixes_light(self):
         config = CameraEffectsConfig(
@@ -163,17 +163,17 @@ class TestCameraEffects:
             shot_noise=0.0,
         )
         effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
-        picture = effects.apply(np.full((96, 128, 3), 50, np.uint8))
-        assert picture[48, 64] == pytest.approx(100, abs=1)
-        assert picture[0, 0] == pytest.approx(60, abs=1)
+        camera_image = effects.apply(np.full((96, 128, 3), 50, np.uint8))
+        assert camera_image[48, 64] == pytest.approx(100, abs=1)
+        assert camera_image[0, 0] == pytest.approx(60, abs=1)
 
-    def test_leaves_clean_pictures_alone_if_told_so(self):
+    def test_leaves_clean_images_alone_if_reported_so(self):
         config = CameraEffectsConfig(
             vignetting=0.0, auto_exposure=0.0, blur_sigma_px=0.0, read_noise=0.0, shot_noise=0.0
         )
         effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
-        picture = np.random.default_rng(1).integers(0, 256, (96, 128, 3)).astype(np.uint8)
-        assert np.array_equal(effects.apply(picture), picture)
+        camera_image = np.random.default_rng(1).integers(0, 256, (96, 128, 3)).astype(np.uint8)
+        assert np.array_equal(effects.apply(camera_image), camera_image)
 
 
 class TestDrivePath:

@@ -46,8 +46,8 @@ class TestRooms:
 
     def test_no_two_are_alike(self, scenes):
         assert len({str(scene.room) for scene in scenes}) == len(scenes)
-        pictures = [item.seed for scene in scenes for item in scene.items]
-        assert len(set(pictures)) > 0.99 * len(pictures)
+        images = [item.seed for scene in scenes for item in scene.items]
+        assert len(set(images)) > 0.99 * len(images)
 
     def test_some_are_l_shaped(self, scenes):
         corners = [len(scene.room.walls) for scene in scenes]
@@ -197,7 +197,7 @@ class TestPyramid:
                     assert found == pytest.approx(expected, abs=0.8)
 
 
-class TestLightAndPictures:
+class TestLightAndPosters:
     def test_light_falls_off(self):
         lamp = Lamp((0.0, 0.0, 2.5), (0.6, 0.6))
         near, far = irradiance([[0.0, 0, 0], [3.0, 0, 0]], [0.0, 0.0, 1.0], [lamp])
@@ -206,7 +206,7 @@ class TestLightAndPictures:
         assert (dark < near).all()
 
     @pytest.mark.parametrize('kind', ['photo', 'poster', 'shelf', 'blinds', 'door', 'target'])
-    def test_pictures_have_texture_and_come_out_of_their_seed(self, kind):
+    def test_images_have_texture_and_come_out_of_their_seed(self, kind):
         first = draw_item(kind, 1, (160, 120))
         assert first.shape == (160, 120, 3)
         assert first.dtype == np.uint8

@@ -13,7 +13,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.gaze import Gaze
+from landmark_nav.simulation.pan_control import PanControl
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.recording import drive_messages, sweep_messages
 from landmark_nav.simulation.renderer import Renderer
@@ -59,7 +59,7 @@ def test_time_passes_in_whole_steps(world):
     assert world.stamp_ns - start == pytest.approx(1e9, abs=2)
 
 
-def test_a_picture_tells_when_and_where_to_it_was_taken(world):
+def test_an_image_gives_when_and_where_to_it_was_taken(world):
     world.place(POSE, 0.7, 0.1)
     frame = world.camera_frame()
     assert frame.image.shape == (120, 160, 3)
@@ -68,15 +68,15 @@ def test_a_picture_tells_when_and_where_to_it_was_taken(world):
 
 
 def test_same_seed_same_run_also_with_people(world):
-    pictures = []
+    images = []
     for _ in range(2):
         other = make_world(seed=8, people=2, renderer=world.renderer)
         other.command_velocity(0.3, 0.4)
         other.command_pan(1.0)
         other.advance(1.0)
-        pictures.append(other.camera_frame().image)
+        images.append(other.camera_frame().image)
         pose = other.odometry_sample().pose_odom_base
-    assert np.array_equal(*pictures)
+    assert np.array_equal(*images)
     assert pose[0] > 0.1
 
 
@@ -103,8 +103,8 @@ def test_sweep_and_drive_are_recorded_as_a_robot_would(world, tmp_path):
 
     path = plan_tour(SCENE, POSE[:2], 4.0, np.random.default_rng(0))
     world.place([*path[0], 0.0])
-    gaze = Gaze(SCENE, MOUNT, np.pi, np.random.default_rng(0))
-    recorded = list(drive_messages(world, factory, path, gaze, seconds=4.0))
+    pan_control = PanControl(SCENE, MOUNT, np.pi, np.random.default_rng(0))
+    recorded = list(drive_messages(world, factory, path, pan_control, seconds=4.0))
     assert Counter(entry.topic for entry in recorded) == {
         'joint_states': 80,
         'odom': 80,
@@ -123,8 +123,8 @@ def test_sweep_and_drive_are_recorded_as_a_robot_would(world, tmp_path):
 
 
 def test_gaze_looks_at_things_on_walls_within_its_limits():
-    gaze = Gaze(SCENE, MOUNT, np.pi, np.random.default_rng(0))
-    pans = np.array([gaze.pan(0.1 * k, POSE) for k in range(200)])
+    pan_control = PanControl(SCENE, MOUNT, np.pi, np.random.default_rng(0))
+    pans = np.array([pan_control.pan(0.1 * k, POSE) for k in range(200)])
     assert np.abs(pans).max() < np.pi - 0.3
     held = np.diff(np.flatnonzero(np.diff(pans) != 0.0))
     assert len(held) >= 4
@@ -159,9 +159,9 @@ class TestCommand:
             'scene.json',
             'start.json',
         ]
-        told = load_room(out / 'room.yaml')
-        assert (told == SCENE.room) == exact
-        off = np.subtract(*[[wall.start for wall in room.walls] for room in (told, SCENE.room)])
+        given = load_room(out / 'room.yaml')
+        assert (given == SCENE.room) == exact
+        off = np.subtract(*[[wall.start for wall in room.walls] for room in (given, SCENE.room)])
         assert np.abs(off).max() < 0.03
         mount = load_robot(out / 'robot.yaml')
         assert mount.pan_joint == 'pan_joint'

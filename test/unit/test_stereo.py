@@ -12,7 +12,7 @@ from stereo_room import CENTERS, CONFIG, direction_to, EAST, patch_at, ROOM, vie
 from wall_views import candidate_at, greys_of
 
 from landmark_nav.learning.stereo import hypothesize
-from landmark_nav.learning.stereo.wall_patch import own_sighting, wall_texture, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_measurement, wall_texture, WallPatch
 from landmark_nav.types import Panorama, Refusal
 
 
@@ -44,7 +44,7 @@ def test_a_candidate_lies_where_its_ray_meets_the_wall(
     np.testing.assert_allclose(patch.normal, ROOM.normals[wall])
     # Within half a pixel, which is 1 to 2 cm here.
     np.testing.assert_allclose(patch.position, point, atol=0.02)
-    seen = own_sighting(patch, panoramas[0])
+    seen = own_measurement(patch, panoramas[0])
     expected = direction_to(panoramas[0], patch.position)
     expected[0] += 2.0 * np.pi * np.round((seen.azimuth_rad - expected[0]) / (2.0 * np.pi))
     np.testing.assert_allclose([seen.azimuth_rad, seen.tangent], expected, atol=1e-9)
@@ -114,7 +114,7 @@ def test_the_seam_of_a_panorama_does_not_show(scene: Scene) -> None:
     assert np.abs(textures[0] - textures[1]).max() < 3.0
 
 
-def test_a_patch_out_of_the_picture_has_no_texture(panoramas: list[Panorama]) -> None:
+def test_a_patch_out_of_the_image_has_no_texture(panoramas: list[Panorama]) -> None:
     grey = greys_of(panoramas)[0]
     high = np.array([6.0, 2.0, 2.6])
     assert wall_texture(panoramas[0], grey, high, ROOM.normals[EAST], (40, 40), 0.014) is None

@@ -33,7 +33,7 @@ from wall_views import greys_of
 
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.stereo import match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
 
@@ -49,16 +49,16 @@ def panoramas(scene: Scene) -> list[Panorama]:
 
 def test_the_search_is_as_wide_as_places_are_uncertain(panoramas: list[Panorama]) -> None:
     point = np.array([6.0, 2.5, 1.2])
-    told = panoramas[1].center_map + np.array([0.0, 0.0, 0.12])
+    given = panoramas[1].center_map + np.array([0.0, 0.0, 0.12])
     found = []
     for sigma in (0.001, 0.05):
         covariance = np.diag([1e-3, 1e-3, sigma, 1e-3]) ** 2
-        raised = replace(panoramas[1], center_map=told, covariance=covariance)
+        raised = replace(panoramas[1], center_map=given, covariance=covariance)
         found.append(match_at([panoramas[0], raised], point)[1])
     assert isinstance(found[0], Refusal)
-    assert isinstance(found[1], Sighting)
+    assert isinstance(found[1], PatchMeasurement)
     _, usual = match_at(panoramas, point)
-    assert isinstance(usual, Sighting)
+    assert isinstance(usual, PatchMeasurement)
     assert found[1].azimuth_rad == pytest.approx(usual.azimuth_rad, abs=2e-4)
     assert found[1].tangent == pytest.approx(usual.tangent, abs=5e-4)
 
@@ -74,14 +74,14 @@ def points_on_walls() -> FloatArray:
     )
 
 
-def sightings_and_errors(
+def measurements_and_errors(
     panoramas: list[Panorama], moved: Panorama | None = None
-) -> tuple[list[Sighting], FloatArray]:
-    """Sightings in the second view, believed to be where `moved` is, and their errors (n, 2)."""
+) -> tuple[list[PatchMeasurement], FloatArray]:
+    """Measurements in the second view, taken to be where `moved` is, and their errors (n, 2)."""
     found, errors = [], []
     for point in points_on_walls():
         patch, seen = match_at([panoramas[0], moved or panoramas[1]], point)
-        if isinstance(seen, Sighting):
+        if isinstance(seen, PatchMeasurement):
             truth = direction_to(panoramas[1], patch.position)
             error = np.array([seen.azimuth_rad, seen.tangent]) - truth
             error[0] = np.angle(np.exp(1j * error[0]))
@@ -97,7 +97,7 @@ def test_patches_are_found_again_from_the_other_place(
     """Also where the camera is higher or lower there."""
     center = CENTERS[1] + np.array([0.0, 0.0, rise_m])
     other = draw_panorama(scene, center, HEADINGS[1], rng=np.random.default_rng(3))
-    found, errors = sightings_and_errors([panoramas[0], other])
+    found, errors = measurements_and_errors([panoramas[0], other])
     assert len(found) > 15
     assert {s.panorama for s in found} == {1}
     assert min(s.score for s in found) > CONFIG.min_score
@@ -113,9 +113,9 @@ def test_a_pose_that_is_a_little_wrong_changes_nothing(panoramas: list[Panorama]
         center_map=CENTERS[1] + np.array([0.015, -0.01, 0.005]),
         heading_rad=HEADINGS[1] + 0.004,
     )
-    found, errors = sightings_and_errors(panoramas, moved)
+    found, errors = measurements_and_errors(panoramas, moved)
     assert len(found) > 15
-    # What is measured is the direction in the picture, which knows nothing of the pose.
+    # What is measured is the direction in the image, which knows nothing of the pose.
     assert np.abs(errors).max() < 1e-3
 
 
@@ -134,9 +134,9 @@ def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(
     changed, center = hanging(scene, before_wall_m)
     panoramas = views_of(changed)
     patch, seen = match_at(panoramas, center)
-    assert isinstance(seen, Sighting)
+    assert isinstance(seen, PatchMeasurement)
     # Where the two rays meet, in plan, is the board, not the wall.
-    own = own_sighting(patch, panoramas[0])
+    own = own_measurement(patch, panoramas[0])
     azimuth = np.array([own.azimuth_rad + HEADINGS[0], seen.azimuth_rad + HEADINGS[1]])
     rays = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
     reach = np.linalg.solve(np.stack([rays[0], -rays[1]], -1), CENTERS[1][:2] - CENTERS[0][:2])
@@ -169,7 +169,7 @@ def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it() -> None:
     assert isinstance(seen, Refusal)
     assert seen.reason == 'not flat'
     _, seen = match_at(panoramas, rear, replace(CONFIG, max_displaced_px=100.0))
-    assert isinstance(seen, Sighting)
+    assert isinstance(seen, PatchMeasurement)
 
 
 def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:
@@ -179,14 +179,14 @@ def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:
     assert seen.reason == 'too little parallax'
 
 
-def test_straight_ahead_sizes_tell_and_what_hangs_above_the_camera_has_parallax(
+def test_straight_ahead_sizes_gives_and_what_hangs_above_the_camera_has_parallax(
     panoramas: list[Panorama],
 ) -> None:
     way = CENTERS[1] - CENTERS[0]
     ahead = CENTERS[0] + (6.0 - CENTERS[0][0]) / way[0] * way
     level = np.add(ahead, [0.0, 0.0, 0.02])
     _, seen = match_at(panoramas, level)
-    assert isinstance(seen, Sighting)
+    assert isinstance(seen, PatchMeasurement)
     nearer = np.log((6.0 - CENTERS[0][0]) / (6.0 - CENTERS[1][0]))
     assert seen.log_nearer == pytest.approx(nearer, abs=5e-3)
     blind = replace(CONFIG, min_approach=100.0)
@@ -194,7 +194,7 @@ def test_straight_ahead_sizes_tell_and_what_hangs_above_the_camera_has_parallax(
     assert isinstance(seen, Refusal)
     assert seen.reason == 'too little parallax'
     patch, seen = match_at(panoramas, np.add(ahead, [0.0, 0.0, 0.45]), blind)
-    assert isinstance(seen, Sighting)
+    assert isinstance(seen, PatchMeasurement)
     truth = direction_to(panoramas[1], patch.position)
     assert [seen.azimuth_rad, seen.tangent] == pytest.approx(truth, abs=8e-4)
 

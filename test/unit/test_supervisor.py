@@ -59,7 +59,7 @@ def test_who_died_and_its_last_words(supervisor: Supervisor, tmp_path: Path) -> 
         assert supervisor.stop()['sleeper'] == -signal.SIGTERM
 
 
-def test_a_killed_one_is_told_by_its_signal(supervisor: Supervisor) -> None:
+def test_a_killed_one_is_recognized_by_its_signal(supervisor: Supervisor) -> None:
     killer = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
     with supervisor:
         supervisor.start('short', [sys.executable, '-S', '-c', killer])

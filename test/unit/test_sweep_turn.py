@@ -24,7 +24,7 @@ def turn() -> Sweep:
     return turn_sweep(CAMERA, MOUNT, PANS)
 
 
-def told(
+def reported(
     sweep: Sweep, pan: Callable[[float], float] = lambda pan: pan, focal: float = 1.0
 ) -> Sweep:
     camera = replace(CAMERA, fx=focal * CAMERA.fx, fy=focal * CAMERA.fy)
@@ -54,15 +54,15 @@ def test_a_pan_that_is_not_that_of_the_images_is_refused(
     turn: Sweep, change: Callable[[float], float], cause: str
 ) -> None:
     with pytest.raises(LandmarkNavError, match=cause):
-        check_turn(told(turn, pan=change), MOUNT)
+        check_turn(reported(turn, pan=change), MOUNT)
 
 
 @pytest.mark.parametrize('focal', [0.5, 1.5, 2.0])
-def test_a_focal_length_of_another_image_size_is_told_from_a_wrong_pan(
+def test_a_focal_length_of_another_image_size_distinguished_from_a_wrong_pan(
     turn: Sweep, focal: float
 ) -> None:
     with pytest.raises(LandmarkNavError, match='focal length'):
-        check_turn(told(turn, focal=focal), MOUNT)
+        check_turn(reported(turn, focal=focal), MOUNT)
 
 
 def test_a_camera_that_stands_still_while_the_pan_turns_is_refused(turn: Sweep) -> None:
@@ -72,6 +72,6 @@ def test_a_camera_that_stands_still_while_the_pan_turns_is_refused(turn: Sweep) 
         check_turn(frozen, MOUNT)
 
 
-def test_a_unit_that_hangs_upside_down_and_says_so_passes() -> None:
+def test_a_unit_that_hangs_upside_down_and_reports_it_passes() -> None:
     over = replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0))
     check_turn(turn_sweep(CAMERA, over, PANS), over)

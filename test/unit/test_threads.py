@@ -17,9 +17,9 @@ def after(start: str, **environment: str) -> list[str]:
     names = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS')
     inherited = {key: value for key, value in os.environ.items() if key not in names}
     lines = ('import os, sys', 'def early(): return "numpy" in sys.modules', start)
-    told = f'print(*(os.environ[n] for n in {names}), seen)'
+    reported = f'print(*(os.environ[n] for n in {names}), seen)'
     done = subprocess.run(
-        [sys.executable, '-c', '\n'.join((*lines, told))],
+        [sys.executable, '-c', '\n'.join((*lines, reported))],
         env={**inherited, **environment},
         capture_output=True,
         text=True,
@@ -29,7 +29,7 @@ def after(start: str, **environment: str) -> list[str]:
 
 
 @pytest.mark.parametrize('start', [COMMAND, NODE])
-def test_one_thread_unless_told_otherwise(start: str) -> None:
+def test_one_thread_unless_set_otherwise(start: str) -> None:
     if start is NODE:
         pytest.importorskip('rclpy', reason='ROS 2 is not installed')
     assert after(start) == ['1', '1', 'False']

@@ -1,4 +1,4 @@
-"""Pan and tilt at the stamp of a picture: interpolated, or refused with the reason."""
+"""Pan and tilt at the stamp of an image: interpolated, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_pan_of_a_camera_that_turns_is_that_of_the_stamp(at_ms: float) -> No
         ((100, 1300), 150, 'no joint_states for 1.2 s'),
     ],
 )
-def test_what_no_joint_state_tells_is_refused(
+def test_what_no_joint_state_gives_is_refused(
     known_ms: tuple[int, ...], at_ms: int, words: str
 ) -> None:
     refusal = turning(*known_ms).at(at_ms * MS)
@@ -115,7 +115,7 @@ def test_a_driver_that_reports_the_pan_within_half_a_turn(period_ms: int) -> Non
         np.testing.assert_allclose(turned, [-0.3 * RATE, 0.0, 0.3 * RATE], atol=1e-9)
 
 
-def test_a_tilt_that_is_told_by_itself_is_interpolated_and_stays() -> None:
+def test_a_tilt_that_is_recognized_by_itself_is_interpolated_and_stays() -> None:
     samples = [JointSample(t * MS, 0.1) for t in range(0, 500, 20)]
     history = JointHistory(samples, [(250 * MS, 0.5), (150 * MS, 0.3)])
     for at_ms, tilt in ((100, 0.3), (150, 0.3), (175, 0.35), (230, 0.46), (400, 0.5)):

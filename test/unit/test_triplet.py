@@ -25,10 +25,10 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base
-from landmark_nav.localization.triplet import Gaze, TripletConfig, visible_landmarks
+from landmark_nav.localization.triplet import CameraState, TripletConfig, visible_landmarks
 from landmark_nav.localization.triplet.geometry import pair_tables, position_variance
-from landmark_nav.localization.triplet.ranking import Standing
-from landmark_nav.localization.triplet.visibility import standings
+from landmark_nav.localization.triplet.ranking import LandmarkVisibility
+from landmark_nav.localization.triplet.visibility import landmark_visibilities
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
 
@@ -46,12 +46,12 @@ class TestSelection:
         assert not isinstance(fix, Refusal), str(fix)
         axis = axis_from_base(PRIOR, MOUNT)
         np.testing.assert_allclose(fix.pose, axis.pose, atol=1e-9)
-        promised = axis_from_base(
+        predicted = axis_from_base(
             PoseEstimate(0, PRIOR.pose, triplet.covariance), MOUNT
         ).covariance
-        np.testing.assert_allclose(promised, fix.covariance, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(predicted, fix.covariance, rtol=1e-6, atol=1e-12)
 
-    def test_no_other_triplet_in_a_view_promises_much_more(self) -> None:
+    def test_no_other_triplet_in_a_view_predict_much_more(self) -> None:
         """Against every triple of visible landmarks, one pan after the other."""
         landmark_map = random_map(25, seed=3)
         triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
@@ -83,12 +83,16 @@ class TestSelection:
         landmark_map = random_map(40)
         limits = (0.4, 1.1)
         triplet = chosen(
-            select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(limits_rad=limits))
+            select_triplet(
+                PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(limits_rad=limits)
+            )
         )
         assert limits[0] <= triplet.pan_rad <= limits[1]
         wide = (2.0 * np.pi - 0.5, 2.0 * np.pi + 3.0)
         turned = chosen(
-            select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(limits_rad=wide))
+            select_triplet(
+                PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(limits_rad=wide)
+            )
         )
         assert wide[0] <= turned.pan_rad <= wide[1]
 
@@ -104,8 +108,8 @@ class TestSelection:
     def test_fixed_pan(self) -> None:
         landmark_map = random_map(40)
         for pan in (-2.0, 0.0, 1.0):
-            gaze = Gaze(pan, limits_rad=(pan, pan))
-            found = select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, gaze)
+            camera_state = CameraState(pan, limits_rad=(pan, pan))
+            found = select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, camera_state)
             if isinstance(found, Triplet):
                 assert found.pan_rad == pan
                 view = visible_landmarks(PRIOR, landmark_map, CAMERA, MOUNT, pan, 0.0, CONFIG)
@@ -143,7 +147,7 @@ class TestSelection:
         )
         landmark_map = random_map(40)
         triplet = chosen(
-            select_triplet(PRIOR, landmark_map, CAMERA, mount, CONFIG, Gaze(tilt_rad=0.05))
+            select_triplet(PRIOR, landmark_map, CAMERA, mount, CONFIG, CameraState(tilt_rad=0.05))
         )
         view = visible_landmarks(PRIOR, landmark_map, CAMERA, mount, triplet.pan_rad, 0.05, CONFIG)
         assert set(triplet.ids) <= set(landmark_map.ids[view])
@@ -151,8 +155,12 @@ class TestSelection:
     def test_too_near_and_too_far(self) -> None:
         near = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
         landmark_map = LandmarkMap((replace(near, viewpoint=np.array([WIDTH - 1.0, 2.0, 1.1])),))
-        told = [
-            int(standings(np.array([WIDTH - range_m, 2.0, 1.1]), landmark_map, config)[0])
+        reported = [
+            int(
+                landmark_visibilities(np.array([WIDTH - range_m, 2.0, 1.1]), landmark_map, config)[
+                    0
+                ]
+            )
             for range_m, config in (
                 (0.6, CONFIG),
                 (0.4, CONFIG),
@@ -160,11 +168,11 @@ class TestSelection:
                 (1.5, TripletConfig(max_range_m=1.4)),
             )
         ]
-        assert told == [
-            Standing.USABLE,
-            Standing.OUT_OF_RANGE,
-            Standing.USABLE,
-            Standing.OUT_OF_RANGE,
+        assert reported == [
+            LandmarkVisibility.USABLE,
+            LandmarkVisibility.OUT_OF_RANGE,
+            LandmarkVisibility.USABLE,
+            LandmarkVisibility.OUT_OF_RANGE,
         ]
 
 

@@ -34,7 +34,7 @@ class TestVisibility:
         )
         assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=walls), *view)) == 0
 
-    def test_patch_must_be_whole_in_the_picture(self) -> None:
+    def test_patch_must_be_whole_in_the_image(self) -> None:
         landmark_map = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),))
         prior = PoseEstimate(0, np.array([3.0, 2.0, 0.0]), PRIOR.covariance)
         seen = [
@@ -128,7 +128,7 @@ class TestGeometry:
         assert both.shape == (2, 2)
         np.testing.assert_allclose(both[1], one)
 
-    def test_danger_circle_promises_nothing(self) -> None:
+    def test_danger_circle_predict_nothing(self) -> None:
         angles = np.array([0.3, 1.5, 4.0])
         circle = LandmarkMap(
             tuple(

@@ -21,9 +21,9 @@ from triplet_room import (
     WIDTH,
 )
 
-from landmark_nav.localization.triplet import Gaze, rank_triplets, TripletConfig
+from landmark_nav.localization.triplet import CameraState, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.geometry import pair_tables
-from landmark_nav.localization.triplet.ranking import Ranking, Standing, Verdict
+from landmark_nav.localization.triplet.ranking import LandmarkVisibility, Ranking, Verdict
 from landmark_nav.localization.triplet.search import best_triplets, mean_variance
 from landmark_nav.localization.triplet.views import travel_s
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
@@ -77,20 +77,26 @@ class TestSearch:
     def test_no_triplet_scores_better_than_the_chosen(self, views: str) -> None:
         """Against all, each judged by its own tour, variance and chance."""
         config = TripletConfig(views=views)
-        gaze = Gaze(pan_rad=0.8, limits_rad=(-2.0, 2.0))
+        camera_state = CameraState(pan_rad=0.8, limits_rad=(-2.0, 2.0))
         for seed in range(3):
             landmark_map = random_map(18, seed)
             rate = np.random.default_rng(seed).uniform(0.3, 1.0, 18)
             ranking = rank_triplets(
-                PRIOR, landmark_map, CAMERA, MOUNT, config, gaze, found_rate=rate
+                PRIOR, landmark_map, CAMERA, MOUNT, config, camera_state, found_rate=rate
             )
             best = np.inf
-            for triple in combinations(np.flatnonzero(ranking.standing == 0), 3):
+            for triple in combinations(np.flatnonzero(ranking.visibility == 0), 3):
                 alone = LandmarkMap(
                     tuple(landmark_map.landmarks[k] for k in triple), walls=landmark_map.walls
                 )
                 only = rank_triplets(
-                    PRIOR, alone, CAMERA, MOUNT, config, gaze, found_rate=rate[list(triple)]
+                    PRIOR,
+                    alone,
+                    CAMERA,
+                    MOUNT,
+                    config,
+                    camera_state,
+                    found_rate=rate[list(triple)],
                 )
                 best = min(best, *only.score, np.inf)
             assert ranking.score[0] == pytest.approx(best, rel=1e-9)
@@ -117,15 +123,15 @@ class TestRanking:
 
     def test_turning_costs(self) -> None:
         landmark_map = random_map(40)
-        hasty = TripletConfig(look_s=0.05)
+        hasty = TripletConfig(dwell_time_s=0.05)
         for pan in (-2.0, 0.0, 2.0):
             free = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG)
-            near = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, hasty, Gaze(pan))
+            near = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, hasty, CameraState(pan))
             assert near.travel_s[0] <= travel_s(abs(chosen(free.chosen).pan_rad - pan), 1.0, 8.0)
             assert abs(chosen(near.chosen).pan_rad - pan) < 1.0
 
-    def test_several_views_promise_more(self) -> None:
-        several = TripletConfig(views='several', look_s=100.0)
+    def test_several_views_predict_more(self) -> None:
+        several = TripletConfig(views='several', dwell_time_s=100.0)
         for seed in range(5):
             landmark_map = random_map(40, seed)
             one = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG)
@@ -135,22 +141,22 @@ class TestRanking:
 
     def test_reasons(self) -> None:
         landmark_map = random_map(40)
-        ranking = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0))
+        ranking = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(0.0))
         verdicts = ranking.verdicts()
         assert verdicts[0] is Verdict.CHOSEN
         assert Verdict.CHOSEN not in verdicts[1:]
         assert all(verdict.words for verdict in verdicts)
         assert len(verdicts) == len(ranking.score) > 3
         assert ranking.table()['reason'].tolist() == verdicts
-        told = ranking.landmark_table(landmark_map.ids)
-        assert dict(zip(told['id'], told['reason'], strict=True)) == dict(
-            zip(landmark_map.ids, ranking.standing, strict=True)
+        reported = ranking.landmark_table(landmark_map.ids)
+        assert dict(zip(reported['id'], reported['reason'], strict=True)) == dict(
+            zip(landmark_map.ids, ranking.visibility, strict=True)
         )
-        assert sum(ranking.excluded().values()) == np.count_nonzero(ranking.standing)
+        assert sum(ranking.excluded().values()) == np.count_nonzero(ranking.visibility)
         limited = rank_triplets(
-            PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, Gaze(0.0, limits_rad=(-0.5, 0.5))
+            PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(0.0, limits_rad=(-0.5, 0.5))
         )
-        assert limited.excluded()[Standing.BEYOND_LIMITS.words] > 10
+        assert limited.excluded()[LandmarkVisibility.BEYOND_LIMITS.words] > 10
 
     def test_none_is_called_chosen_where_none_is_accurate_enough(self) -> None:
         strict = TripletConfig(max_sigma_m=1e-4)
@@ -183,14 +189,16 @@ class TestRanking:
         ]
 
     def test_a_tour_begins_at_its_nearer_end(self) -> None:
-        several = TripletConfig(views='several', look_s=100.0)
+        several = TripletConfig(views='several', dwell_time_s=100.0)
         for pan, end in ((-3.0, 0), (3.0, -1)):
-            ranking = rank_triplets(PRIOR, random_map(40), CAMERA, MOUNT, several, Gaze(pan))
+            ranking = rank_triplets(
+                PRIOR, random_map(40), CAMERA, MOUNT, several, CameraState(pan)
+            )
             stops = np.sort(ranking.pan_rad[0])
             assert stops[0] < stops[-1]
             assert chosen(ranking.chosen).pan_rad == stops[end]
 
-    def test_a_landmark_above_the_picture_is_cut(self) -> None:
+    def test_a_landmark_above_the_image_is_cut(self) -> None:
         high = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 3.9), *random_map(9).landmarks))
         ranking = rank_triplets(PRIOR, high, CAMERA, MOUNT, CONFIG)
-        assert ranking.standing[0] == Standing.CUT
+        assert ranking.visibility[0] == LandmarkVisibility.CUT

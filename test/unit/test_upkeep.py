@@ -92,7 +92,7 @@ def test_a_comparison_finds_what_the_maps_disagree_on_whatever_was_cut_out(texel
     assert same[0].sigmas == pytest.approx(np.hypot(*errors[0]) / (np.sqrt(2) * SIGMA_M), rel=0.1)
 
 
-def test_changed_landmarks_and_those_of_one_map_alone_are_told_apart():
+def test_changed_landmarks_and_those_of_one_map_alone_are_distinguished():
     a = make_map(*(landmark(k, place) for k, place in enumerate(PLACES[:4])))
     b = make_map(landmark(0, PLACES[0]), landmark(1, PLACES[1], paper=9), landmark(2, PLACES[4]))
     comparison = compare_maps(a, b)
@@ -107,7 +107,7 @@ def test_changed_landmarks_and_those_of_one_map_alone_are_told_apart():
     assert last == '1 changed, 2 only in A, 1 only in B, 0 unclear'
 
 
-def test_a_blank_overlap_tells_nothing():
+def test_a_blank_overlap_gives_nothing():
     blank = replace(landmark(0, PLACES[0]), patch=np.full((32, 32), 90, np.uint8))
     comparison = compare_maps(make_map(blank), make_map(blank))
     assert len(comparison.of(Texture.UNKNOWN)) == 1
@@ -170,7 +170,7 @@ def test_maps_that_do_not_belong_together_are_not_merged(newer, match):
         ({'viewpoint': np.array([3.0, -2.0, 1.2])}, 'from behind its wall'),
     ],
 )
-def test_a_check_says_what_cannot_be(changes, match):
+def test_a_check_states_what_cannot_be(changes, match):
     good = [landmark(k, place) for k, place in enumerate(PLACES)]
     assert problems_of_map(make_map(*good)) == []
     good[0] = replace(good[0], **changes)
@@ -179,7 +179,7 @@ def test_a_check_says_what_cannot_be(changes, match):
     assert re.search(match, problems)
 
 
-def test_the_commands_tell_it_with_their_exit_status(tmp_path, capsys):
+def test_the_commands_gives_it_with_their_exit_status(tmp_path, capsys):
     a, b, out = (str(tmp_path / name) for name in ('a', 'b', 'out'))
     save_map(make_map(*(landmark(k, p) for k, p in enumerate(PLACES)), stamp_ns=1), a)
     save_map(
@@ -209,7 +209,7 @@ def test_the_commands_tell_it_with_their_exit_status(tmp_path, capsys):
     assert 'attic' in capsys.readouterr().out
 
 
-def test_maps_of_two_rooms_are_told_apart_in_one_sentence(tmp_path):
+def test_maps_of_two_rooms_are_distinguished_in_one_sentence(tmp_path):
     other = tuple(replace(wall, start=wall.end, end=wall.start) for wall in WALLS)
     here = make_map(*(landmark(k, p) for k, p in enumerate(PLACES)), stamp_ns=1)
     there = make_map(*(landmark(k, p, paper=9) for k, p in enumerate(PLACES)), stamp_ns=2)

@@ -6,24 +6,24 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from picture_drives import LENS, MAP, MOUNT, picture, ROOM, START
 import pytest
+from rendered_drives import camera_image, LENS, MAP, MOUNT, ROOM, START
 from scenes import draw_frame, textured_room
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
-from landmark_nav.localization.relocalization.narrowing import narrowed
 from landmark_nav.localization.relocalization.verification import Verification
+from landmark_nav.localization.relocalization.within_prior import localize_within_prior
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 TRUTH = np.array([2.3, 2.1, 0.4])
-FRAME = picture(TRUTH, -0.2, np.random.default_rng(4))
+FRAME = camera_image(TRUTH, -0.2, np.random.default_rng(4))
 SURE = np.array([0.02, 0.02, 0.01])
 
 
-def told(error: FloatArray, sigma: FloatArray, truth: FloatArray = TRUTH) -> PoseEstimate:
+def reported(error: FloatArray, sigma: FloatArray, truth: FloatArray = TRUTH) -> PoseEstimate:
     return PoseEstimate(0, truth + error, np.diag(np.square(sigma)))
 
 
@@ -33,7 +33,7 @@ def look(prior: PoseEstimate, frame: CameraFrame = FRAME) -> Observation:
 
 def errors_of(seen: Observation) -> FloatArray:
     """Of the bearings, against the truth."""
-    axis = axis_from_base(told(np.zeros(3), SURE), MOUNT).pose
+    axis = axis_from_base(reported(np.zeros(3), SURE), MOUNT).pose
     index = MAP.indices(seen.detections.ids)
     return wrap_rad(bearing_residuals(axis, MAP.positions[index, :2], seen.detections.bearing_rad))
 
@@ -43,12 +43,12 @@ def errors_of(seen: Observation) -> FloatArray:
 def test_a_pose_that_is_known_to_be_far_off_finds_the_same_landmarks(
     away_m: float, turned_deg: float
 ) -> None:
-    usual = look(told(np.zeros(3), SURE))
+    usual = look(reported(np.zeros(3), SURE))
     assert len(usual.detections) >= 4
     sigma = np.array([away_m, away_m, np.radians(abs(turned_deg))])
     for direction in np.arange(6) * np.pi / 3.0:
         x, y = away_m * np.cos(direction), away_m * np.sin(direction)
-        seen = look(told(np.array([x, y, np.radians(turned_deg)]), sigma))
+        seen = look(reported(np.array([x, y, np.radians(turned_deg)]), sigma))
         assert set(seen.detections.ids) == set(usual.detections.ids)
         np.testing.assert_allclose(
             seen.detections.bearing_rad, usual.detections.bearing_rad, atol=3e-4
@@ -58,54 +58,59 @@ def test_a_pose_that_is_known_to_be_far_off_finds_the_same_landmarks(
 
 @pytest.mark.parametrize('sigma', [(0.5, 0.5, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.3)])
 def test_a_prior_that_is_sure_of_one_direction(sigma: tuple[float, ...]) -> None:
-    seen = look(told(np.array([0.6, 0.6, 0.6]) * sigma, np.array(sigma)))
+    seen = look(reported(np.array([0.6, 0.6, 0.6]) * sigma, np.array(sigma)))
     assert len(seen.detections) == 4
 
 
-def test_a_place_that_is_known_leaves_a_heading_that_is_not_to_the_picture() -> None:
+def test_a_place_that_is_known_leaves_a_heading_that_is_not_to_the_image() -> None:
     """What is proposed is rougher than the prior is of the place."""
     sigma = np.array([0.01, 0.01, 0.2])
     for turned in np.arange(-0.3, 0.31, 0.1):
         for heading in (0.4, 1.0, 2.0, -1.2):
             truth = np.array([*TRUTH[:2], heading])
-            frame = picture(truth, -0.2, np.random.default_rng(4))
-            usual = look(told(np.zeros(3), SURE, truth), frame)
-            seen = look(told(np.array([0.0, 0.0, turned]), sigma, truth), frame)
+            frame = camera_image(truth, -0.2, np.random.default_rng(4))
+            usual = look(reported(np.zeros(3), SURE, truth), frame)
+            seen = look(reported(np.array([0.0, 0.0, turned]), sigma, truth), frame)
             assert set(seen.detections.ids) == set(usual.detections.ids), (turned, heading)
 
 
 def test_a_pose_that_is_claimed_to_be_known_is_taken_at_its_word() -> None:
-    seen = look(told(np.array([0.6, 0.3, 0.2]), SURE))
+    seen = look(reported(np.array([0.6, 0.3, 0.2]), SURE))
     assert len(seen.detections) <= 1
 
 
 @pytest.mark.parametrize('angle_rad', [-0.035, 0.03])
 @pytest.mark.parametrize('joint', ['tilt_rad', 'roll_rad'])
-def test_a_knocked_camera_is_told_where_the_pose_is_hardly_known(
+def test_a_displaced_camera_is_reported_where_the_pose_is_hardly_known(
     joint: str, angle_rad: float
 ) -> None:
-    """By two pictures: what is missing in one may be covered."""
-    wide = told(np.array([0.3, -0.3, 0.1]), np.array([0.4, 0.4, 0.15]))
+    """By two images: what is missing in one may be covered."""
+    wide = reported(np.array([0.3, -0.3, 0.1]), np.array([0.4, 0.4, 0.15]))
     observer = Observer(MAP, MOUNT, ObservationConfig())
     rng = np.random.default_rng(6)
     for _ in range(2):
-        frame = picture(TRUTH, -0.2, rng)
-        knocked = replace(frame, **{joint: getattr(frame, joint) - angle_rad})
-        seen = observer.look(knocked, wide)
+        frame = camera_image(TRUTH, -0.2, rng)
+        displaced = replace(frame, **{joint: getattr(frame, joint) - angle_rad})
+        seen = observer.look(displaced, wide)
     assert len(seen.detections) == 4
     assert np.abs(errors_of(seen)).max() < 0.002
-    lean = {'tilt_rad': observer.lean.tilt_rad, 'roll_rad': observer.lean.roll_rad}
-    assert lean == pytest.approx({'tilt_rad': 0.0, 'roll_rad': 0.0, joint: angle_rad}, abs=5e-3)
+    camera_tilt = {
+        'tilt_rad': observer.camera_tilt.tilt_rad,
+        'roll_rad': observer.camera_tilt.roll_rad,
+    }
+    assert camera_tilt == pytest.approx(
+        {'tilt_rad': 0.0, 'roll_rad': 0.0, joint: angle_rad}, abs=5e-3
+    )
 
 
-def test_another_room_or_a_dark_picture_shows_nothing() -> None:
-    wide = told(np.array([0.3, -0.3, 0.1]), np.array([0.5, 0.5, 0.2]))
+def test_another_room_or_a_dark_image_shows_nothing() -> None:
+    wide = reported(np.array([0.3, -0.3, 0.1]), np.array([0.5, 0.5, 0.2]))
     other = textured_room(ROOM, seed=31, feature_m=0.045)
     for frame in (
         draw_frame(other, LENS, MOUNT, TRUTH, -0.2),
         replace(FRAME, image=np.zeros_like(FRAME.image)),
     ):
-        place = narrowed(frame, wide, MAP, MOUNT, LookingConfig())
+        place = localize_within_prior(frame, wide, MAP, MOUNT, LookingConfig())
         assert isinstance(place, Refusal)
         assert place.reason == 'nothing recognised'
         assert not len(look(wide, frame).detections)
@@ -115,20 +120,20 @@ def test_what_a_camera_of_few_pixels_cannot_show_is_no_evidence() -> None:
     image = cv2.resize(FRAME.image, (LENS.width // 4, LENS.height // 4))
     sides = {name: getattr(LENS, name) / 4.0 for name in ('fx', 'fy', 'cx', 'cy')}
     small = replace(LENS, width=LENS.width // 4, height=LENS.height // 4, **sides)
-    seen = look(told(np.zeros(3), SURE), replace(FRAME, image=image, camera=small))
+    seen = look(reported(np.zeros(3), SURE), replace(FRAME, image=image, camera=small))
     tiny = [k for k, why in seen.refused.items() if why.reason == 'too small or cut off']
     assert len(tiny) >= 3
     assert not set(tiny) & set(seen.detections.missed)
     dark = replace(FRAME, image=np.full_like(FRAME.image, 90))
-    assert len(look(told(np.zeros(3), SURE), dark).detections.missed) >= 4
+    assert len(look(reported(np.zeros(3), SURE), dark).detections.missed) >= 4
 
 
 def test_two_matches_are_no_evidence_where_the_pose_is_hardly_known() -> None:
-    usual = look(told(np.zeros(3), SURE)).detections.ids
+    usual = look(reported(np.zeros(3), SURE)).detections.ids
     few = LandmarkMap(tuple(k for k in MAP.landmarks if k.id in usual[:2]))
     observer = Observer(few, MOUNT, ObservationConfig())
-    assert len(observer.look(FRAME, told(np.zeros(3), SURE)).detections) == 2
-    seen = observer.look(FRAME, told(np.zeros(3), np.array([0.3, 0.3, 0.1])))
+    assert len(observer.look(FRAME, reported(np.zeros(3), SURE)).detections) == 2
+    seen = observer.look(FRAME, reported(np.zeros(3), np.array([0.3, 0.3, 0.1])))
     assert not len(seen.detections)
     assert not len(seen.detections.missed)
     assert {str(why) for why in seen.refused.values()} == {
@@ -136,14 +141,16 @@ def test_two_matches_are_no_evidence_where_the_pose_is_hardly_known() -> None:
     }
 
 
-def test_a_place_is_told_as_well_as_its_covariance_says() -> None:
+def test_a_place_is_reported_as_well_as_its_covariance_states() -> None:
     rng = np.random.default_rng(9)
     squares = []
     for _ in range(12):
         truth = START + rng.uniform((0.2, 0.2, -0.2), (1.0, 1.0, 0.2))
         sigma = np.array([0.4, 0.4, 0.15])
-        wide = told(sigma * rng.normal(size=3), sigma, truth)
-        place = narrowed(picture(truth, 0.0, rng), wide, MAP, MOUNT, LookingConfig())
+        wide = reported(sigma * rng.normal(size=3), sigma, truth)
+        place = localize_within_prior(
+            camera_image(truth, 0.0, rng), wide, MAP, MOUNT, LookingConfig()
+        )
         assert isinstance(place, Verification), str(place)
         error = place.estimate.pose - truth
         squares.append(error @ np.linalg.solve(place.estimate.covariance, error))
@@ -152,18 +159,20 @@ def test_a_place_is_told_as_well_as_its_covariance_says() -> None:
 
 
 def test_two_places_that_the_prior_allows_are_none() -> None:
-    """Every picture hangs a second time, a step aside of the first: a row of posters."""
+    """Every poster hangs a second time, a step aside of the first: a row of posters."""
     shift = np.array([0.0, 0.7, 0.0])
     east = [k for k in MAP.landmarks if k.normal[0] < -0.9]
     again = [
         replace(k, id=k.id + 100, position=k.position + shift, viewpoint=k.viewpoint + shift)
         for k in east
     ]
-    wide = told(np.array([0.0, 0.3, 0.0]), np.array([0.3, 0.5, 0.1]))
+    wide = reported(np.array([0.0, 0.3, 0.0]), np.array([0.3, 0.5, 0.1]))
     assert isinstance(
-        narrowed(FRAME, wide, LandmarkMap(tuple(east)), MOUNT, LookingConfig()),
+        localize_within_prior(FRAME, wide, LandmarkMap(tuple(east)), MOUNT, LookingConfig()),
         Verification,
     )
-    place = narrowed(FRAME, wide, LandmarkMap(tuple(east + again)), MOUNT, LookingConfig())
+    place = localize_within_prior(
+        FRAME, wide, LandmarkMap(tuple(east + again)), MOUNT, LookingConfig()
+    )
     assert isinstance(place, Refusal)
     assert place.reason == 'not unique'

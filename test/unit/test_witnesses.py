@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from filter_runs import MAP, run, sighting, SIGMA, started
+from filter_runs import MAP, measurement, run, SIGMA, started
 from fusion_drives import detections, drive, MOUNT
 import numpy as np
 import pytest
@@ -31,15 +31,15 @@ def on_walls(normals: list[list[float]]) -> LandmarkMap:
 
 
 def test_one_wall_does_not_speak_for_a_place_but_two_do() -> None:
-    witnesses = Witnesses(on_walls([EAST] * 5 + [NORTH] * 3))
-    assert witnesses.vouched
-    witnesses.restart(vouched=False)
-    witnesses.hear(np.arange(5))
-    assert not witnesses.vouched
-    witnesses.hear(np.array([5, 6]))
-    assert not witnesses.vouched
-    witnesses.hear(np.array([7]))
-    assert witnesses.vouched
+    landmark_ids = Witnesses(on_walls([EAST] * 5 + [NORTH] * 3))
+    assert landmark_ids.vouched
+    landmark_ids.restart(vouched=False)
+    landmark_ids.hear(np.arange(5))
+    assert not landmark_ids.vouched
+    landmark_ids.hear(np.array([5, 6]))
+    assert not landmark_ids.vouched
+    landmark_ids.hear(np.array([7]))
+    assert landmark_ids.vouched
 
 
 @pytest.mark.parametrize(('apart_m', 'enough'), [(1.5, False), (2.5, True)])
@@ -56,25 +56,25 @@ def test_one_wall_speaks_far_apart_for_a_robot_that_lost_track_in_its_room(
     room = LandmarkMap(east + walls.landmarks[6:])
 
     def sure_again(vouched: bool) -> bool:
-        witnesses = Witnesses(room, vouched)
+        landmark_ids = Witnesses(room, vouched)
         for wide in (False, True):
-            witnesses.note_width(wide)
-        witnesses.hear(np.arange(5))
-        assert not witnesses.vouched
-        witnesses.hear(np.array([5]))
-        return witnesses.vouched
+            landmark_ids.note_width(wide)
+        landmark_ids.hear(np.arange(5))
+        assert not landmark_ids.vouched
+        landmark_ids.hear(np.array([5]))
+        return landmark_ids.vouched
 
     assert sure_again(vouched=True) == enough
     assert not sure_again(vouched=False)
 
 
 def test_a_map_of_one_wall_cannot_ask_for_two() -> None:
-    witnesses = Witnesses(on_walls([EAST] * 5 + [NORTH] * 2))
-    witnesses.restart(vouched=False)
-    witnesses.hear(np.array([0, 1]))
-    assert not witnesses.vouched
-    witnesses.hear(np.array([2]))
-    assert witnesses.vouched
+    landmark_ids = Witnesses(on_walls([EAST] * 5 + [NORTH] * 2))
+    landmark_ids.restart(vouched=False)
+    landmark_ids.hear(np.array([0, 1]))
+    assert not landmark_ids.vouched
+    landmark_ids.hear(np.array([2]))
+    assert landmark_ids.vouched
 
 
 def found_at(pose: FloatArray, stamp_ns: int, landmark_map: LandmarkMap) -> PoseFilter:
@@ -88,19 +88,19 @@ def test_a_found_place_is_coasting_until_landmarks_of_two_walls_speak_for_it() -
     walls = on_walls([EAST] * 5 + [NORTH] * 5)
     moments = list(drive(20))
     fused = found_at(moments[0].pose, 0, walls)
-    told = {}
+    reported = {}
     for k, moment in enumerate(moments):
         fused.add_odometry(moment.odometry)
         seen = range(5) if k < 10 else range(10)
         fused.add_detections(detections(walls, moment.pose, moment.odometry.stamp_ns, seen, SIGMA))
-        told[k] = fused.status
-    assert told[9][0] == 'coasting'
-    assert 'only one wall' in told[9][1]
-    assert told[11] == ('tracking', '')
+        reported[k] = fused.status
+    assert reported[9][0] == 'coasting'
+    assert 'only one wall' in reported[9][1]
+    assert reported[11] == ('tracking', '')
 
 
-def test_what_the_search_saw_speaks_once_a_picture_agrees() -> None:
-    """It may be wrong itself: a picture that shows nothing is no second opinion."""
+def test_what_the_search_saw_speaks_once_an_image_agrees() -> None:
+    """It may be wrong itself: an image that shows nothing is no second opinion."""
     walls = on_walls([EAST] * 5 + [NORTH] * 5)
     moment = next(iter(drive(0)))
     fused = PoseFilter(walls, MOUNT)
@@ -139,16 +139,16 @@ def test_a_wall_that_takes_a_knock_to_fit_does_not_speak_for_a_found_place() -> 
     assert last_status(fused, walls, 100, 180, east, 0.04)[0] == 'tracking'
 
 
-def test_a_camera_that_is_knocked_again_and_again_is_no_accident() -> None:
+def test_a_camera_that_is_displaced_again_and_again_is_no_accident() -> None:
     health = Health(HealthConfig())
     health.restart(0)
-    told = []
+    reported = []
     for second in range(0, 30, 2):
         for tenth in range(5):
             stamp_ns = second * NS + tenth * NS // 10
             health.note_surprise(stamp_ns, Refusal('the camera was turned'))
-        told.append(health.repeats)
-    assert told == [False] * 3 + [True] * 12
+        reported.append(health.repeats)
+    assert reported == [False] * 3 + [True] * 12
     health.note_surprise(90 * NS, Refusal('the camera was turned'))
     assert not health.repeats
 
@@ -160,12 +160,12 @@ def test_a_heading_from_a_turning_camera_leaves_the_lateness_of_its_joints_open(
     fused.initialize(start, found=Found(MAP.ids))
     fused.add_odometry(moment.odometry)
     # The same late pan again is no evidence for the heading; a camera that stands is.
-    seen = sighting(moment, 0, np.full(4, 0.2))
+    seen = measurement(moment, 0, np.full(4, 0.2))
     fused.add_detections(replace(seen, pan_rate_rad_s=2.0))
     before = fused.estimate()
     assert before is not None
     assert np.sqrt(before.covariance[2, 2]) > 0.1
-    fused.add_detections(sighting(moment, 0))
+    fused.add_detections(measurement(moment, 0))
     after = fused.estimate()
     assert after is not None
     assert abs(after.pose[2] - moment.pose[2]) < 0.005
@@ -204,7 +204,7 @@ def test_one_that_lies_just_within_its_gate_is_no_evidence_after_many_in_vain() 
     assert seen(barely, vain=3).refusal is not None
 
 
-def test_who_told_a_place_does_not_vouch_for_where_the_robot_went_blindly() -> None:
+def test_who_reported_a_place_does_not_vouch_for_where_the_robot_went_blindly() -> None:
     """From metres about, landmarks of one wall fit at a wrong place."""
     walls = on_walls([EAST] * 5 + [NORTH] * 5)
     fused = started(true_map=walls)
@@ -215,18 +215,18 @@ def test_who_told_a_place_does_not_vouch_for_where_the_robot_went_blindly() -> N
     for stamp in (blind_ns - NS // 5, blind_ns):
         fused.add_odometry(replace(stands, stamp_ns=stamp))
     assert fused.status[0] == 'lost'
-    told = []
+    reported = []
     for k in range(10):
         stamp = blind_ns + (k + 1) * NS // 5
         fused.add_odometry(replace(stands, stamp_ns=stamp))
         seen = range(5) if k < 5 else range(10)
         fused.add_detections(detections(walls, moment.pose, stamp, seen, SIGMA))
-        told.append(fused.status)
-    assert 'only one wall' in told[4][1]
-    assert told[-1] == ('tracking', '')
+        reported.append(fused.status)
+    assert 'only one wall' in reported[4][1]
+    assert reported[-1] == ('tracking', '')
 
 
-def test_turns_that_are_told_again_and_again_are_doubted_for_longer() -> None:
+def test_turns_that_are_given_again_and_again_are_flagged_for_longer() -> None:
     health = Health(HealthConfig(coasting_after_s=1000.0))
     health.restart(0)
 
@@ -253,8 +253,8 @@ def test_turns_that_are_told_again_and_again_are_doubted_for_longer() -> None:
     assert coasts_s(100 * NS) == 2.0
 
 
-def test_bearings_that_others_contradict_are_told_if_there_are_many() -> None:
-    """As of a camera whose focal length is wrong: some of each picture fit, and some do not."""
+def test_bearings_that_others_contradict_are_reported_if_there_are_many() -> None:
+    """As of a camera whose focal length is wrong: some of each image fit, and some do not."""
     few, many = (started() for _ in range(2))
     for fused, every in ((few, 5), (many, 1)):
         for k, moment in enumerate(drive(80)):
@@ -272,7 +272,7 @@ def test_bearings_that_others_contradict_are_told_if_there_are_many() -> None:
     assert 'landmarks lie elsewhere' in reason
 
 
-def test_pictures_in_a_row_are_one_contradiction() -> None:
+def test_images_in_a_row_are_one_contradiction() -> None:
     contradictions = Contradictions()
     lasted = [contradictions.note(k * NS // 5) for k in range(6)]
     np.testing.assert_allclose(lasted, 0.25 + 0.2 * np.arange(6))

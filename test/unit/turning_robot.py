@@ -30,7 +30,7 @@ AZIMUTH = np.radians(np.arange(-25.0, 26.0))
 
 
 @dataclass(frozen=True)
-class Picture:
+class FakeImage:
     """What a camera at `pan` shows; `number` tells two of the same view apart, as noise does."""
 
     pan: float
@@ -45,16 +45,18 @@ class Picture:
         return f'{self.pan:.4f} {self.number}'.encode()
 
 
-def inspect(picture):
-    if picture.broken:
-        raise LandmarkNavError(picture.broken)
-    bearing = wrap_rad(picture.pan + AZIMUTH)
+def inspect(camera_image):
+    if camera_image.broken:
+        raise LandmarkNavError(camera_image.broken)
+    bearing = wrap_rad(camera_image.pan + AZIMUTH)
     # A poster to the left, a blank wall with noise to the right.
     texture = np.where(bearing > 0.0, 2.0 + np.sin(8.0 * bearing), 0.0)
-    if picture.flat:
+    if camera_image.flat:
         return Look(AZIMUTH, np.zeros((2, len(AZIMUTH))), True)
-    energy = (0.01 + picture.sharpness * texture) * (1.0 + 0.01 * np.sin(17.0 * picture.number))
-    energy[np.abs(AZIMUTH - picture.person) < 0.15] = 0.004
+    energy = (0.01 + camera_image.sharpness * texture) * (
+        1.0 + 0.01 * np.sin(17.0 * camera_image.number)
+    )
+    energy[np.abs(AZIMUTH - camera_image.person) < 0.15] = 0.004
     return Look(AZIMUTH, np.stack([energy, energy]), False)
 
 
@@ -80,9 +82,9 @@ class Robot:
             if not self.limits[0] <= self.pan <= self.limits[1]:
                 self.pan, self.rate = float(np.clip(self.pan, *self.limits)), 0.0
 
-    def picture(self):
+    def camera_image(self):
         """The frame that the camera delivers now, with its stamp; None for none."""
-        return Picture(self.pan, self.k), self.now - 7_000_000
+        return FakeImage(self.pan, self.k), self.now - 7_000_000
 
     def measured(self):
         """The pan that the driver reports."""
@@ -96,10 +98,10 @@ class Robot:
         self.turn()
         self.past.append(self.pan)
         self.sweep.add_odometry(OdometrySample(self.now, np.array([self.x, 0.0, 0.0])))
-        if self.k % 3 == 0 and (taken := self.picture()) is not None:
-            picture, stamp = taken
+        if self.k % 3 == 0 and (taken := self.camera_image()) is not None:
+            camera_image, stamp = taken
             self.rates[stamp] = self.rate
-            self.sweep.add_frame(Shot(picture, stamp, picture.digest), self.now)
+            self.sweep.add_frame(Shot(camera_image, stamp, camera_image.digest), self.now)
         if not self.mute:
             self.sweep.add_joints(JointSample(self.now, self.measured()), self.now)
         self.sweep.check(self.now)
@@ -125,6 +127,6 @@ def check_sweep(sweep, wanted=WANTED):
     assert sweep.total == len(wanted)
     np.testing.assert_allclose(pans(sweep), wanted, atol=SHORT.arrival_tolerance_rad)
     for kept in sweep.kept:
-        # The picture was taken where the sweep says, when it says.
+        # The image was taken where the sweep says, when it says.
         assert abs(kept.frame.pan - kept.joints.pan_rad) < 0.002
         assert kept.frame.sharpness == 1.0

@@ -15,7 +15,7 @@ __all__ = ['candidate_at', 'greys_of']
 
 
 def greys_of(panoramas: Sequence[Panorama]) -> list[npt.NDArray[np.float32]]:
-    """Grey pictures."""
+    """Grey images."""
     return [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY).astype(np.float32) for p in panoramas]
 
 

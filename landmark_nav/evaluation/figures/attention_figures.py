@@ -1,7 +1,7 @@
 """
 Counterparts of Figures 4, 7 and 8 (left) of Livatino and Madsen: what attracts attention.
 
-Figure 4 is the way from a picture to candidates, Figure 7 each feature alone, Figure 8 all.
+Figure 4 is the way from an image to candidates, Figure 7 each feature alone, Figure 8 all.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
     names = list(maps.features)
     figure = new_figure(2.6 * max(len(names), 4), 11.5)
     rows = figure.subfigures(4, 1, height_ratios=[2.5, 3.2, 3.1, 1.9])
-    picture, middle, fused, patches = np.ravel(np.asarray(rows))
-    show(picture.subplots(), strip.cut(panorama.image), 'panorama (part)')
+    view, middle, fused, patches = np.ravel(np.asarray(rows))
+    show(view.subplots(), strip.cut(panorama.image), 'panorama (part)')
     grid = middle.subplots(2, len(names), squeeze=False)
     for k, name in enumerate(names):
         show(grid[0, k], _part(maps, maps.features[name], strip), f'{_title(name)}')
@@ -105,11 +105,11 @@ def draw_features_alone(
             f'{_title(name)}\n{len(attended.refused)} of {len(everything)} attended are refused'
         )
         show(above.subplots(), strip.cut(maps.saliency), title)
-        picture = below.subplots()
-        show(picture, strip.cut(panorama.image))
+        view = below.subplots()
+        show(view, strip.cut(panorama.image))
         for number, (candidate, place) in enumerate(chosen, 1):
             color = ODOMETRY if id(candidate) in refused else LANDMARK
-            mark(picture, place, candidate, str(number), color, '--' if color != LANDMARK else '-')
+            mark(view, place, candidate, str(number), color, '--' if color != LANDMARK else '-')
         _draw_patches(patches, panorama, [c for c, _ in chosen], refused)
     text = (
         'Figure 7. What attention selects by one feature at a time. Above, conspicuity maps; '

@@ -1,4 +1,4 @@
-"""Where labels go, so that none lies on another or leaves the picture."""
+"""Where labels go, so that none lies on another or leaves the image."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
 __all__ = ['draw_panorama']
 
-# Around the picture: left, bottom, right, top, inches.
+# Around the image: left, bottom, right, top, inches.
 _MARGINS_IN = (0.7, 0.6, 0.2, 0.4)
 
 
@@ -36,7 +36,7 @@ def draw_panorama(
     size = (left + width + right, bottom + height + top)
     figure = new_figure(*size, arranged=False)
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
-    figure.add_artist(_Picture(panorama, left * DPI, bottom * DPI))
+    figure.add_artist(_PanoramaArtist(panorama, left * DPI, bottom * DPI))
     axes.patch.set_visible(False)
     elected = 0
     for candidate, outcome in zip(candidates, outcomes, strict=True):
@@ -64,7 +64,7 @@ def draw_panorama(
     save(figure, path, tight=False)
 
 
-class _Picture(Artist):
+class _PanoramaArtist(Artist):
     """What is covered of a panorama, pixel for pixel; `figimage` would resample it, slowly."""
 
     def __init__(self, panorama: Panorama, left_px: float, bottom_px: float) -> None:

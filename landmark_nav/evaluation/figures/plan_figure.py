@@ -62,8 +62,8 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
 def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
     """Heat map in millimetres with lines of equal error; blank where nothing can be told."""
     x, y, error = _gridded(forecast.floor_xy, 1e3 * forecast.sigma_m)
-    told = error[np.isfinite(error)]
-    low, high = (float(np.quantile(told, q)) for q in (0.0, 0.98))
+    known = error[np.isfinite(error)]
+    low, high = (float(np.quantile(known, q)) for q in (0.0, 0.98))
     axes.set_facecolor('#f4f4f4')
     heat = axes.pcolormesh(
         x, y, error, cmap='viridis_r', vmin=low, vmax=max(high, low + 0.1), zorder=1,
@@ -74,7 +74,7 @@ def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
     bar.set_label('position error, root of the trace [mm]')
     bar.outline.set_visible(False)
     if min(error.shape) >= 2 and high > low:
-        levels = np.quantile(told, [0.25, 0.5, 0.75, 0.95])
+        levels = np.quantile(known, [0.25, 0.5, 0.75, 0.95])
         lines = axes.contour(
             x, y, error, np.unique(np.round(levels, 2)), colors='white', linewidths=0.8, zorder=2
         )

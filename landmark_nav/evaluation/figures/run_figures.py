@@ -69,7 +69,7 @@ def draw_trajectory(
 
 
 def _driven(run: Replay, stamps_ns: IntArray, poses: FloatArray) -> FloatArray:
-    """Line (2, n) through poses; pictures may be far apart, and odometry leads on between them."""
+    """Line (2, n) through poses; images may be far apart, and odometry leads on between them."""
     known = PoseTrack.of(zip(stamps_ns.tolist(), poses, strict=True))
     return np.asarray(run.odometry.carry(known).poses[:, :2].T)
 
@@ -78,7 +78,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
     """
     Draw the errors along and across the way and in heading, with the claimed +-3 sigma.
 
-    Fixes beyond the axes are counted. Below lies a strip of which pictures gave a fix and when
+    Fixes beyond the axes are counted. Below lies a strip of which images gave a fix and when
     the state was lost.
     """
     figure = new_figure(10.0, 7.6)
@@ -132,7 +132,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
 
 
 def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
-    """Tell for each picture whether it gave a fix, whether fusion used it, whether it was lost."""
+    """Tell for each image whether it gave a fix, whether fusion used it, whether it was lost."""
     fixed = np.isfinite(run.fixes[:, 0])
     used = np.array([update.fusion.refusal is None for update in run.updates])
     marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (

@@ -84,7 +84,7 @@ def widest(panorama: Panorama, candidates: Iterable[Candidate], width: int, apar
 
 
 def show(axes: Axes, image: npt.NDArray[np.generic], title: str = '') -> None:
-    """Picture without ticks: BGR, or grey levels 0 to 255, or a map 0 to its largest value."""
+    """Image without ticks: BGR, or grey levels 0 to 255, or a map 0 to its largest value."""
     if image.ndim == 3:
         axes.imshow(image[..., ::-1])
     elif image.dtype == np.uint8:

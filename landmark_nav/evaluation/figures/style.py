@@ -17,7 +17,7 @@ import numpy as np
 
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Wall
-from landmark_nav.storage.whole import write_whole
+from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray
 
 __all__ = [
@@ -83,7 +83,7 @@ def save(figure: Figure, path: Path | BytesIO, tight: bool = True) -> None:
         pil_kwargs={'compress_level': 1},
     )
     if isinstance(path, Path):
-        write_whole(path, drawn.getvalue())
+        write_atomically(path, drawn.getvalue())
     else:
         path.write(drawn.getvalue())
 

@@ -36,7 +36,7 @@ def draw_sweeps(
     counts = [_frames_of_columns(s, p) for s, p in zip(sweeps, panoramas, strict=True)]
     for k, panorama in enumerate(panoramas):
         name = _NAMES[k] if len(panoramas) <= 2 else f'{k + 1}'
-        _draw_picture(rows[2 * k], panorama, room, f'{name}: {_place(panorama)}')
+        _draw_panorama_part(rows[2 * k], panorama, room, f'{name}: {_place(panorama)}')
         _draw_counts(rows[2 * k + 1], panorama, counts[k])
     text = _text(sweeps, panoramas, counts)
     caption(figure, text, 14.0)
@@ -44,7 +44,7 @@ def draw_sweeps(
     return text
 
 
-def _draw_picture(axes: Axes, panorama: Panorama, room: Room, title: str) -> None:
+def _draw_panorama_part(axes: Axes, panorama: Panorama, room: Room, title: str) -> None:
     axes.imshow(np.where(panorama.mask[..., None], panorama.image[..., ::-1], 255), aspect='auto')
     axes.set_title(title, fontsize=15)
     axes.set_xticks([])

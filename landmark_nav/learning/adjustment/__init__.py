@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from landmark_nav.learning.adjustment.config import AdjustmentConfig, WallFitConfig
-from landmark_nav.learning.adjustment.sizes import told_by_sizes
+from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
 from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 
-__all__ = ['Adjustment', 'AdjustmentConfig', 'WallFitConfig', 'adjust', 'told_by_sizes']
+__all__ = ['Adjustment', 'AdjustmentConfig', 'WallFitConfig', 'adjust', 'depth_from_scale']

@@ -11,7 +11,7 @@ __all__ = ['AdjustmentConfig', 'WallFitConfig']
 
 @dataclass(frozen=True)
 class AdjustmentConfig(Config):
-    """What is expected before there are sightings; they tell more."""
+    """What is expected before there are measurements; they tell more."""
 
     azimuth_sigma_rad: float = parameter(
         1.5e-4, 'what a panorama adds to each azimuth', minimum=0, maximum=0.1
@@ -36,7 +36,7 @@ class AdjustmentConfig(Config):
     )
     hanging_length_m: float = parameter(
         0.6,
-        'how long a stretch of wall hangs together, as a picture does',
+        'how long a stretch of wall hangs together, as an image does',
         minimum=0.05,
         maximum=10,
     )

@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
-from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['Linearized', 'NormalEquations', 'Problem', 'wall_stretches']
@@ -73,8 +73,8 @@ class NormalEquations:
 
     def _schur(self) -> FloatArray:
         shared = len(self.h_ss)
-        told = self.h_xs.reshape(-1, shared).T @ self.gain.reshape(-1, shared)
-        return np.asarray(self.h_ss - told)
+        reduction = self.h_xs.reshape(-1, shared).T @ self.gain.reshape(-1, shared)
+        return np.asarray(self.h_ss - reduction)
 
     def solve(self) -> tuple[FloatArray, FloatArray]:
         """Steps of landmarks (n, 3) and shared unknowns (m,)."""
@@ -94,15 +94,15 @@ class NormalEquations:
 
 class Problem:
     """
-    Sightings of n landmarks, the walls they hang on, and what is known of the panoramas.
+    Measurements of n landmarks, the walls they hang on, and what is known of the panoramas.
 
-    `own_sigma` (k, 2) is what matching says of each sighting; `landmark` and `view` (k,) tell
+    `own_sigma` (k, 2) is what matching says of each measurement; `landmark` and `view` (k,) tell
     what it is of; `stretch` (n,) numbers the stretch of wall that each landmark hangs on.
     """
 
     def __init__(
         self,
-        sightings: Sequence[Sequence[Sighting]],
+        measurements: Sequence[Sequence[PatchMeasurement]],
         walls: Sequence[int],
         stretch: npt.NDArray[np.intp],
         panoramas: Sequence[Panorama],
@@ -110,11 +110,11 @@ class Problem:
         room: Room,
     ) -> None:
         """Collect what does not change while it is solved."""
-        flat = [(k, s) for k, group in enumerate(sightings) for s in group]
+        flat = [(k, s) for k, group in enumerate(measurements) for s in group]
         self.landmark = np.array([k for k, _ in flat], dtype=np.intp)
         self.view = np.array([s.panorama for _, s in flat], dtype=np.intp)
         self.own_sigma = np.array([(s.sigma_azimuth_rad, s.sigma_tangent) for _, s in flat])
-        self.count, self.views = len(sightings), len(panoramas)
+        self.count, self.views = len(measurements), len(panoramas)
         self._seen = np.array([(s.azimuth_rad, s.tangent) for _, s in flat])
 
         self.normal = room.normals[np.asarray(walls, dtype=np.intp)]
@@ -185,7 +185,7 @@ class Problem:
         """
         Normal equations.
 
-        `seen` (k, 2) and `wall` (n,) are the information of sightings and walls; `spread` as in
+        `seen` (k, 2) and `wall` (n,) are the information of measurements and walls; `spread` as in
         `prior_covariance`. Bearings alone may leave a landmark anywhere along its ray: a share of
         what the wall says is said of where it is in all directions.
         """
@@ -217,12 +217,12 @@ class Problem:
     ) -> float:
         """Half of it is what the normal equations are the derivative of; arguments as there."""
         off = shared - self.prior
-        told = off @ solve_positive(self.prior_covariance(spread), off)
-        return float(np.sum(seen * at.seen**2) + np.sum(wall * at.wall**2) + told)
+        reduction = off @ solve_positive(self.prior_covariance(spread), off)
+        return float(np.sum(seen * at.seen**2) + np.sum(wall * at.wall**2) + reduction)
 
     def prior_covariance(self, spread: FloatArray) -> FloatArray:
         """
-        Covariance (m, m) of the shared unknowns before there are sightings.
+        Covariance (m, m) of the shared unknowns before there are measurements.
 
         `spread` (5,) are factors on the sigmas that panoramas say they have in plan and in
         height, and sigmas of how far things hang before all walls, before each, and on each
@@ -262,7 +262,7 @@ class Problem:
     def predicted_variance(
         self, at: Linearized, equations: NormalEquations
     ) -> tuple[FloatArray, FloatArray]:
-        """Variance of what the solution says of each sighting (k, 2) and each wall (n,)."""
+        """Variance of what the solution says of each measurement (k, 2) and each wall (n,)."""
         own, gain = equations.own_covariance(), equations.gain
         shared = equations.shared_covariance()
         by_shared = at.by_shared - at.by_point @ gain[self.landmark]
@@ -282,7 +282,7 @@ def wall_stretches(
     Numbers (n,) of the stretches of wall that points (n, 3) hang on.
 
     What is near each other is mostly part of one thing, and hangs equally far from the wall:
-    twenty patches of a picture say no more of how things hang than one does.
+    twenty patches of an image say no more of how things hang than one does.
     """
     start = np.array([room.walls[w].start for w in walls])
     side = np.array([wall.along for wall in room.walls])[list(walls)]

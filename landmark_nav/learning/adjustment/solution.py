@@ -19,7 +19,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.config import AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
 from landmark_nav.learning.least_squares import Damping, root_of
-from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
 __all__ = ['Adjustment', 'adjust']
@@ -28,10 +28,10 @@ _MAX_ITERATIONS = 15
 # What moves by less is at rest; no landmark goes farther in one step, metres.
 _CONVERGED, _LONGEST_M = 1e-7, 1.0
 # Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
-_DOUBT_AT_FIRST, _DOUBT = 100.0, 6.0
+_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH = 100.0, 6.0
 # A landmark that misses by more than this probability allows has no say in what is shared.
 _OUTLIER_PROBABILITY = 0.01
-_NO_SAY = 1e-6
+_NO_INFLUENCE = 1e-6
 # What misses by more sigmas than this is taken to be less certain, until it does not.
 _TAIL_SIGMAS = 2.5
 _NOISE_ITERATIONS = 60
@@ -61,7 +61,7 @@ class Adjustment:
     off_wall_m : ndarray, shape (n,)
         How far before its wall each landmark lies.
     chi_square : ndarray, shape (n,)
-        Misfit of its sightings and its wall.
+        Misfit of its measurements and its wall.
     noise : ndarray, shape (8,)
         Sigmas found: of azimuths, of tangents, of relief; factors, 1 or more, on the sigmas that
         panoramas say their places have, in plan and in height; how far things hang off all walls,
@@ -85,7 +85,7 @@ class Adjustment:
 
 
 def adjust(
-    sightings: Sequence[Sequence[Sighting]],
+    measurements: Sequence[Sequence[PatchMeasurement]],
     walls: Sequence[int],
     start: FloatArray,
     panoramas: Sequence[Panorama],
@@ -94,11 +94,11 @@ def adjust(
     config: AdjustmentConfig,
 ) -> Adjustment:
     """
-    Adjust landmarks and panorama poses to all sightings.
+    Adjust landmarks and panorama poses to all measurements.
 
     Parameters
     ----------
-    sightings : sequence of sequences
+    measurements : sequence of sequences
         For each of n landmarks, where the panoramas show it.
     walls : sequence of int
         Wall of each landmark.
@@ -114,7 +114,7 @@ def adjust(
         Standard deviations to expect.
     """
     stretch = wall_stretches(start, walls, room, config.hanging_length_m)
-    problem = Problem(sightings, walls, stretch, panoramas, places, room)
+    problem = Problem(measurements, walls, stretch, panoramas, places, room)
     expected = np.array(
         [
             config.azimuth_sigma_rad,
@@ -128,16 +128,16 @@ def adjust(
     )
     points, shared = _settle(problem, start, expected)
     trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
-    say = np.where(trusted, 1.0, _NO_SAY)
+    influence = np.where(trusted, 1.0, _NO_INFLUENCE)
     weight = np.full(len(expected), config.camera_weight)
     weight[_PLACES] = config.place_weight
     weight[_HANGING] = config.room_weight
     noise, damping = expected, Damping()
     for _ in range(_NOISE_ITERATIONS):
         at = problem.linearize(points, shared)
-        weights = (*_information(problem, at, noise, say), noise[_SPREAD])
+        weights = (*_information(problem, at, noise, influence), noise[_SPREAD])
         points, shared, moved = _step(problem, at, points, shared, weights, damping)
-        better, fewness = _noise(problem, points, shared, noise, expected, say, weight)
+        better, fewness = _noise(problem, points, shared, noise, expected, influence, weight)
         still = np.abs(better / noise - 1.0).max() < _NOISE_CONVERGED
         noise = better
         if still and moved < _CONVERGED:
@@ -146,13 +146,13 @@ def adjust(
     noise = noise * np.sqrt(fewness)
     at = problem.linearize(points, shared)
     equations = problem.normal_equations(
-        at, shared, *_information(problem, at, noise, say), noise[_SPREAD]
+        at, shared, *_information(problem, at, noise, influence), noise[_SPREAD]
     )
     covariance = equations.shared_covariance()
     shared_loading, rest = _main_factors(-equations.gain @ root_of(covariance))
     return Adjustment(
         points,
-        say[:, None, None] * equations.own_covariance() + rest,
+        influence[:, None, None] * equations.own_covariance() + rest,
         shared_loading,
         problem.poses(shared),
         problem.pose_covariance(covariance),
@@ -171,9 +171,9 @@ def _settle(
         # False matches, and what hangs off the walls, must bend neither their neighbours nor the
         # poses, even where they are many: a weight that falls faster than the pull grows (Geman
         # and McClure, 1987), stricter with each step, as the poses explain more of the misfit.
-        doubt = max(_DOUBT_AT_FIRST / 2**step, _DOUBT)
+        tail_width = max(_TAIL_WIDTH_AT_FIRST / 2**step, _TAIL_WIDTH)
         at = problem.linearize(points, shared)
-        weight = (1.0 + _misfit(problem, at, sigma) / doubt) ** -2.0
+        weight = (1.0 + _misfit(problem, at, sigma) / tail_width) ** -2.0
         seen, wall = _variances(problem, sigma)
         weights = (weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD])
         points, shared, moved = _step(problem, at, points, shared, weights, damping)
@@ -217,7 +217,7 @@ def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     Loadings (n, 3, m) by fewer factors (n, 3, f), and what is left of the covariances (n, 3, 3).
 
-    Poses and walls move many landmarks; how one picture hangs moves its own by a tenth of that.
+    Poses and walls move many landmarks; how one poster hangs moves its own by a tenth of that.
     """
     count = len(loading)
     turned, size, _ = np.linalg.svd(loading.reshape(3 * count, -1), full_matrices=False)
@@ -227,7 +227,7 @@ def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Variances of sightings (k, 2) and walls (n,)."""
+    """Variances of measurements (k, 2) and walls (n,)."""
     return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[_RELIEF] ** 2)
 
 
@@ -238,12 +238,12 @@ def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _information(
-    problem: Problem, at: Linearized, noise: FloatArray, say: FloatArray
+    problem: Problem, at: Linearized, noise: FloatArray, influence: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     seen, wall = _variances(problem, noise)
     return (
-        say[problem.landmark, None] * _tail(at.seen, seen) / seen,
-        say * _tail(at.wall, wall) / wall,
+        influence[problem.landmark, None] * _tail(at.seen, seen) / seen,
+        influence * _tail(at.wall, wall) / wall,
     )
 
 
@@ -272,7 +272,7 @@ def _noise(
     shared: FloatArray,
     noise: FloatArray,
     expected: FloatArray,
-    say: FloatArray,
+    influence: FloatArray,
     weight: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """
@@ -284,16 +284,16 @@ def _noise(
     with the mean of each variance, given how many tell of it, over its likeliest value.
     """
     at = problem.linearize(points, shared)
-    information = _information(problem, at, noise, say)
+    information = _information(problem, at, noise, influence)
     equations = problem.normal_equations(at, shared, *information, noise[_SPREAD])
     predicted = problem.predicted_variance(at, equations)
-    voice = say > 0.5
-    seen_voice = voice[problem.landmark]
+    counted = influence > 0.5
+    seen_voice = counted[problem.landmark]
     variances = _variances(problem, noise)
     groups = [
         (at.seen[:, 0], variances[0][:, 0], information[0][:, 0], predicted[0][:, 0], seen_voice),
         (at.seen[:, 1], variances[0][:, 1], information[0][:, 1], predicted[0][:, 1], seen_voice),
-        (at.wall, variances[1], information[1], predicted[1], voice),
+        (at.wall, variances[1], information[1], predicted[1], counted),
     ]
     squares, counts = np.zeros((2, len(noise)))
     for k, (residual, variance, trust, explained, who) in enumerate(groups):
@@ -305,6 +305,6 @@ def _noise(
     better = noise * np.sqrt((squares + pull) / (counts + weight))
     fewness = 1.0 + 2.0 * counts / (counts + weight) ** 2
     # Panoramas that agree may all be wrong by what they share: papers, floor and camera.
-    as_told = _PLACES[better[_PLACES] < 1.0]
-    better[as_told] = fewness[as_told] = 1.0
+    as_given = _PLACES[better[_PLACES] < 1.0]
+    better[as_given] = fewness[as_given] = 1.0
     return better, fewness

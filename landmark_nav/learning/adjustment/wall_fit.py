@@ -24,7 +24,7 @@ from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.types import FloatArray
 
-__all__ = ['WallResidual', 'check_walls', 'doubtful_walls', 'wall_residuals']
+__all__ = ['WallResidual', 'check_walls', 'wall_residuals', 'wall_warnings']
 
 
 # Chance that walls which a person measured are doubted, and patches that doubt takes.
@@ -86,7 +86,7 @@ def check_walls(
 
     """
     complaints: list[str] = []
-    doubts: list[str] = []
+    warnings: list[str] = []
     for k, on in _judged(free, walls, room, _MIN_PATCHES, elsewhere=True):
         things = _things(free, room, k, on, expected.hanging_length_m)
         sigma = float(np.linalg.norm(_shared(free, room, k, on)))
@@ -95,13 +95,13 @@ def check_walls(
             wall, before = room.walls[k], np.median(free.off_wall_m[on]) > _ELSEWHERE_M[0]
             seen = np.ptp(free.positions[on, :2] @ wall.along)
             hidden = before and seen < _SURE_SHARE * wall.length
-            (doubts if hidden else complaints).append(f'{wall.id} {complaint}')
+            (warnings if hidden else complaints).append(f'{wall.id} {complaint}')
     if complaints:
         raise LandmarkNavError(
             f'the walls do not fit what the panoramas see: {"; ".join(complaints)}: '
             'measure walls and papers again and mend room.yaml'
         )
-    return f'room.yaml may be wrong: {"; ".join(doubts)}' if doubts else ''
+    return f'room.yaml may be wrong: {"; ".join(warnings)}' if warnings else ''
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ def wall_residuals(
     return tuple(residuals)
 
 
-def doubtful_walls(
+def wall_warnings(
     residuals: Sequence[WallResidual],
     hanging_sigma_m: float,
     expected: AdjustmentConfig,
@@ -180,12 +180,12 @@ def doubtful_walls(
     near = (off >= -config.max_behind_m - slack) & (off <= config.max_before_m + slack)
     if likely and near.all():
         return ''
-    told = ', '.join(
+    listed = ', '.join(
         f'{100 * abs(r.off_m):.1f} cm {"before" if r.off_m > 0 else "behind"} {r.wall_id}'
         for r in residuals
     )
     return (
-        f'room.yaml may be wrong: what hangs on the walls lies {told}; landmarks are '
+        f'room.yaml may be wrong: what hangs on the walls lies {listed}; landmarks are '
         'where the panoramas see them, but measure the walls again'
     )
 
@@ -216,10 +216,10 @@ def _likelier_plane(off_m: FloatArray) -> float:
     """How far before its wall most patches (n,) lie in one plane; 0 if some lie on the wall."""
     if not len(off_m):
         return 0.0
-    company = np.sum(np.abs(off_m[:, None] - off_m) < _MAX_SPREAD_M, 1)
-    plane = float(np.median(off_m[company == company.max()]))
+    neighbours = np.sum(np.abs(off_m[:, None] - off_m) < _MAX_SPREAD_M, 1)
+    plane = float(np.median(off_m[neighbours == neighbours.max()]))
     most_near = _MOST_NEAR_IF_BEFORE if plane > 0.0 else _MOST_NEAR_IF_BEHIND
-    far_more = np.sum(np.abs(off_m) < _NEAR_M) <= most_near * company.max()
+    far_more = np.sum(np.abs(off_m) < _NEAR_M) <= most_near * neighbours.max()
     return plane if far_more and _ELSEWHERE_M[0] < abs(plane) < _ELSEWHERE_M[1] else 0.0
 
 

@@ -72,7 +72,7 @@ def _to_gray(image: ImageArray) -> ImageArray:
 
 
 def _fill_uncovered(gray: ImageArray, mask: npt.NDArray[np.bool_]) -> ImageArray:
-    """Continue the picture into uncovered areas, whose rims would be edges otherwise."""
+    """Continue the image into uncovered areas, whose rims would be edges otherwise."""
     if mask.all() or not mask.any():
         return gray
     labels = cv2.distanceTransformWithLabels(

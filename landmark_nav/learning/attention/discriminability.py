@@ -68,7 +68,7 @@ def _neighborhood(
 
 def _bearing_sigma_px(patch: ImageArray, noise_gray: float) -> float:
     """
-    Noise along the row of a least-squares match between two pictures of a patch, px.
+    Noise along the row of a least-squares match between two images of a patch, px.
 
     The Cramer-Rao bound sqrt(2) noise / |gradients|, with the shift along the column unknown
     too: a patch of one slanted edge fixes neither. The gradients are taken from a smoothed patch

@@ -43,7 +43,7 @@ class EdgeGradients:
     dx, dy, magnitude : ndarray of float32, shape (height, width)
         Slopes to the right and downwards and their norm.
     strong : float
-        Magnitude of a strong edge of this picture; 1 where there is no edge.
+        Magnitude of a strong edge of this image; 1 where there is no edge.
 
     """
 
@@ -55,7 +55,7 @@ class EdgeGradients:
 
 def edge_gradients(gray: ImageArray, low: float, high: float, side: int = 0) -> EdgeGradients:
     """
-    Gradients on the Canny edges of a grey picture (height, width).
+    Gradients on the Canny edges of a grey image (height, width).
 
     `low` and `high` are the thresholds of the hysteresis in grey levels per px; `side` columns at
     either end are there twice, and count once. Canny, A Computational Approach to Edge

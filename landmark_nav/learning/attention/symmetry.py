@@ -14,12 +14,12 @@ from landmark_nav.learning.attention.features import EdgeGradients
 
 __all__ = ['halve', 'line_symmetry_map', 'point_symmetry_map', 'radial_symmetry_map']
 
-# Scales of the ring that collects edges about a point, in px of the full picture; it weighs most
+# Scales of the ring that collects edges about a point, in px of the full image; it weighs most
 # at sqrt(2) times as much.
 _RING_SIGMAS_PX = (4.0, 8.0, 16.0)
 # Mean edge strength, as a share of a strong edge everywhere, below which a ring is empty.
 _EMPTY = 0.02
-# Radii of the circles that edges vote for, in px of the full picture.
+# Radii of the circles that edges vote for, in px of the full image.
 _RADII_PX = (4, 8, 16)
 # Votes that make a point fully symmetric, and how strictly they must come from all sides: Loy and
 # Zelinsky's values, and strict enough to leave straight edges out.

@@ -1,5 +1,5 @@
 """
-Alignment of pictures whose angles are estimates: pan, tilt and roll of each, focal length and
+Alignment of images whose angles are estimates: pan, tilt and roll of each, focal length and
 radial distortion of all, from what neighbours both show.
 """
 
@@ -56,8 +56,8 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
     """
     if len(sweep.frames) < 3:
         raise LandmarkNavError(f'{len(sweep.frames)} frames are too few to align: take a sweep')
-    told = sweep = _with_one_camera(sweep)
-    camera = told.frames[0].camera
+    given = sweep = _with_one_camera(sweep)
+    camera = given.frames[0].camera
     sigma = [_PAN_SIGMA_RAD, _TILT_SIGMA_RAD, _TILT_SIGMA_RAD]
     free = [COMMON.index('focal_length')]
     if camera.model != 'equidistant':
@@ -69,9 +69,9 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
                 f'{len(overlaps)} matches between neighbouring frames are too few to '
                 'align them: they need to overlap and to show texture'
             )
-        problem = OverlapProblem(overlaps, told, mount)
+        problem = OverlapProblem(overlaps, given, mount)
         fit, terms = fit_significant(problem, free, sigma, camera)
-        sweep, _ = corrected(told, mount, fit.common, fit.frames)
+        sweep, _ = corrected(given, mount, fit.common, fit.frames)
     focal = next(term for term in terms if term.name == 'focal_length')
     scale = 1.0 + focal.value if focal.used else 1.0
     return SweepAlignment(

@@ -24,7 +24,7 @@ _NEIGHBOURS = 4
 
 @dataclass(frozen=True)
 class Shot(Generic[FrameT]):
-    """A frame that came; `digest` is the same for the same picture, and only for that."""
+    """A frame that came; `digest` is the same for the same image, and only for that."""
 
     frame: FrameT
     stamp_ns: int
@@ -71,24 +71,24 @@ class FrameLog:
         if since_s > 0.5 * self._config.step_timeout_s:
             return (
                 f'the last image came {since_s:.1f} s ago: is the camera on, or are large '
-                'pictures lost on their way (image_transport: compressed)?'
+                'images lost on their way (image_transport: compressed)?'
             )
         return (
             f'the last image was {age_s:.2f} s old: are its stamps on the clock of joint_states?'
         )
 
     def is_first(self, digest: bytes) -> bool:
-        """Whether no other picture has come before this one."""
+        """Whether no other image has come before this one."""
         return next(iter(self._first)) == digest
 
     def remember(self, digest: bytes, stamp_ns: int, pans_rad: tuple[float, float] | None) -> None:
-        """Take a picture that came, with the least and greatest pan it may have had, if known."""
+        """Take an image that came, with the least and greatest pan it may have had, if known."""
         self._first[digest] = (stamp_ns, pans_rad)
         if len(self._first) > _REMEMBERED:
             del self._first[next(iter(self._first))]
 
     def seen_elsewhere(self, digest: bytes, stamp_ns: int, track: JointTrack) -> bool:
-        """Whether this very picture came at another pan; remembers it."""
+        """Whether this very image came at another pan; remembers it."""
         pans_rad = track.around(stamp_ns)
         first_ns, first_rad = self._first.get(digest, (stamp_ns, None))
         # It may have come before the joint state of its time.
@@ -112,26 +112,26 @@ class Album(Generic[FrameT]):
     """
     The frames kept so far, by step.
 
-    `doubtful` holds the steps whose frame is to be taken again.
+    `suspect` holds the steps whose frame is to be taken again.
     """
 
     def __init__(self, config: CaptureConfig) -> None:
         self._least = config.least_sharpness
         self.frames: dict[int, KeptFrame[FrameT]] = {}
-        self.doubtful: set[int] = set()
+        self.suspect: set[int] = set()
 
     def keep(self, step: int, frame: KeptFrame[FrameT]) -> bool:
         """Keep a frame; False if it was there before."""
         is_new = self.frames.get(step) is not frame
         self.frames[step] = frame
-        self.doubtful.discard(step)
+        self.suspect.discard(step)
         return is_new
 
     def distrust(self, digest: bytes) -> None:
-        """Forget the frame with that picture: nobody knows where it was taken."""
+        """Forget the frame with that image: nobody knows where it was taken."""
         for step in [k for k, kept in self.frames.items() if kept.digest == digest]:
             del self.frames[step]
-            self.doubtful.discard(step)
+            self.suspect.discard(step)
 
     def blurred(self, step: int, frame: KeptFrame[FrameT]) -> str | None:
         """Why a frame counts as blurred, or somebody passes; None if nobody can tell."""
@@ -145,7 +145,7 @@ class Album(Generic[FrameT]):
         found = []
         for step, kept in self.frames.items():
             if reason := self.blurred(step, kept):
-                self.doubtful.add(step)
+                self.suspect.add(step)
                 found.append((kept, reason))
         return found
 

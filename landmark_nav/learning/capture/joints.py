@@ -108,16 +108,16 @@ class PanReach:
         self._config = config
         self._first_rad: float | None = None
         self._has_moved = False
-        self._doubt_rad: float | None = None
+        self._unconfirmed_limit_rad: float | None = None
         self.stops_rad: list[float] = []
         self.targets: FloatArray
         self._low, self._high = config.pan_min_rad, config.pan_max_rad
         self._renew()
 
     @property
-    def doubt_rad(self) -> float | None:
+    def unconfirmed_limit_rad(self) -> float | None:
         """The pan at which it stopped, if it has not moved since."""
-        return self._doubt_rad
+        return self._unconfirmed_limit_rad
 
     def nearest(self, pan_rad: float) -> float:
         """The pan within its limits that is nearest to one."""
@@ -129,15 +129,18 @@ class PanReach:
         if self._first_rad is None:
             self._first_rad = pan_rad
         self._has_moved |= abs(wrap_one_rad(pan_rad - self._first_rad)) > tolerance
-        doubt_rad = self._doubt_rad
-        if doubt_rad is not None and abs(wrap_one_rad(pan_rad - doubt_rad)) > tolerance:
-            self._doubt_rad = None
+        unconfirmed_limit_rad = self._unconfirmed_limit_rad
+        if (
+            unconfirmed_limit_rad is not None
+            and abs(wrap_one_rad(pan_rad - unconfirmed_limit_rad)) > tolerance
+        ):
+            self._unconfirmed_limit_rad = None
 
     def stop(self, pan_rad: float, target_rad: float) -> bool:
         """Take it that the joint stops at a pan on its way to a target; False if it is stuck."""
-        if self._doubt_rad is not None or not self._has_moved:
+        if self._unconfirmed_limit_rad is not None or not self._has_moved:
             return False
-        self._doubt_rad = pan_rad
+        self._unconfirmed_limit_rad = pan_rad
         self.stops_rad.append(pan_rad)
         margin = self._config.arrival_tolerance_rad
         if target_rad > pan_rad:

@@ -35,7 +35,7 @@ def begin_or_resume(
         frames, why = len(before.kept), before.why_not_resumed(now_ns)
         if not why:
             before.resume(now_ns)
-            unsure = '' if before.place.known else ' (no odom: did the robot stand still?)'
-            return before, f'gone on after {frames} frames of before{unsure}'
+            unknown_place = '' if before.place.known else ' (no odom: did the robot stand still?)'
+            return before, f'gone on after {frames} frames of before{unknown_place}'
         note = f'begun anew without {frames} frames of before: {why}'
     return SweepCapture(config, inspect, now_ns), note

@@ -32,7 +32,7 @@ _LOG = logging.getLogger(__name__)
 
 # Frames of one direction that are all alike but less sharp than its neighbours show how it looks.
 _ALIKE = 0.1
-_ENOUGH_ALIKE = 3
+_SIMILAR_FRAMES = 3
 _TO_COMPARE = 2
 
 
@@ -104,7 +104,7 @@ class SweepCapture(Generic[FrameT]):
         if not self._run_frames:
             return None
         pace_s = (now_ns - self._run_start_ns) * 1e-9 / self._run_frames
-        return pace_s * (len(self._missing()) + len(self._album.doubtful))
+        return pace_s * (len(self._missing()) + len(self._album.suspect))
 
     def why_not_resumed(self, now_ns: int) -> str:
         """Why the frames so far are of no use for going on; nothing if they are."""
@@ -147,7 +147,7 @@ class SweepCapture(Generic[FrameT]):
                 if self._log.is_first(shot.digest):
                     # It may have been frozen before the joint began to turn.
                     self._album.distrust(shot.digest)
-                self._refuse(step, 'frozen: the same picture came at another pan', now_ns)
+                self._refuse(step, 'frozen: the same image came at another pan', now_ns)
             else:
                 step.pending, step.phase = shot, Phase.CONFIRMING
 
@@ -163,7 +163,7 @@ class SweepCapture(Generic[FrameT]):
             step.begin_stamp_ns = stamp - 1
             self._progressed(step, now_ns)
         if step.number is None:
-            if self.reach.doubt_rad is None:
+            if self.reach.unconfirmed_limit_rad is None:
                 self._begin_step(now_ns)
             return None
         distance = abs(sample.pan_rad - step.target_rad)
@@ -221,19 +221,21 @@ class SweepCapture(Generic[FrameT]):
         return [int(k) for k in within if k not in self._album.frames]
 
     def _begin_step(self, now_ns: int) -> None:
-        missing, doubt = self._missing(), self.reach.doubt_rad
+        missing, unconfirmed_rad = self._missing(), self.reach.unconfirmed_limit_rad
         if not missing and not self._reviewed:
             self._reviewed = True
             for kept, reason in self._album.review():
                 self._count(reason, kept.joints.pan_rad)
-        again = [k for k in sorted(self._album.doubtful) if not np.isnan(self.reach.targets[k])]
+        again = [k for k in sorted(self._album.suspect) if not np.isnan(self.reach.targets[k])]
         number = next(iter([*missing, *again]), None)
         self._step: Step[FrameT] | None = None
         if number is not None:
             target = float(self.reach.targets[number])
-        elif doubt is not None and self._album.frames:
+        elif unconfirmed_rad is not None and self._album.frames:
             # Nothing is left but to see that the joint can still move.
-            target = max((k.joints.pan_rad for k in self.kept), key=lambda pan: abs(pan - doubt))
+            target = max(
+                (k.joints.pan_rad for k in self.kept), key=lambda pan: abs(pan - unconfirmed_rad)
+            )
         else:
             return
         before = None if number is None else self._album.frames.get(number)
@@ -308,7 +310,7 @@ class SweepCapture(Generic[FrameT]):
             self._progressed(step, now_ns)
             return None
         if blurred:
-            alike = len(step.shots) >= _ENOUGH_ALIKE and spread < _ALIKE
+            alike = len(step.shots) >= _SIMILAR_FRAMES and spread < _ALIKE
             if not alike and step.refusals < self._config.retakes:
                 self._refuse(step, blurred, now_ns)
                 return None

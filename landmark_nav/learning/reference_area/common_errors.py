@@ -1,7 +1,7 @@
 """
 What places of sweeps err in common, as all of them are measured from the same papers.
 
-First order, without a picture: the measurements are the four edges of each paper, as in `fit`;
+First order, without an image: the measurements are the four edges of each paper, as in `fit`;
 what is not exactly known there (height, tilt, how large papers are, how each hangs) is not known
 here either.
 """
@@ -93,9 +93,9 @@ def pose_errors(
         jacobian *= seen[:, :, None, None]
     sigma = np.hypot(_PROFILES_PX, config.edge_sigma_px) / focal_px
     rows = jacobian.reshape(len(eye), 4 * papers, _PAPERS + 2 * papers) / sigma
-    told = [config.height_sigma_m, *[config.horizon_sigma_rad] * 2, config.paper_size_sigma]
-    told += [max(config.paper_sigma_m, 1e-6)] * (2 * papers)
-    prior = np.array([np.inf] * 3 + told)
+    given = [config.height_sigma_m, *[config.horizon_sigma_rad] * 2, config.paper_size_sigma]
+    given += [max(config.paper_sigma_m, 1e-6)] * (2 * papers)
+    prior = np.array([np.inf] * 3 + given)
     information = np.swapaxes(rows, -1, -2) @ rows + np.diag(prior**-2.0)
     covariance = np.linalg.inv(information)
     # An estimate errs by its gain times what the prior did not know.
@@ -109,7 +109,7 @@ def joint_covariance(
     """
     Joint covariance of the places of sweeps that were each found for itself.
 
-    A paper that hangs elsewhere than told moves all of them, and the camera stands equally high
+    A paper that hangs elsewhere than given moves all of them, and the camera stands equally high
     everywhere: as much of the error in height as can be is one and the same.
 
     Parameters
@@ -159,9 +159,9 @@ def _loading(
     eye = panorama.center_map[None]
     seen = papers_in_view(eye[:, :2], room)
     if seen.sum() >= LEAST_PAPERS:
-        told, by_papers = pose_errors(eye, room, config, panorama.cylinder.fy, seen)
+        given, by_papers = pose_errors(eye, room, config, panorama.cylinder.fy, seen)
         # A place that is better known than papers would tell it was told by something else.
-        ratio = eigh(covariance[_PLAN], told[0], eigvals_only=True)[-1]
+        ratio = eigh(covariance[_PLAN], given[0], eigvals_only=True)[-1]
         loading[_X_Y_HEADING] = min(1.0, ratio) * by_papers[0]
     half = solve_triangular(root_of(covariance), loading, lower=True)
     share = float(np.linalg.norm(half, 2) ** 2)

@@ -1,5 +1,5 @@
 """
-Edges of papers in pictures, to sub-pixel: where colour and brightness change across them.
+Edges of papers in images, to sub-pixel: where colour and brightness change across them.
 
 Both are measured. Brightness has every pixel of its own even in a JPEG, but what lies beside a
 paper is often its own shadow, which moves the edge outwards; colour is not deceived by shadows,
@@ -66,7 +66,7 @@ def locate_edges(
     Parameters
     ----------
     image : ndarray, shape (height, width, 3)
-        Picture, BGR.
+        Image, BGR.
     points : ndarray, shape (n * PROFILES, 2)
         Expected places (column, row); PROFILES in turn make one measurement.
     outwards : ndarray, shape (n * PROFILES, 2)
@@ -152,7 +152,7 @@ def _area_place(
     """
     Edge of profiles (n, m) that leaves as much area on both sides as they have.
 
-    However sharp the picture is, and wherever the edge lies in its pixel, that is unbiased; a
+    However sharp the image is, and wherever the edge lies in its pixel, that is unbiased; a
     half-way crossing of a sharp edge is up to 0.09 px off (Tabatabai and Mitchell, PAMI 1984).
     """
     place = np.clip(start, offset[0] + 4.0, offset[-1] - 4.0)

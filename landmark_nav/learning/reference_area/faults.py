@@ -136,10 +136,10 @@ class PaperFaults:
         """The single fault, and what to do, in one line; empty where there is none."""
         if not self.faults:
             return ''
-        said = ', or '.join(fault.text for fault in self.faults[:2])
+        text = ', or '.join(fault.text for fault in self.faults[:2])
         if len(self.faults) == 1:
-            return f'{said}: measure again and mend it'
-        return f'{said}; the sweeps fit both: measure both again'
+            return f'{text}: measure again and mend it'
+        return f'{text}; the sweeps fit both: measure both again'
 
 
 def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperView:

@@ -36,7 +36,7 @@ MOST_FRAMES = 12
 # Profiles go so far at first, then less; squared deviations at which a weight has fallen to a
 # quarter: strict only once all fits.
 _SEARCH_PX = (13.0, 8.0, 7.0)
-_DOUBTS = ((400.0, 100.0, 40.0), (60.0, 25.0, 12.0), (12.0, 9.0, 9.0))
+_TAIL_WIDTHS = ((400.0, 100.0, 40.0), (60.0, 25.0, 12.0), (12.0, 9.0, 9.0))
 _SURELY_WRONG = 25.0
 
 # Narrower ones are left out; in a JPEG the colour of narrow ones is that of the wall beside too.
@@ -55,12 +55,12 @@ class PaperFit:
     """
     A place and how well the papers agree on it.
 
-    `pose_map_base` (3,); `rise_m` how much higher than told the camera is; `covariance` (4, 4) of
+    `pose_map_base` (3,); `rise_m` how much higher than given the camera is; `covariance` (4, 4) of
     x, y, height, heading; `seen` (papers,) the share of each paper's edges that was found,
     `agreed` (papers,) the share of those that fits; `hang_m` (papers, 2) how far along the wall
     and up each hangs from where it should; `tilt_rad` (2,) of the axis about x and y of the base,
     and `tilt_covariance` (2, 2) of that, prior included; `size` the share by which all papers are
-    larger than told, `size_sigma` of that, prior included; `misfit` the mean squared deviation.
+    larger than given, `size_sigma` of that, prior included; `misfit` the mean squared deviation.
     """
 
     pose_map_base: FloatArray
@@ -118,7 +118,7 @@ class PaperFitter:
         rise_m: float = 0.0,
     ) -> PaperFit | None:
         """
-        Refine a base pose (3,) and how much higher than told the camera is.
+        Refine a base pose (3,) and how much higher than given the camera is.
 
         None where no paper shows an edge. Fewer frames are quicker, enough to choose between
         places.
@@ -127,15 +127,15 @@ class PaperFitter:
         state[RISE] = rise_m
         angle_sigma = np.full(2, self._pan_sigma_rad)
         fit = None
-        for reach, doubts in zip(_SEARCH_PX, _DOUBTS, strict=True):
+        for reach, tail_widths in zip(_SEARCH_PX, _TAIL_WIDTHS, strict=True):
             measured = self._measure(state, frames_per_paper, reach)
             if measured is None:
                 return None
             base = state
-            for doubt in doubts:
+            for tail_width in tail_widths:
                 try:
                     state, angle_sigma, fit = self._solve(
-                        measured, base, state, doubt, angle_sigma
+                        measured, base, state, tail_width, angle_sigma
                     )
                 except LandmarkNavError:
                     return None  # it runs away from what was measured
@@ -226,7 +226,7 @@ class PaperFitter:
         m: _Measured,
         base: FloatArray,
         state: FloatArray,
-        doubt: float,
+        tail_width: float,
         angle_sigma: FloatArray,
     ) -> tuple[FloatArray, FloatArray, PaperFit]:
         """One step of reweighted Gauss-Newton from `state`; edges were measured at `base`."""
@@ -244,9 +244,9 @@ class PaperFitter:
             + m.by_gamma * (state[GAMMA + m.bright] - m.gamma)
             - jacobian[:, SHIFT : SHIFT + 2] @ state[SHIFT : SHIFT + 2]
         )
-        doubtful = innovation**2 / (m.sigma_px**2 + shift**2)
-        weight = (1.0 + doubtful / doubt) ** -2.0 / m.sigma_px**2
-        weight[doubtful > 4.0 * doubt] = 0.0
+        squared_misfit = innovation**2 / (m.sigma_px**2 + shift**2)
+        weight = (1.0 + squared_misfit / tail_width) ** -2.0 / m.sigma_px**2
+        weight[squared_misfit > 4.0 * tail_width] = 0.0
         edge = model.edge_index(m.paper, m.edge, m.bright)
         by_edge = np.stack([shift, turn * m.along])
         jacobian[rows, edge] = by_edge
@@ -264,7 +264,7 @@ class PaperFitter:
         usual[:3] = state[:3]
         chi = np.sum(weight * left**2) + np.sum(prior * (state - usual) ** 2)
         misfit = float(chi / max(1.0, np.sum(weight * m.sigma_px**2) - 3.0))
-        fit = self._agreement(m, doubtful, state, covariance * max(1.0, misfit), misfit)
+        fit = self._agreement(m, squared_misfit, state, covariance * max(1.0, misfit), misfit)
         # The sweep itself tells how exact its joint angles are (expectation maximization).
         used = np.unique(m.frame)
         left_over = model.angles(state)[used] ** 2 + model.angles(np.diag(covariance))[used]
@@ -275,15 +275,15 @@ class PaperFitter:
     def _agreement(
         self,
         m: _Measured,
-        doubtful: FloatArray,
+        squared_misfit: FloatArray,
         state: FloatArray,
         covariance: FloatArray,
         misfit: float,
     ) -> PaperFit:
-        """What a solution tells; `doubtful` (n,) are the squared deviations of the edges."""
+        """What a solution tells; `squared_misfit` (n,) are the squared deviations of the edges."""
         model, by_color = self._model, m.bright == 0
         found = np.bincount(m.paper[by_color], minlength=model.papers)
-        agreed = by_color & (doubtful < _SURELY_WRONG)
+        agreed = by_color & (squared_misfit < _SURELY_WRONG)
         order, tilt = [0, 1, 3, 2], slice(4, 6)
         return PaperFit(
             state[:3].copy(),

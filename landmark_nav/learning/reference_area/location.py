@@ -26,11 +26,11 @@ from landmark_nav.learning.reference_area.blobs import ColorSearch
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
 from landmark_nav.learning.reference_area.refusals import (
-    doubtful_size,
     is_grey,
     LEAST_AGREED,
     measured_papers,
     place_text,
+    size_warning,
     why_not,
     WITHOUT_COLOR,
     wrong_height,
@@ -65,7 +65,7 @@ _SAME_YAW_RAD = 0.05
 _RISE_STEP_M = 0.06
 # A camera that is told so much too high or too low is refused for that.
 _ANY_HEIGHT_M = 0.1
-# Places are told apart with so many frames a paper.
+# Places are distinguished with so many frames a paper.
 _QUICK_FRAMES = 2
 
 
@@ -75,17 +75,17 @@ class SweepPlace:
     Where a sweep was taken.
 
     `pose_map_base` (3,) and `height_m` of the optical centre, `covariance` (4, 4) of x, y, z,
-    heading. `lean_score` (2,) and `lean_information` (2, 2) say how the pan axis leans about x
-    and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes them. `doubt`
-    says if sizes and distances of papers do not go together.
+    heading. `axis_tilt_score` (2,) and `axis_tilt_information` (2, 2) say how the pan axis leans
+    about x and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes them.
+    `warning` says if sizes and distances of papers do not go together.
     """
 
     pose_map_base: FloatArray
     height_m: float
     covariance: FloatArray
-    lean_score: FloatArray = field(default_factory=lambda: np.zeros(2))
-    lean_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
-    doubt: str = ''
+    axis_tilt_score: FloatArray = field(default_factory=lambda: np.zeros(2))
+    axis_tilt_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    warning: str = ''
 
 
 def locate_sweep(
@@ -135,7 +135,7 @@ def locate_sweep(
         fit.covariance,
         inverse @ fit.tilt_rad,
         inverse - np.eye(2) / config.horizon_sigma_rad**2,
-        doubtful_size(fit, config),
+        size_warning(fit, config),
     )
 
 
@@ -161,7 +161,7 @@ class _PaperSearch:
     def fit(self) -> PaperFit:
         """Fit of all edges at the place; `LandmarkNavError` that says why there is none."""
         places = find_places(self._blobs, self._room, self.height_m)
-        fits = at_told_height = self._tried(places)
+        fits = at_given_height = self._tried(places)
         for rise_m in _rises(self._config):
             if any(_fits(fit, self._room) for fit in fits):
                 break
@@ -169,7 +169,7 @@ class _PaperSearch:
             fits = self._tried(higher, rise_m)
         good = sorted((f for f in fits if _fits(f, self._room)), key=lambda f: -_support(f))
         if not good:
-            raise self._refusal(places, at_told_height)
+            raise self._refusal(places, at_given_height)
         _check_unique(good)
         fit = self._fitter.fit(good[0].pose_map_base, rise_m=good[0].rise_m)
         if fit is None or not _fits(fit, self._room):
@@ -231,7 +231,7 @@ def _check_unique(good: list[PaperFit]) -> None:
 
 
 def _rises(config: ReferenceAreaConfig) -> list[float]:
-    """How much higher or lower than told the camera may be, beside as told, the least first."""
+    """How much higher or lower than given the camera may be, beside as given, the least first."""
     steps = np.arange(1, 1 + int(WRONG_PRIOR * config.height_sigma_m / _RISE_STEP_M))
     return [float(sign * step * _RISE_STEP_M) for step in steps for sign in (1, -1)]
 

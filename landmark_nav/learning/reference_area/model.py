@@ -35,7 +35,7 @@ EDGES = 4
 EDGE_SHARE = 0.88
 
 # x, y, heading of the base; height and two tilts of the axis; the share by which all papers are
-# larger than told; gamma of colours, which JPEG blurs
+# larger than given; gamma of colours, which JPEG blurs
 # once more after the camera wrote them, and of brightness; shift of colours, two pixels.
 RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
 

@@ -20,10 +20,10 @@ __all__ = [
     'LEAST_AGREED',
     'WITHOUT_COLOR',
     'WRONG_PRIOR',
-    'doubtful_size',
     'is_grey',
     'measured_papers',
     'place_text',
+    'size_warning',
     'why_not',
     'wrong_height',
     'wrong_prior',
@@ -32,21 +32,21 @@ __all__ = [
 # Shares of a paper's edges: what must be found of it, and what of that must fit.
 _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
 # In standard deviations: beyond that a prior is wrong, and sizes of papers are doubted.
-WRONG_PRIOR, _DOUBTFUL_SIZE = 4.0, 3.3
-# A grey picture comes back from JPEG or resampling with channels that differ by so much.
+WRONG_PRIOR, _SIGNIFICANT_SIZE = 4.0, 3.3
+# A grey image comes back from JPEG or resampling with channels that differ by so much.
 _GREY_SPREAD = 2
 # More papers than that are not tried in other orders when nothing fits.
 _MOST_SWAPPED = 4
 
 
 WITHOUT_COLOR = (
-    'reference papers are told by their colour, and the pictures have none: publish colour '
-    'pictures, or give the pose of each sweep (sweep/pose)'
+    'reference papers are told by their colour, and the images have none: publish colour '
+    'images, or give the pose of each sweep (sweep/pose)'
 )
 
 
 def is_grey(image: ImageArray) -> bool:
-    """Whether a picture, grey or BGR, shows no colour at all; noise of a colour camera does."""
+    """Whether an image, grey or BGR, shows no colour at all; noise of a colour camera does."""
     return image.ndim == 2 or bool((np.ptp(image, axis=2) <= _GREY_SPREAD).all())
 
 
@@ -83,9 +83,9 @@ def wrong_prior(fit: PaperFit, room: Room, config: ReferenceAreaConfig) -> str |
     return None
 
 
-def doubtful_size(fit: PaperFit, config: ReferenceAreaConfig) -> str:
+def size_warning(fit: PaperFit, config: ReferenceAreaConfig) -> str:
     """
-    Say it if papers do not look as large as told beside the distances between them.
+    Say it if papers do not look as large as given beside the distances between them.
 
     A room that is told too large as a whole, papers and all, shows in nothing else.
     """
@@ -93,7 +93,7 @@ def doubtful_size(fit: PaperFit, config: ReferenceAreaConfig) -> str:
     # they should, so does it. Papers that say next to nothing of it leave it where it was.
     scatter = max(1.0, fit.misfit)
     variance = max(config.paper_size_sigma**2 - fit.size_sigma**2 / scatter, 1e-12)
-    if abs(fit.size) < _DOUBTFUL_SIZE * np.sqrt(scatter * variance):
+    if abs(fit.size) < _SIGNIFICANT_SIZE * np.sqrt(scatter * variance):
         return ''
     share = fit.size * config.paper_size_sigma**2 / variance
     return (
@@ -104,7 +104,7 @@ def doubtful_size(fit: PaperFit, config: ReferenceAreaConfig) -> str:
 
 
 def wrong_height(rise_m: float) -> str:
-    """What to do about a camera that stands higher than told."""
+    """What to do about a camera that stands higher than given."""
     return (
         f'the camera is {100 * abs(rise_m):.1f} cm {"higher" if rise_m > 0.0 else "lower"} than '
         'robot.yaml says, as the papers show it: measure the height of camera and papers again; '
@@ -138,7 +138,7 @@ def why_not(
     if fits:
         best = max(fits, key=lambda fit: float(np.sum(fit.seen * (fit.agreed > 0.95))))
         in_view = papers_in_view(best.pose_map_base[:2], room)
-        told = ', '.join(
+        each = ', '.join(
             f'{paper.color} '
             + (
                 'fits'
@@ -159,7 +159,7 @@ def why_not(
             else 'uncover the papers, or check colours, sizes and places in room.yaml'
         )
         return (
-            f'no place in the room fits the papers; at the nearest, ({place_text(best)}), {told}: '
+            f'no place in the room fits the papers; at the nearest, ({place_text(best)}), {each}: '
             f'{remedy}'
         )
     counted = ', '.join(
@@ -197,9 +197,9 @@ def _swapped(
     hung = (replace(p, color=papers[k].color) for k, p in zip(order, papers, strict=True))
     if not fits_at(replace(room, papers=tuple(hung)), place):
         return None
-    told = ', '.join(
+    each = ', '.join(
         f'{papers[k].color} where {paper.color} should hang'
         for k, paper in zip(order, papers, strict=True)
         if papers[k].color != paper.color
     )
-    return f'the reference papers seem swapped, {told}: change them, or room.yaml'
+    return f'the reference papers seem swapped, {each}: change them, or room.yaml'

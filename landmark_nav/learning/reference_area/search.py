@@ -32,7 +32,7 @@ _OUTLINE_SIGMA = 0.008
 # What a paper costs that should be seen and is not, squared standard deviations.
 _MISSING = 25.0
 # At that its weight has fallen to a quarter.
-_DOUBTFUL = 9.0
+_TAIL_WIDTH = 9.0
 
 _MOST_PAIRS = 1500
 _MOST_PLACES = 6
@@ -183,7 +183,7 @@ class _Problem:
     def refine(self, poses: FloatArray, scale: float) -> FloatArray:
         """One step of least squares of all poses (n, 3) towards the blobs that fit each best."""
         residual, cost, _ = self._compare(poses, scale)
-        weight = (1.0 + cost / _DOUBTFUL) ** -2.0 * (cost < _MISSING)
+        weight = (1.0 + cost / _TAIL_WIDTH) ** -2.0 * (cost < _MISSING)
         weight *= papers_in_view(poses[:, :2], self._room)
         offset = self._center[:, :2] - poses[:, None, :2]
         reach = np.maximum(np.linalg.norm(offset, axis=-1), 0.1)

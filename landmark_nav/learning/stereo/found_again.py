@@ -9,7 +9,7 @@ from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
 from landmark_nav.learning.stereo.free_stereo import explain, FreeMatch
-from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
@@ -26,7 +26,7 @@ class Found:
     """
 
     patches: list[WallPatch]
-    sightings: list[list[Sighting]]
+    measurements: list[list[PatchMeasurement]]
     origin: list[tuple[int, int]]
     outcomes: list[list[Landmark | Refusal]]
     off_walls: list[FreeMatch]
@@ -42,7 +42,7 @@ class Found:
         return replace(
             self,
             patches=[*self.patches, *(match.patch for match in self.off_walls)],
-            sightings=[*self.sightings, *(match.sightings for match in self.off_walls)],
+            measurements=[*self.measurements, *(match.measurements for match in self.off_walls)],
         )
 
 
@@ -63,16 +63,16 @@ def find_again(
                 continue
             others = [j for j in range(len(panoramas)) if j != i]
             matches = [match_in(patch, j, panoramas, greys, room, config) for j in others]
-            seen = [match for match in matches if isinstance(match, Sighting)]
+            seen = [match for match in matches if isinstance(match, PatchMeasurement)]
             if not seen:
                 refused = next(match for match in matches if isinstance(match, Refusal))
-                stands = explain(patch, panoramas, greys, config)
-                if stands is not None:
-                    found.off_walls.append(stands)
-                found.outcomes[i].append(refused if stands is None else stands.refusal)
+                off_wall = explain(patch, panoramas, greys, config)
+                if off_wall is not None:
+                    found.off_walls.append(off_wall)
+                found.outcomes[i].append(refused if off_wall is None else off_wall.refusal)
                 continue
             found.outcomes[i].append(Refusal('not elected'))
             found.patches.append(patch)
-            found.sightings.append([own_sighting(patch, panorama), *seen])
+            found.measurements.append([own_measurement(patch, panorama), *seen])
             found.origin.append((i, n))
     return found

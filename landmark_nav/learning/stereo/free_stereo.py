@@ -15,7 +15,7 @@ import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.config import StereoConfig
-from landmark_nav.learning.stereo.wall_patch import own_sighting, Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
@@ -39,7 +39,7 @@ class FreeMatch:
     """A patch where it stands, in plan and off its wall, and where two panoramas show it."""
 
     patch: WallPatch
-    sightings: list[Sighting]
+    measurements: list[PatchMeasurement]
     distance_m: float
     before_wall_m: float
 
@@ -71,7 +71,7 @@ def match_freely(
 
     """
     here, there = panoramas[patch.source], panoramas[other]
-    best: Sighting | None = None
+    best: PatchMeasurement | None = None
     for moved in _moved(patch, here, there):
         step = 0.5 * (1.0 / _STEP - 1.0) * _normal_reach(moved, here)
         if _normal_reach(moved, there) < 2.0 * step:
@@ -85,7 +85,7 @@ def match_freely(
             max_displaced_px=100.0,
         )
         found = compare(moved, other, panoramas, greys, near)
-        if isinstance(found, Sighting) and (best is None or found.score > best.score):
+        if isinstance(found, PatchMeasurement) and (best is None or found.score > best.score):
             best = found
     if best is None:
         return None
@@ -100,13 +100,13 @@ def match_freely(
         return None
     distance = float(np.hypot(*base) * np.sin(seen - toward) / parallax)
     on_wall = compare(patch, other, panoramas, greys, replace(config, min_score=0.0))
-    if isinstance(on_wall, Sighting) and on_wall.score > best.score - _MARGIN:
+    if isinstance(on_wall, PatchMeasurement) and on_wall.score > best.score - _MARGIN:
         return None
     reach = float(np.hypot(*wall))
     before = (1.0 - distance / reach) * _normal_reach(patch, here)
-    stands = here.center_map + distance / reach * (patch.position - here.center_map)
+    off_wall = here.center_map + distance / reach * (patch.position - here.center_map)
     return FreeMatch(
-        replace(patch, position=stands), [own_sighting(patch, here), best], distance, before
+        replace(patch, position=off_wall), [own_measurement(patch, here), best], distance, before
     )
 
 
@@ -123,7 +123,7 @@ def explain(
         if other != patch.source
     ]
     best = max(
-        (m for m in matches if m is not None), key=lambda m: m.sightings[-1].score, default=None
+        (m for m in matches if m is not None), key=lambda m: m.measurements[-1].score, default=None
     )
     if best is None or abs(best.before_wall_m) < _OFF_WALL_M or best.distance_m < 0.0:
         return None

@@ -140,7 +140,7 @@ def log_magnification(
     variance = float(left @ left) / max(values.size - len(rows), 1)
     influence = np.zeros((height, width))
     influence[_INNER] = (inverse[0] @ rows).reshape(seen[_INNER].shape)
-    # White noise of the picture passes what blurs it; the residuals have passed it too.
+    # White noise of the image passes what blurs it; the residuals have passed it too.
     passed = float(np.hypot(_BLUR_PX, _BLUR_SHARE * pixel))
     carried = cv2.GaussianBlur(influence, (0, 0), passed, borderType=cv2.BORDER_CONSTANT)
     sigma = float(np.sqrt(4.0 * np.pi * variance * np.sum(carried**2))) * passed / gain

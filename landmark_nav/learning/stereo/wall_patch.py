@@ -16,10 +16,10 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.types import Candidate, FloatArray, Panorama
 
 __all__ = [
-    'Sighting',
+    'PatchMeasurement',
     'WallPatch',
     'covered_rows',
-    'own_sighting',
+    'own_measurement',
     'texels_per_pixel',
     'wall_texture',
 ]
@@ -44,7 +44,7 @@ class WallPatch:
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class PatchMeasurement:
     """
     Where a panorama shows a patch: azimuth in its base frame, tangent, their sigmas.
 
@@ -62,10 +62,10 @@ class Sighting:
     sigma_log_nearer: float = np.inf
 
 
-def own_sighting(patch: WallPatch, panorama: Panorama) -> Sighting:
+def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:
     """The patch in the panorama that proposed it: there it is by definition."""
     cylinder = panorama.cylinder
-    return Sighting(
+    return PatchMeasurement(
         patch.source,
         float(cylinder.azimuth_rad(patch.candidate.column)),
         float(cylinder.tangent(patch.candidate.row)),

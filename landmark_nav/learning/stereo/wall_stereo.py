@@ -21,7 +21,7 @@ from landmark_nav.learning.stereo.likeness import displaced_quarter
 from landmark_nav.learning.stereo.magnification import log_nearer
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
-    Sighting,
+    PatchMeasurement,
     texels_per_pixel,
     wall_texture,
     WallPatch,
@@ -77,7 +77,7 @@ def match_in(
     greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
-) -> Sighting | Refusal:
+) -> PatchMeasurement | Refusal:
     """
     Find a patch of one panorama in another, number `other`.
 
@@ -107,7 +107,7 @@ def compare(
     panoramas: Sequence[Panorama],
     greys: Sequence[Float32Array],
     config: StereoConfig,
-) -> Sighting | Refusal:
+) -> PatchMeasurement | Refusal:
     """
     Match the two views resampled on the patch's plane, there and back.
 
@@ -163,7 +163,7 @@ def compare(
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
     sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
     nearer = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
-    return Sighting(
+    return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
         float(ray[2]) / reach,

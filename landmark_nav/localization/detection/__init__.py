@@ -1,4 +1,4 @@
-"""Landmarks found in a picture: what to expect, how it looks, where it is."""
+"""Landmarks found in an image: what to expect, how it looks, where it is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Detection with a camera that was knocked, so that its direction is not that of its joints."""
+"""Detection with a camera that was displaced, so that its direction is not that of its joints."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from landmark_nav.localization.detection.correlation import DetectionResult
 from landmark_nav.localization.detection.expectation import LEAST_WINDOW_PX
 from landmark_nav.localization.detection.height import (
     CAMERA_HEIGHT_SIGMA_M,
-    Lean,
+    CameraTilt,
+    estimate_camera_tilt,
     TILTED_RAD,
-    told_lean,
 )
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
@@ -37,7 +37,7 @@ _BESIDE = ('wrong height', 'peak at the border of the search window')
 # Most bearings of a camera that leans are off by one angle, but for so much, and for this share of
 # the angle that the position may be off by.
 _APART_RAD, _APART_SHARE = 0.001, 0.5
-# Each later picture that tells the roll as well as that corrects it by this share.
+# Each later image that tells the roll as well as that corrects it by this share.
 _ROLL_SHARE = 0.2
 
 
@@ -45,7 +45,7 @@ class AimedDetector:
     """
     Searches where prior and joints say, and, if hardly any landmark is there, further around.
 
-    What is found there tells how far the camera's direction is off, and later pictures are
+    What is found there tells how far the camera's direction is off, and later images are
     searched with that correction. Tilt and roll are corrected here. Bearings stay as the joints
     have them: the filter has to tell an error of the pan from one of the heading.
 
@@ -74,19 +74,19 @@ class AimedDetector:
         return float(self._aim[1])
 
     @property
-    def knocked_up_rad(self) -> float:
+    def tilt_change_rad(self) -> float:
         """By how much the camera looks higher; 0 unless it is more than an uneven floor causes."""
         return self._mount.pan_sense * self.tilt_rad if abs(self.tilt_rad) > TILTED_RAD else 0.0
 
     @property
-    def leaning_rad(self) -> float:
-        """By how much the camera leans to its right; 0 unless it was knocked."""
+    def roll_change_rad(self) -> float:
+        """By how much the camera leans to its right; 0 unless it was displaced."""
         return float(self._aim[2])
 
     @property
-    def lean(self) -> Lean:
+    def camera_tilt(self) -> CameraTilt:
         """Tilt and roll of the camera beyond those of its joints, however small."""
-        return Lean(self.tilt_rad, self.leaning_rad)
+        return CameraTilt(self.tilt_rad, self.roll_change_rad)
 
     def turn(self, tilt_rad: float, roll_rad: float) -> None:
         """Take the tilt to be so much larger, and the camera to lean so much more to its right."""
@@ -97,12 +97,12 @@ class AimedDetector:
             self._aim = aim
 
     def levelled(self, frame: CameraFrame) -> CameraFrame:
-        """Return a picture with tilt and roll corrected, and the pan as measured."""
+        """Return an image with tilt and roll corrected, and the pan as measured."""
         return _turned(frame, self._aim * [0.0, 1.0, 1.0])
 
     def _tell_lean(self, roll_rad: float) -> None:
         """Log another lean than the present one."""
-        if abs(roll_rad - self.leaning_rad) > TILTED_RAD:
+        if abs(roll_rad - self.roll_change_rad) > TILTED_RAD:
             if roll_rad:
                 _LOG.warning('camera leans %.1f deg %s', *degrees_aside(roll_rad))
             else:
@@ -113,7 +113,7 @@ class AimedDetector:
         frame: CameraFrame,
         prior: PoseEstimate,
         expected: npt.NDArray[np.intp],
-        knocked: bool = True,
+        displaced: bool = True,
         tells: bool = True,
     ) -> DetectionResult:
         """
@@ -122,26 +122,26 @@ class AimedDetector:
         Parameters
         ----------
         frame : CameraFrame
-            Picture with its joint angles.
+            Image with its joint angles.
         prior : PoseEstimate
             Expected pose of the base.
         expected : ndarray of int, shape (n,)
             Columns of the landmarks in the map.
-        knocked : bool
+        displaced : bool
             Whether a knock may be the reason if they are missing.
         tells : bool
             Whether the prior is sure enough to estimate the camera's direction.
 
         """
-        knock, config = self._knock if knocked else 0.0, self._config
+        knock, config = self._knock if displaced else 0.0, self._config
         result = self._search(frame, prior, expected, config, self._aim)
         if len(result.detections) <= _HARDLY_ANY * len(expected) and self._aim[0]:
             # What passed for a turn of the camera may have been an error of the heading.
             ahead = self._search(frame, prior, expected, config, self._aim * [0.0, 1.0, 1.0])
             result = max(ahead, result, key=lambda found: len(found.detections))
         asked = tells and self._knock and result.heights.may_tell_a_roll
-        if asked and (lean := told_lean(result.heights)).is_roll:
-            aim = self._aim + np.array([0.0, lean.tilt_rad, lean.roll_rad])
+        if asked and (camera_tilt := estimate_camera_tilt(result.heights)).is_roll:
+            aim = self._aim + np.array([0.0, camera_tilt.tilt_rad, camera_tilt.roll_rad])
             again = self._search(frame, prior, expected, config, aim)
             roll = float(aim[2])
             if self._confirms_roll(result, again, expected) and self._agree(
@@ -161,9 +161,9 @@ class AimedDetector:
         if len(around.detections) < _LEAST:
             return result
         # Mistaken matches are not found again in the narrow rows of a normal search.
-        lean = told_lean(around.heights)
-        for roll in (lean.roll_rad, 0.0) if lean.is_roll else (0.0,):
-            leaning = self.leaning_rad + roll
+        camera_tilt = estimate_camera_tilt(around.heights)
+        for roll in (camera_tilt.roll_rad, 0.0) if camera_tilt.is_roll else (0.0,):
+            leaning = self.roll_change_rad + roll
             aim, _ = self._seen_aim(around, frame, prior, leaning)
             if np.abs(aim - self._aim).max() * frame.camera.fx < LEAST_WINDOW_PX:
                 # That little aside everything would have been found at once: this is no knock.
@@ -182,14 +182,14 @@ class AimedDetector:
         self, before: DetectionResult, result: DetectionResult, expected: npt.NDArray[np.intp]
     ) -> bool:
         """Whether a result with another roll is no worse than the one before."""
-        # One or another of pictures that were exchanged fits some roll.
+        # One or another of posters that were exchanged fits some roll.
         beside = _beside(before)
         fits = np.isin(beside, result.detections.ids).sum()
         return bool(
             (not beside or fits > _MOST * len(beside))
             and len(result.detections) >= len(before.detections)
             and self._tells(result, expected)
-            and not told_lean(result.heights).is_roll
+            and not estimate_camera_tilt(result.heights).is_roll
         )
 
     def _agree(
@@ -218,20 +218,23 @@ class AimedDetector:
         prior: PoseEstimate,
         knock_roll_rad: float | None = None,
     ) -> None:
-        """Update the correction by a picture, if there is one or the camera was knocked."""
-        roll = self.leaning_rad if knock_roll_rad is None else knock_roll_rad
-        if roll and (lean := told_lean(result.heights)).roll_sigma_rad < TILTED_RAD:
-            roll += _ROLL_SHARE * lean.roll_rad
+        """Update the correction by an image, if there is one or the camera was displaced."""
+        roll = self.roll_change_rad if knock_roll_rad is None else knock_roll_rad
+        if (
+            roll
+            and (camera_tilt := estimate_camera_tilt(result.heights)).roll_sigma_rad < TILTED_RAD
+        ):
+            roll += _ROLL_SHARE * camera_tilt.roll_rad
         if abs(roll) < TILTED_RAD:
             roll = 0.0
         aim, away = self._seen_aim(result, frame, prior, roll)
         reach = np.hypot(away[:, 0], away[:, 1])
         # It is a knock if it is also more than the camera's height explains.
-        doubt_rad = CAMERA_HEIGHT_SIGMA_M / median(reach.tolist())
+        unconfirmed_limit_rad = CAMERA_HEIGHT_SIGMA_M / median(reach.tolist())
         if _sigma_m(prior) * median((np.abs(away[:, 2]) / reach**2).tolist()) > TILTED_RAD:
             # The position is too uncertain: from nearer by, high landmarks appear higher.
             aim[1] = self._aim[1]
-        tilted = abs(aim[1] - self._told_rad) > TILTED_RAD + doubt_rad
+        tilted = abs(aim[1] - self._told_rad) > TILTED_RAD + unconfirmed_limit_rad
         if tilted:
             self._told_rad = aim[1]
             side = 'above' if self._mount.pan_sense * aim[1] > 0.0 else 'below'
@@ -260,14 +263,16 @@ class AimedDetector:
                 found, bearing_rad=wrap_rad(found.bearing_rad - self._mount.pan_sense * aim[0])
             )
         if aim[2]:
-            # A roll is not known exactly: it moves what is high or low in the picture aside.
+            # A roll is not known exactly: it moves what is high or low in the image aside.
             rotation, _ = self._mount.camera_pose_base(
                 turned.pan_rad, turned.tilt_rad, turned.roll_rad
             )
             x, y, _ = (result.rays @ rotation.T).T
             by_x, by_y, _ = np.cross(result.rays @ rotation.T, rotation[:, 2]).T
-            lean = told_lean(result.heights)
-            sigma = min(float(np.hypot(lean.roll_rad, lean.roll_sigma_rad)), TILTED_RAD)
+            camera_tilt = estimate_camera_tilt(result.heights)
+            sigma = min(
+                float(np.hypot(camera_tilt.roll_rad, camera_tilt.roll_sigma_rad)), TILTED_RAD
+            )
             across = sigma * (x * by_y - y * by_x) / (x**2 + y**2)
             found = replace(found, variance_rad2=found.variance_rad2 + across**2)
         return replace(result, detections=found)
@@ -276,7 +281,7 @@ class AimedDetector:
         self, found: DetectionResult, frame: CameraFrame, prior: PoseEstimate, roll: float
     ) -> tuple[FloatArray, FloatArray]:
         """
-        Return the correction for a picture with a given roll, and positions from the camera.
+        Return the correction for an image with a given roll, and positions from the camera.
 
         Returns
         -------

@@ -34,7 +34,7 @@ _LEAST_SHARE = 0.1
 
 
 class Texture(NamedTuple):
-    """A picture of the landmark in wall coordinates, and its share in how it should look."""
+    """An image of the landmark in wall coordinates, and its share in how it should look."""
 
     image: ImageArray
     share: float
@@ -42,9 +42,9 @@ class Texture(NamedTuple):
 
 class Drawing(NamedTuple):
     """
-    How a landmark should look in a rectangle of the picture, (height, width).
+    How a landmark should look in a rectangle of the image, (height, width).
 
-    `finer` is the resolution of the picture over that of the textures, across and down, at least
+    `finer` is the resolution of the image over that of the textures, across and down, at least
     1.
     """
 
@@ -60,7 +60,7 @@ def draw(
     appearance: str,
 ) -> list[Drawing]:
     """
-    Draw landmarks as they should look in rectangles of the picture.
+    Draw landmarks as they should look in rectangles of the image.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def draw(
 
 
 def _to_texels(image: ImageArray, width_m: float) -> list[list[float]]:
-    """Metres on a patch, homogeneous, to columns and rows of its picture, (3, 3)."""
+    """Metres on a patch, homogeneous, to columns and rows of its image, (3, 3)."""
     rows, columns = image.shape
     scale = columns / width_m
     return [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
@@ -126,7 +126,7 @@ def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:
 
 def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Texture]:
     """
-    Pictures to blend, with shares that sum to one.
+    Images to blend, with shares that sum to one.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Te
 
 @lru_cache(maxsize=4096)
 def _views(landmark: Landmark) -> tuple[tuple[ImageArray, float, float], ...]:
-    """Pictures of a landmark, each with the angle and the distance that it was seen from."""
+    """Images of a landmark, each with the angle and the distance that it was seen from."""
     views = (PatchView(landmark.viewpoint, landmark.patch), *landmark.views)
     return tuple((view.patch, *_seen_from(landmark, view.viewpoint)) for view in views)
 

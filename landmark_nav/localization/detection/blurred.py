@@ -1,4 +1,4 @@
-"""Detection in pictures that are more, or less, blurred than those that were learned from."""
+"""Detection in images that are more, or less, blurred than those that were learned from."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ['detect_blurred']
 
 # It takes so many landmarks to measure the blur.
 _LEAST = 3
-# A picture is searched again, so often in all, if its blur is not the assumed one.
+# An image is searched again, so often in all, if its blur is not the assumed one.
 _LOOKS, _SAME_PX2 = 3, 0.7
 # Limits of the blur.
 _SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
@@ -39,7 +39,7 @@ def detect_blurred(
     frame, prior, landmark_map, mount, config, indices
         Those of `detect_landmarks`.
     blur_px2 : ndarray, shape (2,)
-        Blur to begin with, such as that of the picture before.
+        Blur to begin with, such as that of the image before.
 
     Returns
     -------

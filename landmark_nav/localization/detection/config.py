@@ -18,11 +18,11 @@ class DetectionConfig(Config):
         14, 'least width and height of a template, pixels', minimum=6, maximum=256
     )
     max_count: int = parameter(
-        16, 'most landmarks looked for in a picture: those that tell most', minimum=3, maximum=1000
+        16, 'most landmarks looked for in an image: those that tell most', minimum=3, maximum=1000
     )
-    enough: int = parameter(
+    target_count: int = parameter(
         8,
-        'landmarks looked for while most of those in the picture before were found: more of them '
+        'landmarks looked for while most of those in the image before were found: more of them '
         'repeat what the map has wrong',
         minimum=3,
         maximum=1000,
@@ -37,7 +37,7 @@ class DetectionConfig(Config):
         80, 'largest half width of the search, pixels', minimum=4, maximum=2000
     )
     vertical_sigma_px: float = parameter(
-        1.0, 'vertical error of the picture from tilt and floor', minimum=0.1, maximum=50
+        1.0, 'vertical error of the image from tilt and floor', minimum=0.1, maximum=50
     )
     appearance: str = parameter(
         'virtual_view',

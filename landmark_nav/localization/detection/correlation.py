@@ -1,8 +1,8 @@
 """
-Detection: landmarks re-mapped to how they should look now, found in the picture.
+Detection: landmarks re-mapped to how they should look now, found in the image.
 
 The plane of each patch and the expected pose give the template (Livatino and Madsen, section
-2.1); it is drawn in the raw picture's own pixels, lens and all: nothing needs undistorting.
+2.1); it is drawn in the raw image's own pixels, lens and all: nothing needs undistorting.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from landmark_nav.localization.detection.expectation import (
     quadratic,
     View,
 )
-from landmark_nav.localization.detection.height import Heights, RowModel
+from landmark_nav.localization.detection.height import RowModel, RowResiduals
 from landmark_nav.matching import (
     blur_by,
     blur_sigmas,
@@ -57,10 +57,10 @@ _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 @dataclass(frozen=True, eq=False)
 class DetectionResult:
     """
-    Landmarks found in a picture, and why the others were not, by id.
+    Landmarks found in an image, and why the others were not, by id.
 
     `rays` (n, 3) to the landmarks found are in the optical frame; `blur_px2` (n, 2) is the
-    variance by which the picture is more blurred at each than those it was learned from. `heights`
+    variance by which the image is more blurred at each than those it was learned from. `heights`
     are of all that was found, also where it is refused for its height.
     """
 
@@ -68,7 +68,7 @@ class DetectionResult:
     refused: Mapping[int, Refusal]
     rays: FloatArray
     blur_px2: FloatArray
-    heights: Heights
+    heights: RowResiduals
 
 
 def detect_landmarks(
@@ -81,18 +81,18 @@ def detect_landmarks(
     blur_px2: FloatArray = _SHARP,
 ) -> DetectionResult:
     """
-    Find landmarks in a picture.
+    Find landmarks in an image.
 
     Parameters
     ----------
     frame : CameraFrame
-        Picture with the joint angles at its stamp.
+        Image with the joint angles at its stamp.
     prior : PoseEstimate
         Expected pose of the base at its stamp.
     indices : ndarray of int, shape (n,)
         Which landmarks of the map to look for: those expected in this view.
     blur_px2 : ndarray, shape (2,)
-        By how much more the picture is blurred than those that were learned, across and down:
+        By how much more the image is blurred than those that were learned, across and down:
         variance of a Gaussian; negative if less.
     """
     view = View(frame, prior, mount)
@@ -181,7 +181,7 @@ def _detect(
         np.array([place.ray_to_patch for place in expected]),
         config.appearance,
     )
-    # Whichever is sharper is blurred to match the other: the picture, or the template.
+    # Whichever is sharper is blurred to match the other: the image, or the template.
     blurs = [_blurs(drawing.finer, blur_px2) for drawing in drawings]
     matches = match_templates(
         [
@@ -220,7 +220,7 @@ def _blurs(
 
 
 def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
-    """Cut off the border of a template, where a blurred picture mixes in the surroundings."""
+    """Cut off the border of a template, where a blurred image mixes in the surroundings."""
     height, width = template.shape
     u, v = min(round(blur[0]), width // 5), min(round(blur[1]), height // 5)
     return template[v : height - v, u : width - u]
@@ -228,7 +228,7 @@ def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
 
 def _heights(
     found: Sequence[_Found], variance_px2: FloatArray, landmark_map: LandmarkMap, view: View
-) -> Heights:
+) -> RowResiduals:
     """Rows of matches, measured with these variances (n,), beside those that were expected."""
     index = landmark_map.indices(np.array([f.landmark.id for f in found], dtype=np.int64))
     points = landmark_map.positions[index]
@@ -241,7 +241,7 @@ def _heights(
         landmark_map.covariances[index],
         landmark_map.shared_loadings[index],
     )
-    return Heights(off_px, rows.by_lean, covariance + np.diag(variance_px2), points)
+    return RowResiduals(off_px, rows.by_tilt_roll, covariance + np.diag(variance_px2), points)
 
 
 def _bearings(

@@ -1,4 +1,4 @@
-"""Where landmarks should be in a picture, and how far around they are searched."""
+"""Where landmarks should be in an image, and how far around they are searched."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOT_LOOKED_FOR = _OUT_OF_VIEW, _TOO_SMALL = 'out of view', 'too small or cut off
 
 
 class View:
-    """The picture with the camera where the prior puts it."""
+    """The image with the camera where the prior puts it."""
 
     def __init__(self, frame: CameraFrame, prior: PoseEstimate, mount: PanTiltMount) -> None:
         self.camera: CameraModel = frame.camera
@@ -40,7 +40,7 @@ class Expectation(NamedTuple):
     """
     Where a landmark should appear: `uv` (2,), pixels.
 
-    `left`, `top`, `right`, `bottom` are the template's rectangle in the picture, empty if nothing
+    `left`, `top`, `right`, `bottom` are the template's rectangle in the image, empty if nothing
     of the patch is in view; `window` (2,) the half width and height of the search around it;
     `ray_to_patch` (3, 3) maps rays (x, y, 1) of the camera to metres on the patch.
     """
@@ -78,7 +78,7 @@ def expect(
     # Left and upper sides first, also where the camera hangs upside down.
     u, v = np.sort(pixels[:, 1:], axis=1).transpose(2, 0, 1)
     width, height = view.camera.width, view.camera.height
-    # The largest upright rectangle inside the patch's quadrilateral, cut by the picture.
+    # The largest upright rectangle inside the patch's quadrilateral, cut by the image.
     low, high = [u[:, 1], v[:, 1]], [u[:, 2], v[:, 2]]
     corners = np.array(
         [

@@ -14,17 +14,17 @@ from landmark_nav.types import FloatArray
 __all__ = [
     'CAMERA_HEIGHT_SIGMA_M',
     'TILTED_RAD',
-    'Heights',
-    'Lean',
+    'CameraTilt',
     'RowModel',
-    'told_lean',
+    'RowResiduals',
+    'estimate_camera_tilt',
     'wrong_heights',
 ]
 
 # The camera hangs so much higher or lower than was measured with a tape.
 CAMERA_HEIGHT_SIGMA_M = 0.01
 
-# With fewer matches a wrong height cannot be told from a wrong tilt.
+# With fewer matches a wrong height cannot be distinguished from a wrong tilt.
 _LEAST_HEIGHTS = 3
 # Step of numerical differentiation, metres or radians.
 _STEP = 1e-4
@@ -35,20 +35,20 @@ TILTED_RAD = 0.005
 # Sigma of a tilt and a roll of which nothing is known.
 _ANY_RAD = 0.1
 # A roll is sure if it is so many sigmas off, of so many matches, if so large a share of all agree,
-# and whichever of them are left out that are so near to each other: pictures are exchanged whole.
+# and whichever of them are left out that are so near to each other: posters are exchanged whole.
 _SURE, _LEAST_SURE, _MOST, _NEAR_M = 3.0, 4, 0.6, 0.5
 
 
 class RowModel(NamedTuple):
     """
-    Rows of points (n,) of the picture, differentiated.
+    Rows of points (n,) of the image, differentiated.
 
-    `by_pose` (n, 3) by the pose of the base, px/m and px/rad; `by_lean` (n, 2) by tilt and roll of
-    the camera, px/rad; `by_height` (n,) by the point's own height, px/m.
+    `by_pose` (n, 3) by the pose of the base, px/m and px/rad; `by_tilt_roll` (n, 2) by tilt and
+    roll of the camera, px/rad; `by_height` (n,) by the point's own height, px/m.
     """
 
     by_pose: FloatArray
-    by_lean: FloatArray
+    by_tilt_roll: FloatArray
     by_height: FloatArray
 
     @classmethod
@@ -74,7 +74,7 @@ class RowModel(NamedTuple):
         moved[3, :, 0], moved[3, :, 1] = _STEP * away[:, 1], -_STEP * away[:, 0]
         moved[6, :, 2] = _STEP
         moved = moved @ rotation
-        # The joint's axis, which is the picture's own where the camera is mounted upright.
+        # The joint's axis, which is the image's own where the camera is mounted upright.
         by_tilt = np.array([np.cos(roll_rad), -np.sin(roll_rad), 0.0])
         moved[4] = _STEP * np.cross(points, by_tilt)
         moved[5, :, 0], moved[5, :, 1] = _STEP * points[:, 1], -_STEP * points[:, 0]
@@ -107,15 +107,15 @@ class RowModel(NamedTuple):
         return np.asarray(by_pose + common @ common.T + np.diag(own))
 
 
-class Heights(NamedTuple):
+class RowResiduals(NamedTuple):
     """
-    Rows of matches in pictures of one camera.
+    Rows of matches in images of one camera.
 
     Parameters
     ----------
     off_px : ndarray, shape (n,)
         Rows found minus rows expected.
-    by_lean : ndarray, shape (n, 2)
+    by_tilt_roll : ndarray, shape (n, 2)
         Their derivatives by tilt and roll of the camera, px/rad.
     covariance : ndarray, shape (n, n)
         Of `off_px`, by anything but tilt and roll.
@@ -125,48 +125,48 @@ class Heights(NamedTuple):
     """
 
     off_px: FloatArray
-    by_lean: FloatArray
+    by_tilt_roll: FloatArray
     covariance: FloatArray
     points: FloatArray
 
     @staticmethod
-    def joined(parts: Sequence[Heights]) -> Heights:
-        """Those of several pictures, whose errors are taken to have nothing in common."""
+    def joined(parts: Sequence[RowResiduals]) -> RowResiduals:
+        """Those of several images, whose errors are taken to have nothing in common."""
         off_px = np.concatenate([np.empty(0), *(part.off_px for part in parts)])
-        by_lean = np.concatenate([np.empty((0, 2)), *(part.by_lean for part in parts)])
+        by_tilt_roll = np.concatenate([np.empty((0, 2)), *(part.by_tilt_roll for part in parts)])
         points = np.concatenate([np.empty((0, 3)), *(part.points for part in parts)])
         covariance = np.zeros((len(off_px), len(off_px)))
         first = 0
         for part in parts:
             rows = slice(first, first := first + len(part.off_px))
             covariance[rows, rows] = part.covariance
-        return Heights(off_px, by_lean, covariance, points)
+        return RowResiduals(off_px, by_tilt_roll, covariance, points)
 
     @property
     def may_tell_a_roll(self) -> bool:
         """Whether they are as far apart as a roll that is a knock sets them; quick to tell."""
         if len(self.off_px) < _LEAST_SURE:
             return False
-        by_roll = self.by_lean[:, 1]
+        by_roll = self.by_tilt_roll[:, 1]
         apart_px = self.off_px.max() - self.off_px.min()
         return bool(apart_px > TILTED_RAD * (by_roll.max() - by_roll.min()))
 
-    def wrong(self, lean_rad: float) -> npt.NDArray[np.bool_]:
+    def wrong(self, tilt_roll_rad: float) -> npt.NDArray[np.bool_]:
         """Which matches (n,) contradict the others, with this sigma of tilt and roll."""
-        by_lean = lean_rad * self.by_lean
-        return wrong_heights(self.off_px, self.covariance + by_lean @ by_lean.T)
+        by_tilt_roll = tilt_roll_rad * self.by_tilt_roll
+        return wrong_heights(self.off_px, self.covariance + by_tilt_roll @ by_tilt_roll.T)
 
-    def chosen(self, keep: npt.NDArray[np.bool_]) -> Heights:
+    def chosen(self, keep: npt.NDArray[np.bool_]) -> RowResiduals:
         """Return some of them."""
-        return Heights(
+        return RowResiduals(
             self.off_px[keep],
-            self.by_lean[keep],
+            self.by_tilt_roll[keep],
             self.covariance[np.ix_(keep, keep)],
             self.points[keep],
         )
 
 
-class Lean(NamedTuple):
+class CameraTilt(NamedTuple):
     """
     By how much a camera's tilt is larger, and it leans to its right, than was assumed; radians.
 
@@ -187,17 +187,17 @@ class Lean(NamedTuple):
         return self.sure and abs(self.roll_rad) > TILTED_RAD
 
 
-def told_lean(heights: Heights) -> Lean:
+def estimate_camera_tilt(heights: RowResiduals) -> CameraTilt:
     """Estimate tilt and roll of a camera of which nothing is known, without wrong heights."""
     fits = ~heights.wrong(_ANY_RAD)
     count = int(fits.sum())
     if count < _LEAST_HEIGHTS:
-        return Lean()
-    off_px, by_lean, covariance, points = heights.chosen(fits)
+        return CameraTilt()
+    off_px, by_tilt_roll, covariance, points = heights.chosen(fits)
     inverse = np.linalg.inv(covariance)
-    weighted = inverse @ by_lean
-    information, told = by_lean.T @ weighted + np.eye(2) / _ANY_RAD**2, off_px @ weighted
-    (tilt, roll), sigma = _solved(information, told)
+    weighted = inverse @ by_tilt_roll
+    information, projected = by_tilt_roll.T @ weighted + np.eye(2) / _ANY_RAD**2, off_px @ weighted
+    (tilt, roll), sigma = _solved(information, projected)
     sure = count >= max(_LEAST_SURE, _MOST * len(fits)) and abs(roll) > _SURE * sigma
     if sure:
         near = np.linalg.norm(points[:, None] - points, axis=-1) < _NEAR_M
@@ -205,21 +205,21 @@ def told_lean(heights: Heights) -> Lean:
             # Least squares without some rows differ from those with all by their rank.
             less = np.linalg.solve(inverse[np.ix_(out, out)], weighted[out]).T
             (_, without), doubt = _solved(
-                information - less @ weighted[out], told - less @ (inverse @ off_px)[out]
+                information - less @ weighted[out], projected - less @ (inverse @ off_px)[out]
             )
             sure &= bool(without * np.sign(roll) > _SURE * doubt)
-    return Lean(float(tilt), float(roll), float(sigma), count, sure)
+    return CameraTilt(float(tilt), float(roll), float(sigma), count, sure)
 
 
-def _solved(information: FloatArray, told: FloatArray) -> tuple[FloatArray, float]:
+def _solved(information: FloatArray, projected: FloatArray) -> tuple[FloatArray, float]:
     """Tilt and roll (2,) of least squares, and the sigma of the roll."""
     spread = np.linalg.inv(information)
-    return spread @ told, float(np.sqrt(spread[1, 1]))
+    return spread @ projected, float(np.sqrt(spread[1, 1]))
 
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:
     """
-    Find the matches whose height in the picture contradicts the others'.
+    Find the matches whose height in the image contradicts the others'.
 
     Errors of pose, tilt and roll move all of them together, as `covariance` has it. What remains
     of one match, given the others, is its own error; the worst is taken out as long as it is too

@@ -1,4 +1,4 @@
-"""Where the robot should be when a picture was taken, out of fused poses with their speeds."""
+"""Where the robot should be when an image was taken, out of fused poses with their speeds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 __all__ = ['PriorTrack']
 
 _HISTORY = 200
-# So far ahead the speeds tell where to look: a picture need not wait for the next odometry.
+# So far ahead the speeds tell where to look: an image need not wait for the next odometry.
 _AHEAD_NS = 100_000_000
 
 
@@ -38,7 +38,7 @@ class PriorTrack:
         known = (pose, speeds.linear_m_s, speeds.angular_rad_s)
         if self._known and self._known[-1][0].stamp_ns - pose.stamp_ns > self._max_age_ns:
             # The clock was set back: poses of before would be taken for the future. Never empty
-            # once it was not: the thread of the pictures reads it meanwhile.
+            # once it was not: the thread of the images reads it meanwhile.
             self._known = deque([known], maxlen=_HISTORY)
         else:
             self._known.append(known)
@@ -58,7 +58,7 @@ class PriorTrack:
         known = tuple(self._known)
         if not known:
             return Refusal('no fused pose yet', 'it takes odom, and a start on initialpose')
-        # Of poses of the same time the last one counts: a picture has corrected it.
+        # Of poses of the same time the last one counts: an image has corrected it.
         pose, linear, angular = min(
             reversed(known), key=lambda entry: abs(entry[0].stamp_ns - stamp_ns)
         )

@@ -13,16 +13,16 @@ __all__ = ['EstimatorConfig']
 class EstimatorConfig(Config):
     """What varies by how much; the odometry's noise is in `OdometryNoiseConfig`."""
 
-    lean_sigma_rad: float = parameter(
+    floor_tilt_sigma_rad: float = parameter(
         0.001,
         'Sigma by which an uneven floor tilts the base, rad.',
         minimum=0.0,
         maximum=0.1,
     )
-    lean_length_m: float = parameter(
+    floor_tilt_length_m: float = parameter(
         0.5, 'Way over which the floor changes, m.', minimum=0.001, maximum=1000.0
     )
-    map_memory_m: float = parameter(
+    correlation_length_m: float = parameter(
         10.0,
         'Way over which the error of a landmark changes with the viewpoint, m.',
         minimum=0.1,
@@ -42,7 +42,7 @@ class EstimatorConfig(Config):
     )
     step_probability: float = parameter(
         1e-6,
-        'Share of the images before which the camera was knocked, the base moved unseen by the '
+        'Share of the images before which the camera was displaced, the base moved unseen by the '
         'wheels, or the joint delay changed; all are taken to be equally likely.',
         minimum=0.0,
         maximum=0.5,

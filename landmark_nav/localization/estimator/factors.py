@@ -29,7 +29,7 @@ __all__ = ['ImagePoints', 'Projection', 'moved', 'project']
 # Where each block of the state begins: pose of the base; pitch and roll of the base by an uneven
 # floor; scale, drift and turn scale of the odometry, its side slip and the way lost in turns; the
 # calibration; after it the shared map factors.
-POSE, LEAN, SCALE, DRIFT, TURN_SCALE, SLIP, TURN_LOSS, CALIBRATION = 0, 3, 5, 6, 7, 8, 9, 10
+POSE, FLOOR_TILT, SCALE, DRIFT, TURN_SCALE, SLIP, TURN_LOSS, CALIBRATION = 0, 3, 5, 6, 7, 8, 9, 10
 STATES = CALIBRATION + len(NAMES)
 _AXIS, _RPY, _CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
 ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, DELAY = range(CALIBRATION + 9, STATES)
@@ -198,18 +198,18 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
 
     Points behind the camera are marked in `ahead`; their values are finite.
     """
-    x, y, heading, pitch, lean = state[:5].tolist()
+    x, y, heading, pitch, floor_roll = state[:5].tolist()
     pans, by_delay = seen.pans(float(state[DELAY]))
     scale = 1.0 + float(state[PAN_SCALE])
     tilt = seen.tilt_rad + float(state[TILT])
     axes, axis_from_base = _axis_frame(*state[_RPY : _RPY + 3].tolist())
     # A small pitch and lean of the base on an uneven floor, about its origin.
-    leaning = np.array([[1.0, 0.0, -pitch], [0.0, 1.0, lean], [pitch, -lean, 1.0]])
+    tilting = np.array([[1.0, 0.0, -pitch], [0.0, 1.0, floor_roll], [pitch, -floor_roll, 1.0]])
     c, s = math.cos(heading), math.sin(heading)
     upright = (points_map - [x, y, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     # From the base to the frame that turns, (m, 3, 3).
     turn = _turning(scale * pans, tilt) @ axis_from_base
-    away = upright @ leaning.T - state[_AXIS:_RPY]
+    away = upright @ tilting.T - state[_AXIS:_RPY]
     inner = (turn @ away[:, :, None])[:, :, 0]
     outer = inner - state[_CENTER:ROLL]
 
@@ -217,11 +217,11 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     # angles, by the optical centre, by pan and tilt, by the point.
     count = len(points_map)
     by = np.zeros((count, 3, 19))
-    by_point = turn @ (leaning @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+    by_point = turn @ (tilting @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
     by[:, :, :2] = -by_point[:, :, :2]
     moves = np.zeros((count, 3, 3))
     moves[:, 0, 0], moves[:, 1, 0] = upright[:, 1], -upright[:, 0]
-    moves[:, :, 0] = moves[:, :, 0] @ leaning.T
+    moves[:, :, 0] = moves[:, :, 0] @ tilting.T
     moves[:, 0, 1], moves[:, 2, 1] = -upright[:, 2], upright[:, 0]
     moves[:, 1, 2], moves[:, 2, 2] = upright[:, 2], -upright[:, 1]
     by[:, :, 2:5] = turn @ moves

@@ -26,8 +26,8 @@ from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
     DELAY,
+    FLOOR_TILT,
     ImagePoints,
-    LEAN,
     moved,
     project,
     ROLL,
@@ -164,9 +164,9 @@ class JointFilter:
         self._own = landmark_map.covariances - self._loadings @ self._loadings.swapaxes(1, 2)
         self._fixed = STATES + self._loadings.shape[2]
         wheels = self._odometry
-        lean = self._config.lean_sigma_rad
+        floor_tilt = self._config.floor_tilt_sigma_rad
         variances = np.ones(self._fixed)
-        variances[LEAN:SCALE] = lean**2
+        variances[FLOOR_TILT:SCALE] = floor_tilt**2
         variances[SCALE:SLIP] = wheels.bias_sigmas**2
         variances[SLIP], variances[TURN_LOSS] = (
             wheels.slip_sigma**2,
@@ -178,7 +178,7 @@ class JointFilter:
         covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
         by_noise = np.zeros((NOISES, STATES, STATES))
         by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_sigma**2
-        by_noise[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = lean**2
+        by_noise[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor_tilt**2
         none = np.empty(0, dtype=np.intp)
         scales = NoiseScales.unknown(self._config.learning_sigma)
         self._state = _State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
@@ -211,7 +211,7 @@ class JointFilter:
     @property
     def tilt_sigma_rad(self) -> float:
         """How well it is known how high the camera looks: of base, axis and camera together."""
-        which = [LEAN, CALIBRATION + NAMES.index('axis_pitch'), TILT]
+        which = [FLOOR_TILT, CALIBRATION + NAMES.index('axis_pitch'), TILT]
         return float(np.sqrt(max(self._state.covariance[np.ix_(which, which)].sum(), 0.0)))
 
     def pan_sigma_rad(self, pan_rate_rad_s: float) -> float:
@@ -285,13 +285,13 @@ class JointFilter:
         factors = scales.factors
         head, by_state, by_motion = moved(state.mean, motion)
         head[2] = wrap_rad(head[2])
-        slips, leans = np.exp(
-            -way / np.array([wheels.slip_length_m, config.lean_length_m])
+        slips, floor_tilts = np.exp(
+            -way / np.array([wheels.slip_length_m, config.floor_tilt_length_m])
         ).tolist()
         head[SLIP] *= slips
-        head[LEAN:SCALE] *= leans
+        head[FLOOR_TILT:SCALE] *= floor_tilts
         by_state[SLIP, SLIP] = slips
-        by_state[LEAN, LEAN] = by_state[LEAN + 1, LEAN + 1] = leans
+        by_state[FLOOR_TILT, FLOOR_TILT] = by_state[FLOOR_TILT + 1, FLOOR_TILT + 1] = floor_tilts
         by_noise = state.by_noise.copy()
         by_noise[:, :CALIBRATION] = by_state @ by_noise[:, :CALIBRATION]
         by_noise[:, :, :CALIBRATION] = by_noise[:, :, :CALIBRATION] @ by_state.T
@@ -301,8 +301,8 @@ class JointFilter:
         added[SLIP_NOISE, SLIP, SLIP] = (
             factors[SLIP_NOISE] * wheels.slip_sigma**2 * (1.0 - slips**2)
         )
-        floor = factors[FLOOR] * config.lean_sigma_rad**2 * (1.0 - leans**2)
-        added[FLOOR, [LEAN, LEAN + 1], [LEAN, LEAN + 1]] = floor
+        floor = factors[FLOOR] * config.floor_tilt_sigma_rad**2 * (1.0 - floor_tilts**2)
+        added[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor
         by_noise[:, :CALIBRATION, :CALIBRATION] += added
         covariance = state.covariance.copy()
         covariance[:CALIBRATION] = by_state @ covariance[:CALIBRATION]
@@ -368,7 +368,7 @@ class JointFilter:
         """Let errors of landmarks and mount change by the way and time since the last image."""
         if not (state.way_m or state.seconds):
             return state
-        kept, first = float(np.exp(-state.way_m / self._config.map_memory_m)), self._fixed
+        kept, first = float(np.exp(-state.way_m / self._config.correlation_length_m)), self._fixed
         unseen = state.unseen_m + state.way_m
         mean, covariance = state.mean.copy(), state.covariance.copy()
         if state.way_m and len(state.landmarks):
@@ -392,7 +392,7 @@ class JointFilter:
         seen, known = np.zeros((2, len(self._positions)), dtype=np.bool_)
         seen[columns], known[state.landmarks] = True, True
         present = seen[state.landmarks]
-        far = -self._config.map_memory_m * np.log(_STALE)
+        far = -self._config.correlation_length_m * np.log(_STALE)
         kept = present | (state.unseen_m < far)
         new = columns[~known[columns]]
         excess = int(kept.sum()) + len(new) - _MOST_LANDMARKS

@@ -1,4 +1,4 @@
-"""The bearings of one picture as the filter takes them: what no filter can use is sorted out."""
+"""The bearings of one image as the filter takes them: what no filter can use is sorted out."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy.typing as npt
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.fusion.config import FusionConfig
-from landmark_nav.localization.joint_delay import JointDelay, Lag
+from landmark_nav.localization.joint_delay import JointDelay, PanError
 from landmark_nav.types import Detections, FloatArray, Refusal
 
 __all__ = ['BearingFrame', 'FrameMaker']
 
-# Matches of a picture that tell what correlation is to be expected in it.
+# Matches of an image that tell what correlation is to be expected in it.
 _FEW = 4
-# So many correlations of earlier pictures are kept for pictures with fewer.
+# So many correlations of earlier images are kept for images with fewer.
 _SCORES = 12
 # A swing is looked for at so many times.
 _SWING_STEPS = 13
@@ -30,7 +30,7 @@ _UNLIKE_TIMES, _UNLIKE_ANYWAY = 6.0, 0.1
 @dataclass(frozen=True, eq=False)
 class BearingFrame:
     """
-    The bearings of one picture, ready for the filter.
+    The bearings of one image, ready for the filter.
 
     `columns` (m,) are places of the landmarks `ids` (m,) in the map, `variance` (m,) what each
     bearing claims of itself and `common_variance` what all of them share, `scores` (m,) their
@@ -56,12 +56,12 @@ class BearingFrame:
         variance[chosen] *= factors
         return replace(self, variance=variance)
 
-    def lag(self, late: JointDelay) -> Lag:
+    def lag(self, late: JointDelay) -> PanError:
         """What joint states that are so late make of all bearings."""
         return late.lag(self.pan_rate, self.pan_track, self.pan_delay_s)
 
-    def swing_rad(self, seconds: float) -> float:
-        """How far the pan was from that of the picture, at most, so much before and after it."""
+    def pan_range_rad(self, seconds: float) -> float:
+        """How far the pan was from that of the image, at most, so much before and after it."""
         if self.pan_track is None:
             return abs(self.pan_rate) * seconds
         times = np.linspace(-seconds, seconds, _SWING_STEPS) + self.pan_delay_s
@@ -71,7 +71,7 @@ class BearingFrame:
 
 class FrameMaker:
     """
-    Makes the frames of one picture after the other: sorts out what no filter can use.
+    Makes the frames of one image after the other: sorts out what no filter can use.
 
     Parameters
     ----------
@@ -96,11 +96,11 @@ class FrameMaker:
         return np.array([self._columns[k] for k in ids.tolist() if k in self._columns], np.intp)
 
     def remember(self, scores: FloatArray) -> None:
-        """Expect correlations like these of a picture that has few."""
+        """Expect correlations like these of an image that has few."""
         self._scores.extend(scores.tolist())
 
     def frame(self, detections: Detections) -> BearingFrame:
-        """Return the usable bearings of a picture, and why the others are not."""
+        """Return the usable bearings of an image, and why the others are not."""
         variance = detections.variance_rad2
         good = np.isfinite(detections.bearing_rad) & np.isfinite(variance) & (variance > 0.0)
         unlike = _unlike_the_others(detections.score, np.array(self._scores))
@@ -138,12 +138,12 @@ class FrameMaker:
 
 def _unlike_the_others(score: FloatArray, before: FloatArray) -> npt.NDArray[np.bool_]:
     """
-    Which matches leave far more unexplained than the others of their picture, (n,).
+    Which matches leave far more unexplained than the others of their image, (n,).
 
-    Light, blur and noise lower all correlations of a picture together. A match that is far worse
+    Light, blur and noise lower all correlations of an image together. A match that is far worse
     than the others shows something else, such as a poster that was exchanged; its bearing is off
-    by the same amount in picture after picture, which its variance does not cover. Where a picture
-    has few matches, the correlations of the pictures `before` count as well; if all matches are
+    by the same amount in image after image, which its variance does not cover. Where an image
+    has few matches, the correlations of the images `before` count as well; if all matches are
     worse than those, it is the light.
     """
     others = score if len(score) >= _FEW else np.append(score, before)

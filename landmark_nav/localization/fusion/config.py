@@ -24,7 +24,7 @@ class FusionConfig(Config):
         'doubt; or what all share estimated as well.',
         choices=('consider', 'refine', 'estimate'),
     )
-    map_memory_m: float = parameter(
+    correlation_length_m: float = parameter(
         3.0,
         'Way over which it is forgotten what was seen of single landmarks, m.',
         minimum=0.1,
@@ -33,9 +33,9 @@ class FusionConfig(Config):
     bearing_probability: float = parameter(
         0.999, 'Chi-square level of the gates for bearings.', minimum=0.5, maximum=1.0
     )
-    repeated_share: float = parameter(
+    correlated_noise_fraction: float = parameter(
         0.35,
-        "Share of a sighting's variance that those of the same landmark repeat until the robot "
+        "Share of a detection's variance that those of the same landmark repeat until the robot "
         'has moved on.',
         minimum=0.0,
         maximum=1.0,
@@ -58,14 +58,14 @@ class FusionConfig(Config):
     )
     delay_sigma_s: float = parameter(
         0.0,
-        'Sigma of a constant delay of the stamps of the joints behind those of the pictures, that '
+        'Sigma of a constant delay of the stamps of the joints behind those of the images, that '
         'is estimated where the rate of the pan is known; 0 takes it as none, s.',
         minimum=0.0,
         maximum=1.0,
     )
-    curvature_repeats: float = parameter(
+    nonlinearity_inflation: float = parameter(
         10.0,
-        'How many pictures in a row repeat what linearising bearings leaves out, where the pose '
+        'How many images in a row repeat what linearising bearings leaves out, where the pose '
         'is known to decimetres only; 0 takes bearings as linear.',
         minimum=0.0,
         maximum=1000.0,

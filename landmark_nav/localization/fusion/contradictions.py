@@ -1,4 +1,4 @@
-"""For how long pictures have contradicted the pose lately."""
+"""For how long images have contradicted the pose lately."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _WINDOW_NS, _APART_NS, _LEAST_NS = 30 * 10**9, 10**9, 250 * 10**6
 
 
 class Contradictions:
-    """Times in which pictures contradicted a pose."""
+    """Times in which images contradicted a pose."""
 
     def __init__(self) -> None:
         self._spans: deque[tuple[int, int]] = deque()

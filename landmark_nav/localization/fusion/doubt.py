@@ -1,4 +1,4 @@
-"""How the covariance of a lost pose grows, until pictures fit again."""
+"""How the covariance of a lost pose grows, until images fit again."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from landmark_nav.types import PoseEstimate
 
 __all__ = ['doubted_estimate', 'doubted_state', 'is_elsewhere']
 
-# Variances (3,) that each picture adds which contradicts a lost pose, and the position sigma at
+# Variances (3,) that each image adds which contradicts a lost pose, and the position sigma at
 # which that ends.
-_DOUBT = np.square([0.15, 0.15, 0.05])
+_TAIL_WIDTH = np.square([0.15, 0.15, 0.05])
 _DOUBT_LIMIT_M = 2.0
 # Poses are of different places if they are more than five sigmas apart, with these variances (3,)
 # added to their own.
@@ -24,7 +24,7 @@ _SAME_PLACE, _ELSEWHERE = np.square([0.1, 0.1, 0.04]), 25.0
 def doubted_state(state: FilterState) -> FilterState:
     """Widen a state that measurements contradict, up to a limit."""
     wide = np.trace(state.covariance[:2, :2]) >= _DOUBT_LIMIT_M**2
-    return state if wide else widened(state, POSE, _DOUBT)
+    return state if wide else widened(state, POSE, _TAIL_WIDTH)
 
 
 def doubted_estimate(found: PoseEstimate, doubts: int) -> PoseEstimate:
@@ -35,7 +35,7 @@ def doubted_estimate(found: PoseEstimate, doubts: int) -> PoseEstimate:
     """
     if not doubts:
         return found
-    doubt = doubts * _DOUBT
+    doubt = doubts * _TAIL_WIDTH
     doubt *= min(1.0, _DOUBT_LIMIT_M**2 / (doubt[0] + 1e-300))
     return replace(found, covariance=found.covariance + np.diag(doubt))
 

@@ -18,19 +18,19 @@ from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Health', 'HealthConfig', 'Status']
 
-# Correlation of a match that is hardly ever mistaken: in 784 pictures searched from wrong poses
-# (0.15 to 1 m off) one in twenty of the mistaken matches reached it, never three in one picture.
+# Correlation of a match that is hardly ever mistaken: in 784 images searched from wrong poses
+# (0.15 to 1 m off) one in twenty of the mistaken matches reached it, never three in one image.
 _SURE_SCORE = 0.95
-# After so many pictures in a row without any landmark, gates narrow to this chi-square level.
+# After so many images in a row without any landmark, gates narrow to this chi-square level.
 _IN_VAIN, _DOUBTFUL_LEVEL = 3, 0.95
 # The NIS of so many measurements is tested as a sum, at this chi-square level. It is taken as
 # correlated: so many measurements in a row repeat one error, that of the same landmarks.
 _NIS_WINDOW, _NIS_LEVEL, _NIS_REPEATS = 10, 0.999, 5.0
 # So many measurements in a row must be accepted until the filter is no longer lost.
 _FOUND_AFTER_ACCEPTANCES = 3
-# Share of the expected landmarks that must be found for a picture to be used.
+# Share of the expected landmarks that must be found for an image to be used.
 _USABLE_SHARE = 0.3
-# Trouble with the odometry is reported for the first of these times. What pictures contradict is
+# Trouble with the odometry is reported for the first of these times. What images contradict is
 # reported for as long as they contradicted it before, but within these two times.
 _TROUBLE_S, _MOST_TROUBLE_S = 2.0, 6.0
 
@@ -46,7 +46,7 @@ class _Trouble(NamedTuple):
 
 
 class Health:
-    """Judges the filter by what became of its measurements and by what pictures show."""
+    """Judges the filter by what became of its measurements and by what images show."""
 
     def __init__(self, config: HealthConfig) -> None:
         """Begin as ``lost``: no start pose is known."""
@@ -89,18 +89,18 @@ class Health:
 
     @property
     def repeats(self) -> bool:
-        """Whether pictures have contradicted the pose too long for a coincidence."""
+        """Whether images have contradicted the pose too long for a coincidence."""
         return self._contradictions.seconds > _TROUBLE_S
 
     @property
     def blind_since_ns(self) -> int | None:
-        """Time since which no picture shows landmarks that earlier ones showed; None if not so."""
+        """Time since which no image shows landmarks that earlier ones showed; None if not so."""
         return self._views.blind_since_ns
 
     @property
     def doubts(self) -> int:
         """
-        How many pictures since the filter got lost contradict the pose without being rejected.
+        How many images since the filter got lost contradict the pose without being rejected.
 
         They show hardly any of the expected landmarks, or their innovations stay too large.
         """
@@ -113,7 +113,7 @@ class Health:
 
     def least(self, expected: int) -> int:
         """
-        How many bearings must agree for a picture with so many expected landmarks to be used.
+        How many bearings must agree for an image with so many expected landmarks to be used.
 
         After a contradiction it takes three: fewer may agree with a wrong pose by chance.
         """
@@ -129,9 +129,9 @@ class Health:
 
     def level(self, found: int, usual: float) -> float:
         """
-        Chi-square level of the gates for a picture with `found` bearings.
+        Chi-square level of the gates for an image with `found` bearings.
 
-        It is lower than `usual` where few bearings follow pictures that contradicted the pose or
+        It is lower than `usual` where few bearings follow images that contradicted the pose or
         showed no landmark: bearings just inside a wide gate would be no evidence for the pose.
         """
         doubtful = self._rejections > 0 or self._vain >= _IN_VAIN
@@ -155,7 +155,7 @@ class Health:
         self._blind_why = str(refusal)
 
     def note_surprise(self, stamp_ns: int, refusal: Refusal) -> None:
-        """Remember that pictures contradict something, though the pose may be right."""
+        """Remember that images contradict something, though the pose may be right."""
         seconds = max(_TROUBLE_S, min(self._contradictions.note(stamp_ns), _MOST_TROUBLE_S))
         self._trouble = _Trouble(stamp_ns, seconds, str(refusal))
 
@@ -168,12 +168,12 @@ class Health:
         elsewhere: int = 0,
     ) -> None:
         """
-        Take note of which of the expected landmarks a picture showed.
+        Take note of which of the expected landmarks an image showed.
 
         Parameters
         ----------
         stamp_ns : int
-            Of the picture.
+            Of the image.
         found, missed : ndarray of int, shape (m,), (n,)
             Landmarks that agree with the pose, and those that were not found.
         places : ndarray, shape (n, 3)
@@ -233,7 +233,7 @@ class Health:
 
     def _exchanged(self) -> bool:
         """
-        Whether pictures may have been exchanged that were never seen at this pose.
+        Whether posters may have been exchanged that were never seen at this pose.
 
         They contradict it as often as the camera looks at them.
         """

@@ -40,7 +40,7 @@ _LATE_IN_A_ROW = 5
 # Not every odometry sample gets a state of its own, only the first in each interval of this length
 # (counted from 1970, so that it does not depend on when the filter began).
 _STRIDE_NS = 100_000_000
-# A place may be that of a picture of so long ago.
+# A place may be that of an image of so long ago.
 _REACH_NS = 10 * 10**9
 # The robot may have moved while the clock was set back.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, 1.0)
@@ -213,17 +213,17 @@ class History:
         """
         Assume that the robot moved, if landmarks went out of sight while the odometry stood.
 
-        Not if a picture was used during that stand: then the fault is the camera's.
+        Not if an image was used during that stand: then the fault is the camera's.
 
         Parameters
         ----------
         stamp_ns : int
-            Of the last picture.
+            Of the last image.
         blind_since_ns : int
-            Of the first picture without landmarks.
+            Of the first image without landmarks.
 
         """
-        stands_ns = self._track.stands_since_ns
+        stands_ns = self._track.still_since_ns
         if stands_ns is None or stands_ns >= blind_since_ns:
             return
         # `still_s` counts from the last measurement; as long as the stand, if none came in it.

@@ -2,7 +2,7 @@
 Joint states that may be late: the hypotheses of how late they are.
 
 Where the pan speeds up or slows down, bearings are no linear function of the delay. If they were
-taken as linear over all delays that are possible, pictures of one swing would seem to tell it. So
+taken as linear over all delays that are possible, images of one swing would seem to tell it. So
 an unknown delay is a mixture of parts, each short enough.
 """
 
@@ -23,7 +23,7 @@ from landmark_nav.localization.fusion.state import (
     STATES,
     with_late_joints,
 )
-from landmark_nav.localization.joint_delay import DOUBT_S
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S
 from landmark_nav.types import FloatArray
 
 __all__ = ['REACH_S', 'found_in_swing', 'in_doubt', 'late_joints', 'perhaps_late', 'seen_in_swing']
@@ -74,7 +74,7 @@ def found_in_swing(
     state: FilterState, found: Found, lever: FloatArray, whole: bool = False
 ) -> Mixture:
     """
-    Return hypotheses of a pose that was found in a picture whose joint states may be late.
+    Return hypotheses of a pose that was found in an image whose joint states may be late.
 
     A pan that is off turns the pose that is found about the pan axis. So each delay has its own
     heading; `whole`, the heading is wide.
@@ -96,7 +96,7 @@ def found_in_swing(
     by_heading = compose_jacobians(axis, -to_axis)[0][:, HEADING]
     if whole:
         wide = state.covariance.copy()
-        wide[:3, :3] += found.swing_rad(DOUBT_S) ** 2 * np.outer(by_heading, by_heading)
+        wide[:3, :3] += found.pan_range_rad(DELAY_BOUND_S) ** 2 * np.outer(by_heading, by_heading)
         return Mixture((with_late_joints(replace(state, covariance=wide), _LATE_S),))
     in_time = with_late_joints(state, 0.0) if in_doubt(state) else state
 

@@ -16,7 +16,7 @@ def straightened(
     """
     Return bearings (m,) corrected for an error of the principal point, and their derivatives.
 
-    The error shifts all pixels alike, which is a larger angle in the middle of the picture than at
+    The error shifts all pixels alike, which is a larger angle in the middle of the image than at
     its sides. The angle in the middle is part of the boresight and is not corrected here.
 
     Parameters

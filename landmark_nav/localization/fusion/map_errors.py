@@ -3,7 +3,7 @@ What the map may be off by: considered, and in part estimated.
 
 A landmark is off by what all of them share (factors of unit variance) and by an error of its own.
 Seen from nearly the same place it is also found off by nearly the same fraction of a pixel in
-picture after picture: its repeated error. Before anything is seen all these are independent.
+image after image: its repeated error. Before anything is seen all these are independent.
 
 What is estimated is forgotten as the robot moves on: what a landmark seems to be off by depends on
 where it is seen from. So what all share must not be estimated along with it, or the pose would in

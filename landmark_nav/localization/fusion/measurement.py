@@ -13,7 +13,7 @@ from landmark_nav.localization.fusion.bearings import BearingFrame
 from landmark_nav.localization.fusion.lens import straightened
 from landmark_nav.localization.fusion.noise import LEARNED, SIGHTING
 from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, FilterState, LENS, STATES
-from landmark_nav.localization.joint_delay import Lag, STILL
+from landmark_nav.localization.joint_delay import PanError, STILL
 from landmark_nav.localization.triangulation.model import bearing_gradients, bearing_residuals
 from landmark_nav.types import FloatArray
 
@@ -65,7 +65,7 @@ def expected_bearings(
     Return the model of a frame's bearings, all or those `chosen`, linearised at the prior or `at`.
 
     The error of the linearisation is accounted for to second order, by the covariance of the
-    position there, unless `curvature_repeats` of the frame's configuration is 0.
+    position there, unless `nonlinearity_inflation` of the frame's configuration is 0.
     """
     at = at or prior
     variance = prior.scales.factors[SIGHTING] * frame.variance[chosen]
@@ -74,20 +74,20 @@ def expected_bearings(
         at,
         frame.columns[chosen],
         frame.bearing_rad[chosen],
-        (1.0 - frame.config.repeated_share) * variance,
-        np.sqrt(frame.config.repeated_share * variance),
+        (1.0 - frame.config.correlated_noise_fraction) * variance,
+        np.sqrt(frame.config.correlated_noise_fraction * variance),
         frame.common_variance,
         lever,
         frame.lag(at.late),
         frame.pan,
     )
-    if not frame.config.curvature_repeats:
+    if not frame.config.nonlinearity_inflation:
         return model
     bend, spread = _left_out(model.jacobian[:, :2], at.covariance[:2, :2])
     return model._replace(
         innovation=model.innovation - bend,
-        # It is not independent noise: pictures in a row repeat it.
-        covariance=model.covariance + frame.config.curvature_repeats * spread,
+        # It is not independent noise: images in a row repeat it.
+        covariance=model.covariance + frame.config.nonlinearity_inflation * spread,
     )
 
 
@@ -100,7 +100,7 @@ def bearing_model(
     repeated_sigma: FloatArray,
     common_variance: float,
     lever: FloatArray,
-    lag: Lag = STILL,
+    lag: PanError = STILL,
     pan: float = 0.0,
 ) -> MeasurementModel:
     """
@@ -119,7 +119,7 @@ def bearing_model(
     variance : ndarray, shape (m,)
         Of the independent noise of each, rad^2.
     repeated_sigma : ndarray, shape (m,)
-        Of the repeated error of each landmark's sightings, radians.
+        Of the repeated error of each landmark's detections, radians.
     common_variance : float
         Of the error that all of them share, rad^2.
     lever : ndarray, shape (2,)
@@ -127,7 +127,7 @@ def bearing_model(
     lag : Lag
         Error of the pan by late joint stamps, for the delay in the state `at`.
     pan : float
-        Pan of the picture, radians: an error of the principal point bends bearings about it.
+        Pan of the image, radians: an error of the principal point bends bearings about it.
 
     """
     x, y, heading = at.mean[:3]
@@ -211,7 +211,7 @@ def _left_out(gradient: FloatArray, covariance: FloatArray) -> tuple[FloatArray,
     Positions scatter with `covariance` (2, 2) about the point of linearisation, where bearings
     have the first derivatives `gradient` (m, 2) (Garcia-Fernandez et al., Posterior Linearization
     Filter, 2015). Without it a pose known to decimetres would become certain along the arc that a
-    few bearings leave open, as each picture is linearised at another point of that arc.
+    few bearings leave open, as each image is linearised at another point of that arc.
     """
     x, y = gradient.T
     xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]

@@ -18,7 +18,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.fusion.measurement import MeasurementModel, refined
 from landmark_nav.localization.fusion.state import FilterState, HEADING, unrefined
 from landmark_nav.localization.fusion.update import FusionUpdate
-from landmark_nav.localization.wide import is_wide
+from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
 from landmark_nav.types import FloatArray
 
 __all__ = ['MOST', 'Mixture', 'Outcome', 'weighed']
@@ -148,7 +148,7 @@ def weighed(
     if len(found) == 1:
         state, update, model, _ = found[0]
         if landmarks != 'consider':
-            if model is not None and not is_wide(prior.states[0].covariance[:3, :3]):
+            if model is not None and not is_prior_uncertain(prior.states[0].covariance[:3, :3]):
                 state = refined(state, model, shared=landmarks == 'estimate')
             elif update.degrees or update.contradicts:
                 state = unrefined(state)

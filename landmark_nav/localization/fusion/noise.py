@@ -1,16 +1,16 @@
 """
-How noisy wheels and sightings are, learned while the robot drives.
+How noisy wheels and detections are, learned while the robot drives.
 
 Wheels, floors and cameras differ by more than a parameter file can say. Factors on four variances
 are estimated from the innovations: on the odometry's white noise, by the way and by turns, on its
-side slip and on each sighting. It is maximum likelihood by Fisher scoring, one step a picture (as
+side slip and on each detection. It is maximum likelihood by Fisher scoring, one step an image (as
 Mehra, On the Identification of Variances and Adaptive Kalman Filtering, 1970, has it);
 the filter carries along which part of the state's covariance comes from each noise.
 
 A fifth factor, on all the rest, keeps a map that is better than it claims from being taken for
-quiet wheels or sharp sightings. It is not applied to anything: innovations do not show an error
+quiet wheels or sharp detections. It is not applied to anything: innovations do not show an error
 that landmarks share, and show that of a single landmark again and again. The error that all
-sightings of a picture share is not learned either, as it looks like a turn of the wheels.
+detections of an image share is not learned either, as it looks like a turn of the wheels.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['LEARNED', 'SIGHTING', 'SLIP', 'TURNS', 'WAY', 'NoiseScales', 'learned_scales']
 
-# White noise of the odometry, as `sensed_variances` has it, its side slip, each sighting.
+# White noise of the odometry, as `sensed_variances` has it, its side slip, each detection.
 LEARNED = 4
 WAY, TURNS, SLIP, SIGHTING = range(LEARNED)
 # All other uncertainty: that of the map and of the start.
@@ -35,7 +35,7 @@ _LEARNING_WAY_M, _LEARNING_RANGE = 50.0, 5.0
 # The same wheels make the noise of the way and of turns: a wheel that slips more does so in both.
 _ALIKE = np.eye(_COMPONENTS)
 _ALIKE[WAY, TURNS] = _ALIKE[TURNS, WAY] = 0.5
-# One picture may not change a variance by more than this, as a logarithm.
+# One image may not change a variance by more than this, as a logarithm.
 _MOST_AT_ONCE = 0.5
 
 
@@ -65,8 +65,8 @@ class NoiseScales:
         return config.scaled(*np.sqrt(self.factors[:SIGHTING]).tolist())
 
     @property
-    def sighting_sigma(self) -> float:
-        """Factor on what sightings claim as their sigmas."""
+    def detection_sigma_factor(self) -> float:
+        """Factor on what detections claim as their sigmas."""
         return float(np.sqrt(self.factors[SIGHTING]))
 
     def moved(self, way_m: float, config: OdometryNoiseConfig) -> NoiseScales:

@@ -49,12 +49,12 @@ __all__ = ['PoseFilter']
 # Chi-square level of the gate for triangulated poses.
 _POSE_PROBABILITY = 0.99
 # Late joint states lose landmarks where the pan turns so far meanwhile.
-_SWING_RAD = 0.035
+_PAN_RANGE_RAD = 0.035
 _BLIND = Refusal(
     'nothing is found any more',
     'joint_states are late, the camera is covered or the robot was moved',
 )
-_HANGS = Refusal('odometry stands', 'which pictures do not confirm')
+_HANGS = Refusal('odometry stands', 'which images do not confirm')
 
 
 class PoseFilter:
@@ -107,10 +107,10 @@ class PoseFilter:
         return self._odometry if state is None else state.scales.of(self._odometry)
 
     @property
-    def sighting_sigma(self) -> float:
-        """Factor on what sightings claim as their sigmas, as far as it was learned."""
+    def detection_sigma_factor(self) -> float:
+        """Factor on what detections claim as their sigmas, as far as it was learned."""
         state = self.state
-        return 1.0 if state is None else state.scales.sighting_sigma
+        return 1.0 if state is None else state.scales.detection_sigma_factor
 
     @property
     def late(self) -> JointDelay:
@@ -213,7 +213,7 @@ class PoseFilter:
         return refusal
 
     def add_detections(self, detections: Detections) -> FusionUpdate:
-        """Correct by the bearings of one picture, at its time."""
+        """Correct by the bearings of one image, at its time."""
         stamp = detections.stamp_ns
         frame = self._frames.frame(detections)
         if (refusal := self._history.untimely(stamp)) is not None:
@@ -233,7 +233,7 @@ class PoseFilter:
             if expected and (since_ns := self._health.blind_since_ns) is not None:
                 self._history.doubt_stand(stamp, since_ns)
                 self._note_stand(stamp)
-                if frame.swing_rad(REACH_S) > _SWING_RAD:
+                if frame.pan_range_rad(REACH_S) > _PAN_RANGE_RAD:
                     self._history.doubt_joints(stamp)
                     self._health.note_blind(_BLIND)
             return FusionUpdate(stamp, rejected=frame.unusable, refusal=refusal)
@@ -294,7 +294,7 @@ class PoseFilter:
         return update
 
     def no_pose(self, stamp_ns: int, refusal: Refusal) -> FusionUpdate:
-        """Take note that no pose came of a picture, and why."""
+        """Take note that no pose came of an image, and why."""
         self._health.note_refusal(refusal)
         return FusionUpdate(stamp_ns, refusal=refusal)
 

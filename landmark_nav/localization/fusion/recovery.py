@@ -29,7 +29,7 @@ __all__ = ['Recovery']
 # with `_NEAR_M` added to their sigmas, mean that the robot was carried.
 _SURPRISE, _NEAR_M = 3.0, 0.1
 # Angles beyond this multiple of `turn_sigma_rad` mean that the robot was turned by hand: cameras
-# are not knocked so far.
+# are not displaced so far.
 _CARRIED = 3.0
 # A robot that drives aside by this angle and so many sigmas of its slip, averaged over this way,
 # is not just slipping. That angle is less than the one by which the camera is turned, which is
@@ -157,7 +157,7 @@ def _turned(
     found: FilterState, turn_rad: float, lever: FloatArray, sigma_rad: float
 ) -> FilterState:
     """
-    Attribute part of `turn_rad` to the boresight, and widen what cannot be told apart.
+    Attribute part of `turn_rad` to the boresight, and widen what cannot be distinguished.
 
     Expected bearings stay the same if heading and boresight change by the same angle while the pan
     axis stays in place. The mean moves along that direction by the camera's share of the angle,

@@ -1,9 +1,9 @@
 """
-A robot that stands, or odometry that hangs: pictures tell them apart.
+A robot that stands, or odometry that hangs: images tell them apart.
 
 Odometry also says that the robot stands if its driver hangs, or if the robot is pushed or carried.
-Where pictures contradict a stand, hypotheses are added in which the robot turned on the spot or
-moved anywhere meanwhile; the next pictures tell which is true (`mixture`).
+Where images contradict a stand, hypotheses are added in which the robot turned on the spot or
+moved anywhere meanwhile; the next images tell which is true (`mixture`).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['doubted_stand', 'standing_or_hanging']
 
-# Logarithms of transition probabilities from one picture to the next: the camera of a standing
-# robot is knocked; the robot begins to turn or move; it continues to; it stands again.
+# Logarithms of transition probabilities from one image to the next: the camera of a standing
+# robot is displaced; the robot begins to turn or move; it continues to; it stands again.
 _KNOCKED, _BEGINS, _GOES_ON, _ENDS = np.log([0.01, 0.05, 0.25, 0.5]).tolist()
 # A measurement of so many numbers tells the whole pose, and so where the robot went meanwhile.
 _LEAST = 3
@@ -60,7 +60,7 @@ def standing_or_hanging(
         for which in (HEADING, POSE)
     )
     if state.hangs:
-        # That the motion ends and the camera is knocked would be two accidents at once.
+        # That the motion ends and the camera is displaced would be two accidents at once.
         ended = _fitting(stood)
         known = _with_prior(ended, _ENDS) + _with_prior([*turned, *gone], _GOES_ON)
         return known or _with_prior(_outcomes(outcomes_of, state), _KNOCKED)
@@ -93,7 +93,7 @@ def _fitting(outcomes: list[Outcome]) -> list[Outcome]:
 
 
 def _contradicts(update: FusionUpdate) -> bool:
-    """Whether a measurement did not fit, or only if the camera was knocked or wheels slipped."""
+    """Whether a measurement did not fit, or only if the camera was displaced or wheels slipped."""
     return update.refusal is not None or update.turned_rad != 0.0
 
 

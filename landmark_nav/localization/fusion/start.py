@@ -12,7 +12,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.fusion.state import FilterState, HEADING
-from landmark_nav.localization.joint_delay import DOUBT_S, JointDelay, Lag
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay, PanError
 from landmark_nav.types import PoseEstimate
 
 __all__ = ['Found', 'checked_start', 'is_finite', 'is_headed', 'joints_in_doubt', 'with_sigmas']
@@ -20,7 +20,7 @@ __all__ = ['Found', 'checked_start', 'is_finite', 'is_headed', 'joints_in_doubt'
 # Sigmas of x, y, heading of a pose that is not known. Those who tell that by larger numbers leave
 # no digits for what is found.
 _UNKNOWN = np.array([100.0, 100.0, np.pi])
-# Heading sigma that pictures give at worst while the pan stands still.
+# Heading sigma that images give at worst while the pan stands still.
 _HEADED_RAD = 0.02
 # A pan that turns no more than this meanwhile stands still.
 _STEADY_RAD = 0.005
@@ -34,7 +34,7 @@ def is_finite(estimate: PoseEstimate) -> bool:
 
 
 def is_headed(found: FilterState) -> bool:
-    """Whether the heading is known as well as pictures tell it while the pan stands still."""
+    """Whether the heading is known as well as images tell it while the pan stands still."""
     return bool(found.covariance[HEADING, HEADING] <= _HEADED_RAD**2)
 
 
@@ -87,7 +87,7 @@ class Found(NamedTuple):
     """
     How a pose was found: `witnesses` (m,), the ids of the landmarks, and where the camera looked.
 
-    The pan of the last picture, with its rate and track as azimuths in ``base_link``, was put
+    The pan of the last image, with its rate and track as azimuths in ``base_link``, was put
     right for joint states that are late by `pan_delay_s`, as far as that was known.
     """
 
@@ -96,11 +96,11 @@ class Found(NamedTuple):
     pan_track: PanTrack | None = None
     pan_delay_s: float = 0.0
 
-    def lag(self, late: JointDelay) -> Lag:
+    def lag(self, late: JointDelay) -> PanError:
         """By how much the pan was off with joint states that are so late."""
         return late.lag(self.pan_rate_rad_s, self.pan_track, self.pan_delay_s)
 
-    def swing_rad(self, seconds: float) -> float:
+    def pan_range_rad(self, seconds: float) -> float:
         """How far the pan turned, at most, so much before and after."""
         delays = (JointDelay(self.pan_delay_s + s) for s in (-seconds, seconds))
         return max(abs(self.lag(late).shift_rad) for late in delays)
@@ -115,11 +115,11 @@ def joints_in_doubt(
     They turn it as far as the pan turned meanwhile. They are not in doubt if `late` was measured
     before, or if dead reckoning to the same time, `reckoned`, has the same heading.
     """
-    swing_rad = found.swing_rad(DOUBT_S)
-    variance = start.covariance[HEADING, HEADING] + swing_rad**2
+    pan_range_rad = found.pan_range_rad(DELAY_BOUND_S)
+    variance = start.covariance[HEADING, HEADING] + pan_range_rad**2
     if late.sigma_s > 0.0 and late.is_known:
         return False
-    if variance <= _HEADED_RAD**2 and swing_rad <= _STEADY_RAD:
+    if variance <= _HEADED_RAD**2 and pan_range_rad <= _STEADY_RAD:
         return False
     if reckoned is not None:
         away = wrap_rad(start.pose[HEADING] - reckoned.mean[HEADING])

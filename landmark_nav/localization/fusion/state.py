@@ -3,7 +3,7 @@ The Schmidt-Kalman state, and how it moves on, as pure functions.
 
 What the map may be off by is considered (Schmidt, Application of State-Space Methods to Navigation
 Problems, 1966): its covariance and its correlations with the pose are carried along. So repeated
-sightings never make the pose more certain than the map allows.
+detections never make the pose more certain than the map allows.
 
 Where nothing is in doubt, what each landmark is off by itself is also estimated, as it shows when
 the robot moves on (`measurement.refined`; Brink, Partial-Update Schmidt-Kalman Filter, 2017), and
@@ -79,11 +79,11 @@ class FilterState:
     map_errors : MapErrors
         What the map may be off by.
     scales : NoiseScales
-        How noisy odometry and sightings turned out to be.
+        How noisy odometry and detections turned out to be.
     by_noise : ndarray, shape (LEARNED, STATES, STATES)
         Part of `covariance` that comes from each of these noises.
     way_m : float
-        Driven since the last picture.
+        Driven since the last image.
     still_s, moved_s : float
         Time since the last measurement in which the odometry stood, and in which it did not.
     hangs : bool
@@ -208,7 +208,7 @@ def with_map(state: FilterState, landmark_map: LandmarkMap) -> FilterState:
 
 def looking_again(state: FilterState, repeat_length_m: float, memory_m: float) -> FilterState:
     """
-    Return the state with what is considered moved on by the way since the last picture.
+    Return the state with what is considered moved on by the way since the last image.
 
     Repeated errors are a first-order Gauss-Markov process with the correlation length
     `repeat_length_m`; what was seen of each landmark is forgotten alike, over `memory_m`.

@@ -37,7 +37,7 @@ _SURPRISE, _SURPRISE_OF_KNOCK, _KNOCK_RAD = 5.0, 3.0, 0.02
 _LEAST = 3
 # A sigma that is at least this share of the one to be added is wide enough as it is.
 _DOUBTED = 0.5
-# Cameras are knocked less often than wheels slip: sigma of the boresight relative to that of the
+# Cameras are displaced less often than wheels slip: sigma of the boresight relative to that of the
 # heading.
 KNOCKED = 0.7
 # Joint states are suspected to be late where the pan turned by so large a share of the angle in
@@ -57,13 +57,13 @@ def update_turning(
     Use the bearings of a frame as `update_bearings` does, or as those of a camera that turned.
 
     If all bearings are off by one angle, either the base turned against the odometry or the camera
-    against the base; one picture cannot tell which. So the angle, `turn_sigma_rad` at most, is
+    against the base; one image cannot tell which. So the angle, `turn_sigma_rad` at most, is
     added to the sigma of the heading, a part of it to that of the boresight, and to the position
     what it amounts to at the range of the landmarks. Later bearings, and the direction in which
     the robot drives on, tell them apart.
 
     If the pan turns fast enough, late joint states may be the reason. A second hypothesis then
-    opens their delay, and pictures at other rates tell which is true; where the delay is open
+    opens their delay, and images at other rates tell which is true; where the delay is open
     anyway, it stays so.
 
     An angle too small to be a surprise, but too large for the gates, widens the heading alone.
@@ -75,7 +75,9 @@ def update_turning(
         return Outcome(*update_bearings(state, frame, lever, probability, odometry, enough, model))
 
     def outcomes(state: FilterState) -> list[Outcome]:
-        state = looking_again(state, frame.config.repeat_length_m, frame.config.map_memory_m)
+        state = looking_again(
+            state, frame.config.repeat_length_m, frame.config.correlation_length_m
+        )
         expected = expected_bearings(state, frame, lever)
         as_before = updated(state, least, expected)
         turn_sigma = frame.config.turn_sigma_rad
@@ -88,7 +90,7 @@ def update_turning(
             return [as_before]
         turned = _turned(state, frame, min(abs(angle), turn_sigma), surprising)
         loose = Mixture((turned,))
-        swings = frame.swing_rad(REACH_S) > _LATE_SHARE * abs(angle)
+        swings = frame.pan_range_rad(REACH_S) > _LATE_SHARE * abs(angle)
         if surprising and swings and not in_doubt(state):
             loose = late_joints(state if state.stands else turned)
             # A known delay most likely stays as it is; an open one might take a slip for a delay.
@@ -127,7 +129,7 @@ def _turned(
     """
     Widen heading, boresight and position by an angle; the heading alone if it is no surprise.
 
-    While the robot stands its wheels cannot slip: only the camera may have been knocked.
+    While the robot stands its wheels cannot slip: only the camera may have been displaced.
     """
     loose = state if state.stands and surprising else widened(state, HEADING, turn_rad**2)
     if not surprising:
@@ -135,7 +137,7 @@ def _turned(
     away = state.map_errors.places(frame.columns) - state.mean[:2]
     if not state.stands:
         loose = widened(loose, [0, 1], turn_rad**2 * np.mean(np.sum(away**2, axis=1)))
-    # Wheels may continue to slip, but a camera is knocked once.
+    # Wheels may continue to slip, but a camera is displaced once.
     knock_rad, most_rad = KNOCKED * turn_rad, KNOCKED * frame.config.turn_sigma_rad
     if state.covariance[BORESIGHT, BORESIGHT] < (_DOUBTED * most_rad) ** 2:
         loose = widened(loose, BORESIGHT, knock_rad**2)

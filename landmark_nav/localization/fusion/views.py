@@ -1,4 +1,4 @@
-"""What the last pictures showed of the landmarks that should have been in them."""
+"""What the last images showed of the landmarks that should have been in them."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from landmark_nav.arrays import BoolArray, FloatArray, IndexArray
 
 __all__ = ['AGREE', 'FOUND_SHARE', 'Views']
 
-# A picture confirms the pose if it shows so many landmarks and this share of those expected.
+# An image confirms the pose if it shows so many landmarks and this share of those expected.
 AGREE, FOUND_SHARE = 3, 0.4
 # The pose is contradicted if no more than this share of the expected landmarks are found, of so
 # many at least. Those missed must spread over more than this extent: a single poster may have been
 # exchanged.
 _MISSING_SHARE, _MISSING_EXPECTED, _MISSING_EXTENT_M = 0.15, 10, 1.5
-# Landmarks are familiar once a picture has shown them at this pose. Familiar ones are missed after
+# Landmarks are familiar once an image has shown them at this pose. Familiar ones are missed after
 # the first of these times. The others may hang on a wall whose posters were exchanged: they count
-# only if no picture has confirmed the pose for the second time, or for the third if as many are
+# only if no image has confirmed the pose for the second time, or for the third if as many are
 # familiar as it takes to contradict the pose.
 _FAMILIAR_S, _ALL_S, _OUTWEIGHED_S = 1.4, 4.0, 15.0
-# One picture that shows nothing may be blurred; so many in a row are not.
+# One image that shows nothing may be blurred; so many in a row are not.
 _BLINDED = 2
-# The pictures must span this share of those times.
+# The images must span this share of those times.
 _LASTING_SHARE = 0.6
 # Share of the bearings that may contradict the others; with right poses it is 0.06 at most over
-# five pictures.
+# five images.
 _ELSEWHERE_SHARE = 0.15
 
 
 class _View(NamedTuple):
     """
-    What a picture showed.
+    What an image showed.
 
     `found` landmarks, which may confirm the pose; `elsewhere` is how many bearings contradict the
     others; `places` (n, 3) are those of the missed landmarks, `familiar` (n,) says which of them
@@ -49,7 +49,7 @@ class _View(NamedTuple):
 
 
 class Views:
-    """Whether pictures contradict the pose by landmarks that are missing or lie elsewhere."""
+    """Whether images contradict the pose by landmarks that are missing or lie elsewhere."""
 
     def __init__(self) -> None:
         self._views: deque[_View] = deque()
@@ -57,7 +57,7 @@ class Views:
         self._confirmed_ns = 0
 
     def clear(self) -> None:
-        """Forget the pictures and which landmarks are familiar."""
+        """Forget the images and which landmarks are familiar."""
         self._views.clear()
         self._familiar.clear()
 
@@ -69,7 +69,7 @@ class Views:
         places: FloatArray,
         elsewhere: int,
     ) -> None:
-        """Take note of a picture: landmarks that agree with the pose, and those not found."""
+        """Take note of an image: landmarks that agree with the pose, and those not found."""
         confirms = len(found) >= max(AGREE, FOUND_SHARE * (len(found) + len(missed)))
         if confirms:
             self._confirmed_ns = stamp_ns
@@ -82,7 +82,7 @@ class Views:
 
     @property
     def blind_since_ns(self) -> int | None:
-        """When the last pictures began, if none of them shows any familiar landmark; else None."""
+        """When the last images began, if none of them shows any familiar landmark; else None."""
         last = list(self._views)[-_BLINDED:]
         blind = [not view.found and np.count_nonzero(view.familiar) >= AGREE for view in last]
         blinded = self._familiar and len(last) == _BLINDED and all(blind)
@@ -122,7 +122,7 @@ class Views:
             return ''
         if np.linalg.norm(np.ptp(places[:, :2], axis=0)) <= _MISSING_EXTENT_M:
             return ''
-        which = f'{found} of {expected} landmarks that should be in the last {len(views)} pictures'
+        which = f'{found} of {expected} landmarks that should be in the last {len(views)} images'
         return f'{which} were found'
 
     def _within(self, seconds: float) -> list[_View]:

@@ -58,7 +58,7 @@ class Witnesses:
 
     def contradicted(self, again: bool) -> None:
         """
-        Begin anew, as landmarks only fit if the camera was knocked or wheels slipped.
+        Begin anew, as landmarks only fit if the camera was displaced or wheels slipped.
 
         If that happens `again` and again, the place is not sure any more: the camera or the map
         may be wrong.
@@ -66,7 +66,7 @@ class Witnesses:
         self.restart(self._vouched and not again)
 
     def found_by(self, columns: npt.NDArray[np.intp]) -> None:
-        """Count the landmarks from which a place was found; one more picture has to agree."""
+        """Count the landmarks from which a place was found; one more image has to agree."""
         self._heard[columns] = True
 
     def hear(self, columns: npt.NDArray[np.intp]) -> None:

@@ -20,7 +20,7 @@ __all__ = ['command_delay_s', 'integrate_commands']
 
 
 _DELAYS_S = np.arange(0.0, 0.601, 0.01)
-# Sightings of one landmark that are compared are at most this far apart, seconds.
+# Detections of one landmark that are compared are at most this far apart, seconds.
 _PAIR_S = 1.0
 # Fewer pairs, or turns that are more alike, tell nothing.
 _MIN_PAIRS = 30
@@ -60,7 +60,7 @@ def integrate_commands(
 
 
 def command_delay_s(
-    stamps_ns: IntArray, commands: FloatArray, sightings: Sequence[Detections]
+    stamps_ns: IntArray, commands: FloatArray, detections: Sequence[Detections]
 ) -> float:
     """
     Time from a command to its effect, out of what the robot itself knows.
@@ -75,7 +75,7 @@ def command_delay_s(
         Of the commands, increasing.
     commands : ndarray, shape (n, 2)
         Forward [m/s] and turning [rad/s] velocity, each until the next.
-    sightings : sequence of Detections
+    detections : sequence of Detections
         Of a camera that keeps its direction on the robot.
 
     Raises
@@ -84,9 +84,9 @@ def command_delay_s(
         Too little was seen twice within a second, or the robot never turned then.
 
     """
-    ids = np.concatenate([np.empty(0, np.int64), *(seen.ids for seen in sightings)])
-    stamps = np.repeat([seen.stamp_ns for seen in sightings], [len(seen) for seen in sightings])
-    bearings = np.concatenate([np.empty(0), *(seen.bearing_rad for seen in sightings)])
+    ids = np.concatenate([np.empty(0, np.int64), *(seen.ids for seen in detections)])
+    stamps = np.repeat([seen.stamp_ns for seen in detections], [len(seen) for seen in detections])
+    bearings = np.concatenate([np.empty(0), *(seen.bearing_rad for seen in detections)])
     order = np.lexsort((stamps, ids))
     ids, bearings = ids[order], bearings[order]
     seconds = 1e-9 * (stamps[order] - stamps_ns[0])

@@ -125,7 +125,7 @@ class OdometryNoiseConfig(Config):
     )
     learning_sigma: float = parameter(
         1.0,
-        'How far noise may differ from these parameters, and that of sightings from what they '
+        'How far noise may differ from these parameters, and that of detections from what they '
         'claim: sigma of the logarithm of a factor on its variance. 0 takes both as they are.',
         minimum=0.0,
         maximum=5.0,

@@ -66,8 +66,8 @@ class OdometryTrack:
         # The last sample whose pose and speeds agree, and the motion by the speeds since then.
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
-        self._stands_since_ns: int | None = None
-        self._tells_speeds = False
+        self._still_since_ns: int | None = None
+        self._reports_speeds = False
         self._agreeing = 0
         self._jitter = Jitter()
 
@@ -77,9 +77,9 @@ class OdometryTrack:
         return (self._stamps[0], self._stamps[-1]) if self._stamps else None
 
     @property
-    def stands_since_ns(self) -> int | None:
+    def still_since_ns(self) -> int | None:
         """Since when the pose has stayed the same at the end of the track; None if it has not."""
-        return self._stands_since_ns
+        return self._still_since_ns
 
     def add(self, sample: OdometrySample) -> Refusal | None:
         """
@@ -93,7 +93,7 @@ class OdometryTrack:
 
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
-        self._tells_speeds |= bool(sample.linear_m_s or sample.angular_rad_s)
+        self._reports_speeds |= bool(sample.linear_m_s or sample.angular_rad_s)
         if not all(map(math.isfinite, (*pose_odom, sample.linear_m_s, sample.angular_rad_s))):
             return Refusal('odometry is not a number')
         last = self._last
@@ -123,7 +123,7 @@ class OdometryTrack:
         if jumped:
             known = min(seconds, HORIZON_S)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
-        if not self._tells_speeds:
+        if not self._reports_speeds:
             forward, _, turned = (increment / seconds).tolist()
             sample = replace(sample, linear_m_s=forward, angular_rad_s=turned)
         blind = (jumped and not reset) or seconds > self._config.max_gap_s
@@ -133,11 +133,11 @@ class OdometryTrack:
             self._jitter.add(increment, seconds)
         if not same_pose:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
-            self._stands_since_ns = None
+            self._still_since_ns = None
         elif self._freezes(sample, seconds):
             return Refusal('odometry has frozen', 'its pose stays while its speeds say it moves')
-        elif self._stands_since_ns is None:
-            self._stands_since_ns = last.stamp_ns
+        elif self._still_since_ns is None:
+            self._still_since_ns = last.stamp_ns
         pose = self._poses[-1] if same_pose else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:
@@ -149,7 +149,7 @@ class OdometryTrack:
         self, increment: FloatArray, last: OdometrySample, sample: OdometrySample, seconds: float
     ) -> bool:
         """Whether the pose moves otherwise than the speeds, which it never did before."""
-        if not self._tells_speeds or seconds > HORIZON_S:
+        if not self._reports_speeds or seconds > HORIZON_S:
             return False
         linear = 0.5 * (last.linear_m_s + sample.linear_m_s)
         angular = 0.5 * (last.angular_rad_s + sample.angular_rad_s)
@@ -183,8 +183,8 @@ class OdometryTrack:
         if self._stamps[-1] < agreed.stamp_ns:
             self._append(agreed, pose, blind=False)
         self._last = agreed
-        if self._stands_since_ns == agreed.stamp_ns:
-            self._stands_since_ns = None
+        if self._still_since_ns == agreed.stamp_ns:
+            self._still_since_ns = None
         return True
 
     def motion(self, from_ns: int, to_ns: int) -> Motion:
@@ -258,7 +258,7 @@ class OdometryTrack:
 
     def _still_until_ns(self, stamp_ns: int) -> int:
         """Standing time until then, the extrapolated time included."""
-        ahead = max(self._beyond_s(stamp_ns), 0.0) if self._stands_since_ns is not None else 0.0
+        ahead = max(self._beyond_s(stamp_ns), 0.0) if self._still_since_ns is not None else 0.0
         return round(1e9 * ahead) + self._until_ns(self._still_ns, stamp_ns)
 
     def _until_ns(self, totals: list[int], stamp_ns: int) -> int:

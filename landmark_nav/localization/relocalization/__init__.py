@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
-from landmark_nav.localization.relocalization.search import UnsurePlace
+from landmark_nav.localization.relocalization.search import UncertainPose
 from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 
-__all__ = ['RelocalizationConfig', 'Relocalizer', 'Unseen', 'UnsurePlace']
+__all__ = ['RelocalizationConfig', 'Relocalizer', 'UncertainPose', 'Unseen']

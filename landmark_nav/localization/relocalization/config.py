@@ -18,7 +18,7 @@ class RelocalizationConfig(Config):
     )
     unseen_s: float = parameter(
         2.0,
-        'seconds in which pictures show nothing of the map until the place is looked for, too: '
+        'seconds in which images show nothing of the map until the place is looked for, too: '
         'where nothing is expected, nothing contradicts a wrong pose; s',
         minimum=0.0,
         maximum=3600.0,
@@ -32,7 +32,7 @@ class RelocalizationConfig(Config):
     max_sigma_rad: float = parameter(
         0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
     )
-    lean_sigma_rad: float = parameter(
+    tilt_sigma_rad: float = parameter(
         0.02,
         'how far the camera may look above or below where its joints say, or lean, where nothing '
         'is recognised without that; 0 does not search for it, and finds a small roll only; rad',

@@ -1,8 +1,8 @@
 """
-Poses from sightings most of which are wrong: every pair proposes a pose, all vote on it.
+Poses from detections most of which are wrong: every pair proposes a pose, all vote on it.
 
-Two sightings with their ranges are two points relative to the robot; with the positions of the two
-landmarks they determine a pose. A pose scores the number of landmarks that it explains.
+Two detections with their ranges are two points relative to the robot; with the positions of the
+two landmarks they determine a pose. A pose scores the number of landmarks that it explains.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
-from landmark_nav.localization.relocalization.sightings import Sightings
+from landmark_nav.localization.relocalization.candidate_detections import CandidateDetections
 from landmark_nav.types import FloatArray, LandmarkMap
 
 __all__ = ['DISTINCT_M', 'DISTINCT_RAD', 'Hypotheses', 'propose']
 
 # Poses judged at a time: their residuals stay small in memory.
 _BLOCK = 2048
-# So many of the best sightings of each landmark are used.
+# So many of the best detections of each landmark are used.
 _PER_LANDMARK = 4
-# Tolerated bearing errors: with a pose of two sightings, and with one of all that agree.
+# Tolerated bearing errors: with a pose of two detections, and with one of all that agree.
 _ROUGH_RAD, _FINE_RAD = 0.07, 0.02
 # A pose must explain so many landmarks; so many poses are followed up.
 _MIN_SUPPORT = 4
@@ -40,13 +40,13 @@ class Hypotheses:
     support: npt.NDArray[np.intp]
 
 
-def propose(sightings: Sightings, landmark_map: LandmarkMap) -> Hypotheses:
+def propose(detections: CandidateDetections, landmark_map: LandmarkMap) -> Hypotheses:
     """
-    Find the poses that sightings support.
+    Find the poses that detections support.
 
     Parameters
     ----------
-    sightings : Sightings
+    detections : Detections
         All in one base frame.
 
     Returns
@@ -55,13 +55,13 @@ def propose(sightings: Sightings, landmark_map: LandmarkMap) -> Hypotheses:
         Distinct poses; may be empty.
 
     """
-    votes = _Votes(sightings, landmark_map)
+    votes = _Votes(detections, landmark_map)
     poses = votes.of_pairs()
     if landmark_map.walls:
         poses = poses[Room(landmark_map.walls).contains(poses[:, :2])]
     support = votes.support(poses, _ROUGH_RAD)
     kept = _distinct(poses, support)
-    # Poses of pairs become poses of all sightings that agree, with less and less tolerance.
+    # Poses of pairs become poses of all detections that agree, with less and less tolerance.
     poses = votes.refined(poses[kept], _ROUGH_RAD)
     poses = votes.refined(poses, 0.5 * (_ROUGH_RAD + _FINE_RAD))
     poses = votes.refined(poses, _FINE_RAD)
@@ -71,18 +71,18 @@ def propose(sightings: Sightings, landmark_map: LandmarkMap) -> Hypotheses:
 
 
 class _Votes:
-    """The best sightings of each landmark, sorted by landmark, as arrays."""
+    """The best detections of each landmark, sorted by landmark, as arrays."""
 
-    def __init__(self, sightings: Sightings, landmark_map: LandmarkMap) -> None:
-        order = np.lexsort((-sightings.score, sightings.landmark))
-        landmark = sightings.landmark[order]
+    def __init__(self, detections: CandidateDetections, landmark_map: LandmarkMap) -> None:
+        order = np.lexsort((-detections.score, detections.landmark))
+        landmark = detections.landmark[order]
         first = np.searchsorted(landmark, landmark)
         order = order[np.arange(len(order)) - first < _PER_LANDMARK]
-        self.landmark = sightings.landmark[order]
-        self.azimuth = sightings.azimuth_rad[order]
-        self.range = sightings.range_m[order]
-        self.range_sigma = sightings.range_sigma[order]
-        self.center = sightings.center[order]
+        self.landmark = detections.landmark[order]
+        self.azimuth = detections.azimuth_rad[order]
+        self.range = detections.range_m[order]
+        self.range_sigma = detections.range_sigma[order]
+        self.center = detections.center[order]
         self.place = landmark_map.positions[self.landmark, :2]
         self.normal = landmark_map.normals[self.landmark, :2]
         self.direction = np.stack([np.cos(self.azimuth), np.sin(self.azimuth)], -1)
@@ -135,7 +135,7 @@ class _Votes:
         relative: FloatArray,
         tolerance_rad: float,
     ) -> npt.NDArray[np.bool_]:
-        """Which sightings (h, s) fit which poses: bearing, range, seen from the front."""
+        """Which detections (h, s) fit which poses: bearing, range, seen from the front."""
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
         normal_x = cos * self.normal[:, 0] + sin * self.normal[:, 1]
         normal_y = cos * self.normal[:, 1] - sin * self.normal[:, 0]

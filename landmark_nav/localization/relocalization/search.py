@@ -1,7 +1,7 @@
 """
 Finding the robot's place without a prior: from one sweep, or from a few seconds of driving.
 
-Sightings of all landmarks without a prior -> poses that explain them -> for each pose, the
+Detections of all landmarks without a prior -> poses that explain them -> for each pose, the
 landmarks that should be seen from there are looked for -> the place, if it is unique.
 """
 
@@ -16,9 +16,9 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import transform_points
 from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.relocalization.candidate_detections import CandidateDetections
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.hypotheses import DISTINCT_M, DISTINCT_RAD, propose
-from landmark_nav.localization.relocalization.sightings import Sightings
 from landmark_nav.localization.relocalization.verification import (
     CarriedFrames,
     Verification,
@@ -29,7 +29,7 @@ from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
 __all__ = [
     'CANDIDATES',
     'UNRECOGNISED',
-    'UnsurePlace',
+    'UncertainPose',
     'best_place',
     'locate',
     'verified_places',
@@ -45,7 +45,7 @@ _MAX_RIVAL_SHARE, _ALIKE = 0.5, 0.75
 # So many proposed places are verified, and so many before one is believed.
 CANDIDATES, _ALL_CANDIDATES = 4, 16
 # So many landmarks at a place are not found by chance.
-_TELLING = 4
+_LEAST_LANDMARKS = 4
 # Any one of them may be mistaken: without it sigma may be this factor over its limit.
 _MOST_WITHOUT = 2.0
 # The landmarks found must span this angle.
@@ -53,7 +53,7 @@ _MIN_SPREAD_RAD = 0.6
 
 
 @dataclass(frozen=True)
-class UnsurePlace(Refusal):
+class UncertainPose(Refusal):
     """A likely place, for which there is too little evidence to start from it."""
 
     place: PoseEstimate = field(kw_only=True)
@@ -61,12 +61,12 @@ class UnsurePlace(Refusal):
 
 def locate(
     carried: CarriedFrames,
-    sightings: Sequence[Sightings],
+    detections: Sequence[CandidateDetections],
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     config: RelocalizationConfig,
     looking: LookingConfig,
-    lean_sigma_rad: float = 0.0,
+    tilt_sigma_rad: float = 0.0,
 ) -> Verification | Refusal:
     """
     Find the robot's place without any prior.
@@ -74,17 +74,17 @@ def locate(
     Parameters
     ----------
     carried : CarriedFrames
-        Pictures, and the poses of the base at each by odometry.
-    sightings : sequence of Sightings
-        Possible sightings in each picture, found without a prior.
+        Images, and the poses of the base at each by odometry.
+    detections : sequence of Detections
+        Possible detections in each image, found without a prior.
     lean_sigma_rad : float
         How far the camera may look above, below, or lean.
 
     Returns
     -------
     Verification or Refusal
-        The pose of the base at the last picture with its evidence; or ``not unique`` if another
-        place explains the pictures nearly as well, ``nothing recognised`` if none does, and ``too
+        The pose of the base at the last image with its evidence; or ``not unique`` if another
+        place explains the images nearly as well, ``nothing recognised`` if none does, and ``too
         little seen`` if there is not enough evidence.
 
     """
@@ -94,15 +94,15 @@ def locate(
             azimuth_rad=seen.azimuth_rad + pose[2],
             center=transform_points(pose, seen.center),
         )
-        for seen, pose in zip(sightings, carried.poses_last_base, strict=True)
+        for seen, pose in zip(detections, carried.poses_last_base, strict=True)
     ]
-    proposed = propose(Sightings.joined(moved), landmark_map)
+    proposed = propose(CandidateDetections.joined(moved), landmark_map)
     if not len(proposed.poses):
-        return Refusal(UNRECOGNISED, 'no two sightings agree on a place')
+        return Refusal(UNRECOGNISED, 'no two detections agree on a place')
     poses, count, places = proposed.poses, len(proposed.poses), list[Verification]()
     for some in poses[:CANDIDATES], poses[CANDIDATES:_ALL_CANDIDATES]:
         places = verified_places(
-            some, carried, landmark_map, mount, looking, lean_sigma_rad, places
+            some, carried, landmark_map, mount, looking, tilt_sigma_rad, places
         )
         judged = _judged(best_place(places, count), config)
         if isinstance(judged, Refusal):
@@ -116,13 +116,13 @@ def verified_places(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     looking: LookingConfig,
-    lean_sigma_rad: float = 0.0,
+    tilt_sigma_rad: float = 0.0,
     known: Sequence[Verification] = (),
 ) -> list[Verification]:
     """Verify poses (n, 3); return them with those `known`, if different, most landmarks first."""
     places = list(known)
     for pose in poses:
-        outcome = verify(pose, carried, landmark_map, mount, looking, lean_sigma_rad)
+        outcome = verify(pose, carried, landmark_map, mount, looking, tilt_sigma_rad)
         if isinstance(outcome, Verification) and not _known(outcome, places):
             places.append(outcome)
     return sorted(places, key=lambda place: -len(place.ids))
@@ -155,7 +155,7 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
     found = len(best.ids)
     for other in others:
         many = len(other.ids) > _MAX_RIVAL_SHARE * found
-        if many or (len(other.ids) >= _TELLING and other.share > _ALIKE * best.share):
+        if many or (len(other.ids) >= _LEAST_LANDMARKS and other.share > _ALIKE * best.share):
             return Refusal(
                 'not unique',
                 f'{found} of {best.expected} landmarks are found at {_where(best)}, '
@@ -181,10 +181,14 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
     found, where = len(best.ids), _where(best)
     if found < config.min_landmarks:
         words = 'too little seen', f'{found} landmarks speak for {where}'
-        return Refusal(*words) if found < _TELLING else UnsurePlace(*words, place=best.estimate)
+        return (
+            Refusal(*words)
+            if found < _LEAST_LANDMARKS
+            else UncertainPose(*words, place=best.estimate)
+        )
     spread = _span(best.bearing_rad)
     if spread < _MIN_SPREAD_RAD:
-        return UnsurePlace(
+        return UncertainPose(
             'too little seen',
             f'all {found} landmarks lie within {np.degrees(spread):.0f} deg: look around',
             place=best.estimate,
@@ -192,14 +196,14 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
     sigma = float(np.sqrt(np.trace(best.estimate.covariance[:2, :2])))
     sigma_turn = float(np.sqrt(best.estimate.covariance[2, 2]))
     if sigma > config.max_sigma_m or sigma_turn > config.max_sigma_rad:
-        return UnsurePlace(
+        return UncertainPose(
             'too little seen',
             f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
             place=best.estimate,
         )
     decides = int(np.argmax(best.sigma_without_m))
     if not best.sigma_without_m[decides] <= _MOST_WITHOUT * config.max_sigma_m:
-        return UnsurePlace(
+        return UncertainPose(
             'too little seen',
             f'at {where} landmark {best.ids[decides]} decides, without it sigma is '
             f'{best.sigma_without_m[decides]:.3f} m: look around',

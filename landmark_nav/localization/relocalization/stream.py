@@ -1,4 +1,4 @@
-"""Finding the robot's place from pictures and odometry as they come in."""
+"""Finding the robot's place from images and odometry as they come in."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection.height import Lean
-from landmark_nav.localization.joint_delay import DOUBT_S
+from landmark_nav.localization.detection.height import CameraTilt
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
@@ -21,9 +21,12 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
 )
 from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.relocalization.candidate_detections import (
+    CandidateDetections,
+    find_candidate_detections,
+)
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.search import locate, UNRECOGNISED
-from landmark_nav.localization.relocalization.sightings import find_sightings, Sightings
 from landmark_nav.localization.relocalization.verification import CarriedFrames
 from landmark_nav.localization.relocalization.views import shows_new, view_direction
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
@@ -38,32 +41,32 @@ from landmark_nav.types import (
 
 __all__ = ['Relocalizer', 'Unseen']
 
-# A picture counts until odometry since then is more uncertain than this.
+# An image counts until odometry since then is more uncertain than this.
 _MAX_DRIFT_M = 0.1
 _MAX_DRIFT_RAD = 0.1
-# So many pictures are kept at most.
+# So many images are kept at most.
 _MAX_FRAMES = 30
 # Odometry older by this is not late: the clock was set back.
 _CLOCK_STEP_NS = 2 * 10**9
-# With so many pictures without a place the camera may have been knocked up, down, or aside.
+# With so many images without a place the camera may have been displaced up, down, or aside.
 _VAIN = 2
 # Share of way and turn that wheels may be wrong by.
 _SLIP = 0.04
-_UPRIGHT = Lean()
+_UPRIGHT = CameraTilt()
 
 
-class _Glimpse(NamedTuple):
-    """A picture as it came, with its viewing direction and what may be seen in it, levelled."""
+class _Keyframe(NamedTuple):
+    """An image as it came, with its viewing direction and what may be seen in it, levelled."""
 
     frame: CameraFrame
     direction: FloatArray
-    sightings: Sightings
+    detections: CandidateDetections
     # Those of a camera that may look above, below, or lean.
-    leaning: Sightings | None = None
+    tilted: CandidateDetections | None = None
 
 
 class Unseen:
-    """Whether pictures have shown no landmark for `after_s` or longer."""
+    """Whether images have shown no landmark for `after_s` or longer."""
 
     def __init__(self, after_s: float) -> None:
         self._after_ns = round(1e9 * after_s)
@@ -71,13 +74,13 @@ class Unseen:
         self.lasts = False
 
     def note(self, stamp_ns: int, found: int) -> None:
-        """Take note of how many landmarks a picture showed."""
+        """Take note of how many landmarks an image showed."""
         if found or self._since_ns is None or stamp_ns < self._since_ns:
             self._since_ns = stamp_ns
         self.lasts = not found and stamp_ns - self._since_ns >= self._after_ns
 
     def restart(self) -> None:
-        """Begin anew with the next picture."""
+        """Begin anew with the next image."""
         self._since_ns, self.lasts = None, False
 
 
@@ -107,9 +110,9 @@ class Relocalizer:
         self._odometry = odometry or OdometryNoiseConfig()
         self._looking = looking or LookingConfig()
         self._track = OdometryTrack(self._odometry)
-        self._kept: list[_Glimpse] = []
-        self._outcome = Refusal('nothing seen yet', 'no picture came')
-        self._witnesses = np.empty(0, dtype=np.int64)
+        self._kept: list[_Keyframe] = []
+        self._outcome = Refusal('nothing seen yet', 'no image came')
+        self._landmark_ids = np.empty(0, dtype=np.int64)
         self._in_time: PoseEstimate | None = None
         self._lean_rad = (0.0, 0.0)
 
@@ -119,28 +122,30 @@ class Relocalizer:
         self._track.add(sample)
         known = self._track.stamps_ns
         if known is not None and known[1] - sample.stamp_ns > _CLOCK_STEP_NS:
-            # The clock was set back: pictures from before are of no use.
+            # The clock was set back: images from before are of no use.
             self._kept, self._track = [], OdometryTrack(self._odometry)
             self._track.add(sample)
-        # A picture may still come that is older than the odometry.
+        # An image may still come that is older than the odometry.
         oldest_ns = sample.stamp_ns - _CLOCK_STEP_NS
         self._track.trim(min([oldest_ns, *(kept.frame.stamp_ns for kept in self._kept[:1])]))
 
-    def add_frame(self, frame: CameraFrame, lean: Lean = _UPRIGHT) -> PoseEstimate | Refusal:
+    def add_frame(
+        self, frame: CameraFrame, camera_tilt: CameraTilt = _UPRIGHT
+    ) -> PoseEstimate | Refusal:
         """
-        Look at a picture.
+        Look at an image.
 
         Parameters
         ----------
         frame : CameraFrame
-            Picture with its joint angles.
+            Image with its joint angles.
         lean : Lean
-            What is known by now of the camera, in this picture and in those before.
+            What is known by now of the camera, in this image and in those before.
 
         Returns
         -------
         PoseEstimate or Refusal
-            Pose of the base at the picture's stamp, or why it is not known yet. A picture that
+            Pose of the base at the image's stamp, or why it is not known yet. An image that
             shows nothing new is not searched: the last reason is repeated.
 
         """
@@ -148,71 +153,77 @@ class Relocalizer:
             return self._outcome
         direction = view_direction(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
-        # Pictures from too long a way ago, or from a clock that was set back, are dropped.
+        # Images from too long a way ago, or from a clock that was set back, are dropped.
         sure = [
-            glimpse.frame.stamp_ns < frame.stamp_ns
+            keyframe.frame.stamp_ns < frame.stamp_ns
             and max(variance[:2]) < _MAX_DRIFT_M**2
             and variance[2] < _MAX_DRIFT_RAD**2
-            for glimpse, variance in zip(self._kept, variances, strict=True)
+            for keyframe, variance in zip(self._kept, variances, strict=True)
         ]
-        self._kept = [glimpse for glimpse, keep in zip(self._kept, sure, strict=True) if keep]
+        self._kept = [keyframe for keyframe, keep in zip(self._kept, sure, strict=True) if keep]
         poses, variances = poses[sure], variances[sure]
-        looked = np.array([glimpse.direction for glimpse in self._kept])
+        looked = np.array([keyframe.direction for keyframe in self._kept])
         repeats = self._kept and np.array_equal(frame.image, self._kept[-1].frame.image)
         if repeats or not shows_new(frame, direction, looked, poses):
             return self._outcome
         recent = slice(-_MAX_FRAMES, None)
         carried = CarriedFrames(
             frame.stamp_ns,
-            [*(glimpse.frame for glimpse in self._kept), frame][recent],
+            [*(keyframe.frame for keyframe in self._kept), frame][recent],
             np.vstack([poses, np.zeros(3)])[recent],
             np.vstack([variances, np.zeros(3)])[recent],
-        ).levelled(lean)
-        sightings = find_sightings(carried.frames[-1], self._map, self._mount)
-        self._kept = [*self._kept, _Glimpse(frame, direction, sightings)][recent]
-        seen = [glimpse.sightings for glimpse in self._kept]
+        ).levelled(camera_tilt)
+        detections = find_candidate_detections(carried.frames[-1], self._map, self._mount)
+        self._kept = [*self._kept, _Keyframe(frame, direction, detections)][recent]
+        seen = [keyframe.detections for keyframe in self._kept]
         outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
-        lean_sigma = self._config.lean_sigma_rad
+        tilt_sigma = self._config.tilt_sigma_rad
         vain = isinstance(outcome, Refusal) and outcome.reason == UNRECOGNISED
-        if vain and lean_sigma and len(self._kept) >= _VAIN:
-            seen = self._leaning(carried.frames, lean_sigma)
-            leaning = locate(
-                carried, seen, self._map, self._mount, self._config, self._looking, lean_sigma
+        if vain and tilt_sigma and len(self._kept) >= _VAIN:
+            seen = self._tilted(carried.frames, tilt_sigma)
+            tilted = locate(
+                carried, seen, self._map, self._mount, self._config, self._looking, tilt_sigma
             )
-            outcome = outcome if isinstance(leaning, Refusal) else leaning
+            outcome = outcome if isinstance(tilted, Refusal) else tilted
         if isinstance(outcome, Refusal):
             self._outcome = outcome
             return outcome
-        # If joint states are late, all pictures agree on a heading that is wrong.
-        doubts = np.square([DOUBT_S * kept.frame.pan_rate_rad_s for kept in self._kept])
-        others = max(doubts.mean() - doubts[-1], 0.0)
-        self._witnesses, self._in_time = outcome.ids, self._turned(outcome.estimate, others)
+        # If joint states are late, all images agree on a heading that is wrong.
+        delay_variances = np.square(
+            [DELAY_BOUND_S * kept.frame.pan_rate_rad_s for kept in self._kept]
+        )
+        others = max(delay_variances.mean() - delay_variances[-1], 0.0)
+        self._landmark_ids, self._in_time = outcome.ids, self._turned(outcome.estimate, others)
         self._lean_rad = outcome.tilt_rad, outcome.roll_rad
-        return self._turned(self._in_time, doubts[-1])
+        return self._turned(self._in_time, delay_variances[-1])
 
     @property
     def in_time(self) -> PoseEstimate:
-        """The last place, if the joint states of its last picture are in time."""
+        """The last place, if the joint states of its last image are in time."""
         assert self._in_time is not None, 'no place was found'
         return self._in_time
 
     @property
-    def witnesses(self) -> npt.NDArray[np.int64]:
+    def landmark_ids(self) -> npt.NDArray[np.int64]:
         """Ids of the landmarks from which the last place was found."""
-        return self._witnesses
+        return self._landmark_ids
 
     @property
-    def lean_rad(self) -> tuple[float, float]:
+    def tilt_roll_rad(self) -> tuple[float, float]:
         """By how much more the camera looks up, and leans to its right, by the last place."""
         return self._lean_rad
 
-    def _leaning(self, frames: Sequence[CameraFrame], lean_sigma_rad: float) -> list[Sightings]:
-        """Sightings in the pictures that are kept, levelled, of a camera that may lean."""
-        for k, (glimpse, frame) in enumerate(zip(self._kept, frames, strict=True)):
-            if glimpse.leaning is None:
-                seen = find_sightings(frame, self._map, self._mount, lean_sigma_rad=lean_sigma_rad)
-                self._kept[k] = glimpse._replace(leaning=seen)
-        return [glimpse.leaning for glimpse in self._kept if glimpse.leaning is not None]
+    def _tilted(
+        self, frames: Sequence[CameraFrame], tilt_sigma_rad: float
+    ) -> list[CandidateDetections]:
+        """Detections in the images that are kept, levelled, of a camera that may lean."""
+        for k, (keyframe, frame) in enumerate(zip(self._kept, frames, strict=True)):
+            if keyframe.tilted is None:
+                seen = find_candidate_detections(
+                    frame, self._map, self._mount, tilt_sigma_rad=tilt_sigma_rad
+                )
+                self._kept[k] = keyframe._replace(tilted=seen)
+        return [keyframe.tilted for keyframe in self._kept if keyframe.tilted is not None]
 
     def _turned(self, found: PoseEstimate, variance: float) -> PoseEstimate:
         """Return a place that may have been turned about the pan axis."""
@@ -221,7 +232,7 @@ class Relocalizer:
         return base_from_axis(replace(axis, covariance=covariance), self._mount)
 
     def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Poses (n, 3) of the base at the kept pictures, relative to now, and their variances."""
+        """Poses (n, 3) of the base at the kept images, relative to now, and their variances."""
         motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
         poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
         return poses, np.array([self._variances(motion) for motion in motions]).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""A picture as sightings are looked for in it: on an upright cylinder, shrunk."""
+"""An image as detections are looked for in it: on an upright cylinder, shrunk."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ['Strip']
 
 
 class Strip:
-    """A picture on an upright cylinder around its optical centre."""
+    """An image on an upright cylinder around its optical centre."""
 
     def __init__(self, frame: CameraFrame, mount: PanTiltMount, resolution: float) -> None:
         turn, self.center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
@@ -53,7 +53,7 @@ class Strip:
 
 
 def _resampled(image: ImageArray, pixels: FloatArray, resolution: float) -> ImageArray:
-    """Grey values at pixels (rows, columns, 2) of a picture, after shrinking it."""
+    """Grey values at pixels (rows, columns, 2) of an image, after shrinking it."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     small = cv2.resize(grey, None, fx=resolution, fy=resolution, interpolation=cv2.INTER_AREA)
     at = np.nan_to_num((pixels + 0.5) * resolution - 0.5, nan=-1e4).astype(np.float32)

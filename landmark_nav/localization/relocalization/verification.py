@@ -12,7 +12,11 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.blurred import detect_blurred
-from landmark_nav.localization.detection.height import Heights, Lean, told_lean
+from landmark_nav.localization.detection.height import (
+    CameraTilt,
+    estimate_camera_tilt,
+    RowResiduals,
+)
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
@@ -21,7 +25,7 @@ from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimat
 
 __all__ = ['CarriedFrames', 'Verification', 'verify']
 
-# A landmark is looked for in so many pictures: those that should show it nearest to their middle.
+# A landmark is looked for in so many images: those that should show it nearest to their middle.
 _VIEWS = 2
 # Sigmas (m, m, rad) of a hypothesis, and of the first fix found from it.
 _SIGMAS = ((0.08, 0.08, 0.025), (0.02, 0.02, 0.008))
@@ -34,7 +38,7 @@ _HEADING_PASSES = 3
 @dataclass(frozen=True, eq=False)
 class CarriedFrames:
     """
-    Pictures with the poses of the base by odometry.
+    Images with the poses of the base by odometry.
 
     `poses_last_base` (n, 3) are in the base frame of the time `stamp_ns`; `variances` (n, 3) are
     theirs: along, across and heading.
@@ -45,13 +49,13 @@ class CarriedFrames:
     poses_last_base: FloatArray
     variances: FloatArray
 
-    def levelled(self, lean: Lean) -> CarriedFrames:
+    def levelled(self, camera_tilt: CameraTilt) -> CarriedFrames:
         """Return them with the tilt and roll of the camera corrected."""
         frames = [
             replace(
                 frame,
-                tilt_rad=frame.tilt_rad + lean.tilt_rad,
-                roll_rad=frame.roll_rad + lean.roll_rad,
+                tilt_rad=frame.tilt_rad + camera_tilt.tilt_rad,
+                roll_rad=frame.roll_rad + camera_tilt.roll_rad,
             )
             for frame in self.frames
         ]
@@ -99,38 +103,42 @@ def verify(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     looking: LookingConfig,
-    lean_sigma_rad: float = 0.0,
+    tilt_sigma_rad: float = 0.0,
 ) -> Verification | Refusal:
     """
     Look for all landmarks that should be seen from a pose, and triangulate from those found.
 
-    A tilt and roll that all pictures share are estimated from the rows where they were found.
+    A tilt and roll that all images share are estimated from the rows where they were found.
 
     Parameters
     ----------
     pose_map_base : ndarray, shape (3,)
-        Hypothesis: the base at the pictures' common time, good to some 10 cm and 2 degrees.
+        Hypothesis: the base at the images' common time, good to some 10 cm and 2 degrees.
     carried : CarriedFrames
-        The pictures.
+        The images.
     lean_sigma_rad : float
         How far the camera may look above, below, or lean; a small roll is found without.
 
     """
     unlevelled = carried
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
-    if lean_sigma_rad:
+    if tilt_sigma_rad:
         prior = replace(estimate, covariance=np.diag(np.square(_SIGMAS[0])))
-        tall = _tall(looking, lean_sigma_rad, carried.frames[0])
+        tall = _tall(looking, tilt_sigma_rad, carried.frames[0])
         _, expected, heights = _look(prior, carried, landmark_map, mount, tall)
-        lean = told_lean(heights)
-        if lean.matches < _MOST * expected:
-            return Refusal('no tilt', f'{lean.matches} of {expected} landmarks agree on one')
-        carried = carried.levelled(lean if lean.is_roll else lean._replace(roll_rad=0.0))
+        camera_tilt = estimate_camera_tilt(heights)
+        if camera_tilt.matches < _MOST * expected:
+            return Refusal(
+                'no tilt', f'{camera_tilt.matches} of {expected} landmarks agree on one'
+            )
+        carried = carried.levelled(
+            camera_tilt if camera_tilt.is_roll else camera_tilt._replace(roll_rad=0.0)
+        )
     for sigmas in _SIGMAS:
         prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
         found, expected, heights = _look(prior, carried, landmark_map, mount, looking)
-        if (lean := told_lean(heights)).is_roll:
-            carried = carried.levelled(lean)
+        if (camera_tilt := estimate_camera_tilt(heights)).is_roll:
+            carried = carried.levelled(camera_tilt)
             found, expected, _ = _look(prior, carried, landmark_map, mount, looking)
         fix = _solve(found, prior, carried, landmark_map, mount, looking.triangulation)
         if isinstance(fix, Refusal):
@@ -160,7 +168,7 @@ def _look(
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     looking: LookingConfig,
-) -> tuple[_Bearings, int, Heights]:
+) -> tuple[_Bearings, int, RowResiduals]:
     """Return the bearings found, how many landmarks were expected, and the rows of the matches."""
     priors = [
         PoseEstimate(frame.stamp_ns, np.asarray(pose), prior.covariance + np.diag(drift))
@@ -207,13 +215,13 @@ def _look(
             np.concatenate([p.variance for p in parts]),
         ),
         expected,
-        Heights.joined(heights),
+        RowResiduals.joined(heights),
     )
 
 
-def _tall(looking: LookingConfig, lean_sigma_rad: float, frame: CameraFrame) -> LookingConfig:
+def _tall(looking: LookingConfig, tilt_sigma_rad: float, frame: CameraFrame) -> LookingConfig:
     """Parameters of a search far above and below."""
-    height_px = min(lean_sigma_rad * frame.camera.fy, _TALLEST_PX)
+    height_px = min(tilt_sigma_rad * frame.camera.fy, _TALLEST_PX)
     return replace(looking, detection=replace(looking.detection, vertical_sigma_px=height_px))
 
 
@@ -226,7 +234,7 @@ def _solve(
     config: TriangulationConfig,
 ) -> Fix | Refusal:
     """
-    Triangulate the pan axis at the last picture from bearings taken at different places.
+    Triangulate the pan axis at the last image from bearings taken at different places.
 
     A bearing from an earlier place is taken as one to a virtual landmark, shifted by how far the
     axis has moved since (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009). The
@@ -258,7 +266,7 @@ def _drift(sight: FloatArray, variances: FloatArray) -> FloatArray:
     """
     Covariance (2n, 2n) of virtual landmarks by the errors of odometry.
 
-    These add up from the last picture backwards, so two bearings share those of the later one. An
+    These add up from the last image backwards, so two bearings share those of the later one. An
     error of the turn moves a landmark across the line of sight `sight` (n, 2), in proportion to
     its range.
     """

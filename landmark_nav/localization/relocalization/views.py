@@ -1,4 +1,4 @@
-"""Which pictures tell something new."""
+"""Which images tell something new."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from landmark_nav.types import CameraFrame, FloatArray
 
 __all__ = ['shows_new', 'view_direction']
 
-# A picture tells something new if it looks this share of half the field of view elsewhere, aside
+# An image tells something new if it looks this share of half the field of view elsewhere, aside
 # or up, or from this far away.
 _NEW_VIEW = 0.9
 _NEW_PLACE_M = 0.6
 
 
 def view_direction(frame: CameraFrame, mount: PanTiltMount) -> FloatArray:
-    """Azimuth and elevation (2,) in the base frame that a picture looks along, radians."""
+    """Azimuth and elevation (2,) in the base frame that an image looks along, radians."""
     turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
     x, y, z = turn[:, 2].tolist()
     return np.array([math.atan2(y, x), math.atan2(z, math.hypot(x, y))])
@@ -29,18 +29,18 @@ def shows_new(
     frame: CameraFrame, direction: FloatArray, directions: FloatArray, poses: FloatArray
 ) -> bool:
     """
-    Whether a picture shows more of the room than earlier ones.
+    Whether an image shows more of the room than earlier ones.
 
     Parameters
     ----------
     frame : CameraFrame
-        The picture.
+        The image.
     direction : ndarray, shape (2,)
         Its `view_direction`.
     directions : ndarray, shape (n, 2)
-        Those of the earlier pictures, each in its own base frame.
+        Those of the earlier images, each in its own base frame.
     poses : ndarray, shape (n, 3)
-        Poses of the base at the earlier pictures, in the base frame of this one.
+        Poses of the base at the earlier images, in the base frame of this one.
 
     """
     off = np.reshape(directions, (-1, 2)) - direction

@@ -45,7 +45,7 @@ class Bearings:
 
     @classmethod
     def of(cls, sightings: Sequence[Detections], landmark_map: LandmarkMap) -> Bearings:
-        """Take what the map holds; pose 0 is the start, pose k + 1 that of sighting k."""
+        """Take what the map holds; pose 0 is the start, pose k + 1 that of detection k."""
         known = [np.isin(seen.ids, landmark_map.ids) for seen in sightings]
         kept = [seen.chosen(which) for seen, which in zip(sightings, known, strict=True)]
         counts = [len(seen) for seen in kept]
@@ -104,8 +104,8 @@ class Problem:
 
     `common_sigmas` (6,) are those of the odometry's scale, drift, turn scale and way lost in
     turns, of the boresight and of the principal point; `lever` (2,) is the pan axis in the base.
-    Sightings of a landmark repeat `repeated_share` of their variance over `repeat_length_m` of
-    way; what each repeats is unknown, too.
+    Detections of a landmark repeat `correlated_noise_fraction` of their variance over
+    `repeat_length_m` of way; what each repeats is unknown, too.
     """
 
     start: PoseEstimate
@@ -115,7 +115,7 @@ class Problem:
     lever: FloatArray
     common_sigmas: FloatArray
     pan_sigma: float
-    repeated_share: float
+    correlated_noise_fraction: float
     repeat_length_m: float
     robust_sigmas: float
 
@@ -209,7 +209,7 @@ class Problem:
         )
 
     def _add_repeated(self, rows: _Rows, unknowns: FloatArray) -> None:
-        """What sightings repeat, over its sigma: a Gauss-Markov process of the way."""
+        """What detections repeat, over its sigma: a Gauss-Markov process of the way."""
         seen = self.bearings
         way = np.cumsum([0.0, *np.hypot(*self.motions.increment[:, :2].T)])[seen.pose]
         again = seen.before >= 0
@@ -234,8 +234,10 @@ class Problem:
         boresight, lens = self.camera(unknowns)
         bearing, by_lens = straightened(seen.bearing_rad, seen.pan_rad, lens)
         repeated = self._repeated + np.arange(len(dx))
-        by_repeated = np.sqrt(self.repeated_share) * seen.sigma_rad
-        sigma = np.maximum(np.sqrt(1.0 - self.repeated_share) * seen.sigma_rad, _LEAST_SIGMA)
+        by_repeated = np.sqrt(self.correlated_noise_fraction) * seen.sigma_rad
+        sigma = np.maximum(
+            np.sqrt(1.0 - self.correlated_noise_fraction) * seen.sigma_rad, _LEAST_SIGMA
+        )
         offset = boresight + self.pan_sigma * unknowns[pan] + by_repeated * unknowns[repeated]
         residual = wrap_rad(bearing - offset - expected) / sigma
         # Cauchy's weight, as of where we are.

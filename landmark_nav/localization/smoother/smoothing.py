@@ -55,7 +55,7 @@ class Smoothed:
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n,)
-        Of the sightings.
+        Of the detections.
     poses : ndarray, shape (n, 3)
         ``base_link`` in map.
     covariances : ndarray, shape (n, 3, 3)
@@ -93,36 +93,36 @@ def smooth(
     tolerance: float = _TOLERANCE,
 ) -> Smoothed:
     """
-    Gauss-Newton over the poses of all sightings, with the noise models of the filter.
+    Gauss-Newton over the poses of all detections, with the noise models of the filter.
 
     Parameters
     ----------
     start : PoseEstimate
-        Prior of the first pose, not after the first sighting.
+        Prior of the first pose, not after the first detection.
     odometry : sequence of OdometrySample
         By time.
-    sightings : sequence of Detections
+    detections : sequence of Detections
         By time; those without a landmark of the map become poses, too.
     initial : ndarray, shape (n, 3)
-        Where to begin: the filter's poses at the sightings.
+        Where to begin: the filter's poses at the detections.
     landmark_map : LandmarkMap
         Landmarks and their joint covariance.
     mount : PanTiltMount
         Where the pan axis is.
     unknown_motion : ndarray of bool, shape (n,), optional
-        Before which sightings nothing is known of how the robot moved.
+        Before which detections nothing is known of how the robot moved.
     tolerance : float
         Largest step, metres and radians, that ends it.
 
     Raises
     ------
     LandmarkNavError
-        No sighting, times out of order, or no convergence.
+        No detection, times out of order, or no convergence.
 
     """
     stamps = np.array([start.stamp_ns, *(seen.stamp_ns for seen in sightings)], dtype=np.int64)
     if len(stamps) < 2 or np.any(np.diff(stamps) < 0):
-        raise LandmarkNavError('smoother: needs sightings in the order of time after the start')
+        raise LandmarkNavError('smoother: needs detections in the order of time after the start')
     fusion, noise = fusion or FusionConfig(), noise or OdometryNoiseConfig()
     wheels = *noise.bias_sigmas, noise.turn_loss_sigma_m_per_rad
     motions = motions_between(stamps, odometry, noise)
@@ -136,7 +136,7 @@ def smooth(
         np.asarray(mount.axis_xyz[:2], dtype=np.float64),
         np.array([*wheels, fusion.boresight_sigma_rad, fusion.principal_point_sigma]),
         mount.pan_sigma_rad,
-        fusion.repeated_share,
+        fusion.correlated_noise_fraction,
         fusion.repeat_length_m,
         _ROBUST_SIGMAS,
     )

@@ -23,7 +23,7 @@ __all__ = ['Solution', 'best_start', 'solve', 'w_statistics']
 _MAX_STARTS = 220
 _MAX_STEPS = 20
 # Least share of its information that is left of a direction.
-_UNTOLD = 1e-9
+_LEAST_EIGENVALUE = 1e-9
 _UNDETERMINED = Refusal('degenerate geometry', 'the bearings leave a direction undetermined')
 
 
@@ -51,7 +51,7 @@ class Solution:
         root = np.linalg.cholesky(self.covariance)
         value, vector = np.linalg.eigh(np.eye(3) - root.T @ lost @ root)
         back = root @ vector
-        return np.asarray(back / np.maximum(value, _UNTOLD) @ back.T)
+        return np.asarray(back / np.maximum(value, _LEAST_EIGENVALUE) @ back.T)
 
 
 def best_start(

@@ -136,7 +136,7 @@ def triangulate(
         if isinstance(solved, Refusal):
             return solved
     fix = Fix(solved.pose, solved.covariance, used, solved)
-    return _doubt(fix, position[used], start, config) or fix
+    return _refusal(fix, position[used], start, config) or fix
 
 
 def _without_outliers(
@@ -205,7 +205,7 @@ def _checked(
     return position, bearing, variance, map_cov
 
 
-def _doubt(
+def _refusal(
     fix: Fix, position: FloatArray, start: PoseEstimate | None, config: TriangulationConfig
 ) -> Refusal | None:
     """Why a solved fix is not to be believed; None if it is."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from landmark_nav.localization.triplet.selection import (
-    Gaze,
+    CameraState,
     rank_triplets,
     TripletConfig,
     visible_landmarks,
 )
 
-__all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'visible_landmarks']
+__all__ = ['CameraState', 'TripletConfig', 'rank_triplets', 'visible_landmarks']

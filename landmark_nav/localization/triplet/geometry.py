@@ -41,7 +41,7 @@ def pair_tables(
     viewpoints: FloatArray, landmark_map: LandmarkMap, index: IndexArray, bearing_sigma: float
 ) -> PairTables:
     """Return what pairs of the landmarks `index` (n,) are worth from viewpoints (..., 2)."""
-    gradient, own, shared = _sightings(viewpoints, landmark_map, index, bearing_sigma)
+    gradient, own, shared = _bearing_models(viewpoints, landmark_map, index, bearing_sigma)
     common = shared @ np.swapaxes(shared, -1, -2)
     total = own + np.einsum('...ii->...i', common)
     error = total[..., :, None] + total[..., None, :] - 2.0 * common
@@ -84,7 +84,7 @@ def fix_covariances(
     Of the pose of the pan axis at `viewpoint` (2,), with the orientation of the base.
     """
     used, place = np.unique(triplets, return_inverse=True)
-    gradient, own, shared = _sightings(viewpoint, landmark_map, used, bearing_sigma)
+    gradient, own, shared = _bearing_models(viewpoint, landmark_map, used, bearing_sigma)
     place = place.reshape(triplets.shape)
     noise = shared[place] @ np.swapaxes(shared[place], -1, -2)
     noise[:, range(3), range(3)] += own[place]
@@ -93,7 +93,7 @@ def fix_covariances(
     return np.asarray(inverse @ noise @ np.swapaxes(inverse, -1, -2))
 
 
-def _sightings(
+def _bearing_models(
     viewpoints: FloatArray, landmark_map: LandmarkMap, index: IndexArray, bearing_sigma: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """

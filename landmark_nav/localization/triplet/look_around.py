@@ -33,7 +33,7 @@ class LookAroundConfig(Config):
     after_s: float = parameter(
         2.0, 'how long the pose must not have been known before, s', minimum=0.0, maximum=3600.0
     )
-    look_s: float = parameter(
+    dwell_time_s: float = parameter(
         0.5, 'how long the camera rests at each view, s', minimum=0.0, maximum=60.0
     )
 
@@ -111,4 +111,4 @@ class LookAround:
         if abs(pan_rad - self._target) > _ARRIVED_RAD:
             self._arrived_s = now_s
             return now_s - self._turned_s >= _PATIENCE_S
-        return now_s - self._arrived_s >= self._config.look_s
+        return now_s - self._arrived_s >= self._config.dwell_time_s

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray, Refusal, Triplet
 
-__all__ = ['Ranking', 'Standing', 'Verdict']
+__all__ = ['LandmarkVisibility', 'Ranking', 'Verdict']
 
 # A rival is called worse in something from so many times the winner's on.
 _MUCH_WORSE = 1.05
@@ -31,11 +31,11 @@ _ROW = np.dtype(
 _LANDMARK = np.dtype([('id', '<u4'), ('reason', '<u1')])
 
 
-class Standing(IntEnum):
+class LandmarkVisibility(IntEnum):
     """Whether a landmark takes part, or why not."""
 
     USABLE = 0
-    NO_PICTURE = 1
+    NO_IMAGE = 1
     OUT_OF_RANGE = 2
     OUTSIDE_AREA = 3
     HIDDEN = 4
@@ -49,13 +49,13 @@ class Standing(IntEnum):
 
 
 _WORDS = {
-    Standing.USABLE: 'usable',
-    Standing.NO_PICTURE: 'without a picture',
-    Standing.OUT_OF_RANGE: 'too near or too far',
-    Standing.OUTSIDE_AREA: 'outside the observation area',
-    Standing.HIDDEN: 'behind a wall',
-    Standing.CUT: 'cut by the border of the picture',
-    Standing.BEYOND_LIMITS: 'beyond the joint limits',
+    LandmarkVisibility.USABLE: 'usable',
+    LandmarkVisibility.NO_IMAGE: 'without an image',
+    LandmarkVisibility.OUT_OF_RANGE: 'too near or too far',
+    LandmarkVisibility.OUTSIDE_AREA: 'outside the observation area',
+    LandmarkVisibility.HIDDEN: 'behind a wall',
+    LandmarkVisibility.CUT: 'cut by the border of the image',
+    LandmarkVisibility.BEYOND_LIMITS: 'beyond the joint limits',
 }
 
 
@@ -95,7 +95,7 @@ class Ranking:
     chosen : Triplet or Refusal
         The first.
     standing : ndarray of int, shape (n,)
-        `Standing` of each landmark of the map.
+        `LandmarkVisibility` of each landmark of the map.
     ids : ndarray of int, shape (m, 3)
         Landmarks of the triplets.
     covariances : ndarray, shape (m, 3, 3)
@@ -112,7 +112,7 @@ class Ranking:
     """
 
     chosen: Triplet | Refusal
-    standing: npt.NDArray[np.int8]
+    visibility: npt.NDArray[np.int8]
     ids: npt.NDArray[np.int64]
     covariances: FloatArray
     chance: FloatArray
@@ -121,12 +121,12 @@ class Ranking:
     score: FloatArray
 
     @classmethod
-    def none(cls, reason: Refusal, standing: npt.NDArray[np.int8]) -> Ranking:
+    def none(cls, reason: Refusal, visibility: npt.NDArray[np.int8]) -> Ranking:
         """Return a ranking without triplets."""
         empty = np.empty(0)
         ids = np.empty((0, 3), dtype=np.int64)
         pans = np.empty((0, 3))
-        return cls(reason, standing, ids, np.empty((0, 3, 3)), empty, empty, pans, empty)
+        return cls(reason, visibility, ids, np.empty((0, 3, 3)), empty, empty, pans, empty)
 
     @property
     def sigma_m(self) -> FloatArray:
@@ -143,18 +143,18 @@ class Ranking:
         return rows
 
     def landmark_table(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
-        """One row (n,) a landmark of the map, those with `ids` (n,); `reason` is a `Standing`."""
+        """Row (n,) of each landmark in the map, `ids` (n,); `reason` is a `LandmarkVisibility`."""
         rows = np.zeros(len(ids), dtype=_LANDMARK)
-        rows['id'], rows['reason'] = ids, self.standing
+        rows['id'], rows['reason'] = ids, self.visibility
         return rows
 
     def excluded(self) -> dict[str, int]:
         """How many landmarks take no part, by the reason."""
-        kinds, counts = np.unique(self.standing, return_counts=True)
+        kinds, counts = np.unique(self.visibility, return_counts=True)
         return {
-            Standing(kind).words: int(count)
+            LandmarkVisibility(kind).words: int(count)
             for kind, count in zip(kinds, counts, strict=True)
-            if kind != Standing.USABLE
+            if kind != LandmarkVisibility.USABLE
         }
 
     def verdicts(self) -> list[Verdict]:

@@ -21,14 +21,14 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.localization.triplet.geometry import fix_covariances, pair_tables, PairTables
-from landmark_nav.localization.triplet.outlook import Gaze, Outlook
-from landmark_nav.localization.triplet.ranking import Ranking, Standing
+from landmark_nav.localization.triplet.planning_scene import CameraState, PlanningScene
+from landmark_nav.localization.triplet.ranking import LandmarkVisibility, Ranking
 from landmark_nav.localization.triplet.search import best_triplets, first_of_each, mean_variance
 from landmark_nav.localization.triplet.views import Tours
 from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
 
-__all__ = ['Gaze', 'TripletConfig', 'rank_triplets', 'visible_landmarks']
+__all__ = ['CameraState', 'TripletConfig', 'rank_triplets', 'visible_landmarks']
 
 # How many of the best triplets are looked at more closely, at first.
 _SHORTLIST = 24
@@ -44,7 +44,7 @@ def rank_triplets(
     camera: CameraModel,
     mount: PanTiltMount,
     config: TripletConfig,
-    gaze: Gaze | None = None,
+    camera_state: CameraState | None = None,
     previous: Triplet | None = None,
     found_rate: npt.ArrayLike | None = None,
     among: npt.ArrayLike | None = None,
@@ -76,34 +76,36 @@ def rank_triplets(
         `covariance` that of the base's pose, and `pan_rad` the first pan to look at.
 
     """
-    outlook = Outlook(prior, landmark_map, camera, mount, config, gaze or Gaze())
-    standing = outlook.standing()
-    usable = standing == Standing.USABLE
+    scene = PlanningScene(
+        prior, landmark_map, camera, mount, config, camera_state or CameraState()
+    )
+    visibility = scene.visibility()
+    usable = visibility == LandmarkVisibility.USABLE
     if among is not None:
         usable &= np.isin(landmark_map.ids, among)
     index = np.flatnonzero(usable)
     if len(index) < 3:
-        detail = f'{len(index)} of {len(standing)}'
-        return Ranking.none(Refusal('fewer than three landmarks are visible', detail), standing)
-    chance = np.ones(len(standing)) if found_rate is None else np.asarray(found_rate)
-    return _Contest(outlook, index, chance[index]).judge(previous, standing)
+        detail = f'{len(index)} of {len(visibility)}'
+        return Ranking.none(Refusal('fewer than three landmarks are visible', detail), visibility)
+    chance = np.ones(len(visibility)) if found_rate is None else np.asarray(found_rate)
+    return _TripletSearch(scene, index, chance[index]).judge(previous, visibility)
 
 
-class _Contest:
+class _TripletSearch:
     """Triplets of the landmarks `index` (n,), by the windows of pan that see them."""
 
-    def __init__(self, outlook: Outlook, index: IndexArray, chance: FloatArray) -> None:
-        self._outlook, self._map, self._config = outlook, outlook.landmark_map, outlook.config
-        self._windows = outlook.windows(index)
+    def __init__(self, scene: PlanningScene, index: IndexArray, chance: FloatArray) -> None:
+        self._scene, self._map, self._config = scene, scene.landmark_map, scene.config
+        self._windows = scene.windows(index)
         # From here on a landmark counts once for each turn of the axis that sees it.
         self._index, self._chance = index[self._windows.place], chance[self._windows.place]
         self._corners = self._map.corners[self._index]
-        delta = self._map.positions[self._index, :2] - outlook.axis.pose[:2]
-        points = _viewpoints(outlook.axis, float(np.hypot(*delta.T).min()))
+        delta = self._map.positions[self._index, :2] - scene.axis.pose[:2]
+        points = _viewpoints(scene.axis, float(np.hypot(*delta.T).min()))
         sigma = self._config.bearing_sigma_rad
         self._tables: PairTables = pair_tables(points, self._map, self._index, sigma)
 
-    def judge(self, previous: Triplet | None, standing: npt.NDArray[np.int8]) -> Ranking:
+    def judge(self, previous: Triplet | None, visibility: npt.NDArray[np.int8]) -> Ranking:
         """Find the best and compare it with what is being looked at."""
         triplets, tours, score = self._best(self._windows_of(previous))
         favoured = score.copy()
@@ -116,9 +118,9 @@ class _Contest:
         if not len(order):
             views = 'one view' if self._config.views == 'one' else 'the views'
             reason = Refusal(f'fewer than three landmarks fit {views}', 'of those visible')
-            return Ranking.none(reason, standing)
+            return Ranking.none(reason, visibility)
         tours = Tours(*(part[order] for part in tours))
-        return self._ranking(triplets[order], tours, score[order], standing)
+        return self._ranking(triplets[order], tours, score[order], visibility)
 
     def _best(self, kept: IndexArray) -> tuple[IndexArray, Tours, FloatArray]:
         """
@@ -142,7 +144,7 @@ class _Contest:
         """Tours of triplets (t, 3) that show all patches whole."""
         tours = self._windows.tours(triplets)
         corners = self._corners[triplets].reshape(-1, 4, 3)
-        whole = self._outlook.whole(corners, tours.pan_rad.reshape(-1))
+        whole = self._scene.whole(corners, tours.pan_rad.reshape(-1))
         good = whole.reshape(-1, 3).all(axis=1)
         return tours._replace(cost=np.where(good, tours.cost, np.inf))
 
@@ -174,34 +176,34 @@ class _Contest:
         triplets: IndexArray,
         tours: Tours,
         score: FloatArray,
-        standing: npt.NDArray[np.int8],
+        visibility: npt.NDArray[np.int8],
     ) -> Ranking:
         """Tell about triplets (m, 3) in order, the chosen one first."""
-        axis = self._outlook.axis
+        axis = self._scene.axis
         chosen = self._index[triplets]
         covariance = fix_covariances(
             axis.pose[:2], self._map, chosen, self._config.bearing_sigma_rad
         )
         sigma_m = np.sqrt(np.trace(covariance[:, :2, :2], axis1=1, axis2=2))
-        pan, seconds = tours.pan_rad, (tours.cost - 1.0) * self._config.look_s
+        pan, seconds = tours.pan_rad, (tours.cost - 1.0) * self._config.dwell_time_s
         best: Triplet | Refusal
         if sigma_m[0] > self._config.max_sigma_m:
             detail = f'the best promises {sigma_m[0]:.2f} m'
             best = Refusal('no triplet is accurate enough', detail)
         else:
-            bearing, sigma = self._outlook.expected_bearings(chosen[0])
+            bearing, sigma = self._scene.expected_bearings(chosen[0])
             fix = PoseEstimate(axis.stamp_ns, axis.pose, covariance[0])
             best = Triplet(
                 axis.stamp_ns,
                 self._map.ids[chosen[0]],
                 bearing,
                 sigma,
-                base_from_axis(fix, self._outlook.mount).covariance,
+                base_from_axis(fix, self._scene.mount).covariance,
                 float(self._nearest(pan[0])),
             )
         return Ranking(
             best,
-            standing,
+            visibility,
             self._map.ids[chosen],
             covariance,
             np.prod(self._chance[triplets], axis=-1),
@@ -213,7 +215,7 @@ class _Contest:
     def _nearest(self, pan_rad: FloatArray) -> float:
         """Where a tour of pans (3,) starts: at its end that is nearer to where it looks now."""
         ends = np.array([pan_rad.min(), pan_rad.max()])
-        now = self._outlook.gaze.pan_rad
+        now = self._scene.camera_state.pan_rad
         return float(ends[0] if now is None else ends[np.argmin(np.abs(ends - now))])
 
 

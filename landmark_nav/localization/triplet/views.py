@@ -142,7 +142,7 @@ class PanWindows:
         if self.config.views == 'one':
             way = np.where(across > 0.0, np.inf, way)
         seconds = travel_s(way, self.config.pan_rate_rad_s, self.config.pan_acceleration_rad_s2)
-        return np.asarray(1.0 + seconds / self.config.look_s)
+        return np.asarray(1.0 + seconds / self.config.dwell_time_s)
 
     @staticmethod
     def _stops(lower: FloatArray, upper: FloatArray) -> FloatArray:

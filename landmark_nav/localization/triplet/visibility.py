@@ -11,17 +11,17 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.observation import observed_well
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.localization.triplet.ranking import Standing
+from landmark_nav.localization.triplet.ranking import LandmarkVisibility
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 __all__ = [
     'TripletConfig',
     'axis_position',
+    'fully_in_view',
+    'landmark_visibilities',
     'observable',
-    'standings',
     'visible_landmarks',
-    'whole_in_view',
 ]
 
 
@@ -35,14 +35,14 @@ class TripletConfig(Config):
     min_sampling: float = parameter(
         0.5, 'Least sampling of a patch relative to its reference view.', minimum=0.01, maximum=1.0
     )
-    # Livatino and Madsen allow 2; a picture that is blurred as the patch is shows it from nearer.
+    # Livatino and Madsen allow 2; an image that is blurred as the patch is shows it from nearer.
     max_sampling: float = parameter(
         4.0, 'Greatest sampling relative to the reference view.', minimum=1.0, maximum=100.0
     )
     min_range_m: float = parameter(0.5, 'Least distance, m.', minimum=0.0, maximum=100.0)
     max_range_m: float = parameter(12.0, 'Greatest distance, m.', minimum=0.1, maximum=1000.0)
     border_px: float = parameter(
-        4.0, 'Rim of the picture that a patch must not touch, pixels.', minimum=0.0, maximum=1000.0
+        4.0, 'Rim of the image that a patch must not touch, pixels.', minimum=0.0, maximum=1000.0
     )
     margin_sigmas: float = parameter(
         3.0, 'Predicted bearing sigmas a patch must stay inside the view.', minimum=0.0
@@ -59,14 +59,14 @@ class TripletConfig(Config):
         'triplet_selector and triangulation_localizer.',
         choices=('one', 'several'),
     )
-    gather_s: float = parameter(
+    fix_window_s: float = parameter(
         5.0,
-        'How long several views may take, and a sighting counts towards a fix; also the same in '
+        'How long several views may take, and a detection counts towards a fix; also the same in '
         'both, s.',
         minimum=0.1,
         maximum=60.0,
     )
-    look_s: float = parameter(
+    dwell_time_s: float = parameter(
         1.0, 'Time of a look, beside which that of turning counts, s.', minimum=0.01
     )
     pan_rate_rad_s: float = parameter(1.0, 'Rate of the pan unit, rad/s.', minimum=0.01)
@@ -101,7 +101,7 @@ def visible_landmarks(
     """
     seen = observable(axis_position(prior.pose, mount), landmark_map, config)
     index = np.flatnonzero(seen)
-    inside = whole_in_view(
+    inside = fully_in_view(
         landmark_map.corners[index],
         prior.pose,
         camera,
@@ -123,21 +123,24 @@ def observable(
     viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
 ) -> npt.NDArray[np.bool_]:
     """Which landmarks (n,) look as learned from a viewer (3,)."""
-    return np.asarray(standings(viewer, landmark_map, config) == Standing.USABLE)
+    return np.asarray(
+        landmark_visibilities(viewer, landmark_map, config) == LandmarkVisibility.USABLE
+    )
 
 
-def standings(
+def landmark_visibilities(
     viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
 ) -> npt.NDArray[np.int8]:
     """
-    `Standing` of the landmarks (n,) seen from a viewer (3,): area, range, no wall between.
+    `LandmarkVisibility` of the landmarks (n,) seen from a viewer (3,): area, range, no wall
+    between.
 
-    Those without a size are points that other sensors see: no picture of them was learned.
+    Those without a size are points that other sensors see: no image of them was learned.
     """
     position = landmark_map.positions
     away = position[:, :2] - viewer[:2]
     distance = np.hypot(away[:, 0], away[:, 1])
-    standing = np.full(len(position), Standing.USABLE, dtype=np.int8)
+    visibility = np.full(len(position), LandmarkVisibility.USABLE, dtype=np.int8)
     well = observed_well(
         position,
         landmark_map.normals,
@@ -146,19 +149,21 @@ def standings(
         config.min_sampling,
         config.max_sampling,
     )
-    standing[~well] = Standing.OUTSIDE_AREA
-    standing[(distance < config.min_range_m) | (distance > config.max_range_m)] = (
-        Standing.OUT_OF_RANGE
+    visibility[~well] = LandmarkVisibility.OUTSIDE_AREA
+    visibility[(distance < config.min_range_m) | (distance > config.max_range_m)] = (
+        LandmarkVisibility.OUT_OF_RANGE
     )
-    standing[landmark_map.sizes_m.min(axis=1, initial=np.inf) <= 0.0] = Standing.NO_PICTURE
-    left = np.flatnonzero(standing == Standing.USABLE)
+    visibility[landmark_map.sizes_m.min(axis=1, initial=np.inf) <= 0.0] = (
+        LandmarkVisibility.NO_IMAGE
+    )
+    left = np.flatnonzero(visibility == LandmarkVisibility.USABLE)
     if landmark_map.walls and len(left):
         seen = _room(landmark_map.walls).visible(viewer[:2], position[left, :2])
-        standing[left[~seen]] = Standing.HIDDEN
-    return standing
+        visibility[left[~seen]] = LandmarkVisibility.HIDDEN
+    return visibility
 
 
-def whole_in_view(
+def fully_in_view(
     points_map: FloatArray,
     pose_map_base: FloatArray,
     camera: CameraModel,

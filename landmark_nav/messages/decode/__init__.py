@@ -25,7 +25,7 @@ from landmark_nav.messages.decode.joints import (
 )
 from landmark_nav.messages.decode.landmarks import landmark_map
 from landmark_nav.messages.decode.panoramas import panorama
-from landmark_nav.messages.decode.poses import found_place, odometry, pose_estimate
+from landmark_nav.messages.decode.poses import global_pose, odometry, pose_estimate
 
 __all__ = [
     'BitDepth',
@@ -36,7 +36,7 @@ __all__ = [
     'camera_model',
     'check_frame',
     'detections',
-    'found_place',
+    'global_pose',
     'image',
     'is_unstamped',
     'joint_delay',

@@ -1,4 +1,4 @@
-"""Panoramas: picture, geometry and place come as three messages."""
+"""Panoramas: image, geometry and place come as three messages."""
 
 from __future__ import annotations
 

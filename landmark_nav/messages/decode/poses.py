@@ -16,11 +16,11 @@ from landmark_nav.messages.decode.headers import (
     stamp_ns,
     yaw_rad,
 )
-from landmark_nav.messages.found_place import FoundPlace
-from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
+from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.messages.layouts import GLOBAL_POSE, PLANAR
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
-__all__ = ['FARTHEST_M', 'found_place', 'odometry', 'pose_covariance', 'pose_estimate']
+__all__ = ['FARTHEST_M', 'global_pose', 'odometry', 'pose_covariance', 'pose_estimate']
 
 # Half around the earth, m: in UTM coordinates, too, a robot is nearer to their origin.
 FARTHEST_M = 2.0e7
@@ -71,9 +71,9 @@ def pose_covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> F
     return np.asarray(covariance)
 
 
-def found_place(msg: Any) -> FoundPlace:
+def global_pose(msg: Any) -> GlobalPose:
     """
-    A place and what it was found from, out of ``found_place``.
+    A place and what it was found from, out of ``global_localization/pose``.
 
     Raises
     ------
@@ -81,17 +81,21 @@ def found_place(msg: Any) -> FoundPlace:
         Fields are missing or of another kind, no point, or values that are not numbers.
 
     """
-    points, stamp = unpack_cloud(msg, FOUND_PLACE), stamp_ns(msg.header)
+    points, stamp = unpack_cloud(msg, GLOBAL_POSE), stamp_ns(msg.header)
     if not len(points):
-        raise LandmarkNavError(f'found_place at {stamp * 1e-9:.3f} s names no landmark')
+        raise LandmarkNavError(
+            f'global_localization/pose at {stamp * 1e-9:.3f} s names no landmark'
+        )
     first = points[0]
-    return FoundPlace(
+    return GlobalPose(
         stamp,
-        finite(first['pose'], 'found_place pose', stamp, FARTHEST_M),
-        covariances(first['covariance'], 'found_place covariance', stamp, 3)[0],
-        landmark_ids(points['id'], 'found_place'),
-        float(finite(first['pan_rate'], 'found_place pan rate', stamp, _FASTEST)),
-        *seconds([first['joint_delay'], first['pan_delay']], 'found_place delay', stamp),
+        finite(first['pose'], 'global_localization/pose pose', stamp, FARTHEST_M),
+        covariances(first['covariance'], 'global_localization/pose covariance', stamp, 3)[0],
+        landmark_ids(points['id'], 'global_localization/pose'),
+        float(finite(first['pan_rate'], 'global_localization/pose pan rate', stamp, _FASTEST)),
+        *seconds(
+            [first['joint_delay'], first['pan_delay']], 'global_localization/pose delay', stamp
+        ),
     )
 
 

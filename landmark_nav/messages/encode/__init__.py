@@ -12,13 +12,13 @@ from landmark_nav.messages.encode.images import compressed_image, image
 from landmark_nav.messages.encode.joints import joint_delay, joint_state, sweep_trajectory
 from landmark_nav.messages.encode.landmarks import landmark_map
 from landmark_nav.messages.encode.panoramas import panorama
-from landmark_nav.messages.encode.poses import found_place, odometry, pose
+from landmark_nav.messages.encode.poses import global_pose, odometry, pose
 
 __all__ = [
     'camera_info',
     'compressed_image',
     'detections',
-    'found_place',
+    'global_pose',
     'header',
     'image',
     'joint_delay',

@@ -17,7 +17,7 @@ __all__ = ['detections', 'triplet']
 
 def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base_link') -> Any:
     """
-    Build the PointCloud2 of ``detections``, stamped with the picture.
+    Build the PointCloud2 of ``detections``, stamped with the image.
 
     What was looked for and not found follows as invalid points: NaN, with a score of 0.
     """

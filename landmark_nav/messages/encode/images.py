@@ -1,4 +1,4 @@
-"""Pictures."""
+"""Images."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from landmark_nav.types import ImageArray
 __all__ = ['compressed_image', 'image']
 
 
-def image(factory: MessageFactory, picture: ImageArray, stamp_ns: int, frame_id: str) -> Any:
+def image(factory: MessageFactory, pixels: ImageArray, stamp_ns: int, frame_id: str) -> Any:
     """Build a sensor_msgs/Image of grey (h, w), BGR (h, w, 3) or BGRA (h, w, 4)."""
-    channels = 1 if picture.ndim == 2 else picture.shape[2]
-    height, width = picture.shape[:2]
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    height, width = pixels.shape[:2]
     return factory(
         'sensor_msgs/msg/Image',
         header=header(factory, stamp_ns, frame_id),
@@ -27,13 +27,13 @@ def image(factory: MessageFactory, picture: ImageArray, stamp_ns: int, frame_id:
         encoding={1: 'mono8', 3: 'bgr8', 4: 'bgra8'}[channels],
         is_bigendian=0,
         step=width * channels,
-        data=np.ascontiguousarray(picture).reshape(-1),
+        data=np.ascontiguousarray(pixels).reshape(-1),
     )
 
 
 def compressed_image(
     factory: MessageFactory,
-    picture: ImageArray,
+    pixels: ImageArray,
     stamp_ns: int,
     frame_id: str,
     jpeg_quality: int = 90,
@@ -43,5 +43,5 @@ def compressed_image(
         'sensor_msgs/msg/CompressedImage',
         header=header(factory, stamp_ns, frame_id),
         format='jpeg',
-        data=encode_image(picture, '.jpg', [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]),
+        data=encode_image(pixels, '.jpg', [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]),
     )

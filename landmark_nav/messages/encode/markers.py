@@ -18,7 +18,7 @@ _CUBE, _SPHERE, _LINE_LIST, _TEXT = 1, 2, 5, 9
 _DELETE_ALL = 3
 
 _PLATE_RGBA = (0.10, 0.55, 0.35, 0.9)
-_DOUBT_RGBA = (0.95, 0.60, 0.10, 0.4)
+_UNCERTAINTY_RGBA = (0.95, 0.60, 0.10, 0.4)
 _TEXT_RGBA = (1.0, 1.0, 1.0, 1.0)
 _WALL_RGBA = (0.55, 0.55, 0.60, 1.0)
 
@@ -59,7 +59,13 @@ def _landmark(factory: MessageFactory, stamp: Any, landmark: Landmark) -> list[A
 
     return [
         marker('landmarks', _CUBE, upright(factory, x, y, z, yaw), plate, _PLATE_RGBA),
-        marker('doubt', _SPHERE, upright(factory, x, y, z, major), three_sigma, _DOUBT_RGBA),
+        marker(
+            'uncertainty',
+            _SPHERE,
+            upright(factory, x, y, z, major),
+            three_sigma,
+            _UNCERTAINTY_RGBA,
+        ),
         marker(
             'numbers',
             _TEXT,

@@ -14,11 +14,11 @@ from landmark_nav.messages.encode.headers import (
     vector,
 )
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.found_place import FoundPlace
-from landmark_nav.messages.layouts import FOUND_PLACE, PLANAR
+from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.messages.layouts import GLOBAL_POSE, PLANAR
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
-__all__ = ['found_place', 'odometry', 'pose']
+__all__ = ['global_pose', 'odometry', 'pose']
 
 _UNKNOWN: FloatArray = UNKNOWN_VARIANCE * np.eye(3)
 
@@ -75,9 +75,9 @@ def pose(factory: MessageFactory, estimate: PoseEstimate, frame_id: str = 'map')
     )
 
 
-def found_place(factory: MessageFactory, place: FoundPlace, frame_id: str = 'map') -> Any:
-    """Build the PointCloud2 of ``found_place``, stamped with the picture."""
-    points = np.zeros(len(place.ids), dtype=FOUND_PLACE.fields)
+def global_pose(factory: MessageFactory, place: GlobalPose, frame_id: str = 'map') -> Any:
+    """Build the PointCloud2 of ``global_localization/pose``, stamped with the image."""
+    points = np.zeros(len(place.ids), dtype=GLOBAL_POSE.fields)
     points['id'] = place.ids
     points['pose'] = place.pose
     points['covariance'] = place.covariance.reshape(-1)

@@ -1,4 +1,4 @@
-"""A sweep kept as a folder of pictures with ``frames.csv``."""
+"""A sweep kept as a folder of images with ``frames.csv``."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _MAX_LIST_BYTES, _MAX_SWEEP_PIXELS = 1_000_000, 300_000_000
 
 def read_sweep_folder(folder: Path | str) -> Sweep:
     """
-    Read the pictures that ``frames.csv`` (`file,pan_rad,focal_px,width,height`) lists.
+    Read the images that ``frames.csv`` (`file,pan_rad,focal_px,width,height`) lists.
 
     Their centre is the principal point; stamps just count.
 
     Raises
     ------
     LandmarkNavError
-        The list or a picture is missing, or a value does not fit.
+        The list or an image is missing, or a value does not fit.
 
     """
     folder = Path(folder)
@@ -65,21 +65,21 @@ def _frame(folder: Path, row: dict[str, str], number: int, where: str) -> Camera
     width, height = (int(_number(row, name, where)) for name in ('width', 'height'))
     file = row['file'] or ''
     try:
-        picture = read_image(folder / file)
+        image = read_image(folder / file)
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{where}: {error}') from error
-    # A camera held upright is often listed by its sensor's size: the picture knows better.
-    if sorted(picture.shape[:2]) != sorted((height, width)):
+    # A camera held upright is often listed by its sensor's size: the image knows better.
+    if sorted(image.shape[:2]) != sorted((height, width)):
         raise LandmarkNavError(
-            f'{where}: {shown(file)} is {picture.shape[1]} x {picture.shape[0]}, '
+            f'{where}: {shown(file)} is {image.shape[1]} x {image.shape[0]}, '
             f'not {width} x {height}'
         )
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     try:
         camera = CameraModel(width, height, focal, focal, (width - 1) / 2.0, (height - 1) / 2.0)
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{where}: {error}') from error
-    return CameraFrame(number, picture, camera, pan)
+    return CameraFrame(number, image, camera, pan)
 
 
 def _number(row: dict[str, str], name: str, where: str) -> float:

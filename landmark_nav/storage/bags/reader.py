@@ -154,7 +154,7 @@ class Bag:
         self.path = Path(path)
         self.warn = on_warning
         self._given = dict(topics or {})
-        self._said: set[str] = set()
+        self._informed: set[str] = set()
         try:
             self._files, self._by_message = open_files(self.path, on_warning)
         except OSError as error:
@@ -172,17 +172,17 @@ class Bag:
         self.duration_s = 1e-9 * (max((f.last_ns for f in filled), default=0) - self.start_ns)
         self.complete = all(file.complete for file in self._files)
 
-    def say(self, text: str) -> None:
+    def inform(self, text: str) -> None:
         """Pass a warning on, once."""
-        if text not in self._said:
-            self._said.add(text)
+        if text not in self._informed:
+            self._informed.add(text)
             self.warn(f'{self.path}: {text}')
 
     def warning_to(self, on_warning: Callable[[str], None]) -> Bag:
         """Return the same bag, which warns somebody else: for who looks before it is read."""
         other = copy(self)
         other.warn = on_warning
-        other._said = set()
+        other._informed = set()
         return other
 
     def find(self, name: str) -> str | None:
@@ -201,7 +201,7 @@ class Bag:
             raise LandmarkNavError(f'{self.path}: {error}') from error
         given = {other.strip('/') for other in self._given.values()}
         if topic is not None and topic.strip('/') not in {name, *given}:
-            self.say(f'{topic} is taken for {name}')
+            self.inform(f'{topic} is taken for {name}')
         return topic
 
     def given(self, name: str) -> str:
@@ -269,7 +269,7 @@ class Bag:
             first = islice(self.messages([topic]), _STAMPS)
             self._unstamped[topic] = not any(entry.header_ns for entry in first)
             if self._unstamped[topic]:
-                self.say(f'{topic} has stamps of 0: the time of recording is taken')
+                self.inform(f'{topic} has stamps of 0: the time of recording is taken')
         return self._unstamped[topic]
 
     @cached_property

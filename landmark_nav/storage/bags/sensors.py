@@ -8,8 +8,8 @@ from dataclasses import replace
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
+from landmark_nav.storage.bags.message_filter import MessageFilter
 from landmark_nav.storage.bags.reader import Bag, BagMessage, once
-from landmark_nav.storage.bags.sieve import Sieve
 from landmark_nav.storage.bags.timelines import CameraInfos, JointLog
 from landmark_nav.storage.bags.truth import truth_decoder
 from landmark_nav.types import (
@@ -24,7 +24,7 @@ __all__ = ['SensorEvent', 'sensor_events']
 
 SensorEvent = CameraFrame | Detections | OdometrySample | PoseEstimate
 
-_PICTURES = ('camera/image_raw', 'camera/image_raw/compressed')
+_IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
 
 
 def sensor_events(
@@ -37,11 +37,11 @@ def sensor_events(
     """
     What a drive's bag holds, in the order it was recorded.
 
-    Of one moment the pictures come last, as nodes wait for what belongs to them. They are grey,
+    Of one moment the images come last, as nodes wait for what belongs to them. They are grey,
     with pan and tilt interpolated at their stamps. Stamps of joint states, images and odometry
     that are late by a known delay are put right by it. Ground truth, if there is any, comes as
     `PoseEstimate`. What cannot be used, such as a value that is not a number, is left out and
-    said through ``bag.warn``. A bag without pictures may bring ``detections`` instead, of this
+    said through ``bag.warn``. A bag without images may bring ``detections`` instead, of this
     package or another sensor.
 
     Raises
@@ -50,10 +50,10 @@ def sensor_events(
         A topic is missing, or nothing of it can be used.
 
     """
-    if not any(bag.find(name) for name in _PICTURES) and bag.find('detections'):
+    if not any(bag.find(name) for name in _IMAGES) and bag.find('detections'):
         yield from _detections_and_motion(bag)
         return
-    images = bag.require(*_PICTURES)
+    images = bag.require(*_IMAGES)
     odometry = bag.require('odom')
     cameras = CameraInfos.read(bag, 'camera/camera_info')
     joints = JointLog.read(bag, mount)
@@ -68,8 +68,8 @@ def sensor_events(
     }
     if truth is not None:
         decoders[truth] = truth_decoder(bag, truth)
-    messages = _pictures_last(once(bag.messages(decoders)), images)
-    yield from _usable(bag, messages, decoders, {images: 'pictures'})
+    messages = _images_last(once(bag.messages(decoders)), images)
+    yield from _usable(bag, messages, decoders, {images: 'images'})
 
 
 def _usable(
@@ -80,19 +80,19 @@ def _usable(
 ) -> Iterator[SensorEvent]:
     """What messages hold, those left out that are bad input; told by the `names` of topics."""
     truth = bag.find('ground_truth/odom')
-    sieves = {
-        topic: Sieve(bag, topic, names.get(topic, 'messages'), needed=topic != truth)
+    filters = {
+        topic: MessageFilter(bag, topic, names.get(topic, 'messages'), needed=topic != truth)
         for topic in decoders
     }
     for entry in messages:
-        event = sieves[entry.topic].take(decoders[entry.topic], entry)
+        event = filters[entry.topic].take(decoders[entry.topic], entry)
         if event is not None:
             yield event
-    for sieve in sieves.values():
-        sieve.tell()
+    for message_filter in filters.values():
+        message_filter.report()
 
 
-def _pictures_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMessage]:
+def _images_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMessage]:
     """Messages with those on the topic `images` behind others that were recorded with them."""
     held: list[BagMessage] = []
     for entry in messages:
@@ -107,7 +107,7 @@ def _pictures_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagM
 
 
 def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
-    """Bearings that somebody else found in pictures that are not kept."""
+    """Bearings that somebody else found in images that are not kept."""
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
         bag.require('detections'): lambda entry: decode.detections(entry.message),
         bag.require('odom'): lambda entry: decode.odometry(entry.message),

@@ -12,8 +12,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.coverage import describe_coverage, unseen_arcs
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.coverage import check_coverage
+from landmark_nav.storage.bags.message_filter import MessageFilter, naming
 from landmark_nav.storage.bags.reader import Bag, BagMessage, once
-from landmark_nav.storage.bags.sieve import naming, Sieve
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
 
@@ -111,12 +111,12 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
 
 def _numbers(bag: Bag, topic: str) -> dict[int, int]:
     """Stamps of the images of a topic; which of them each is, counted from 1."""
-    sieve = Sieve(bag, topic, 'images')
+    message_filter = MessageFilter(bag, topic, 'images')
     stamps = [
-        sieve.take(lambda entry: decode.stamp_ns(entry.message.header), entry)
+        message_filter.take(lambda entry: decode.stamp_ns(entry.message.header), entry)
         for entry in bag.messages([topic])
     ]
-    sieve.tell()
+    message_filter.report()
     return {stamp: number for number, stamp in enumerate(stamps, 1) if stamp is not None}
 
 

@@ -1,4 +1,4 @@
-"""What is needed at the stamp of a picture: pan and tilt, and the calibration."""
+"""What is needed at the stamp of an image: pan and tilt, and the calibration."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.messages import decode
 from landmark_nav.messages.decode import JointNames
+from landmark_nav.storage.bags.message_filter import MessageFilter
 from landmark_nav.storage.bags.reader import Bag, BagMessage
-from landmark_nav.storage.bags.sieve import Sieve
 from landmark_nav.storage.bags.transforms import joints_of_transforms
 from landmark_nav.types import JointSample, Refusal
 
@@ -28,7 +28,7 @@ _SAME_TIME_NS = 2_000_000
 # A joint that is sent on step by step turns by so much faster and slower, ten times a second.
 # Joint states do not show it if they are as far apart, and in part if over half of that.
 _UNEVEN, _UNEVEN_NS = 0.2, 100_000_000
-# Joint states may be late by so much: as far the pan is told before and after a picture.
+# Joint states may be late by so much: as far the pan is told before and after an image.
 _TRACK_NS = 400_000_000
 # Joint states older by this are not late: the clock was set back.
 _CLOCK_STEP_NS = 500_000_000
@@ -133,7 +133,7 @@ class JointHistory:
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:
         """Read all angles of a bag of one clock; see `JointLog.read`."""
         logged, tilts = logged_joints(bag, mount)
-        return cls((sample for _, sample in logged), (told for _, told in tilts))
+        return cls((sample for _, sample in logged), (tilt for _, tilt in tilts))
 
 
 class JointLog:
@@ -161,8 +161,8 @@ class JointLog:
             parts[-1].append((log_ns, sample))
         set_back_ns = [part[0][0] for part in parts[1:]]
         by_part: list[list[tuple[int, float]]] = [[] for _ in parts]
-        for log_ns, told in tilts:
-            by_part[bisect_right(set_back_ns, log_ns)].append(told)
+        for log_ns, tilt in tilts:
+            by_part[bisect_right(set_back_ns, log_ns)].append(tilt)
         self._parts = [
             (
                 JointHistory((sample for _, sample in part), own),
@@ -215,7 +215,7 @@ def logged_joints(bag: Bag, mount: PanTiltMount) -> _Logged:
 
 def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
     """Angles of a topic; once more from its begin where a later message brings the pan joint."""
-    sieve = Sieve(bag, topic)
+    message_filter = MessageFilter(bag, topic)
     logged: list[tuple[int, JointSample]] = []
     tilts: list[tuple[int, tuple[int, float]]] = []
     mount, taken = names.mount, None
@@ -227,16 +227,16 @@ def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
         return decode.lone_tilt(entry.message, mount) if sample is None else sample
 
     for entry in bag.messages([topic]):
-        found = sieve.take(angles, entry)
+        found = message_filter.take(angles, entry)
         if isinstance(found, JointSample):
             logged.append((entry.stamp_ns, found))
         elif found is not None:
             tilts.append((entry.stamp_ns, found))
     if names.mount != mount:
         if taken:
-            bag.say(f'{topic}: {taken}')
+            bag.inform(f'{topic}: {taken}')
         return _of_topic(bag, topic, names)
-    sieve.tell()
+    message_filter.report()
     return logged, tilts
 
 
@@ -252,7 +252,7 @@ def _check_radians(samples: Sequence[JointSample], where: str) -> None:
 
 
 class CameraInfos:
-    """Calibrations by time; drivers publish them before or after the picture they belong to."""
+    """Calibrations by time; drivers publish them before or after the image they belong to."""
 
     def __init__(self, stamped: Iterable[tuple[int, decode.CameraInfo]]) -> None:
         """Sort by time; there must be one."""
@@ -272,10 +272,10 @@ class CameraInfos:
         def calibration(entry: BagMessage) -> decode.CameraInfo:
             return decode.camera_info(entry.message)
 
-        sieve, stamped = Sieve(bag, topic), []
+        message_filter, stamped = MessageFilter(bag, topic), []
         for entry in bag.messages([topic]):
-            info = sieve.take(calibration, entry)
+            info = message_filter.take(calibration, entry)
             if info is not None:
                 stamped.append((decode.stamp_ns(entry.message.header), info))
-        sieve.tell()
+        message_filter.report()
         return cls(stamped)

@@ -35,7 +35,7 @@ TOPIC_TYPES = {
     'triangulation/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
     'cmd_vel': 'geometry_msgs/msg/Twist',
     'initialpose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
-    'found_place': 'sensor_msgs/msg/PointCloud2',
+    'global_localization/pose': 'sensor_msgs/msg/PointCloud2',
     'odometry/fused': 'nav_msgs/msg/Odometry',
     'joint_delay': 'sensor_msgs/msg/PointCloud2',
     'tf': 'tf2_msgs/msg/TFMessage',

@@ -12,8 +12,8 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.rotation import rotation_rpy
 from landmark_nav.messages import decode
+from landmark_nav.storage.bags.message_filter import MessageFilter
 from landmark_nav.storage.bags.reader import Bag, BagMessage
-from landmark_nav.storage.bags.sieve import Sieve
 from landmark_nav.storage.bags.topics import listed
 from landmark_nav.types import FloatArray, JointSample
 
@@ -88,7 +88,7 @@ def joints_of_transforms(
                 )
             pan_rad = math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
             found.append((log_ns, JointSample(stamp_ns, pan_rad, tilt_rad)))
-    bag.say(f'the pan is taken from {topic}, as {pan_frame} turns')
+    bag.inform(f'the pan is taken from {topic}, as {pan_frame} turns')
     return found
 
 
@@ -107,9 +107,9 @@ def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArr
             for one in entry.message.transforms
         ]
 
-    sieve = Sieve(bag, topic)
-    taken = [sieve.take(rotations, entry) or [] for entry in bag.messages([topic])]
-    sieve.tell()
+    message_filter = MessageFilter(bag, topic)
+    taken = [message_filter.take(rotations, entry) or [] for entry in bag.messages([topic])]
+    message_filter.report()
     return [one for part in taken for one in part]
 
 

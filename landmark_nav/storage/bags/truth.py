@@ -49,7 +49,7 @@ def _shift_ns(bag: Bag, topic: str) -> int:
     spread_ns = float(np.median(np.abs(behind - shift_ns)))
     if abs(shift_ns) < _OTHER_CLOCK_NS or spread_ns > _STEADY_NS:
         return 0
-    bag.say(
+    bag.inform(
         f'{topic} is on another clock, {-1e-9 * shift_ns:+.3f} s off that of {beside}: its errors '
         'are taken with that put right'
     )

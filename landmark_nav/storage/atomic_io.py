@@ -15,14 +15,14 @@ import sys
 
 from landmark_nav.errors import LandmarkNavError, why
 
-__all__ = ['check_new', 'check_writable', 'left_over', 'whole_folder', 'write_whole']
+__all__ = ['atomic_folder', 'check_new', 'check_writable', 'left_over', 'write_atomically']
 
 # What /dev/stdout and /dev/fd/3 lead to: an open file of this process. It has no name.
 _DESCRIPTOR = re.compile(rf'/(?:dev|proc/(?:self|thread-self|{os.getpid()}))/fd/(\d+)')
 
 
 @contextmanager
-def whole_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator[Path]:
+def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator[Path]:
     """
     Fill a hidden folder, which takes the place of `folder` if nothing goes wrong.
 
@@ -90,7 +90,7 @@ def check_new(overwrite: bool, *outputs: Path) -> None:
         )
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_atomically(path: Path, content: str | bytes) -> None:
     """
     Write a file, in place of the one that is there, and the folders above it.
 
@@ -190,7 +190,7 @@ def check_writable(*files: Path | None) -> None:
 
 
 def left_over(folder: Path) -> Path | None:
-    """What `whole_folder` moved aside for a new one that never came: it was killed in between."""
+    """What `atomic_folder` moved aside for a new one that never came: it was killed in between."""
     target = Path(os.path.realpath(folder))
     aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
     return aside[-1] if aside else None

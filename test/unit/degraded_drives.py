@@ -7,7 +7,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from picture_drives import drive, error_of, FRAME_NS, MAP, MOUNT, picture, START, START_SIGMA, Step
+from rendered_drives import (
+    camera_image,
+    drive,
+    error_of,
+    FRAME_NS,
+    MAP,
+    MOUNT,
+    START,
+    START_SIGMA,
+    Step,
+)
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
@@ -31,13 +41,13 @@ Change = Callable[[Step, CameraFrame | None], Sensed]
 
 
 def sensed_drive() -> list[Sensed]:
-    """A drive: truth and odometry, every eighth time a picture."""
+    """A drive: truth and odometry, every eighth time an image."""
     rng = np.random.default_rng(5)
     found: list[Sensed] = []
     for step in drive(rng, SECONDS):
         frame = None
         if step.stamp_ns % FRAME_NS == 0:
-            frame = picture(step.pose, pan_rad(step.stamp_ns * 1e-9), rng)
+            frame = camera_image(step.pose, pan_rad(step.stamp_ns * 1e-9), rng)
             frame = replace(frame, stamp_ns=step.stamp_ns)
         found.append((step, frame))
     return found
@@ -45,7 +55,7 @@ def sensed_drive() -> list[Sensed]:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """After a picture: seconds since the fault, verdict, error, and sigmas of the pose."""
+    """After an image: seconds since the fault, verdict, error, and sigmas of the pose."""
 
     after_s: float
     status: str
@@ -72,7 +82,7 @@ def run(
     """
     Drive with what `change` makes of each moment after the fault begins.
 
-    Pictures come after so many samples of odometry that are newer.
+    Images come after so many samples of odometry that are newer.
     """
     on_the_way: deque[Sensed] = deque()
     localizer = Localizer(landmarks, mount, config or LocalizationConfig())
@@ -102,8 +112,8 @@ def untouched(step: Step, frame: CameraFrame | None) -> Sensed:
     return step, frame
 
 
-def check_honest(moments: list[Moment]) -> None:
-    """Never sure and wrong: three numbers whose errors are Gaussian reach 40 once in 10^8."""
+def check_consistent(moments: list[Moment]) -> None:
+    """No undetected failure: three numbers whose errors are Gaussian reach 40 once in 10^8."""
     for moment in moments:
         assert moment.status != 'tracking' or moment.after_s < 2.0 or moment.nees < 40.0
 

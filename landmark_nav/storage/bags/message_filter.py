@@ -13,18 +13,18 @@ from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.bags.reader import Bag, BagMessage
 
-__all__ = ['Sieve', 'naming', 'strays']
+__all__ = ['MessageFilter', 'naming', 'wrong_stamps']
 
 T = TypeVar('T')
 
 
 # Stamps that differ by more from the time of recording than those around them are wrong.
-_STRAY_NS = 500_000_000
+_WRONG_STAMP_NS = 500_000_000
 # So many messages around each show what is usual; a clock that is set back changes it for all.
 _AROUND = 5
 
 
-def strays(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
+def wrong_stamps(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
     """
     Messages whose stamps are wrong, by log time and stamp; by how much, nanoseconds.
 
@@ -40,7 +40,7 @@ def strays(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
     middle = _AROUND // 2
     at = np.clip(np.arange(len(offsets)), middle, len(offsets) - 1 - middle)
     off = offsets - median_filter(offsets, _AROUND)[at]
-    wrong = np.flatnonzero(np.abs(off) > _STRAY_NS)
+    wrong = np.flatnonzero(np.abs(off) > _WRONG_STAMP_NS)
     return {(int(stamps_ns[k, 0]), int(stamps_ns[k, 1])): int(off[k]) for k in wrong}
 
 
@@ -61,7 +61,7 @@ def naming(bag: Bag, topic: str) -> Iterator[None]:
         ) from error
 
 
-class Sieve:
+class MessageFilter:
     """
     Leaves out what of a topic cannot be used, and says so once.
 
@@ -85,7 +85,7 @@ class Sieve:
         self, bag: Bag, topic: str, what: str = 'messages', *, needed: bool = True
     ) -> None:
         self._bag, self._topic, self._what, self._needed = bag, topic, what, needed
-        self._stray_ns = strays(bag.stamps_ns.get(topic, np.empty((0, 2), np.int64)))
+        self._wrong_stamp_ns = wrong_stamps(bag.stamps_ns.get(topic, np.empty((0, 2), np.int64)))
         self._used = 0
         self._complaints: list[str] = []
 
@@ -93,7 +93,9 @@ class Sieve:
         """What `decode` makes of a message; None if that is bad input."""
         try:
             with naming(self._bag, self._topic):
-                if (off_ns := self._stray_ns.get((entry.stamp_ns, entry.header_ns))) is not None:
+                if (
+                    off_ns := self._wrong_stamp_ns.get((entry.stamp_ns, entry.header_ns))
+                ) is not None:
                     raise LandmarkNavError(
                         f'the stamp {1e-9 * entry.header_ns:.3f} s is {1e-9 * off_ns:+.3f} s off '
                         'those around it: its publisher must stamp it'
@@ -105,7 +107,7 @@ class Sieve:
         self._used += 1
         return event
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Warn of what was left out; `LandmarkNavError` if that was all."""
         if not self._complaints:
             return

@@ -3,7 +3,7 @@ Landmarks found without a prior pose: each is searched at any azimuth, range and
 
 With a wide prior, the search is limited to those that the prior allows.
 
-A picture is resampled onto an upright cylinder around its optical centre. There a patch on a wall
+An image is resampled onto an upright cylinder around its optical centre. There a patch on a wall
 only shrinks with its range and narrows with its slant. A landmark that hangs `dz` above the camera
 appears at the tangent `dz / range`, so each range is searched in its own narrow band of rows, and
 the row of a match measures its range.
@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.relocalization.looks import (
-    any_look,
-    Look,
-    open_looks,
+from landmark_nav.localization.relocalization.search_ranges import (
+    any_range,
     RANGE_SIGMA,
+    SearchRange,
+    unhidden_ranges,
 )
 from landmark_nav.localization.relocalization.strip import Strip
 from landmark_nav.types import (
@@ -34,13 +34,13 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-__all__ = ['Sightings', 'find_sightings']
+__all__ = ['CandidateDetections', 'find_candidate_detections']
 
 
-# Share of the pictures' resolution to work at, and the least template there, pixels.
+# Share of the images' resolution to work at, and the least template there, pixels.
 _RESOLUTION = 0.5
 _MIN_SIZE_PX = 8
-# Least correlation of a sighting, and how many of a landmark are kept in a picture.
+# Least correlation of a detection, and how many of a landmark are kept in an image.
 _MIN_SCORE = 0.72
 _PER_VIEW = 2
 # Error of the tangent of elevation.
@@ -48,9 +48,9 @@ _TANGENT_SIGMA = 0.004
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class CandidateDetections:
     """
-    Where landmarks may have been seen, arrays over n sightings.
+    Where landmarks may have been seen, arrays over n detections.
 
     `landmark` (n,) is the column in the map; `azimuth_rad` (n,) and `range_m` (n,), horizontal,
     are seen from `center` (n, 2), the optical centre, all in a base frame; `range_sigma` (n,) is
@@ -69,24 +69,28 @@ class Sightings:
         return len(self.landmark)
 
     @staticmethod
-    def joined(parts: Sequence[Sightings]) -> Sightings:
+    def joined(parts: Sequence[CandidateDetections]) -> CandidateDetections:
         """Concatenate several, which must share a frame."""
-        names = [field.name for field in fields(Sightings)]
+        names = [field.name for field in fields(CandidateDetections)]
         if not parts:
             none = np.zeros(0)
-            return Sightings(none.astype(np.intp), none, none, none, np.zeros((0, 2)), none)
-        return Sightings(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+            return CandidateDetections(
+                none.astype(np.intp), none, none, none, np.zeros((0, 2)), none
+            )
+        return CandidateDetections(
+            *(np.concatenate([getattr(p, n) for p in parts]) for n in names)
+        )
 
 
-def find_sightings(
+def find_candidate_detections(
     frame: CameraFrame,
     landmark_map: LandmarkMap,
     mount: PanTiltMount,
     prior: PoseEstimate | None = None,
-    lean_sigma_rad: float = 0.0,
-) -> Sightings:
+    tilt_sigma_rad: float = 0.0,
+) -> CandidateDetections:
     """
-    Look for every landmark everywhere in a picture.
+    Look for every landmark everywhere in an image.
 
     Parameters
     ----------
@@ -98,21 +102,21 @@ def find_sightings(
 
     Returns
     -------
-    Sightings
-        In the base frame of the picture's time; most of them are wrong.
+    Detections
+        In the base frame of the image's time; most of them are wrong.
 
     """
     strip, landmarks = Strip(frame, mount, _RESOLUTION), landmark_map.landmarks
     if prior is None:
-        looks = {k: any_look(landmark, strip) for k, landmark in enumerate(landmarks)}
+        search_ranges = {k: any_range(landmark, strip) for k, landmark in enumerate(landmarks)}
     else:
-        looks = open_looks(prior, landmark_map, strip)
-    sigma = float(np.hypot(_TANGENT_SIGMA, lean_sigma_rad))
+        search_ranges = unhidden_ranges(prior, landmark_map, strip)
+    sigma = float(np.hypot(_TANGENT_SIGMA, tilt_sigma_rad))
     found = []
-    for k, look in looks.items():
+    for k, look in search_ranges.items():
         profile = _search(landmarks[k], look, strip, sigma)
         found.append(_measured(k, landmarks[k], profile, strip, sigma))
-    return Sightings.joined(found)
+    return CandidateDetections.joined(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +129,7 @@ class _Profile:
     half_width: FloatArray
 
 
-def _search(landmark: Landmark, look: Look, strip: Strip, tangent_sigma: float) -> _Profile:
+def _search(landmark: Landmark, look: SearchRange, strip: Strip, tangent_sigma: float) -> _Profile:
     columns = len(strip.azimuth)
     best = np.full(columns, -1.0, np.float32)
     tangent, reach, half_width = np.zeros(columns), np.ones(columns), np.ones(columns)
@@ -142,8 +146,8 @@ def _search(landmark: Landmark, look: Look, strip: Strip, tangent_sigma: float) 
         if height < _MIN_SIZE_PX or bottom - top + 1 < height:
             continue
         band = strip.image[top : bottom + 1, first:end]
-        for narrowing in look.narrowings:
-            width = round(landmark.width_m * narrowing / distance * strip.px_per_rad)
+        for foreshortening in look.foreshortenings:
+            width = round(landmark.width_m * foreshortening / distance * strip.px_per_rad)
             if not _MIN_SIZE_PX <= width <= end - first:
                 continue
             template = cv2.resize(landmark.patch, (width, height), interpolation=cv2.INTER_AREA)
@@ -163,7 +167,7 @@ def _search(landmark: Landmark, look: Look, strip: Strip, tangent_sigma: float) 
 
 def _measured(
     index: int, landmark: Landmark, profile: _Profile, strip: Strip, tangent_sigma: float
-) -> Sightings:
+) -> CandidateDetections:
     """The best peaks of a landmark's profile, with the range that they tell."""
     columns = _peaks(profile)
     tangent, reach = profile.tangent[columns], profile.reach[columns]
@@ -178,7 +182,7 @@ def _measured(
     by_scale = RANGE_SIGMA**-2
     log_height = np.log(np.where(usable, by_height, 1.0))
     log_range = (weight * log_height + by_scale * np.log(reach)) / (weight + by_scale)
-    return Sightings(
+    return CandidateDetections(
         np.full(len(columns), index, dtype=np.intp),
         strip.azimuth[columns],
         np.exp(log_range),

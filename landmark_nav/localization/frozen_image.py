@@ -1,4 +1,4 @@
-"""A camera that shows the same picture again and again."""
+"""A camera that shows the same image again and again."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import relative
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, OdometrySample
 
-__all__ = ['FrozenPicture']
+__all__ = ['FrozenImage']
 
-# A camera that turned by so many pixels, or moved by so much, sees another picture.
+# A camera that turned by so many pixels, or moved by so much, sees another image.
 _MOVED_PX, _MOVED_M = 1.0, 0.02
 
 
-class FrozenPicture:
+class FrozenImage:
     """
-    Recognises pictures that equal an earlier one although the camera has moved.
+    Recognises images that equal an earlier one although the camera has moved.
 
     Joints and odometry tell whether it has: a pose in map is also put right where nothing moves.
     """
@@ -30,13 +30,13 @@ class FrozenPicture:
         self._pose_odom = sample.pose_odom_base
 
     def repeats(self, frame: CameraFrame) -> bool:
-        """Whether a picture, taken after the last odometry, equals one from elsewhere exactly."""
+        """Whether an image, taken after the last odometry, equals one from elsewhere exactly."""
         if self._first is None or not _same(frame.image, self._first[0].image):
             self._first = frame, self._pose_odom
             return False
         before, there = self._first
         if not np.ptp(frame.image):
-            # The lens is covered: then all pictures are the same.
+            # The lens is covered: then all images are the same.
             return False
         forward, left, heading = relative(there, self._pose_odom).tolist()
         aside = wrap_rad(frame.pan_rad + heading - before.pan_rad)
@@ -45,6 +45,6 @@ class FrozenPicture:
 
 
 def _same(image: ImageArray, other: ImageArray) -> bool:
-    # A few rows tell almost all pictures apart.
+    # A few rows tell almost all images apart.
     few = slice(None, None, 16)
     return np.array_equal(image[few], other[few]) and np.array_equal(image, other)

@@ -1,7 +1,7 @@
 """
 Landmarks among things that have changed.
 
-Pictures are exchanged, and shelves moved, as a whole. What is found where all around it is missing
+Posters are exchanged, and shelves moved, as a whole. What is found where all around it is missing
 may belong to what hangs there now: posters have the same heads, and frames stay.
 """
 
@@ -14,16 +14,16 @@ from scipy.spatial import cKDTree
 
 from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['Company']
+__all__ = ['NeighbourConsistency']
 
 # Neighbours are on the same wall (cosine of the angle between normals) and so near.
 _NEAR_M, _SAME_WALL = 0.5, 0.9
-# How far off is what is found then (RMS, in twenty simulated rooms with one picture in five
+# How far off is what is found then (RMS, in twenty simulated rooms with one image in five
 # exchanged; elsewhere 1 mm).
 _OFF_M = 0.01
 
 
-class Company:
+class NeighbourConsistency:
     """Whether the neighbours of the landmarks of a map were found when they were looked for."""
 
     def __init__(self, landmark_map: LandmarkMap) -> None:
@@ -38,7 +38,7 @@ class Company:
         self._near = coo_array((np.ones(both.shape[1]), tuple(both)), (count, count)).tocsr()
 
     def note(self, found: npt.NDArray[np.intp], missed: npt.NDArray[np.intp]) -> None:
-        """Take note of what came of a picture: columns of the map."""
+        """Take note of what came of an image: columns of the map."""
         self._looked[found] = self._looked[missed] = 1.0
         self._found[found], self._found[missed] = 1.0, 0.0
 

@@ -10,12 +10,12 @@ from types import FrameType
 
 from landmark_nav.ros.exit_timer import ExitTimer
 
-__all__ = ['EndSignals']
+__all__ = ['ShutdownGuard']
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-class EndSignals:
+class ShutdownGuard:
     """
     Context manager, for the main thread: a signal asks for the end, and sees that it comes.
 
@@ -36,7 +36,7 @@ class EndSignals:
         self._timer = ExitTimer(grace_s)
         self._thread = Thread(target=self._watch, name='end signals', daemon=True)
 
-    def __enter__(self) -> EndSignals:
+    def __enter__(self) -> ShutdownGuard:
         """From here on nothing else acts on the signals."""
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)

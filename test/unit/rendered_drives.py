@@ -1,4 +1,4 @@
-"""Seeded drives past walls of pictures: a small camera, a map a few millimetres off."""
+"""Seeded drives past walls of posters: a small camera, a map a few millimetres off."""
 
 from __future__ import annotations
 
@@ -72,7 +72,9 @@ def drive(rng: np.random.Generator, seconds: float) -> Iterator[Step]:
         wheel = se2.compose(wheel, felt)
 
 
-def picture(pose: FloatArray, pan: float, rng: np.random.Generator | None = None) -> CameraFrame:
+def camera_image(
+    pose: FloatArray, pan: float, rng: np.random.Generator | None = None
+) -> CameraFrame:
     return draw_frame(SCENE, LENS, MOUNT, pose, pan, rng=rng)
 
 

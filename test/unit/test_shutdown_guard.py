@@ -10,7 +10,7 @@ import textwrap
 
 import pytest
 
-from landmark_nav.ros.end_signals import EndSignals
+from landmark_nav.ros.shutdown_guard import ShutdownGuard
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 
@@ -19,7 +19,7 @@ def run(body: str) -> subprocess.CompletedProcess[str]:
     """A process that sends itself the signals; SIGINT is ignored as in a shell's background."""
     head = """
         import os, signal, threading
-        from landmark_nav.ros.end_signals import EndSignals
+        from landmark_nav.ros.shutdown_guard import ShutdownGuard
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     """
     return subprocess.run(
@@ -34,7 +34,7 @@ def run(body: str) -> subprocess.CompletedProcess[str]:
 def test_those_who_wait_are_asked_to_leave(number: signal.Signals) -> None:
     done = run(f"""
         asked = threading.Event()
-        with EndSignals(asked.set, 20.0):
+        with ShutdownGuard(asked.set, 20.0):
             os.kill(os.getpid(), {int(number)})
             asked.wait()
             os.kill(os.getpid(), {int(number)})
@@ -47,7 +47,7 @@ def test_those_who_wait_are_asked_to_leave(number: signal.Signals) -> None:
 def test_who_does_not_leave_is_ended(number: signal.Signals) -> None:
     # The signal comes in another thread, while the main one waits for good.
     done = run(f"""
-        with EndSignals(lambda: print('asked', flush=True), 0.2):
+        with ShutdownGuard(lambda: print('asked', flush=True), 0.2):
             threading.Timer(0.1, os.kill, (os.getpid(), {int(number)})).start()
             signal.pthread_sigmask(signal.SIG_BLOCK, {{ {int(number)} }})
             threading.Event().wait()
@@ -55,9 +55,9 @@ def test_who_does_not_leave_is_ended(number: signal.Signals) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, 'asked\n', '')
 
 
-def test_who_was_told_to_leave_without_a_signal_is_ended_too() -> None:
+def test_who_was_asked_to_leave_without_a_signal_is_ended_too() -> None:
     done = run("""
-        with EndSignals(lambda: None, 0.2) as signals:
+        with ShutdownGuard(lambda: None, 0.2) as signals:
             signals.expect_end()
             threading.Event().wait()
     """)
@@ -68,7 +68,7 @@ def test_who_holds_the_interpreter_is_ended() -> None:
     done = run("""
         import re
         asked = threading.Event()
-        with EndSignals(asked.set, 0.2):
+        with ShutdownGuard(asked.set, 0.2):
             os.kill(os.getpid(), signal.SIGTERM)
             asked.wait()
             re.match('(a|a)*c', 'a' * 60 + 'b')
@@ -80,7 +80,7 @@ def test_afterwards_signals_are_what_they_were() -> None:
     before = {number: signal.getsignal(number) for number in SIGNALS}
     asked: list[int] = []
     for _ in range(3):
-        with EndSignals(lambda: asked.append(1), 0.0):
+        with ShutdownGuard(lambda: asked.append(1), 0.0):
             pass
     assert {number: signal.getsignal(number) for number in SIGNALS} == before
     if callable(before[signal.SIGINT]):

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from landmark_nav.ros.latency import Latency
-from landmark_nav.ros.newest_first import NewestFirst
+from landmark_nav.ros.latest_only_worker import LatestOnlyWorker
 
 
 def test_what_waits_makes_way_for_what_is_newer() -> None:
@@ -20,7 +20,7 @@ def test_what_waits_makes_way_for_what_is_newer() -> None:
         go.wait(5.0)
         done.append(number)
 
-    worker = NewestFirst(work)
+    worker = LatestOnlyWorker(work)
     worker.take(0)
     assert began.wait(5.0)
     for number in range(1, 6):
@@ -42,7 +42,7 @@ def test_the_thread_ends_after_what_it_is_at() -> None:
         time.sleep(0.2)
         done.append(number)
 
-    worker = NewestFirst(work)
+    worker = LatestOnlyWorker(work)
     worker.take(0)
     assert began.wait(5.0)
     worker.take(1)

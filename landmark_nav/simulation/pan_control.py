@@ -12,7 +12,7 @@ from landmark_nav.simulation.places import item_points, view_quality
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
-__all__ = ['Gaze']
+__all__ = ['PanControl']
 
 
 # The camera stays this far inside its limits, so that it can follow while the base turns.
@@ -20,7 +20,7 @@ _RESERVE_RAD = 0.4
 
 _STEEPEST_DEG = 58.0
 
-# What is nearer fills the picture: not much else is seen, and nothing as it was learned.
+# What is nearer fills the image: not much else is seen, and nothing as it was learned.
 _NEAR_M = 1.9
 
 # Seen worse than that, a thing is given up for a better one.
@@ -33,7 +33,7 @@ _TOGETHER_RAD = 0.35
 _ELSEWHERE_RAD = 0.6
 
 
-class Gaze:
+class PanControl:
     """
     Holds the camera on one thing for a while, then chooses another.
 

@@ -15,26 +15,26 @@ import numpy as np
 
 from landmark_nav.learning.adjustment.config import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import Adjustment
-from landmark_nav.learning.stereo.wall_patch import Sighting
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray
 
-__all__ = ['TELLING', 'told_by_sizes']
+__all__ = ['INFORMATIVE', 'depth_from_scale']
 
 # Patches whose depth is known to this share of what is doubt tell how true sizes are; so many.
 _KNOWN = 0.25
 _LEAST_KNOWN = 10
 _MAD_TO_SIGMA = 1.4826
 # Sizes that tell no better than this share of what is doubt are left aside.
-TELLING = 0.5
+INFORMATIVE = 0.5
 
 
-def told_by_sizes(
+def depth_from_scale(
     adjustment: Adjustment,
     free: Adjustment,
-    sightings: Sequence[Sequence[Sighting]],
+    measurements: Sequence[Sequence[PatchMeasurement]],
     normals: FloatArray,
     config: AdjustmentConfig,
-    doubt_m: float,
+    uncertain_sigma_m: float,
 ) -> tuple[Adjustment, Adjustment]:
     """
     Place patches by their sizes where bearings leave their depths in doubt.
@@ -48,13 +48,13 @@ def told_by_sizes(
         With the walls.
     free : Adjustment
         The same without: what bearings alone tell.
-    sightings : sequence of sequences
+    measurements : sequence of sequences
         Of each of n patches; its first is in the panorama that proposed it.
     normals : ndarray, shape (n, 3)
         Of their walls.
     config : AdjustmentConfig
         How precise sizes are and how differently things hang.
-    doubt_m : float
+    uncertain_sigma_m : float
         Standard deviation of a depth that is in doubt, metres, or more.
 
     Returns
@@ -66,19 +66,19 @@ def told_by_sizes(
     loose = np.hypot(
         np.hypot(config.relief_sigma_m, config.hanging_sigma_m), config.common_hanging_sigma_m
     )
-    own, told = adjustment.own_covariance, free.own_covariance
-    along = np.einsum('nij,nj->ni', told, normals)
+    own, by_bearings = adjustment.own_covariance, free.own_covariance
+    along = np.einsum('nij,nj->ni', by_bearings, normals)
     depth_variance = np.sum(along * normals, 1)
-    doubtful = depth_variance > doubt_m**2
-    shift, size_variance = _shift_by_size(adjustment, sightings, normals, config)
-    known = depth_variance < (_KNOWN * doubt_m) ** 2
+    uncertain = depth_variance > uncertain_sigma_m**2
+    shift, size_variance = _shift_by_size(adjustment, measurements, normals, config)
+    known = depth_variance < (_KNOWN * uncertain_sigma_m) ** 2
     known &= np.isfinite(size_variance)
     if known.sum() >= _LEAST_KNOWN:
         missed = np.abs(shift[known]) / np.sqrt(size_variance[known])
         size_variance = size_variance * max(1.0, _MAD_TO_SIGMA * float(np.median(missed))) ** 2
 
-    tells = size_variance < (TELLING * doubt_m) ** 2
-    which = np.flatnonzero(doubtful & tells)
+    is_informative = size_variance < (INFORMATIVE * uncertain_sigma_m) ** 2
+    which = np.flatnonzero(uncertain & is_informative)
     n, by_size = normals[which], size_variance[which]
     # Along its ray it may be anywhere that things hang.
     ray = along[which] / depth_variance[which, None]
@@ -91,7 +91,7 @@ def told_by_sizes(
     noise = by_size[:, None, None] * gain[:, :, None] * gain[:, None]
 
     positions, off_wall = adjustment.positions.copy(), adjustment.off_wall_m.copy()
-    chi_square, own, told = adjustment.chi_square.copy(), own.copy(), told.copy()
+    chi_square, own, by_bearings = adjustment.chi_square.copy(), own.copy(), by_bearings.copy()
     shared_loading = adjustment.shared_loading.copy()
     moved = gain * shift[which, None]
     positions[which] += moved
@@ -99,7 +99,7 @@ def told_by_sizes(
     chi_square[which] += shift[which] ** 2 / spread
     own[which] = kept @ loosened @ kept.swapaxes(1, 2) + noise
     shared_loading[which] = kept @ loading
-    told[which] -= (
+    by_bearings[which] -= (
         along[which, :, None] * along[which, None]
         / (depth_variance[which] + by_size)[:, None, None]
     )  # fmt: skip
@@ -112,27 +112,27 @@ def told_by_sizes(
             off_wall_m=off_wall,
             chi_square=chi_square,
         ),
-        replace(free, own_covariance=told),
+        replace(free, own_covariance=by_bearings),
     )
 
 
 def _shift_by_size(
     adjustment: Adjustment,
-    sightings: Sequence[Sequence[Sighting]],
+    measurements: Sequence[Sequence[PatchMeasurement]],
     normals: FloatArray,
     config: AdjustmentConfig,
 ) -> tuple[FloatArray, FloatArray]:
     """How much farther off their walls sizes put patches (n,), and with what variance (n,)."""
-    told, information = np.zeros((2, len(sightings)))
-    for k, group in enumerate(sightings):
+    by_bearings, information = np.zeros((2, len(measurements)))
+    for k, group in enumerate(measurements):
         reach = (adjustment.poses[:, :3] - adjustment.positions[k]) @ normals[k]
         source = reach[group[0].panorama]
-        for sighting in group[1:]:
-            there = reach[sighting.panorama]
+        for measurement in group[1:]:
+            there = reach[measurement.panorama]
             by_depth = 1.0 / there - 1.0 / source
-            variance = sighting.sigma_log_nearer**2 + config.nearness_sigma**2
-            missed = sighting.log_nearer - np.log(source / there)
-            told[k] += by_depth * missed / variance
+            variance = measurement.sigma_log_nearer**2 + config.nearness_sigma**2
+            missed = measurement.log_nearer - np.log(source / there)
+            by_bearings[k] += by_depth * missed / variance
             information[k] += by_depth**2 / variance
     with np.errstate(divide='ignore', invalid='ignore'):
-        return np.where(information > 0.0, told / information, 0.0), 1.0 / information
+        return np.where(information > 0.0, by_bearings / information, 0.0), 1.0 / information

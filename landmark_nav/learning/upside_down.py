@@ -13,13 +13,13 @@ from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig
 from landmark_nav.types import Sweep
 
-__all__ = ['why_overturned']
+__all__ = ['why_upside_down']
 
 # Nobody writes less.
 _HARDLY_RAD = 1e-3
 
 
-def why_overturned(
+def why_upside_down(
     sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
 ) -> str | None:
     """What to change in ``robot.yaml`` if the papers fit upside down; None if they don't."""

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from bare_landmarks import bare_landmark
 import numpy as np
-from picture_drives import MOUNT, picture, ROOM, SCENE
 import pytest
+from rendered_drives import camera_image, MOUNT, ROOM, SCENE
 from scenes import true_landmark
 
-from landmark_nav.localization.detection.company import Company
+from landmark_nav.localization.detection.neighbour_consistency import NeighbourConsistency
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate
 
@@ -21,34 +21,40 @@ NORMALS = [WEST, WEST, WEST, SOUTH, WEST]
 
 
 @pytest.fixture
-def company() -> Company:
+def neighbour_consistency() -> NeighbourConsistency:
     landmarks = [
         bare_landmark(k + 1, np.array(place), 1e-6 * np.eye(3), normal=normal)
         for k, (place, normal) in enumerate(zip(PLACES, NORMALS, strict=True))
     ]
-    return Company(LandmarkMap(tuple(landmarks)))
+    return NeighbourConsistency(LandmarkMap(tuple(landmarks)))
 
 
 def columns(*places: int) -> np.ndarray:
     return np.array(places, dtype=np.intp)
 
 
-def test_what_is_found_alone_among_what_is_missing_is_doubted(company: Company) -> None:
+def test_what_is_found_alone_among_what_is_missing_is_flagged(
+    neighbour_consistency: NeighbourConsistency,
+) -> None:
     every = columns(0, 1, 2, 3, 4)
-    assert not company.variance_m2(every).any(), 'nothing was looked for'
-    company.note(columns(0, 3, 4), columns(1))
+    assert not neighbour_consistency.variance_m2(every).any(), 'nothing was looked for'
+    neighbour_consistency.note(columns(0, 3, 4), columns(1))
     # The one about the corner, and the one far away, hang with none of them.
-    np.testing.assert_array_equal(company.variance_m2(columns(3, 0, 4)) > 0.0, [0, 1, 0])
-    company.note(columns(2), columns())
-    assert not company.variance_m2(columns(0)).any(), 'one of its neighbours is still there'
-    company.note(columns(), columns(2))
-    assert company.variance_m2(columns(0)).all()
+    np.testing.assert_array_equal(
+        neighbour_consistency.variance_m2(columns(3, 0, 4)) > 0.0, [0, 1, 0]
+    )
+    neighbour_consistency.note(columns(2), columns())
+    assert not neighbour_consistency.variance_m2(columns(0)).any(), (
+        'one of its neighbours is still there'
+    )
+    neighbour_consistency.note(columns(), columns(2))
+    assert neighbour_consistency.variance_m2(columns(0)).all()
 
 
 def test_a_map_without_landmarks() -> None:
-    company = Company(LandmarkMap(()))
-    company.note(columns(), columns())
-    assert company.variance_m2(columns()).shape == (0,)
+    neighbour_consistency = NeighbourConsistency(LandmarkMap(()))
+    neighbour_consistency.note(columns(), columns())
+    assert neighbour_consistency.variance_m2(columns()).shape == (0,)
 
 
 def look(
@@ -64,7 +70,7 @@ def look(
     return observer.look(frame, prior)
 
 
-def test_bearings_of_a_picture_where_the_neighbours_were_exchanged() -> None:
+def test_bearings_of_an_image_where_the_neighbours_were_exchanged() -> None:
     board = next(board for board in SCENE.boards if board.normal[0] < -0.9)
     viewpoint = np.array([2.5, 2.2, 1.15])
     along = np.array([-0.9, -0.1, 0.3, 1.0])
@@ -74,7 +80,7 @@ def test_bearings_of_a_picture_where_the_neighbours_were_exchanged() -> None:
     )
     landmark_map = LandmarkMap(landmarks, walls=ROOM.walls)
     pose = np.array([2.0, 2.2, 0.0])
-    frame = picture(pose, 0.0, np.random.default_rng(3))
+    frame = camera_image(pose, 0.0, np.random.default_rng(3))
     usual = look(frame, landmark_map, pose)
     assert set(usual.detections.ids) == {1, 2, 3, 4}
     # A lens that was covered says nothing of them.

@@ -46,16 +46,16 @@ def levelled(
     if np.linalg.eigvalsh(information)[0] < _LEAST_INFORMATION:
         return mount, ()
     covariance = covariance_of(information)
-    lean = covariance @ score
-    significant = float(lean @ score) > SIGNIFICANT**2 and config.enabled
+    axis_tilt = covariance @ score
+    significant = float(axis_tilt @ score) > SIGNIFICANT**2 and config.enabled
     terms = tuple(
         CalibrationTerm(name, float(value), float(sigma), significant)
         for name, value, sigma in zip(
-            ('axis_roll', 'axis_pitch'), lean, np.sqrt(np.diag(covariance)), strict=True
+            ('axis_roll', 'axis_pitch'), axis_tilt, np.sqrt(np.diag(covariance)), strict=True
         )
     )
     if not significant:
         return mount, terms
-    turned = Rotation.from_rotvec([*lean, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
+    turned = Rotation.from_rotvec([*axis_tilt, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
     roll, pitch, yaw = Rotation.from_matrix(turned).as_euler('xyz').tolist()
     return replace(mount, axis_rpy=(roll, pitch, yaw)), terms

@@ -1,4 +1,4 @@
-"""What ``found_place`` says."""
+"""What ``global_localization/pose`` says."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy.typing as npt
 
 from landmark_nav.types import PoseEstimate
 
-__all__ = ['FoundPlace']
+__all__ = ['GlobalPose']
 
 
 @dataclass(frozen=True, eq=False)
-class FoundPlace(PoseEstimate):
+class GlobalPose(PoseEstimate):
     """
-    A place that pictures told, without any prior.
+    A place that images told, without any prior.
 
     It is the pose of the base at the last of them if its joint states are in time; `ids` (m,) are
     the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`, to the

@@ -1,4 +1,4 @@
-"""How landmarks may look in a picture, and where: from anywhere, or from where a prior allows."""
+"""How landmarks may look in an image, and where: from anywhere, or from where a prior allows."""
 
 from __future__ import annotations
 
@@ -10,38 +10,40 @@ from landmark_nav.geometry.se2 import rotation
 from landmark_nav.localization.relocalization.strip import Strip
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
 
-__all__ = ['RANGE_SIGMA', 'Look', 'any_look', 'open_looks']
+__all__ = ['RANGE_SIGMA', 'SearchRange', 'any_range', 'unhidden_ranges']
 
 # Ranges relative to the one a landmark was learned from, and how much narrower than straight
 # ahead: neighbours differ by what normalized cross-correlation forgives.
 _STEP = 1.4
 _RELATIVE_RANGES = 0.55 * _STEP ** np.arange(5)
-_NARROWINGS = (0.9, 0.6)
+_FORESHORTENINGS = (0.9, 0.6)
 # Half of a step between ranges.
 RANGE_SIGMA = 0.15
 # What is open is what so many sigmas of a prior reach.
 _OPEN_SIGMAS = 2.5
 # Patches seen narrower are not found.
-_NARROWEST = 0.3
+_LEAST_FORESHORTENING = 0.3
 
 
-class Look(NamedTuple):
+class SearchRange(NamedTuple):
     """Ranges and narrowings a landmark may have, and the columns (first, end) it may be in."""
 
     ranges: FloatArray
-    narrowings: FloatArray
+    foreshortenings: FloatArray
     columns: tuple[int, int]
 
 
-def any_look(landmark: Landmark, strip: Strip) -> Look:
+def any_range(landmark: Landmark, strip: Strip) -> SearchRange:
     """Look of a landmark from anywhere that it can be recognised from."""
     reference = float(np.hypot(*(landmark.position - landmark.viewpoint)[:2]))
     ranges = np.asarray(reference * _RELATIVE_RANGES, dtype=np.float64)
-    return Look(ranges, np.array(_NARROWINGS), (0, len(strip.azimuth)))
+    return SearchRange(ranges, np.array(_FORESHORTENINGS), (0, len(strip.azimuth)))
 
 
-def open_looks(prior: PoseEstimate, landmark_map: LandmarkMap, strip: Strip) -> dict[int, Look]:
-    """Looks of the landmarks that may be in the picture, as sigma points of the prior have it."""
+def unhidden_ranges(
+    prior: PoseEstimate, landmark_map: LandmarkMap, strip: Strip
+) -> dict[int, SearchRange]:
+    """Looks of the landmarks that may be in the image, as sigma points of the prior have it."""
     axes = _OPEN_SIGMAS * np.linalg.cholesky(prior.covariance).T
     poses = prior.pose + np.vstack([np.zeros(3), axes, -axes])
     turned = rotation(poses[:, 2])
@@ -55,15 +57,15 @@ def open_looks(prior: PoseEstimate, landmark_map: LandmarkMap, strip: Strip) -> 
     nearest, farthest = reach.min(axis=0), reach.max(axis=0)
     nearest = np.maximum(nearest, _RELATIVE_RANGES[0] * reference)
     farthest = np.minimum(farthest, _RELATIVE_RANGES[-1] * reference)
-    least, most = np.maximum(facing.min(axis=0), _NARROWEST), facing.max(axis=0)
+    least, most = np.maximum(facing.min(axis=0), _LEAST_FORESHORTENING), facing.max(axis=0)
     margin = 0.5 * landmark_map.sizes_m[:, 0] / reach.min(axis=0)
     columns = strip.columns(aside.max(axis=0) + margin, aside.min(axis=0) - margin)
     return {
-        int(k): Look(
+        int(k): SearchRange(
             _steps(nearest[k], farthest[k]), _steps(least[k], most[k]), tuple(columns[:, k])
         )
         for k in np.flatnonzero(
-            (farthest > nearest) & (most > _NARROWEST) & (columns[1] > columns[0])
+            (farthest > nearest) & (most > _LEAST_FORESHORTENING) & (columns[1] > columns[0])
         )
     }
 

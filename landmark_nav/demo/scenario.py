@@ -18,13 +18,13 @@ from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.simulation.drive_path import PathFollower
 from landmark_nav.types import FloatArray, OdometrySample, Panorama, PoseEstimate
 
-__all__ = ['Robot', 'tell']
+__all__ = ['Robot', 'run_scenario']
 
 _SPEED_M_S = 0.3
 _CONTROL_NS = 50_000_000
 
 
-class Word(Protocol):
+class NodeStatus(Protocol):
     """What a node says of itself."""
 
     @property
@@ -48,7 +48,7 @@ class Robot(Protocol):
     fixes: int
     panoramas: list[Panorama]
 
-    def said(self, node: str) -> Word:
+    def status_of(self, node: str) -> NodeStatus:
         """What a node last said of itself."""
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
@@ -67,7 +67,7 @@ class Robot(Protocol):
         """Record topics while in the block."""
 
 
-def tell(
+def run_scenario(
     robot: Robot, room: DemoRoom, nodes: Collection[str], folder: Path, narrator: Narrator
 ) -> None:
     """
@@ -82,10 +82,12 @@ def tell(
 
     """
     narrator.title(f'Starting {len(nodes)} nodes, each a process')
-    robot.wait(lambda: all(robot.said(name).reason for name in nodes), 60.0, 'all nodes to speak')
+    robot.wait(
+        lambda: all(robot.status_of(name).reason for name in nodes), 60.0, 'all nodes to speak'
+    )
     robot.wait(lambda: robot.odometry is not None, 20.0, 'odom of the simulated robot')
     length, width = room.size_m
-    narrator.say(f'a robot that knows nothing, in a room of {length:.1f} m x {width:.1f} m')
+    narrator.print_line(f'a robot that knows nothing, in a room of {length:.1f} m x {width:.1f} m')
 
     first = _sweep(robot, room, narrator, 'first')
     narrator.title('Driving to the second place, by odometry alone')
@@ -94,13 +96,17 @@ def tell(
     second = _sweep(robot, room, narrator, 'second')
 
     narrator.title('Learning landmarks from the two panoramas: service learn_landmarks')
-    narrator.say('texture that stands out, found from both places, on a wall, hard to mistake')
-    narrator.say(robot.call('learn_landmarks', 120.0))
-    narrator.say(robot.call('save_map', 20.0))
+    narrator.print_line(
+        'texture that stands out, found from both places, on a wall, hard to mistake'
+    )
+    narrator.print_line(robot.call('learn_landmarks', 120.0))
+    narrator.print_line(robot.call('save_map', 20.0))
 
     way_m = float(np.linalg.norm(np.diff(room.tour, axis=0), axis=1).sum())
     narrator.title(f'Driving {way_m:.0f} m, steered by the fused pose')
-    narrator.say('the camera keeps turning to the three landmarks that promise the best fix')
+    narrator.print_line(
+        'the camera keeps turning to the three landmarks that promise the best fix'
+    )
     with robot.recording(folder / 'recording', RECORDED_TOPICS):
         robot.start_at(second)
         robot.wait(lambda: robot.fused is not None, 10.0, 'odometry/fused')
@@ -111,27 +117,29 @@ def tell(
 def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
     """Take a sweep and wait for its panorama; where the base stands by it."""
     narrator.title(f'Taking the {which} sweep: service capture_sweep')
-    narrator.say('the camera turns step by step, settles and keeps a frame, all the way round')
-    before = len(robot.panoramas)
-    said = robot.call(
-        'capture_sweep', 240.0, lambda: narrator.status(robot.said('sweep_capture').reason)
+    narrator.print_line(
+        'the camera turns step by step, settles and keeps a frame, all the way round'
     )
-    narrator.say(said)
+    before = len(robot.panoramas)
+    status_of = robot.call(
+        'capture_sweep', 240.0, lambda: narrator.status(robot.status_of('sweep_capture').reason)
+    )
+    narrator.print_line(status_of)
 
     def made() -> bool:
-        word = robot.said('panorama_synthesizer')
-        if word.lost:
-            raise LandmarkNavError(f'panorama_synthesizer: {word.reason}')
-        narrator.status(word.reason)
+        status = robot.status_of('panorama_synthesizer')
+        if status.lost:
+            raise LandmarkNavError(f'panorama_synthesizer: {status.reason}')
+        narrator.status(status.reason)
         # The learner must have it too before it is asked to learn.
-        learner_has = int(robot.said('landmark_learner').values.get('panoramas', 0))
+        learner_has = int(robot.status_of('landmark_learner').values.get('panoramas', 0))
         return min(len(robot.panoramas), learner_has) > before
 
     robot.wait(made, 90.0, 'the panorama')
     place = base_from_axis(robot.panoramas[-1].axis, room.mount)
     x, y, heading = place.pose
     sigma_mm = 1e3 * float(np.sqrt(np.trace(place.covariance[:2, :2])))
-    narrator.say(
+    narrator.print_line(
         f'the papers say: base at ({x:.3f}, {y:.3f}) m, {np.degrees(heading):.2f} deg '
         f'(sigma {sigma_mm:.0f} mm)'
     )
@@ -143,14 +151,14 @@ def _follow(
 ) -> None:
     """Drive along a path with feedback of `pose`, until its end."""
     follower = PathFollower(path, _SPEED_M_S)
-    told_ns = 0
+    commanded_ns = 0
 
     def arrived() -> bool:
-        nonlocal told_ns
+        nonlocal commanded_ns
         now = pose()
         stamp = robot.odometry.stamp_ns if robot.odometry is not None else 0
-        if stamp - told_ns >= _CONTROL_NS:
-            told_ns = stamp
+        if stamp - commanded_ns >= _CONTROL_NS:
+            commanded_ns = stamp
             robot.drive(*follower.command(now))
         x, y, heading = now
         narrator.status(f'at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg')
@@ -162,7 +170,7 @@ def _follow(
     finally:
         robot.drive(0.0, 0.0)
     x, y, _ = pose()
-    narrator.say(f'at the end of {way_m:.1f} m, by its own account at ({x:.2f}, {y:.2f}) m')
+    narrator.print_line(f'at the end of {way_m:.1f} m, by its own account at ({x:.2f}, {y:.2f}) m')
 
 
 def _odometry(robot: Robot) -> FloatArray:

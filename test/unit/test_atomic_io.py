@@ -12,8 +12,8 @@ from test_maps import make_map
 
 from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.atomic_io import atomic_folder, check_writable, write_atomically
 from landmark_nav.storage.maps import load_map, save_map
-from landmark_nav.storage.whole import check_writable, whole_folder, write_whole
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def gone() -> int:
 
 
 def save(folder: Path) -> None:
-    with whole_folder(folder, ['map.yaml'], overwrite=True) as growing:
+    with atomic_folder(folder, ['map.yaml'], overwrite=True) as growing:
         (growing / 'map.yaml').touch()
 
 
@@ -115,7 +115,7 @@ def test_what_a_link_leads_to_is_written(tmp_path: Path) -> None:
     dangling.symlink_to(new)
     for path in (link, chain, dangling):
         check_writable(path)
-        write_whole(path, path.name)
+        write_atomically(path, path.name)
         assert path.is_symlink()
         assert path.read_text() == path.name
     assert real.read_text() == 'chain'
@@ -124,17 +124,17 @@ def test_what_a_link_leads_to_is_written(tmp_path: Path) -> None:
     link.unlink()
     link.symlink_to(link)
     with pytest.raises(LandmarkNavError, match='link: cannot be written'):
-        write_whole(link, '')
+        write_atomically(link, '')
 
 
 def test_pipes_and_devices_are_written_to(tmp_path: Path) -> None:
     fifo = tmp_path / 'fifo'
     os.mkfifo(fifo)
     with pytest.raises(LandmarkNavError, match='fifo: cannot be written: nobody reads it'):
-        write_whole(fifo, 'x')
+        write_atomically(fifo, 'x')
     reader = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
     check_writable(fifo)
-    write_whole(fifo, 'through')
+    write_atomically(fifo, 'through')
     assert os.read(reader, 100) == b'through'
     os.close(reader)
     assert fifo.is_fifo()
@@ -142,7 +142,7 @@ def test_pipes_and_devices_are_written_to(tmp_path: Path) -> None:
     master, slave = os.openpty()
     device = Path(os.ttyname(slave))
     check_writable(device)
-    write_whole(device, 'through')
+    write_atomically(device, 'through')
     assert os.read(master, 100) == b'through'
     assert device.is_char_device()
 
@@ -152,11 +152,11 @@ def test_an_open_file_of_the_process_is_written_in_its_order(stream: str, tmp_pa
     (tmp_path / 'link').symlink_to('/proc/self/fd/1')  # as /dev/stdout is
     code = (
         'from pathlib import Path\n'
-        'from landmark_nav.storage.whole import check_writable, write_whole\n'
+        'from landmark_nav.storage.atomic_io import check_writable, write_atomically\n'
         f'path = Path({stream!r})\n'
         'check_writable(path)\n'
         "print('one')\n"
-        "write_whole(path, 'two\\n')\n"
+        "write_atomically(path, 'two\\n')\n"
         "print('three')\n"
     )
     out = tmp_path / 'out'

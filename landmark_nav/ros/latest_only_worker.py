@@ -6,10 +6,10 @@ from collections.abc import Callable
 from threading import Condition, Thread
 from typing import Any
 
-__all__ = ['NewestFirst']
+__all__ = ['LatestOnlyWorker']
 
 
-class NewestFirst:
+class LatestOnlyWorker:
     """
     Calls back with messages, one at a time, while the executor goes on with others.
 

@@ -1,7 +1,7 @@
 """
 A drive with errors in it: whole streams that are off, then degraded images.
 
-``python test/spoiled_check.py`` takes the recorded room in ``bags/``; ``DRIVE --map MAP --robot F
+``python test/degraded_check.py`` takes the recorded room in ``bags/``; ``DRIVE --map MAP --robot F
 --room F --start X Y THETA`` another. The first table says for each error of a stream what
 ``landmark-nav check`` says and whether that names the cause, the second what localization makes of
 degraded images. It exits with 1 if a cause that users reported is not named, if fewer than nine in
@@ -40,15 +40,15 @@ from landmark_nav.types import CameraFrame
 
 BAGS = Path(__file__).resolve().parents[1] / 'bags'
 
-Spoil = Callable[[ImageArray, np.random.Generator], ImageArray]
+Degradation = Callable[[ImageArray, np.random.Generator], ImageArray]
 
 START_SIGMA = np.array([0.05, 0.05, 0.035])
 # NEES of a wrong pose that is sure: over 5 sigma.
 SURE = 40.0
 
 
-def _as(picture: npt.NDArray[np.floating]) -> ImageArray:
-    return np.asarray(np.clip(picture, 0.0, 255.0), np.uint8)
+def _as(camera_image: npt.NDArray[np.floating]) -> ImageArray:
+    return np.asarray(np.clip(camera_image, 0.0, 255.0), np.uint8)
 
 
 def _of_light(mix: Callable[[npt.NDArray[np.uint16]], object], image: ImageArray) -> ImageArray:
@@ -56,46 +56,46 @@ def _of_light(mix: Callable[[npt.NDArray[np.uint16]], object], image: ImageArray
     return values_of(np.asarray(mix(light_of(image)), np.uint16))
 
 
-def blurred(sigma_px: float) -> Spoil:
+def blurred(sigma_px: float) -> Degradation:
     return lambda image, _: _of_light(
         lambda light: cv2.GaussianBlur(light, (0, 0), sigma_px), image
     )
 
 
-def moved(width_px: int) -> Spoil:
+def moved(width_px: int) -> Degradation:
     kernel = np.full((1, width_px), 1.0 / width_px, np.float32)
     return lambda image, _: _of_light(lambda light: cv2.filter2D(light, -1, kernel), image)
 
 
-def noisy(sigma: float) -> Spoil:
+def noisy(sigma: float) -> Degradation:
     return lambda image, rng: _as(image + rng.normal(0.0, sigma, image.shape))
 
 
-def dimmed(light: float) -> Spoil:
+def dimmed(light: float) -> Degradation:
     return lambda image, _: _as(light * image)
 
 
-def bent(gamma: float) -> Spoil:
+def bent(gamma: float) -> Degradation:
     return lambda image, _: _as(255.0 * (image / 255.0) ** gamma)
 
 
-def compressed(quality: int) -> Spoil:
+def compressed(quality: int) -> Degradation:
     return lambda image, _: as_jpeg(image, quality)
 
 
-def covered(share: float) -> Spoil:
-    def spoil(image: ImageArray, rng: np.random.Generator) -> ImageArray:
+def covered(share: float) -> Degradation:
+    def degrade(image: ImageArray, rng: np.random.Generator) -> ImageArray:
         width = round(share * image.shape[1])
         left = int(rng.integers(0, image.shape[1] - width))
-        spoilt: ImageArray = image.copy()
-        inside = spoilt[:, left : left + width]
+        degraded: ImageArray = image.copy()
+        inside = degraded[:, left : left + width]
         inside[...] = rng.integers(0, 256, inside.shape, dtype=np.uint8)
-        return spoilt
+        return degraded
 
-    return spoil
+    return degrade
 
 
-CASES: dict[str, Spoil] = {
+CASES: dict[str, Degradation] = {
     'as it is': lambda image, _: image,
     'blurred, sigma 1.5 px': blurred(1.5),
     'blurred, sigma 3 px': blurred(3.0),
@@ -138,9 +138,11 @@ def named(drive: str, error: StreamError, robot: str, room: str) -> tuple[bool, 
             )
         except LandmarkNavError as refused:
             return False, [str(refused)]
-    said = [*found.errors, *found.warnings]
-    hit = any(f.name.startswith(error.names) and re.search(error.says, f.line()) for f in said)
-    return hit, [finding.line() for finding in said]
+    findings = [*found.errors, *found.warnings]
+    hit = any(
+        f.name.startswith(error.names) and re.search(error.finding, f.line()) for f in findings
+    )
+    return hit, [finding.line() for finding in findings]
 
 
 def table_of_streams(drive: str, robot: str, room: str) -> bool:
@@ -154,10 +156,12 @@ def table_of_streams(drive: str, robot: str, room: str) -> bool:
         print(f'{title:30} named  said')
         hits = 0
         for name, error in errors.items():
-            hit, said = named(bag, error, robot, room)
+            hit, findings = named(bag, error, robot, room)
             hits += hit
-            print(f'{name:30} {"yes" if hit else "NO":5}  {said[0] if said else "nothing"}')
-            for line in said[1:]:
+            print(
+                f'{name:30} {"yes" if hit else "NO":5}  {findings[0] if findings else "nothing"}'
+            )
+            for line in findings[1:]:
                 print(f'{"":38}{line}')
         print(f'{hits} of {len(errors)} named\n', flush=True)
         good &= hits >= least * len(errors)
@@ -172,13 +176,13 @@ def table_of_images(drive: str, map_folder: str, robot: str, start: list[float] 
     sigma = np.diag(START_SIGMA**2)
     print(f'{"images":26}  RMSE mm  p95 mm    deg  NEES  used  undetected')
     undetected = 0
-    for name, spoil in CASES.items():
+    for name, degrade in CASES.items():
         rng = np.random.default_rng(0)
-        spoilt = [
-            replace(e, image=spoil(e.image, rng)) if isinstance(e, CameraFrame) else e
+        degraded = [
+            replace(e, image=degrade(e.image, rng)) if isinstance(e, CameraFrame) else e
             for e in events
         ]
-        run = replay(spoilt, landmark_map, mount, LocalizationConfig(), pose, sigma)
+        run = replay(degraded, landmark_map, mount, LocalizationConfig(), pose, sigma)
         line, wrong = row(name, run)
         print(line, flush=True)
         undetected += wrong

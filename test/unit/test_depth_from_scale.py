@@ -10,29 +10,29 @@ import pytest
 from scenes import Board, draw_panorama, Scene, smooth_texture
 from wall_views import candidate_at, greys_of
 
-from landmark_nav.learning.adjustment import Adjustment, told_by_sizes
+from landmark_nav.learning.adjustment import Adjustment, depth_from_scale
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import Sighting, WallPatch
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
 from landmark_nav.types import FloatArray, Refusal
 
 EAST = ROOM.normals[1]
 # Both look east along y = 2.5.
 POSES = np.array([[4.2, 2.5, 1.1, 0.0], [1.8, 2.5, 1.1, 0.0]])
 SIZE_SIGMA = 1.5e-3
-DOUBT_M = 0.02
+UNCERTAIN_SIGMA_M = 0.02
 STEREO = StereoConfig()
 
 
-def sizes_of(points: FloatArray, rng: np.random.Generator) -> list[list[Sighting]]:
+def sizes_of(points: FloatArray, rng: np.random.Generator) -> list[list[PatchMeasurement]]:
     groups = []
     for point in points:
         reach = (POSES[:, :3] - point) @ EAST
         spread = np.hypot(SIZE_SIGMA, CONFIG.nearness_sigma)
-        told = float(np.log(reach[0] / reach[1]) + rng.normal(0.0, spread))
+        reported = float(np.log(reach[0] / reach[1]) + rng.normal(0.0, spread))
         groups.append(
             [
-                Sighting(0, 0.0, 0.0, 0.0, 0.0, 1.0),
-                Sighting(1, 0.0, 0.0, 1e-4, 1e-4, 0.9, told, SIZE_SIGMA),
+                PatchMeasurement(0, 0.0, 0.0, 0.0, 0.0, 1.0),
+                PatchMeasurement(1, 0.0, 0.0, 1e-4, 1e-4, 0.9, reported, SIZE_SIGMA),
             ]
         )
     return groups
@@ -55,13 +55,13 @@ def on_the_wall(points: FloatArray, depth_sigma: float) -> Adjustment:
 
 
 def placed(points: FloatArray, seed: int = 0) -> tuple[Adjustment, Adjustment]:
-    return told_by_sizes(
+    return depth_from_scale(
         on_the_wall(points, 1e-3),
         on_the_wall(points, 0.08),
         sizes_of(points, np.random.default_rng(seed)),
         np.tile(EAST, (len(points), 1)),
         CONFIG,
-        DOUBT_M,
+        UNCERTAIN_SIGMA_M,
     )
 
 
@@ -69,7 +69,7 @@ def before_wall(rng: np.random.Generator, count: int, before_m: FloatArray) -> F
     return np.column_stack([6.0 - before_m, np.full(count, 2.5), rng.uniform(0.9, 1.3, count)])
 
 
-def test_sizes_place_what_bearings_leave_in_doubt_and_say_how_well() -> None:
+def test_sizes_place_what_bearings_leave_uncertain_and_state_how_well() -> None:
     rng = np.random.default_rng(1)
     before = rng.normal(0.0, 0.026, 400)
     found, free = placed(before_wall(rng, 400, before))
@@ -79,7 +79,7 @@ def test_sizes_place_what_bearings_leave_in_doubt_and_say_how_well() -> None:
     assert np.std(error) < 0.4 * np.std(before)
     assert 0.85 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.15
     np.testing.assert_allclose(6.0 - found.positions[:, 0], found.off_wall_m, atol=1e-12)
-    # Sightings alone tell as much, within what walls add.
+    # Measurements alone tell as much, within what walls add.
     assert np.sqrt(free.own_covariance[:, 0, 0]).max() < 0.012
 
 
@@ -97,26 +97,28 @@ def test_sizes_that_miss_where_depths_are_known_count_for_less() -> None:
     adjustment, free = on_the_wall(points, 1e-3), on_the_wall(points, 0.08)
     free.own_covariance[known] = on_the_wall(points[known], 2e-3).own_covariance
     normals = np.tile(EAST, (60, 1))
-    _, right = told_by_sizes(adjustment, free, sizes_of(points, rng), normals, CONFIG, DOUBT_M)
+    _, right = depth_from_scale(
+        adjustment, free, sizes_of(points, rng), normals, CONFIG, UNCERTAIN_SIGMA_M
+    )
     wrong = [
         [own, replace(other, log_nearer=other.log_nearer + rng.normal(0.0, 0.01))]
         for own, other in sizes_of(points, rng)
     ]
-    _, doubted = told_by_sizes(adjustment, free, wrong, normals, CONFIG, DOUBT_M)
-    worse = doubted.own_covariance[~known, 0, 0] / right.own_covariance[~known, 0, 0]
+    _, inflated = depth_from_scale(adjustment, free, wrong, normals, CONFIG, UNCERTAIN_SIGMA_M)
+    worse = inflated.own_covariance[~known, 0, 0] / right.own_covariance[~known, 0, 0]
     assert worse.min() > 4.0
-    np.testing.assert_array_equal(doubted.own_covariance[known], free.own_covariance[known])
+    np.testing.assert_array_equal(inflated.own_covariance[known], free.own_covariance[known])
 
 
 def test_without_sizes_nothing_changes() -> None:
     points = before_wall(np.random.default_rng(5), 3, np.zeros(3))
     adjustment, free = on_the_wall(points, 1e-3), on_the_wall(points, 0.08)
-    sightings = [
+    measurements = [
         [own, replace(other, sigma_log_nearer=np.inf)]
         for own, other in sizes_of(points, np.random.default_rng(0))
     ]
-    found, still = told_by_sizes(
-        adjustment, free, sightings, np.tile(EAST, (3, 1)), CONFIG, DOUBT_M
+    found, still = depth_from_scale(
+        adjustment, free, measurements, np.tile(EAST, (3, 1)), CONFIG, UNCERTAIN_SIGMA_M
     )
     np.testing.assert_array_equal(found.positions, adjustment.positions)
     np.testing.assert_array_equal(found.own_covariance, adjustment.own_covariance)
@@ -124,12 +126,12 @@ def test_without_sizes_nothing_changes() -> None:
 
 
 @pytest.mark.parametrize('before_m', [0.0, 0.03, 0.08, 0.2])
-def test_stereo_tells_how_much_nearer_what_it_sees_in_line_is(before_m: float) -> None:
+def test_stereo_gives_how_much_nearer_what_it_sees_in_line_is(before_m: float) -> None:
     spot = np.array([6.0 - before_m, 2.5, 1.1])
     rng = np.random.default_rng(11)
-    picture = Board(spot, EAST, 0.6, 0.6, smooth_texture(rng, 0.6, 0.6, 0.03))
+    camera_image = Board(spot, EAST, 0.6, 0.6, smooth_texture(rng, 0.6, 0.6, 0.03))
     panoramas = [
-        draw_panorama(Scene((picture,)), pose[:3], float(pose[3]), rng=rng) for pose in POSES
+        draw_panorama(Scene((camera_image,)), pose[:3], float(pose[3]), rng=rng) for pose in POSES
     ]
     greys = greys_of(panoramas)
     normalized = []

@@ -9,12 +9,12 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.task import Future
 
-__all__ = ['Acquaintance']
+__all__ = ['ServiceDiscovery']
 
 _AGAIN_S = 0.5
 
 
-class Acquaintance:
+class ServiceDiscovery:
     """
     Context manager that tells whether the node behind a service knows this one's ends of it.
 
@@ -39,7 +39,7 @@ class Acquaintance:
         self._answers: list[Future[Any]] = []
         self._next_s = 0.0
 
-    def __enter__(self) -> Acquaintance:
+    def __enter__(self) -> ServiceDiscovery:
         """Return itself."""
         return self
 
@@ -48,7 +48,7 @@ class Acquaintance:
         if self._client is not None:
             self._node.destroy_client(self._client)
 
-    def made(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether it is; asks again now and then."""
         if self._client is None and (server := self._server()):
             self._client = self._node.create_client(GetParameters, f'{server}/get_parameters')

@@ -13,17 +13,17 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_gradients
-from landmark_nav.localization.triplet.ranking import Standing
+from landmark_nav.localization.triplet.ranking import LandmarkVisibility
 from landmark_nav.localization.triplet.views import PanWindows
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
-    standings,
+    fully_in_view,
+    landmark_visibilities,
     TripletConfig,
-    whole_in_view,
 )
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['Gaze', 'Outlook']
+__all__ = ['CameraState', 'PlanningScene']
 
 
 # Greatest share of half the view that a wide prior may claim as margin.
@@ -31,7 +31,7 @@ _MAX_MARGIN = 0.25
 
 
 @dataclass(frozen=True)
-class Gaze:
+class CameraState:
     """
     Where the camera looks and how far it turns.
 
@@ -52,7 +52,7 @@ class Gaze:
 
 
 @dataclass(frozen=True, eq=False)
-class Outlook:
+class PlanningScene:
     """
     A map as it is seen from a prior pose of the base.
 
@@ -76,34 +76,34 @@ class Outlook:
     camera: CameraModel
     mount: PanTiltMount
     config: TripletConfig
-    gaze: Gaze
+    camera_state: CameraState
 
     @cached_property
     def axis(self) -> PoseEstimate:
         """Expected pose of the pan axis, with the orientation of the base."""
         return axis_from_base(self.prior, self.mount)
 
-    def standing(self) -> npt.NDArray[np.int8]:
-        """`Standing` of each landmark (n,)."""
+    def visibility(self) -> npt.NDArray[np.int8]:
+        """`LandmarkVisibility` of each landmark (n,)."""
         viewer = axis_position(self.prior.pose, self.mount)
-        standing = standings(viewer, self.landmark_map, self.config)
-        index = np.flatnonzero(standing == Standing.USABLE)
+        visibility = landmark_visibilities(viewer, self.landmark_map, self.config)
+        index = np.flatnonzero(visibility == LandmarkVisibility.USABLE)
         windows = self.windows(index)
         reachable = np.zeros(len(index), dtype=np.bool_)
         reachable[windows.place] = True
         # Those ahead of some pan must be whole in that view: neither too high nor too low.
         azimuth = self._azimuth_and_reach[0, index]
-        straight = np.clip(azimuth, *self.gaze.limits_rad)
+        straight = np.clip(azimuth, *self.camera_state.limits_rad)
         ahead = np.abs(straight - azimuth) < 1e-9
         whole = self.whole(self.landmark_map.corners[index], straight) | ~ahead
-        standing[index[~whole]] = Standing.CUT
-        standing[index[~reachable]] = Standing.BEYOND_LIMITS
-        return standing
+        visibility[index[~whole]] = LandmarkVisibility.CUT
+        visibility[index[~reachable]] = LandmarkVisibility.BEYOND_LIMITS
+        return visibility
 
     def windows(self, index: IndexArray) -> PanWindows:
-        """Pans at which each of the landmarks `index` (m,) is probably whole in the picture."""
+        """Pans at which each of the landmarks `index` (m,) is probably whole in the image."""
         azimuth, reach = self._azimuth_and_reach[:, index]
-        limits, pan = self.gaze.limits_rad, self.gaze.pan_rad
+        limits, pan = self.camera_state.limits_rad, self.camera_state.pan_rad
         return PanWindows.around(azimuth, reach, limits, pan, self.config)
 
     @cached_property
@@ -111,20 +111,20 @@ class Outlook:
         """Pans straight at landmarks, and how far off these a pan may be, (2, n)."""
         bearing, sigma = self.expected_bearings(np.arange(len(self.landmark_map.corners)))
         half_fov = self.camera.half_fov_rad
-        # However wide the prior, some of the picture stays to be used.
+        # However wide the prior, some of the image stays to be used.
         margin = np.minimum(self.config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
         reach = half_fov - margin - _half_width(self.axis.pose, self.landmark_map.corners)
         return np.stack([self.mount.pan_toward_rad(bearing), reach])
 
     def whole(self, corners: FloatArray, pan_rad: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether views (m,) hold their patches' corners (m, 4, 3)."""
-        return whole_in_view(
+        return fully_in_view(
             corners,
             self.prior.pose,
             self.camera,
             self.mount,
             pan_rad,
-            self.gaze.tilt_rad,
+            self.camera_state.tilt_rad,
             self.config.border_px,
         )
 

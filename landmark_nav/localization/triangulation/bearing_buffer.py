@@ -1,5 +1,5 @@
 """
-Fixes from sightings of several pictures, taken while the robot moves and the camera turns.
+Fixes from detections of several images, taken while the robot moves and the camera turns.
 
 Every bearing is carried to a common time by odometry. If the pan axis was displaced by ``v`` (in
 the base frame of the common time) when landmark ``L`` was sighted, then the bearing, turned with
@@ -38,7 +38,7 @@ from landmark_nav.types import (
     Triplet,
 )
 
-__all__ = ['SightingGatherer']
+__all__ = ['BearingBuffer']
 
 # Virtual landmarks use the heading of the previous pass; each pass leaves a tenth of its error.
 _PASSES = 10
@@ -47,23 +47,23 @@ _CLOSE_M = 1e-6
 _SPARE_NS = 1_000_000_000
 
 
-class _Sighting(NamedTuple):
+class _Bearing(NamedTuple):
     stamp_ns: int
     bearing_rad: float
     variance_rad2: float
     pan_variance_rad2: float
 
 
-class SightingGatherer:
+class BearingBuffer:
     """
-    The last sighting of each landmark, until a fix has used it.
+    The last detection of each landmark, until a fix has used it.
 
     Parameters
     ----------
     mount : PanTiltMount
         Where the pan axis, the apex of all bearings, sits on the base.
     window_s : float
-        For how long a sighting counts; 0 leaves those of the last picture.
+        For how long a detection counts; 0 leaves those of the last image.
 
     """
 
@@ -81,10 +81,10 @@ class SightingGatherer:
         self._odometry, self._triangulation = odometry, triangulation
         self._pan_variance = mount.pan_sigma_rad**2
         self._track = OdometryTrack(odometry)
-        self._sightings: dict[int, _Sighting] = {}
+        self._bearings: dict[int, _Bearing] = {}
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Take odometry; with a window of one picture none is needed."""
+        """Take odometry; with a window of one image none is needed."""
         if not self._window_ns:
             return
         # The filter reports what is wrong with it.
@@ -92,50 +92,50 @@ class SightingGatherer:
         self._track.trim(sample.stamp_ns - 2 * self._window_ns - _SPARE_NS)
 
     def add(self, found: Detections) -> None:
-        """Take the landmarks of a picture, and forget what is older than the window."""
+        """Take the landmarks of an image, and forget what is older than the window."""
         oldest = found.stamp_ns - self._window_ns
         pan_variance = self._pan_variance + found.pan_sigma_rad**2
-        self._sightings = {
-            k: sighting
-            for k, sighting in self._sightings.items()
-            if oldest <= sighting.stamp_ns <= found.stamp_ns
+        self._bearings = {
+            k: entry
+            for k, entry in self._bearings.items()
+            if oldest <= entry.stamp_ns <= found.stamp_ns
         }
         for k, bearing, variance in zip(
             found.ids.tolist(), found.bearing_rad, found.variance_rad2, strict=True
         ):
-            self._sightings[k] = _Sighting(
+            self._bearings[k] = _Bearing(
                 found.stamp_ns, float(bearing), float(variance), pan_variance
             )
 
     def missing(self, triplet: Triplet) -> list[int]:
         """Landmarks of a triplet that are still to be sighted."""
-        return [k for k in triplet.ids.tolist() if k not in self._sightings]
+        return [k for k in triplet.ids.tolist() if k not in self._bearings]
 
     def fix(self, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """
-        Triangulate the base at the time of the prior from all gathered sightings.
+        Triangulate the base at the time of the prior from all gathered detections.
 
         They are dropped after a fix, so that fixes are independent of each other.
         """
-        ids = np.array(sorted(self._sightings), dtype=np.int64)
+        ids = np.array(sorted(self._bearings), dtype=np.int64)
         if len(ids) < 3:
             return Refusal('fewer than three bearings', f'{len(ids)} given')
-        sightings = [self._sightings[k] for k in ids.tolist()]
-        stamps = np.array([sighting.stamp_ns for sighting in sightings])
+        bearings = [self._bearings[k] for k in ids.tolist()]
+        stamps = np.array([entry.stamp_ns for entry in bearings])
         motions, errors = self._motions(prior.stamp_ns, stamps)
         outcome = self._solved(
             self._map.indices(ids),
-            np.array([sighting.bearing_rad for sighting in sightings]) + motions[:, 2],
-            np.array([sighting.variance_rad2 for sighting in sightings]),
+            np.array([entry.bearing_rad for entry in bearings]) + motions[:, 2],
+            np.array([entry.variance_rad2 for entry in bearings]),
             motions,
             errors,
-            np.array([sighting.pan_variance_rad2 for sighting in sightings])
+            np.array([entry.pan_variance_rad2 for entry in bearings])
             * (stamps[:, None] == stamps),
             axis_from_base(prior, self._mount),
         )
         if isinstance(outcome, Refusal):
             return outcome
-        self._sightings.clear()
+        self._bearings.clear()
         return base_from_axis(outcome.at(prior.stamp_ns), self._mount)
 
     def _solved(
@@ -193,7 +193,7 @@ class SightingGatherer:
         self, stamp_ns: int, stamps_ns: FloatArray
     ) -> tuple[FloatArray, FloatArray | None]:
         """
-        Poses (n, 3) of the base at the sightings, seen from that at `stamp_ns`, and their errors.
+        Poses (n, 3) of the base at the detections, seen from that at `stamp_ns`, and their errors.
 
         The errors are a joint covariance (n, 3, n, 3); None where nothing moved meanwhile.
         """
