@@ -33,7 +33,7 @@ class CalibrationTerm:
 @dataclass(frozen=True)
 class PanoramaQuality:
     """
-    How good a panorama is, and what its sweep said of camera and mount.
+    How good a panorama is, and what its sweep showed of camera and mount.
 
     `sharpness` is its Tenengrad, the mean squared gradient in grey levels squared a pixel squared;
     `closure_rad` by how much the turn fails to close, None for a part of a turn, and for a full

@@ -203,7 +203,7 @@ class Landmark:
     wall_id, saliency
         Of the wall that carries it, of its candidate.
     views : tuple of PatchView
-        What other panoramas show of it; old maps do not tell.
+        What other panoramas show of it; old maps do not hold it.
 
     """
 
@@ -296,7 +296,7 @@ class LandmarkMap:
 @dataclass(frozen=True, eq=False)
 class Triplet:
     """
-    Three landmarks to look at, chosen by the covariance that they promise.
+    Three landmarks to look at, chosen by their expected covariance.
 
     `bearing_rad` (3,) are expected at the pan axis, counter-clockwise from ``base_link`` +x, with
     standard deviations `sigma_rad` (3,); `covariance` (3, 3) is the predicted one of the fix;

@@ -55,7 +55,7 @@ WRONG_M = 0.3
 FRAME_STEP_RAD = np.radians(25.0)
 FEATURES = 2000
 RATIO = 0.7
-# Rays that pass each other farther apart show two things; nearly parallel ones tell no depth.
+# Rays that pass each other farther apart show two things; nearly parallel ones show no depth.
 MAX_GAP_M, MIN_SINE = 0.05, np.sin(np.radians(2.0))
 # A second match nearer than that to the first is the same thing, out of another frame.
 SAME_M = 0.05
@@ -229,7 +229,7 @@ def sift_points(learn: Path, landmark_map: LandmarkMap, mount: PanTiltMount) -> 
     """Points to locate by, by how they were placed; triangulated where the truth is known."""
     bag = Bag(learn)
     sweeps = list(read_sweeps(bag, mount))
-    # A map tells where the pan axis stood.
+    # A map shows where the pan axis stood.
     learned = [base_from_axis(pose, mount).pose for pose in landmark_map.panorama_poses]
     truth = truth_of_bag(bag).at([sweep.stamp_ns for sweep in sweeps])
     points = {}

@@ -4,7 +4,7 @@ Sweeps that went wrong, through ``landmark-nav learn``: a map that is right, or 
 ``python test/bad_sweeps_check.py`` simulates a room, takes sweeps in it under bad conditions, and
 learns from each pair of them. It exits with 1 if a map holds a landmark that lies farther from
 the truth than its covariance allows, if the covariances of a map are too small as a whole, or if
-something is refused for another reason than its own, or not even told.
+something is refused for another reason than its own, or not reported.
 ``test/system/test_bad_sweeps.py`` runs some.
 
 ``python test/bad_sweeps_check.py --errors FOLDER`` takes the recorded sweeps of a folder with
@@ -61,7 +61,7 @@ _renderer, _true_walls = lru_cache(maxsize=4)(Renderer), lru_cache(maxsize=4)(Tr
 
 @dataclass(frozen=True)
 class Case:
-    """Sweeps of (scene, pose), what the robot is told, and what should come of it."""
+    """Sweeps of (scene, pose), what the robot is given, and what should come of it."""
 
     name: str
     sweeps: tuple[tuple[Scene, FloatArray], ...]
@@ -155,10 +155,10 @@ def cases(seed: int) -> list[Case]:
         Case('upside down, as given', both, true_mount=over, given_mount=over),
         Case('upside down, not given', both, 'pan unit is mounted the other', true_mount=over),
         Case('camera alone upside down, as given', both, true_mount=rolled, given_mount=rolled),
-        Case('camera alone upside down, not told', both, 'camera_roll: 3.14',
+        Case('camera alone upside down, not reported', both, 'camera_roll: 3.14',
              true_mount=rolled),
-        Case('leaning, as given', both, true_mount=camera_tilt, given_mount=camera_tilt),
-        Case('leaning, not told', both, 'leans by|no place', true_mount=camera_tilt),
+        Case('tilted, as given', both, true_mount=camera_tilt, given_mount=camera_tilt),
+        Case('tilted, not reported', both, 'is tilted by|no place', true_mount=camera_tilt),
         Case('tilted by its joint, off the axis', both, '', off, off, tilt_rad=0.12),
         Case('from the same place', ((scene, here), (scene, nearly)), 'from one place'),
         Case('other things on the walls', ((scene, here), (other, there)), 'found again|elected',
@@ -178,7 +178,7 @@ def cases(seed: int) -> list[Case]:
 
 
 def record(case: Case, folder: Path, seed: int) -> None:
-    """Write the bag of sweeps and what the robot is told."""
+    """Write the bag of sweeps and what the robot is given."""
     factory = rosbag_factory()
     start_ns = 1_000_000_000_000
     with BagWriter(folder / 'learn') as bag:
@@ -244,7 +244,7 @@ def judge(case: Case, folder: Path, seed: int) -> tuple[bool, str]:
     )
     if warned:
         output += f'; {" ".join(warned.split())}'
-    # A map that is right all the same will do if what is wrong was told.
+    # A map that is right all the same will do if what is wrong was reported.
     fine = case.hidden or not case.refusal or re.search(case.refusal, warned) is not None
     many = fine and len(landmarks) >= LEAST_LANDMARKS
     return not wrong and nees < MAX_NEES and (case.few or many), output
@@ -375,7 +375,7 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
     higher = replace(given, mount=replace(given.mount, axis_xyz=(x, y, z + 0.12)))
     yield 'own: camera 12 cm higher', higher, 'camera is .* lower'
     tilted = replace(given, mount=replace(given.mount, axis_rpy=(0.05, 0.0, 0.0)))
-    yield 'own: axis rolled by 3 deg', tilted, 'pan axis leans'
+    yield 'own: axis rolled by 3 deg', tilted, 'pan axis is tilted'
     wall = given.room.walls[int(given.room.nearest_wall(np.array(paper.center[:2])))]
     across = max(
         given.room.raycast(
@@ -397,7 +397,7 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
 
 
 def check_errors(folder: Path, only: str) -> int:
-    """Print what is said of each error, and count those that are not named."""
+    """Print what is found of each error, and count those that are not named."""
     room, mount = load_room(folder / 'room.yaml'), load_robot(folder / 'robot.yaml')
     bag = Bag(folder / 'learn')
     given = Given(room, mount, tuple(read_sweeps(bag, mount)))

@@ -63,7 +63,7 @@ def check(workspace: Path, *options: str) -> list[str]:
 
 
 def main() -> int:
-    """Build both ways and tell; exit status 1 if anything is wrong."""
+    """Build both ways and report; exit status 1 if anything is wrong."""
     failed = False
     # One would find the package without colcon, the other makes it warn.
     for name in ('PYTHONPATH', 'PYTHONDONTWRITEBYTECODE'):

@@ -146,7 +146,7 @@ def named(drive: str, error: StreamError, robot: str, room: str) -> tuple[bool, 
 
 
 def table_of_streams(drive: str, robot: str, room: str) -> bool:
-    """Print what is said of each error of a stream; whether enough causes are named."""
+    """Print what is found of each error of a stream; whether enough causes are named."""
     good = True
     for title, bag, errors, least in (
         ('reported', drive, REPORTED, 1.0),

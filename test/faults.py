@@ -196,7 +196,7 @@ def faults(bag: Bag) -> dict[str, Fault]:
         'joint states freeze': Fault(frozen('position'), (JOINTS,)),
         'camera bumped up 2 deg': Fault(right, (CAMERA,), FOR_GOOD_S),
         'camera bumped aside 2 deg': Fault(down, (CAMERA,), FOR_GOOD_S),
-        'camera leans 2 deg': Fault(ahead, (CAMERA,), FOR_GOOD_S),
+        'camera is rolled by 2 deg': Fault(ahead, (CAMERA,), FOR_GOOD_S),
         'lens covered': Fault(pictured(np.zeros_like), (CAMERA,)),
         'images cut off': Fault(cut_off, (CAMERA,)),
         'images freeze': Fault(frozen('data'), (CAMERA,)),

@@ -1,5 +1,5 @@
 """
-What goes wrong on a robot, put into a recorded drive: when it is told, and when it is over.
+What goes wrong on a robot, put into a recorded drive: when it is reported, and when it is over.
 
 ``python test/faults_check.py DRIVE --map MAP --robot robot.yaml --start X Y THETA`` spoils the
 messages of a drive's bag for some seconds, one way after the other, reads each as ``evaluate``
@@ -32,7 +32,7 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
 START_SIGMA = np.array([0.05, 0.05, 0.035])
-# Time within which faults are to be told.
+# Time within which faults are to be reported.
 REPORTED_S = 2.0
 # A pose this near is right again.
 RIGHT_M, RIGHT_RAD = 0.05, 0.02
@@ -41,9 +41,9 @@ RIGHT_M, RIGHT_RAD = 0.05, 0.02
 @dataclass
 class Outcome:
     """
-    Of a fault that lasts `over_s`: seconds from its beginning until it is told, and to the last
-    pose that is wrong without a report; `back_s` from its end, or from being told where it has
-    none, until the pose is right again; of the `images` since its beginning those that are
+    Of a fault that lasts `over_s`: seconds from its beginning until it is reported, and to the
+    last pose that is wrong without a report; `back_s` from its end, or from the report where it
+    has none, until the pose is right again; of the `images` since its beginning those that are
     tracking, and those that are wrong without a report.
     """
 
@@ -124,7 +124,7 @@ def main() -> int:
     calibration, landmarks = load_calibration(args.robot), load_map(args.map)
     mount = calibration.mount
     bag, good = Bag(args.drive), True
-    print(f'{"fault":44} told  back  tracking  wrong without a report')
+    print(f'{"fault":44} seen   back  tracking  wrong without a report')
     for name, fault in faults(bag).items():
         if not any(part in name for part in args.only or ['']):
             continue

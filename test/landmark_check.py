@@ -4,7 +4,7 @@ Landmarks against the truth, in simulated rooms: where they are, and from where 
 ``python test/landmark_check.py --seeds 201 202`` simulates rooms, learns them from two sweeps and
 prints a line a room and their sum; it exits with 1 if a bound is missed. ``--rooms DIR`` takes
 rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. The robot
-is told what a person with a tape would have measured, unless ``--exact`` is given or the rooms
+is given what a person with a tape would have measured, unless ``--exact`` is given or the rooms
 were kept.
 
 =================  ===============================================================================
@@ -220,9 +220,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--seeds', type=int, nargs='+', required=True)
     parser.add_argument('--rooms', type=Path, help='folder of rooms that were kept')
-    parser.add_argument(
-        '--exact', action='store_true', help='tell the robot exactly how the room is'
-    )
+    parser.add_argument('--exact', action='store_true', help='give the robot the exact room')
     parser.add_argument('--maps', type=Path, help='folder of maps that were kept: MAPS/SEED')
     parser.add_argument('--poses', type=int, default=50, help='random poses in each room (50)')
     parser.add_argument('--area', action='store_true', help='check observation areas (a minute)')

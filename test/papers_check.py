@@ -1,10 +1,10 @@
 """
-How well papers tell the place of a sweep: many simulated places, errors against covariances.
+How well papers show the place of a sweep: many simulated places, errors against covariances.
 
 ``python test/papers_check.py --rooms 12`` draws rooms with three to six papers on one wall or
 several, in changing light, with distractors of the papers' colours and size, and sweeps at five
-places each; what is told of papers, height, axis and joint angles is as wrong as the configuration
-says. It prints a line a place and exits with 1 if a bound is missed.
+places each; what is given of papers, height, axis and joint angles is as wrong as the
+configuration says. It prints a line a place and exits with 1 if a bound is missed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ PANS = np.radians(np.arange(-180.0, 180.0, 5.0))
 CONFIG = ReferenceAreaConfig()
 
 # Of the mean over many places: about 3.3 standard deviations of that of a good covariance, and
-# the cheaper side for what is told with a margin.
+# the cheaper side for what is given with a margin.
 NEES_RANGE = (1.5, 4.2)
 MAX_REFUSED = 0.1
 
@@ -115,7 +115,7 @@ def take_sweep(world: RobotWorld, pose: FloatArray, gamma: float) -> Sweep:
 def reported(
     room: Room, sweep: Sweep, rng: np.random.Generator
 ) -> tuple[Room, Sweep, PanTiltMount]:
-    """What a robot is told: all a little wrong."""
+    """What a robot is given: all a little wrong."""
     shifts = rng.normal(0.0, CONFIG.paper_sigma_m, (len(room.papers), 2))
     papers = tuple(moved_paper(p, room, s) for p, s in zip(room.papers, shifts, strict=True))
     slips = rng.normal(0.0, DEFAULT_MOUNT.pan_sigma_rad, (len(sweep.frames), 2))

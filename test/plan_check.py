@@ -7,7 +7,7 @@ tenths of all random sets are better) and from the layout of Livatino and Madsen
 prints what was predicted, what the learned map claims and what is true: landmarks, their errors,
 and the localization error at random places with bearings of known noise to all landmarks that a
 turning camera sees there, each counted as 5 cm at most. Millimetres, root mean squares. The papers
-hang as exactly as the planner expects, and it is told how exact panoramas of the simulator are.
+hang as exactly as the planner expects, and it is given how exact panoramas of the simulator are.
 
 Below it says for each kind of layout, and for all, how many times as large as predicted the
 errors typically were (geometric mean over the maps, each of which is one draw of the errors that

@@ -2,7 +2,7 @@
 Rooms never seen: simulate, learn from two sweeps, evaluate a drive; one line a room.
 
 Before the drive a lamp is dimmed, a piece of furniture moved, and one poster in five exchanged.
-The robot is told a ``room.yaml`` as a person measures it; the exact one with ``--exact``.
+The robot is given a ``room.yaml`` as a person measures it; the exact one with ``--exact``.
 ``python test/rooms.py --seeds 201 202 203`` prints the table of the README and exits with 1 if a
 room misses a bound. Seeds are not used anywhere else: nothing is fitted to them.
 """
@@ -93,7 +93,7 @@ def over_by_chance(nees_high: float) -> float:
     Probability that an estimator at the bound is over `MAX_CRLB_RATIO` in a room.
 
     What a map is off by is drawn once a room: few numbers make up the errors of a drive. How many
-    is told by the upper end of the 95 % interval of their mean NEES, which is 3 on average.
+    is shown by the upper end of the 95 % interval of their mean NEES, which is 3 on average.
     """
 
     def excess(count: float) -> float:
@@ -118,9 +118,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, nargs='+', required=True)
     parser.add_argument('--out', type=Path, help='keep the rooms here')
-    parser.add_argument(
-        '--exact', action='store_true', help='tell the robot exactly how the room is'
-    )
+    parser.add_argument('--exact', action='store_true', help='give the robot the exact room')
     arguments, options = parser.parse_known_args()
     rows = []
     for seed in arguments.seeds:

@@ -1,5 +1,5 @@
 """
-Starts that are off, and told as such: how many landmarks are found, how soon it tracks.
+Starts that are off, and given as such: how many landmarks are found, how soon it tracks.
 
 ``python test/start_check.py DRIVE --map MAP --robot robot.yaml`` begins at several moments of a
 drive with a pose that is off by so many metres and degrees, its sigmas as large, and lets nothing

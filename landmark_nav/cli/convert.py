@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=within(float, 1e-6, 90.0),
         default=0.5,
         metavar='DEG',
-        help='of every bearing in degrees, which the data do not tell (default %(default)s: their '
+        help='of every bearing in degrees, which the data do not give (default %(default)s: their '
         'scatter about the truth)',
     )
     mrclam.add_argument(

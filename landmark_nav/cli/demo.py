@@ -128,7 +128,7 @@ def _report(
     run = recorded_run(Bag(folder / 'recording'))
     measured = figures(run, landmarks)
     room = load_room(folder / 'room.yaml')
-    # The node gives the map alone; the same stages tell what became of every candidate.
+    # The node gives the map alone; the same stages show what became of every candidate.
     learned = learn_from_panoramas(panoramas, room, LearningConfig())
     drawn = {name: folder / f'{name.lower()}.png' for name in ('Trajectory', 'Errors', 'Map')}
     draw_trajectory(run, landmarks, drawn['Trajectory'])

@@ -41,7 +41,7 @@ __all__ = ['add_arguments', 'run']
 # Contract's names of what `sensor_events` passes on, for the length of the bar.
 _EVENTS = ('camera/image_raw', 'detections', 'odom', 'ground_truth/odom')
 
-# Half around the earth. What is said to be known still better is a slip of the pen.
+# Half around the earth. A smaller sigma is a slip of the pen.
 _FARTHEST_M, _LEAST_SIGMA = 2e7, 1e-9
 
 _FIGURES = {'Trajectory': 'trajectory.png', 'Errors': 'errors.png'}
@@ -190,7 +190,7 @@ def run(args: argparse.Namespace) -> int:
         if apart := departures(done, smoothed):
             bag.warn(
                 f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
-                'doubt odometry, joint_states and camera where they seem to be wrong'
+                'check odometry, joint_states and camera where they seem to be wrong'
             )
     figures = {caption: BytesIO() for caption in _FIGURES}
     if args.out or args.report:

@@ -189,7 +189,7 @@ def _provenance(args: argparse.Namespace) -> dict[str, str]:
 
 
 def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path) -> str:
-    """Tell what was learned, for a person."""
+    """Summarize what was learned, for a person."""
     lines = []
     for number, (sweep, panorama) in enumerate(zip(report['sweeps'], panoramas, strict=True), 1):
         x, y, heading = sweep['pose']
@@ -210,7 +210,7 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
     terms = [t for p in panoramas if p.quality is not None for t in p.quality.calibration]
     if any(t.used for t in terms if t.name.startswith('axis')):
         lines.append(
-            'the pan axis leans about x (roll) and y (pitch) of the base, see above: set pan_axis '
+            'the pan axis tilts about x (roll) and y (pitch) of the base, see above: set pan_axis '
             'rpy in robot.yaml, which navigation goes by'
         )
     walls = ', '.join(f'{wall} {count}' for wall, count in report['landmarks_per_wall'].items())

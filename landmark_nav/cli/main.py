@@ -109,7 +109,7 @@ def _run(name: str, arguments: list[str]) -> int:
     parser = _Parser(
         prog='landmark-nav',
         description='Lets a robot with one turning camera learn its landmarks by itself.',
-        epilog='landmark-nav COMMAND --help tells more. What is marked (ROS) needs ROS 2, the '
+        epilog='landmark-nav COMMAND --help shows more. What is marked (ROS) needs ROS 2, the '
         'rest does not. Exit status: 0 done, 1 the data does not allow it (the message says why), '
         '2 wrong usage.',
     )

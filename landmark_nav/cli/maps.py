@@ -122,7 +122,7 @@ def _migrate(args: argparse.Namespace) -> int:
 
 
 def describe_comparison(comparison: Comparison) -> str:
-    """Tell what two maps agree on, as lines of text."""
+    """Describe what two maps agree on, as lines of text."""
     same = comparison.of(Texture.SAME)
     changed = comparison.of(Texture.CHANGED)
     unknown = comparison.of(Texture.UNKNOWN)
@@ -161,7 +161,7 @@ def _name(k: Landmark) -> str:
 
 
 def describe_map(landmarks: LandmarkMap) -> str:
-    """Tell of a map as a table of its landmarks and a summary."""
+    """Describe a map: a table of its landmarks and a summary."""
     lines = [
         f'{"id":>4} {"wall":<8} {"x m":>7} {"y m":>7} {"z m":>6} {"along mm":>8} '
         f'{"across mm":>9} {"size cm":>8} {"range m":>7} {"NCC":>5}'

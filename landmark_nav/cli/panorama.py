@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
         sweep = aligned.sweep
         print(
             f'focal length {aligned.focal_px:.2f} +- {aligned.focal_sigma_px:.2f} px '
-            f'({aligned.focal_scale:.4f} times what was told), as of a lens without distortion'
+            f'({aligned.focal_scale:.4f} times the given one), as of a lens without distortion'
         )
         quality = aligned.quality
     elif args.align:

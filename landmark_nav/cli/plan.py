@@ -154,7 +154,7 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
 
 
 def _summary(plan: Plan) -> str:
-    """Tell what is proposed, and what it is worth beside other places."""
+    """Report what is proposed, and what it is worth beside other places."""
     best = plan.best
     lines = [
         f'place {k}: x {x:.2f} m, y {y:.2f} m, heading {np.degrees(heading):.0f} deg'

@@ -12,14 +12,14 @@ from landmark_nav.evaluation.html_report import cell, ESTIMATES, nees_range
 
 __all__ = ['error_table', 'run_summary']
 
-# Stretches without tracking that are told; the others are in the JSON.
+# Stretches without tracking that are listed; the others are in the JSON.
 _MOST_SPELLS = 6
 # A drive whose camera does not turn says nothing of late joint states.
 _DELAY_REPORTED_S = 0.02
 
 
 def run_summary(report: Mapping[str, Any]) -> str:
-    """Tell how the run went, by the report of `run_report`."""
+    """Summarize a run, by the report of `run_report`."""
     known = report['fused']['position_rmse_m'] is not None
     lines = [f'WARNING: {report["warning"]}'] if report['warning'] else []
     lines += error_table(report) if known else ['no errors: no ground truth at the images']

@@ -1,4 +1,4 @@
-"""What the demo tells on the terminal while it runs."""
+"""What the demo prints on the terminal while it runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _REFRESH_S = 0.2
 
 class Narrator:
     """
-    Steps with their time, and a line below that tells how far the present one is.
+    Steps with their time, and a line below that shows how far the present one is.
 
     That line is drawn on terminals only.
     """
@@ -34,7 +34,7 @@ class Narrator:
         self._write(f'\n[{self.seconds:5.1f} s] {self._bold(text)}\n')
 
     def print_line(self, text: str) -> None:
-        """Tell a result."""
+        """Print a result."""
         self._clear()
         self._write(f'          {text}\n')
 

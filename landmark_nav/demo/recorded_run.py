@@ -101,7 +101,7 @@ def _read(bag: Bag, name: str, decoder: Callable[[Any], T]) -> list[T]:
 
 
 def _lost_at(bag: Bag, stamps_ns: Any) -> list[bool]:
-    """What the fusion last said of itself at each image; not lost before its first word."""
+    """Last report of the fusion at each image; not lost before the first."""
     states: list[tuple[int, bool]] = [(0, False)]
     for entry in bag.messages(['/diagnostics']):
         for status in entry.message.status:

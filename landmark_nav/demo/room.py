@@ -1,4 +1,4 @@
-"""The room of the demo, what its robot is told of it, and the ways that are driven."""
+"""The room of the demo, what its robot is given of it, and the ways that are driven."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class DemoRoom:
     seed : int
         Draws everything.
     room_file, robot_file : Path
-        What the nodes are told.
+        What the nodes are given.
     mount : PanTiltMount
         The same as `robot_file`.
     to_second_place, tour : ndarray, shape (n, 2)

@@ -49,7 +49,7 @@ class Robot(Protocol):
     panoramas: list[Panorama]
 
     def status_of(self, node: str) -> NodeStatus:
-        """What a node last said of itself."""
+        """Last report of a node."""
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """Let time pass until something holds."""
@@ -61,7 +61,7 @@ class Robot(Protocol):
         """Set the speeds."""
 
     def start_at(self, estimate: PoseEstimate) -> None:
-        """Tell the fusion where the robot is."""
+        """Give the fusion the pose of the robot."""
 
     def recording(self, path: Path, topics: Sequence[str]) -> AbstractContextManager[None]:
         """Record topics while in the block."""
@@ -83,7 +83,7 @@ def run_scenario(
     """
     narrator.title(f'Starting {len(nodes)} nodes, each a process')
     robot.wait(
-        lambda: all(robot.status_of(name).reason for name in nodes), 60.0, 'all nodes to speak'
+        lambda: all(robot.status_of(name).reason for name in nodes), 60.0, 'a report of all nodes'
     )
     robot.wait(lambda: robot.odometry is not None, 20.0, 'odom of the simulated robot')
     length, width = room.size_m
@@ -105,7 +105,7 @@ def run_scenario(
     way_m = float(np.linalg.norm(np.diff(room.tour, axis=0), axis=1).sum())
     narrator.title(f'Driving {way_m:.0f} m, steered by the fused pose')
     narrator.print_line(
-        'the camera keeps turning to the three landmarks that promise the best fix'
+        'the camera keeps turning to the three landmarks that are expected to give the best fix'
     )
     with robot.recording(folder / 'recording', RECORDED_TOPICS):
         robot.start_at(second)

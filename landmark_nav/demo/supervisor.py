@@ -88,7 +88,7 @@ class Supervisor:
         Raises
         ------
         ProcessEndedError
-            One has ended; the message says which, how, and what it said last.
+            One has ended; the message says which, how, and its last lines.
 
         """
         for child in self._children:
@@ -96,7 +96,7 @@ class Supervisor:
             if status is not None:
                 raise ProcessEndedError(
                     f'{child.name} ended with {_described(status)}: {_last_words(child.log)} '
-                    f'(all it said: {child.log})'
+                    f'(its output: {child.log})'
                 )
 
     def stop(self, gently: signal.Signals = signal.SIGTERM) -> dict[str, int]:
@@ -129,4 +129,4 @@ def _described(status: int) -> str:
 def _last_words(log: Path) -> str:
     lines = [line.strip() for line in log.read_text(errors='replace').splitlines()]
     last_lines = [line for line in lines if line][-_LAST_LINES:]
-    return ' | '.join(last_lines) or 'it said nothing'
+    return ' | '.join(last_lines) or 'it printed nothing'

@@ -103,7 +103,7 @@ def verdict(
     Parameters
     ----------
     motion : Motion
-        As the streams tell it.
+        As the streams give it.
     joints : mapping of str to Track
         Other joints that could be the pan, by name.
     by_twist : Track, optional

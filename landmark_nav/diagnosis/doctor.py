@@ -36,11 +36,11 @@ __all__ = ['QUICK', 'THOROUGH', 'Delays', 'Diagnosis', 'diagnose']
 
 # Images that are decoded: at the start of `learn` and `evaluate`, and where that shows a fault.
 QUICK, THOROUGH = 60, 600
-# Fewer pairs of images tell nothing of motion.
+# Fewer pairs of images show no motion.
 _LEAST_PAIRS = 12
 # Less of the images than this lies in the time of a stream that has another clock.
 _COVERED = 0.1
-# Without motion, times of recording tell clocks apart to about this.
+# Without motion, times of recording separate clocks to about this.
 _BY_LOG_S = 0.5
 # Scale of focal length or pan that calibration finds in a sweep.
 _CALIBRATED = 1.2
@@ -102,7 +102,7 @@ def diagnose(
     mount : PanTiltMount
         Names of the joints, and where the camera sits.
     room : Room, optional
-        Its size tells the unit of the odometry better.
+        Its size shows the unit of the odometry better.
     most_images : int
         So many images are decoded at most; more, where these show a fault.
 
@@ -440,7 +440,7 @@ def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Findi
 def _clocks_by_log(
     motion: Motion, hints: Mapping[str, Sequence[Clock]], slopes: Linear | None
 ) -> list[Finding]:
-    """Clocks by times of recording, where motion does not tell them."""
+    """Clocks by times of recording, where motion does not show them."""
     known = {
         JOINTS: slopes is not None and slopes.quiet and slopes.pan_clock_s.sigma < _KNOWN_S,
         ODOMETRY: slopes is not None and slopes.quiet and slopes.odometry_clock_s.sigma < _KNOWN_S,

@@ -85,7 +85,7 @@ class StripView:
         along, down = self._pixels[..., 0], self._pixels[..., 1]
         strip = cv2.remap(image, along, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         seen = np.asarray(strip, dtype=np.float32)
-        # What runs along azimuth does not tell of turns.
+        # What runs along azimuth does not show turns.
         seen = np.asarray(cv2.Sobel(seen, cv2.CV_32F, 1, 0, ksize=3, scale=0.125))
         seen /= np.maximum(np.sqrt(cv2.blur(seen * seen, _CONTRAST)), _LEAST_CONTRAST)
         energy = np.concatenate([[0.0], np.cumsum((seen * seen).sum(0))])

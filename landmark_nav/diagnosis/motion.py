@@ -223,7 +223,7 @@ def explained(motion: Motion) -> Fit:
 
 
 class Estimate(NamedTuple):
-    """A value and its sigma, which is infinite where nothing tells."""
+    """A value and its sigma, which is infinite where nothing shows it."""
 
     value: float
     sigma: float
@@ -263,7 +263,7 @@ class Linear:
 
 
 def linear(motion: Motion) -> Linear:
-    """Estimate small errors; what nothing tells has a sigma without end."""
+    """Estimate small errors; what nothing shows has an infinite sigma."""
     panned, yawed = motion.panned(), motion.yawed()
 
     def rate(move: str) -> FloatArray:

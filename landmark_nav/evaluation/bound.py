@@ -37,7 +37,7 @@ def posterior_bound(
     For a nonlinear system with Gaussian noise the bound obeys the covariance recursion of the
     extended Kalman filter linearised along the true trajectory (Taylor, IEEE Trans. Automatic
     Control 24(2), 1979; Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5),
-    1998). So a filter is told the truth without noise, with the noise models, the landmarks'
+    1998). So a filter is given the truth without noise, with the noise models, the landmarks'
     joint covariance and the detections of the run; it refines the landmarks, as an optimal
     estimator would.
 

@@ -62,7 +62,7 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, byt
         'claimed sigma, median [cm]': cell(report['claimed']['position_median_m'], 100.0, 2),
         f'NEES, mean (3 is ideal{nees_range(nees["interval_95"])})': cell(nees['mean'], 1.0, 2),
         'NEES, share within 95 % [%]': cell(nees['inside_95'], 100.0, 1),
-        'images over 5 sigma off, not told': cell(report['silently_wrong'], 1, 0),
+        'images over 5 sigma off, not reported': cell(report['silently_wrong'], 1, 0),
         **(_of_replay(report) if 'crlb_ratio' in report else {}),
     }
     others = ''.join(
@@ -110,7 +110,7 @@ def _of_replay(report: Mapping[str, Any]) -> dict[str, str]:
 
 
 def nees_range(interval: list[float] | None) -> str:
-    """Tell between which means NEES is consistent, if that is known."""
+    """Give the bounds between which the mean NEES is consistent, if that is known."""
     return f', {interval[0]:.2f} to {interval[1]:.2f} is consistent' if interval else ''
 
 

@@ -37,7 +37,7 @@ def learning_report(
     Parameters
     ----------
     measured : sequence of Panorama
-        The panoramas as they were before: their poses are those that the papers tell alone, or
+        The panoramas as they were before: their poses are those that the papers give alone, or
         ``sweep/pose``.
     frames : sequence of int
         How many frames each sweep had.
@@ -110,7 +110,7 @@ def _sweep(
     truth: PoseTrack,
     mount: PanTiltMount,
 ) -> dict[str, Any]:
-    """Tell of one sweep: where it was taken, and what it led to."""
+    """Report one sweep: where it was taken, and what it led to."""
     return {
         'stamp_ns': panorama.stamp_ns,
         'frames': frames,

@@ -102,7 +102,7 @@ def run_report(
 
 
 def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> dict[str, Any]:
-    """Of these figures, those that the poses of a run tell; ``claimed`` are their sigmas."""
+    """Of these figures, those that the poses of a run give; ``claimed`` are their sigmas."""
     images = len(run.searched) + len(run.updates)
     by_map = run.by_map(landmark_map)
     nees = consistency(errors.fused, run.fused_covariances, by_map)
@@ -120,7 +120,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         'nees': {
             'mean': nees.mean if nees else None,
             'inside_95': nees.inside_95 if nees else None,
-            # What the nodes publish does not tell the map's share, without which it is too narrow.
+            # What the nodes publish does not hold the map's share, without which it is too narrow.
             'interval_95': list(nees.interval_95) if nees and by_map is not None else None,
         },
         'claimed': {

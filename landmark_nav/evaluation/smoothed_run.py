@@ -27,7 +27,7 @@ def smooth_run(
     Smooth over all detections of a run, those that the filter refused included.
 
     It begins at the filter's poses. Bearings are corrected for the joint delay as it is known at
-    the end of the run. What odometry says is not believed where the filter was lost, from the last
+    the end of the run. Odometry is not used where the filter was lost, from the last
     image that it used before.
     """
     # Images may have come late.
@@ -56,7 +56,7 @@ def departures(run: Replay, smoothed: Smoothed) -> str:
     """
     Where the line is far from the filter's, in words; empty if it is not.
 
-    The filter doubts wheels, camera and clock where they seem to be wrong; the line does not.
+    The filter inflates covariances where wheels, camera or clock seem wrong; the line does not.
     """
     fused = {update.stamp_ns: update.fused for update in run.updates}
     both = [fused[stamp] for stamp in smoothed.stamps_ns.tolist()]

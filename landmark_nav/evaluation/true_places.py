@@ -35,7 +35,7 @@ def check_truth_frame(bag: Bag, frame: str) -> None:
     try:
         found = '' if first is None else str(first.message.header.frame_id)
     except LandmarkNavError:
-        return  # its errors are said where it is read
+        return  # its errors are reported where it is read
     if found and not decode.same_frame(found, frame):
         bag.warn(
             f'{bag.path}: {topic} is in frame {found}, the map in {frame}: errors are right only '

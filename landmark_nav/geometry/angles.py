@@ -39,7 +39,7 @@ def wrap_one_rad(angle_rad: float) -> float:
 
 
 def check_one_turn(pans_rad: npt.ArrayLike, where: str) -> None:
-    """Refuse pan angles (n,) of one turn of the camera that must have been told in degrees."""
+    """Refuse pan angles (n,) of one turn of the camera that must have been given in degrees."""
     span = float(np.ptp(pans_rad))
     if span > 4.0 * np.pi:
         raise LandmarkNavError(f'{where}: the pan goes over {span:.0f} rad: are these degrees?')

@@ -24,8 +24,9 @@ from landmark_nav.geometry.se2 import compose
 __all__ = ['MAX_PX_PER_RAD', 'CameraModel', 'PanTiltMount']
 
 
-# How many distortion coefficients each ROS distortion model carries. OpenCV tells its polynomials
-# apart by that number alone: drivers write all of them under the names of the first two.
+# How many distortion coefficients each ROS distortion model carries. OpenCV distinguishes its
+# polynomials apart by that number alone: drivers write all of them under the names of the first
+# two.
 _COEFFICIENTS = {'plumb_bob': 12, 'rational_polynomial': 12, 'equidistant': 4}
 
 # Numerical setting: images are reduced to this resolution as they arrive, so that time and memory
@@ -42,7 +43,7 @@ _POLISH_ITERATIONS = 30
 
 # Spacing of the rays that `ray_grid` computes exactly.
 _GRID_PX = 8
-# Of them so many along each side tell those between.
+# Of them so many along each side give those between.
 _NEAREST = 6
 
 # Optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up).

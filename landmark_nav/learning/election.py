@@ -84,7 +84,7 @@ def elect(
     adjustment : Adjustment
         Places and covariances in the same order.
     free : Adjustment
-        The same without the walls: what measurements alone tell.
+        The same without the walls: what measurements alone give.
     panoramas : sequence of Panorama
         With adjusted poses.
     greys : sequence of ndarray, shape (height, width)
@@ -157,7 +157,7 @@ def _refuse(
         return Refusal('not on a wall', f'{off_wall * 100:.0f} cm off, misfit {misfit:.0f}')
     # The wall would draw to it whatever stands there.
     if depth_sigma > config.max_depth_sigma_m:
-        return Refusal('too little parallax', f'{depth_sigma * 100:.1f} cm of doubt in its depth')
+        return Refusal('too little parallax', f'{depth_sigma * 100:.1f} cm sigma of its depth')
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
     if sigma > config.max_sigma_m:
         return Refusal('place too uncertain', f'{sigma * 100:.1f} cm')

@@ -84,8 +84,8 @@ class LearningResult:
     What was learned and what became of every candidate.
 
     `panoramas` carry their adjusted poses. `candidates` and `outcomes` have one tuple a
-    panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` tells,
-    a tuple a panorama too, why attention refused others before. `walls` tells how far before each
+    panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` holds,
+    a tuple a panorama too, why attention refused others before. `walls` holds how far before each
     wall what hangs there lies, where enough does, and `warning` whether these walls may be wrong.
     """
 

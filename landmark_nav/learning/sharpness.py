@@ -1,7 +1,7 @@
 """
 How sharp an image is beside others that show the same part of the room.
 
-Sharpness alone tells nothing: a blank wall has none. So gradients are kept by direction, and two
+Sharpness alone shows nothing: a blank wall has none. So gradients are kept by direction, and two
 images are compared where both look, whatever is there.
 """
 

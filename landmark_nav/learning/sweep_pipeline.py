@@ -153,7 +153,7 @@ def panorama_from_sweep(
 
 
 def _wrong_focal(quality: PanoramaQuality) -> str:
-    """What to say of a focal length that the turn shows to be far off what was given."""
+    """Warning about a focal length that the turn shows to be far off what was given."""
     for term in quality.calibration:
         if term.name == 'focal_length' and term.used and abs(term.value) > _WORTH_REPORTING:
             return (

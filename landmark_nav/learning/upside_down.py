@@ -1,4 +1,4 @@
-"""A camera that hangs upside down though nobody said so: the reference papers show it."""
+"""A camera that is mounted upside down against robot.yaml: the reference papers show it."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ class FrozenImage:
     """
     Recognises images that equal an earlier one although the camera has moved.
 
-    Joints and odometry tell whether it has: a pose in map is also put right where nothing moves.
+    Joints and odometry show whether it has: a pose in map is also put right where nothing moves.
     """
 
     def __init__(self) -> None:
@@ -45,6 +45,6 @@ class FrozenImage:
 
 
 def _same(image: ImageArray, other: ImageArray) -> bool:
-    # A few rows tell almost all images apart.
+    # A few rows distinguish almost all images.
     few = slice(None, None, 16)
     return np.array_equal(image[few], other[few]) and np.array_equal(image, other)

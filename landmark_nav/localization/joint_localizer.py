@@ -65,7 +65,7 @@ _NEW, _STILL_KNOWN = 0.5, 0.8
 _CLOCK_STEP_NS, _UNKNOWN_S = 10**9, 0.1
 # Steps in which the lens is put right for drawing templates, over the focal length.
 _STEP = 4e-4
-_NO_TRIPLET = Refusal('no triplet', 'the joint estimator takes what tells most')
+_NO_TRIPLET = Refusal('no triplet', 'the joint estimator takes what is most informative')
 # States as the rest of the package calls them.
 _STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
 # A detection of less weight than this is an outlier.

@@ -45,7 +45,7 @@ _LOG = logging.getLogger(__name__)
 # With a hardly known pose, fewer landmarks than this may all be mistaken.
 _AGREE = 3
 # A wide prior is narrowed by a search that takes a tenth of a second: in each of the first so many
-# images, then, if all was in vain, in every third one.
+# images, then, if nothing was found, in every third one.
 _EAGER, _PATIENT = 5, 3
 # Share of the landmarks looked for that counts as most of them.
 _MOST = 0.75
@@ -82,7 +82,7 @@ class Observation:
         Why others were not, by landmark id.
     fix : PoseEstimate or Refusal
         Triangulated pose of the base, from the bearings of this image or of several. The prior
-        only told where to look, and rejects impossible results.
+        only given where to look, and rejects impossible results.
     unusable : bool
         Whether the image was not searched at all.
 
@@ -138,11 +138,11 @@ class Observer:
 
     @property
     def roll_change_rad(self) -> float:
-        """By how much the camera leans to its right; 0 unless it was displaced."""
+        """Roll of the camera to its right; 0 unless it was displaced."""
         return self._detector.roll_change_rad
 
     def turn(self, tilt_rad: float, roll_rad: float) -> None:
-        """Take the camera to look so much higher, and to lean so much more to its right."""
+        """Take the camera to be tilted up so much more, and rolled so much more to its right."""
         self._detector.turn(tilt_rad, roll_rad)
 
     @property
@@ -239,9 +239,9 @@ class Observer:
         """
         Look for some of the `visible` (n,) landmarks, first of all for those `wanted`.
 
-        As long as most are found, a few are enough. Otherwise all are looked for, to tell a camera
-        that was displaced from a view that has changed; a knock is ruled out unless the pose is
-        `known`.
+        As long as most are found, a few are enough. Otherwise all are looked for, to distinguish a
+        camera that was displaced from a view that has changed; a knock is ruled out unless the
+        pose is `known`.
         """
         config, sigma = self._config.detection, self._config.triplet.bearing_sigma_rad
         axis = axis_from_base(prior, self._mount)
@@ -264,7 +264,7 @@ class Observer:
     def _with_neighbour_variance(
         self, found: Detections, missed: npt.NDArray[np.int64], prior: PoseEstimate
     ) -> Detections:
-        """Bearings, less certain where what hangs around a landmark was looked for in vain."""
+        """Bearings, less certain where the neighbours of a landmark were not found."""
         columns = self._map.indices(found.ids)
         self._neighbours.note(columns, self._map.indices(missed))
         away = self._map.positions[columns, :2] - axis_from_base(prior, self._mount).pose[:2]

@@ -229,7 +229,7 @@ class Localizer:
             return outcome
         self._observer.turn(*self._relocalizer.tilt_roll_rad)
         pan_motion = PanMotion.of(frame, self._mount)
-        # The filter itself doubts the heading of a camera that turned.
+        # The filter itself inflates the heading of a camera that turned.
         found = Found(
             self._relocalizer.landmark_ids, pan_motion.rate_rad_s, pan_motion.track, late.delay_s
         )

@@ -42,7 +42,7 @@ class Alignment(NamedTuple):
     """
     Where the centres of m templates lie in their images, `xy` (m, 2).
 
-    `place` (m,) tells which of those given they are: the others don't align. `covariance`
+    `place` (m,) holds which of those given they are: the others don't align. `covariance`
     (m, 2, 2) is that of `xy`; `score` (m,) is the normalized cross-correlation there; `blur_px2`
     (m, 2) by how much more the image is blurred than the template.
     """

@@ -3,7 +3,7 @@ How far off templates may be that were aligned with images.
 
 White noise of variance s^2 in the search image passes the blur and the interpolation, together B,
 so the shift's covariance is ``s^2 N^-1 G B B^T G^T N^-1`` with G the gradients and N their normal
-matrix; the residuals, whose variance is s^2 times the sum of the squares of B's kernel, tell s^2.
+matrix; the residuals, whose variance is s^2 times the sum of the squares of B's kernel, give s^2.
 
 Where things stand out from each other (an image's frame, a reflection), residuals next to each
 other pull alike. So each part of the patch says where it would rather be, and where they
@@ -29,16 +29,17 @@ __all__ = ['Fits', 'covariances']
 # same, pixels.
 _FLOOR = np.diag([0.02**2, 0.02**2])
 # Parts of a patch, each way, that may be out of place. Shift, gain and offset take of their
-# freedom, and that few tell of a variance raises the mean of what is divided by it: two more.
+# freedom, and that few contribute to a variance raises the mean of what is divided by it: two
+# more.
 _PARTS, _TAKEN = 4, 4 + 2
-# By so much of itself the variance that parts tell exceeds that of white noise once in ten cases.
+# By this share the variance estimated from parts exceeds that of white noise once in ten cases.
 _BY_CHANCE = 0.5
 _TINY = 1e-12
 
 
 class Fits(NamedTuple):
     """
-    Of n templates that were aligned, what tells how well.
+    What gives the accuracy of n aligned templates.
 
     `sizes` are width and height; `rows` (5, pixels) each, of which the first two are twice the
     gradients and the third the template; `seen` (pixels,) each what the image shows, without its

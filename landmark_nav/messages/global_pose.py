@@ -15,7 +15,7 @@ __all__ = ['GlobalPose']
 @dataclass(frozen=True, eq=False)
 class GlobalPose(PoseEstimate):
     """
-    A place that images told, without any prior.
+    A pose that images gave, without any prior.
 
     It is the pose of the base at the last of them if its joint states are in time; `ids` (m,) are
     the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`, to the

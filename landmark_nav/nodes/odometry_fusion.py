@@ -34,7 +34,7 @@ from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEsti
 
 __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 
-# A joint delay that is open matters to a camera that turns so far: where it looked may be told
+# A joint delay that is open matters to a camera that turns so far: where it looked may be reported
 # long after its image. So long that is waited for.
 _PAN_RANGE_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
@@ -108,7 +108,7 @@ class OdometryFusionNode(LandmarkNode):
         self._frames = CameraFrames(self, self._mount)
         self.listen('detections', self._on_detections)
         # Bearings and the poses made of them are the same information: where poses are used,
-        # bearings tell what was seen.
+        # bearings show what was seen.
         if self._config.fusion.mode == 'poses':
             self.listen('triangulation/pose', self._on_pose)
         self.listen('initialpose', self._on_initial_pose)
@@ -180,7 +180,7 @@ class OdometryFusionNode(LandmarkNode):
         if not self._filter.reaches(place.stamp_ns):
             raise LandmarkNavError('it is of an image from before the odometry that is kept')
         if self._start_given_ns is not None and place.stamp_ns <= self._start_given_ns:
-            raise LandmarkNavError('it is of an image from before the start pose that was told')
+            raise LandmarkNavError('it is of an image from before the given start pose')
         self._waiting.append(place)
         self._use_waiting()
 
@@ -203,7 +203,7 @@ class OdometryFusionNode(LandmarkNode):
             # What is late, or hangs, does not move the filter on.
             raise LandmarkNavError(str(refusal))
         if self._last is not None and sample.stamp_ns < self._last.stamp_ns:
-            # The clock was set back: by this one nothing was told yet.
+            # The clock was set back: by this one nothing was given yet.
             self._start_given_ns = None
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
         self._odom_frame = message.header.frame_id.lstrip('/')
@@ -211,7 +211,7 @@ class OdometryFusionNode(LandmarkNode):
         estimate = self._filter.estimate(sample.stamp_ns)
         if estimate is not None:
             self._publish(estimate, sample)
-            # Only here: a transform is not to be told twice of one time.
+            # Only here: a transform must not be published twice for one time.
             pose = self._spread.at(sample.stamp_ns, estimate.pose, sample.pose_odom_base)
             frames = (self._config.map_frame, self._odom_frame)
             self._transform.send(sample.stamp_ns, pose, frames)
@@ -230,7 +230,7 @@ class OdometryFusionNode(LandmarkNode):
                 self._use_place(found)
 
     def _waits(self, found: Detections | GlobalPose) -> bool:
-        """Whether joint states that may tell where the camera looked are still to come."""
+        """Whether joint states that may give where the camera looked are still to come."""
         late = self._filter.late
         settled = late.is_known or self._frames.pan_range_rad < _PAN_RANGE_RAD
         if settled and not late.matters:
@@ -275,7 +275,7 @@ class OdometryFusionNode(LandmarkNode):
         self._corrected(measured.stamp_ns)
 
     def _corrected(self, stamp_ns: int) -> None:
-        """Tell at once what an image changed, at the newest time that is known."""
+        """Publish at once what an image changed, at the newest time that is known."""
         if self._last is None:
             return
         newest = max(stamp_ns, self._last.stamp_ns)

@@ -38,7 +38,7 @@ _PAUSE_S = 0.005
 # A fused pose that stays away for less is on its way: whoever fuses waits for the processor, and a
 # search would take a second of it.
 _LATE_S = 2.0
-# Within that time after its image a place that was told has become the fused pose.
+# Within that time after its image a pose that was published has become the fused pose.
 _FUSED_NS = 10**9
 
 
@@ -59,7 +59,7 @@ class PlaceSearchConfig(RelocalizationConfig):
 
 @dataclass
 class _Call:
-    """Of the service, which others may join; `outcome` is a place only once that is told."""
+    """Of the service, which others may join; `outcome` is a pose only once that is published."""
 
     until_s: float
     outcome: PoseEstimate | Refusal = field(default_factory=lambda: Refusal('no image came'))
@@ -67,7 +67,7 @@ class _Call:
 
 class PlaceSearch:
     """
-    Finds the robot's place when called or lost, and tells it on ``global_localization/pose``.
+    Finds the robot's pose when called or lost, and publishes it on ``global_localization/pose``.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ class PlaceSearch:
 
     @property
     def tilt_roll_rad(self) -> tuple[float, float]:
-        """By how much the camera looks higher, and leans to its right, by the last place."""
+        """Tilt and roll of the camera against its joints, by the last pose, rad."""
         return self._lean_rad
 
     def look(
@@ -172,7 +172,7 @@ class PlaceSearch:
         Go on with an image; what is known of the place by now.
 
         `camera_tilt` is what is known of the camera. The image's pan is that of joint states which
-        are stamped so much later, as the node was told and as was measured beyond that.
+        are stamped so much later: as the node was given, and as was measured beyond that.
         """
         relocalizer, self._lean_rad = self._relocalizer, (0.0, 0.0)
         if relocalizer is None:
@@ -181,7 +181,7 @@ class PlaceSearch:
         while known and known[0].stamp_ns <= frame.stamp_ns:
             relocalizer.add_odometry(known.popleft())
         outcome = relocalizer.add_frame(frame, camera_tilt)
-        # That took a while, in which somebody may have told the place.
+        # That took a while, in which somebody may have given the pose.
         known = self._odometry
         self.consider(known[-1].stamp_ns if known else frame.stamp_ns)
         if self._relocalizer is not relocalizer:

@@ -182,7 +182,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             return
         self._search.consider(stamp)
         searches = self._search.active and not self._images_unusable
-        # What told the place is not to tell it again.
+        # What gave the pose must not give it again.
         if searches and (self._look(message) or self._prior.recent(stamp) is None):
             return
         start = time.monotonic()
@@ -204,7 +204,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         outcome = self._search.look(
             frame, self._observer.camera_tilt, self._config.joint_delay_s, late.delay_s
         )
-        found = 'place found, and told on global_localization/pose'
+        found = 'pose found, and published on global_localization/pose'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)
         if isinstance(outcome, Refusal):
@@ -252,7 +252,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             side = 'above' if higher > 0.0 else 'below'
             displaced = f'; the camera looks {abs(higher):.2f} deg {side} where its joints say'
         if self._observer is not None and self._observer.roll_change_rad:
-            displaced += '; the camera leans {:.1f} deg {}'.format(
+            displaced += '; the camera is rolled by {:.1f} deg {}'.format(
                 *degrees_aside(self._observer.roll_change_rad)
             )
         if self._triplet is not None:

@@ -1,4 +1,4 @@
-"""Chooses the three landmarks that promise the best fix and turns the camera to them."""
+"""Chooses the three landmarks of the best expected fix and turns the camera to them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
 __all__ = ['Parameters', 'TripletSelectorNode', 'main']
 
-# A fused pose that nothing followed for so long tells no more where to look.
+# A fused pose that nothing followed for so long gives no more where to look.
 _SILENCE_S = 1.0
 # How often is seen whether a view that helps to find the place has been looked at.
 _DWELL_TIME_S = 0.1

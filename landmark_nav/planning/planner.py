@@ -285,7 +285,7 @@ def _check(room: Room, count: int) -> None:
     if len(room.papers) < 3:
         raise LandmarkNavError(
             f'the room names {len(room.papers)} reference papers: hang three and list them in '
-            'room.yaml, they tell where a panorama is taken'
+            'room.yaml, they give the pose of a panorama'
         )
 
 

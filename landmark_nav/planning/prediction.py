@@ -53,7 +53,7 @@ class Prediction:
     covariance : ndarray, shape (s, 2, 2)
         Of x and y of one there, as the map would state it.
     sigma_m : ndarray, shape (c,)
-        Localization error at each floor cell, root of the trace; inf where it can't be told.
+        Localization error at each floor cell, root of the trace; inf where it is not known.
 
     """
 

@@ -3,7 +3,7 @@ Errors to first order: from panoramas' poses to landmarks, from landmarks to the
 
 The models are those of `learning.adjustment` (what a landmark's error has alone, and what the
 panoramas' poses give to all) and of bearings to everything that a turning camera sees, in
-plan. Landmarks come in expected numbers, which scale what they tell.
+plan. Landmarks come in expected numbers, which scale their information.
 """
 
 from __future__ import annotations

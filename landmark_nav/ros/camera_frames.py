@@ -135,7 +135,7 @@ class CameraFrames:
             self._joints = deque([sample])
             return
         if len(self._joints) > 1 and 0 <= sample.stamp_ns - self._joints[-2].stamp_ns < _STEP_NS:
-            # The newest one is always kept: it tells how far they reach.
+            # The newest one is always kept: it shows how far they reach.
             self._joints[-1] = max(sample, self._joints[-1], key=lambda known: known.stamp_ns)
             return
         self._joints.append(sample)

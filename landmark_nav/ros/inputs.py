@@ -128,7 +128,7 @@ class Input:
     def _sources(self, now_s: float) -> list[str]:
         """Who publishes now; several only if they alternate, not if one took over from another."""
         if not self._last_source:
-            # Not every middleware tells the source of a message: all that are known count.
+            # Not every middleware gives the source of a message: all that are known count.
             return sorted(map(_full_name, self._endpoints()))
         recent = [source for at_s, source in self._changes if now_s - at_s < _ALTERNATION_S]
         alternate = len(set(recent)) < len(recent)

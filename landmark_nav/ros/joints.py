@@ -26,7 +26,7 @@ def listen_for_joints(
     """
     Call back with pan and tilt; with stamp, ns, and tilt, rad, where the tilt comes by itself.
 
-    Diagnostics tell which joints are named as long as that of the pan is not among them.
+    Diagnostics list which joints are named as long as that of the pan is not among them.
     """
     names = decode.JointNames(mount)
 

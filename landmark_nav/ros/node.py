@@ -79,7 +79,7 @@ class LandmarkNode(Node):
         raise NotImplementedError
 
     def end(self, failure: LandmarkNavError | None = None) -> None:
-        """Have `run_node` end the process, tell a failure; callbacks under way see `ended`."""
+        """Have `run_node` end the process; callbacks under way see `ended`."""
         if self.ended.done():
             return
         if failure is None:

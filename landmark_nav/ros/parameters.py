@@ -72,7 +72,7 @@ def misspelt(node: Node) -> dict[str, str]:
 
     Files may be for several nodes, so that what looks like none may well be another's.
     """
-    given = getattr(node, '_parameter_overrides', {})  # rclpy tells of them nowhere else
+    given = getattr(node, '_parameter_overrides', {})  # rclpy has them nowhere else
     unset = [name for name in node.get_parameters_by_prefix('') if name not in given]
     meant = {
         name: difflib.get_close_matches(name, unset, 1, _ALIKE)

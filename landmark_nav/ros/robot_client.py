@@ -36,7 +36,7 @@ _RECORDED_DEPTH = 200
 
 @dataclass(frozen=True)
 class NodeStatus:
-    """What a node says on ``/diagnostics``."""
+    """What a node reports on ``/diagnostics``."""
 
     lost: bool = False
     reason: str = ''
@@ -110,7 +110,7 @@ class RobotClient:
         self._context.try_shutdown()
 
     def status_of(self, node: str) -> NodeStatus:
-        """What a node last said of itself; nothing, if it has not yet."""
+        """Last report of a node; empty before the first."""
         return self.status.get(node, NodeStatus())
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
@@ -132,7 +132,7 @@ class RobotClient:
         self, service: str, timeout_s: float, meanwhile: Callable[[], None] = lambda: None
     ) -> str:
         """
-        Call a Trigger service and return what it says.
+        Call a Trigger service and return its message.
 
         `meanwhile` is called while waiting for the answer.
 
@@ -209,7 +209,7 @@ class RobotClient:
                     self._node.destroy_subscription(subscription)
 
     def _last_heard(self) -> str:
-        """What the nodes last said of themselves: why it was in vain is often among it."""
+        """Last reports of the nodes, which often hold the reason."""
         own = self._node.get_name()
         words = [
             f'{name}: {status.reason}'

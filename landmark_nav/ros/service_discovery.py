@@ -16,7 +16,7 @@ _AGAIN_S = 0.5
 
 class ServiceDiscovery:
     """
-    Context manager that tells whether the node behind a service knows this one's ends of it.
+    Context manager that finds out whether the node of a service has discovered this one.
 
     A client is ready once it knows the server. The server may come to know the client later, and
     an answer that it gives before is lost (rmw_fastrtps waits 0.1 s for that; its issue 842). But

@@ -1,4 +1,4 @@
-"""A two-wheeled base and the odometry it believes in."""
+"""A two-wheeled base and its odometry."""
 
 from __future__ import annotations
 

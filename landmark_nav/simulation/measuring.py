@@ -1,4 +1,4 @@
-"""A room as a person with a tape measures it: what a robot is told is never exact."""
+"""A room as a person with a tape measures it: what a robot is given is never exact."""
 
 from __future__ import annotations
 

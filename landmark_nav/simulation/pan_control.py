@@ -60,7 +60,7 @@ class PanControl:
         rng: np.random.Generator,
         preferred: npt.NDArray[np.bool_] | None = None,
     ) -> None:
-        """Look ahead until told where the robot is."""
+        """Look ahead until the pose of the robot is given."""
         self._scene = scene
         self._mount = mount
         self._limit_rad = pan_limit_rad

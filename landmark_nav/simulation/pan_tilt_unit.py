@@ -31,7 +31,7 @@ class PanTiltConfig(Config):
         0.6, 'Tilt goes this far up and down', minimum=0.0, maximum=1.5
     )
     natural_frequency_hz: float = parameter(
-        6.0, 'Of the head that swings after a stop', minimum=0.5, maximum=30.0
+        6.0, 'Of the head that oscillates after a stop', minimum=0.5, maximum=30.0
     )
     damping_ratio: float = parameter(0.4, 'Of that swinging', minimum=0.05, maximum=2.0)
     encoder_step_rad: float = parameter(
@@ -44,7 +44,7 @@ class PanTiltUnit:
     Two axes that follow commands.
 
     The motors move along trapezoidal profiles; the head follows them through a spring, so that it
-    swings a little after each stop. Encoders sit at the head.
+    oscillates a little after each stop. Encoders sit at the head.
     """
 
     def __init__(self, config: PanTiltConfig) -> None:

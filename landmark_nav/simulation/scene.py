@@ -28,7 +28,7 @@ class WallItem:
     ----------
     kind : str
         ``photo``, ``poster``, ``shelf``, ``blinds``, ``door``, ``target``, or ``sheet``: a paper
-        of one colour, of which nobody told the robot.
+        of one colour, which the robot is not given.
     wall : int
         Index of the wall that carries it.
     along_m : float

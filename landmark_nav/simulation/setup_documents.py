@@ -68,7 +68,7 @@ def start_document(pose_map_base: FloatArray) -> str:
 
 def scene_document(scene: Scene) -> str:
     """
-    Text of ``scene.json``: what hangs where, which no robot is told.
+    Text of ``scene.json``: what hangs where, which no robot is given.
 
     For checks of what was learned, above all whether the specialised target was.
     """

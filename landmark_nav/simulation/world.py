@@ -110,7 +110,7 @@ class RobotWorld:
 
     @property
     def camera_settled(self) -> bool:
-        """Whether the camera rests where it was last told to look."""
+        """Whether the camera rests where it was last commanded to look."""
         return self._unit.settled
 
     @property
@@ -139,7 +139,7 @@ class RobotWorld:
         self._unit.command(pan_rad, tilt_rad)
 
     def command_velocity(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Drive until told otherwise."""
+        """Drive until another command."""
         self._drive.command(linear_m_s, angular_rad_s)
 
     def place(
@@ -161,7 +161,7 @@ class RobotWorld:
         return JointSample(self.stamp_ns, float(pan), float(tilt))
 
     def odometry_sample(self) -> OdometrySample:
-        """What the wheels tell now."""
+        """What the wheels measure now."""
         drive = self._drive
         linear, angular = (float(value) for value in drive.measured_twist)
         return OdometrySample(self.stamp_ns, drive.pose_odom_base.copy(), linear, angular)

@@ -80,7 +80,7 @@ def read_mrclam(
     robot : int
         Which, 1 to 5.
     bearing_sigma_rad : float
-        Of every bearing; the data do not tell.
+        Of every bearing; the data do not give it.
     landmark_sigma_m : float
         What a post is off by as the camera sees it, beside the survey: it is no point, and the
         lens is not known well. It is an error that repeats, however often the post is seen.

@@ -31,13 +31,13 @@ _MAX_OFF_WALL_M = 0.1
 # Each wall is compared with each other one.
 _MAX_WALLS, _MAX_PAPERS = 1000, 100
 
-# What is longer or higher, or farther from the base, is told in another unit.
+# What is longer or higher, or farther from the base, is given in another unit.
 _MAX_WALL_M, _MAX_HEIGHT_M, _MAX_MOUNT_M = 1000.0, 50.0, 10.0
 
 # Angles beyond half a turn, with some digits cut off, were written in degrees.
 _HALF_TURN_RAD = 3.15
 
-# A pan that errs more tells nothing.
+# A pan that errs more shows nothing.
 _LARGEST_SIGMA_RAD = 0.1
 
 _ROBOT_FIELDS = (

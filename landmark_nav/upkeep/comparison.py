@@ -27,7 +27,7 @@ _MIN_COS_NORMALS = np.cos(np.radians(10.0))
 _MAX_SHIFT = 0.6
 # ... and can be compared if what they share is at least as wide as this, texels.
 _MIN_OVERLAP_PX = 10
-# How far the maps may disagree and still be told to agree in texture: share of the patch.
+# How far the maps may disagree and still be aligned by texture: share of the patch.
 _SEARCH = 0.15
 # Points without a texture are the same within this.
 _SAME_POINT_M = 0.06
@@ -142,7 +142,7 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
 
 
 def _is_copy(a: Landmark, b: Landmark) -> bool:
-    """Whether the textures are the same to the last bit; blank ones tell nothing."""
+    """Whether the textures are the same to the last bit; blank ones show nothing."""
     alike = (a.width_m, a.height_m) == (b.width_m, b.height_m)
     return alike and bool(np.array_equal(a.patch, b.patch) and a.patch.size and np.ptp(a.patch))
 
@@ -150,7 +150,7 @@ def _is_copy(a: Landmark, b: Landmark) -> bool:
 def _texture_offset(
     a: Landmark, b: Landmark, offset: FloatArray
 ) -> tuple[FloatArray, FloatArray] | Refusal | None:
-    """Disagreement (2,) and its covariance; None where too little is shared to tell."""
+    """Disagreement (2,) and its covariance; None where too little is shared to decide."""
     texel = max(a.width_m / a.patch.shape[1], b.width_m / b.patch.shape[1])
     margin = int(np.ceil(_SEARCH * min(b.width_m, b.height_m) / texel)) + 1
     # Both on one grid of `texel`, which is centred on b; a's image is moved by the offset.

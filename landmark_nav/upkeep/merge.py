@@ -29,7 +29,7 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
     Join two maps; where both know a place, the better landmark stays.
 
     Where the texture is the same that is the one that is known better; where it has changed, the
-    newer one; where too little is shared to tell, both. Landmarks of the older map keep their
+    newer one; where too little is shared to decide, both. Landmarks of the older map keep their
     ids, added ones get new ids above them. The errors of the two maps are independent, so the
     factors of one load nothing in the other.
 

@@ -27,7 +27,7 @@ def recording(tmp_path: Path) -> Path:
 
 
 def played(path: Path, domain_id: int) -> tuple[int, str]:
-    """Exit status of playing a bag, and what was told."""
+    """Exit status of playing a bag, and its output."""
     done = subprocess.run(
         node_command('bag_player', bag=str(path), start_delay_s=0.0),
         capture_output=True,

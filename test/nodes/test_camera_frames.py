@@ -92,7 +92,7 @@ def test_a_tilt_that_is_recognized_by_itself_is_waited_for_and_kept() -> None:
     def hear_pan(stamp_ns: int) -> None:
         frames._on_joints(JointSample(stamp_ns, 0.0))
 
-    # A tilt is awaited, but not for long: it may be told now and then only.
+    # A tilt is awaited, but not for long: it may be given now and then only.
     hear_pan(last_ns + 20_000_000)
     assert frames.reaches(last_ns)
     assert not frames.reaches(last_ns + 10_000_000)

@@ -101,7 +101,7 @@ def test_a_place_of_before_a_start_that_was_given_is_not_taken(fusion: Fusion) -
         fusion.odometry(k)
     fusion.start(fusion.now_ns, 1.0)
     fusion.found(fusion.now_ns - 3 * PERIOD_NS, 4.0)
-    assert 'before the start pose that was told' in fusion.reason()
+    assert 'before the given start pose' in fusion.reason()
     for k in range(20, 30):
         fusion.now_ns = k * PERIOD_NS
         fusion.odometry(k)

@@ -1,4 +1,4 @@
-"""A robot stands and its camera is displaced: what odometry says is doubted, but it is used."""
+"""A robot stands and its camera is displaced: odometry is less certain, but it is used."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_odometry_that_is_flagged_is_fused_all_the_same(domain_id: int, tmp_path
         assert inflated.index(True) == DISPLACED_AT + 1
         assert sum(inflated) > 10
         assert 'dropped' not in ''.join(reported)
-        # What comes twice is no news, and what can't be used is told as before.
+        # What comes twice is no news, and what can't be used is reported as before.
         fused.clear()
         hear(encode.odometry(ros_factory, OdometrySample(k * PERIOD_NS, np.zeros(3))))
         assert not fused

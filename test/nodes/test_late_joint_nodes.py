@@ -129,7 +129,7 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
         and event.stamp_ns - begin_ns > KNOWN_S * 1e9
         and event.stamp_ns in found
     ]
-    # Three of five look at landmarks; one in ten finds some with the pan as it is told.
+    # Three of five look at landmarks; one in ten finds some with the pan as it is given.
     assert np.mean(np.array(turning) >= 3) > 0.5
 
 

@@ -55,7 +55,7 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
             commands.append(pan_rad)
 
     def alive() -> bool:
-        """Be a robot whose joint is where it was told to be, for a moment."""
+        """Be a robot whose joint is where it was commanded, for a moment."""
         now_ns = time.time_ns()
         infos.publish(encode.camera_info(ros_factory, camera, now_ns, 'camera'))
         pan = commands[-1] if commands else 0.0

@@ -1,4 +1,4 @@
-"""A robot that nobody told where it is finds its place, asked by service, over DDS."""
+"""A robot without a start pose finds its place, asked by service, over DDS."""
 
 from __future__ import annotations
 
@@ -61,5 +61,5 @@ def test_the_place_found_starts_the_fusion(
     assert abs(error[2]) < np.radians(1.0)
     if any(turned_deg):
         client.wait(
-            lambda: 'camera leans 2.' in client.status_of(localizer).reason, 20.0, 'a lean'
+            lambda: 'camera is rolled by 2.' in client.status_of(localizer).reason, 20.0, 'a lean'
         )

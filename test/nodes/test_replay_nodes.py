@@ -24,13 +24,13 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
-# How exact the start is told, 1 sigma.
+# How exact the start is given, 1 sigma.
 START_SIGMA = (0.02, 0.02, 0.01)
 
 
 @pytest.fixture
 def recorded() -> Path:
-    """Folder of the recorded sweeps, the drive, and what the robot was told."""
+    """Folder of the recorded sweeps, the drive, and what the robot was given."""
     found = sorted((REPOSITORY / 'bags').rglob('start.json'))
     if not found:
         pytest.skip('bags/ holds no recording')
@@ -106,7 +106,7 @@ def test_learned_and_localized_as_offline(
         for entry in drive.messages([drive.require('ground_truth/odom')])
     )
     stamps = sorted(fused)
-    # The rest of the drive after the start was told, at least most of it.
+    # The rest of the drive after the start was given, at least most of it.
     assert stamps[-1] - stamps[0] > 0.8e9 * drive.duration_s
     errors = pose_errors(np.array([fused[stamp] for stamp in stamps]), truth.at(stamps))
     summary = error_summary(errors)

@@ -65,7 +65,7 @@ class Watch:
         self._client.wait(self._right, seconds, what)
 
     def given_wrongly(self, error: np.ndarray) -> PoseEstimate:
-        """Where the robot is, but for an error, told as if it were sure."""
+        """Where the robot is, but for an error, given as if it were certain."""
         assert self._client.odometry is not None
         stamp = self._client.odometry.stamp_ns
         return PoseEstimate(stamp, self._truth.at([stamp])[0] + error, 1e-4 * np.eye(3))

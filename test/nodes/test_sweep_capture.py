@@ -41,7 +41,7 @@ class SmallRobot(LandmarkNode):
     """
     Joint states at 50 Hz, every third with an image; keeps what a sweep publishes.
 
-    `stuck`, `limit_rad`, `frozen`, `x_m` (of its odometry) and `lone_tilt_rad`, which is told in
+    `stuck`, `limit_rad`, `frozen`, `x_m` (of its odometry) and `lone_tilt_rad`, which is given in
     messages of its own now and then, may be changed while it runs.
     """
 
@@ -89,7 +89,7 @@ class SmallRobot(LandmarkNode):
         place = OdometrySample(stamp, np.array([self.x_m, 0.0, 0.0]))
         self._odometry.publish(encode.odometry(ros_factory, place))
         if self._count % 3 == 0:
-            # The image tells the pan it was taken at.
+            # The image shows the pan it was taken at.
             grey = 100.0 + 50.0 * self._pan * (not self.frozen) + STRIPES
             camera_image = np.tile(np.rint(grey).astype(np.uint8), (48, 1))
             self._image.publish(
@@ -259,7 +259,7 @@ def test_a_frozen_camera_is_named_and_a_stop_in_a_sweep_is_clean(
     check_frames(small, client)
 
     class StoppedError(Exception):
-        """The node was told to stop."""
+        """The node was asked to stop."""
 
     def stop() -> None:
         if len(small.images) > FRAMES + 2:

@@ -119,7 +119,7 @@ def test_map_show_lists_the_landmarks(study, capsys):
 
 
 def test_evaluate_reaches_the_figures_and_repeats_them(study, tmp_path, capsys):
-    # The second half of a second run would tell nothing new: it is cut short.
+    # The second half of a second run would show nothing new: it is cut short.
     short = rewrite(
         study.folder / 'drive',
         tmp_path / 'short',

@@ -142,7 +142,7 @@ def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """No start is given; it looks above or below, or leans, from the first image on."""
+    """No start is given; it looks above or below, or is rolled, from the first image on."""
     drive = displaced_drive(Bag(BAGS / 'drive'), tmp_path / 'displaced', turned_deg)
     evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map')]
     evaluate += ['--robot', str(BAGS / 'robot.yaml'), '--json', str(tmp_path / 'run.json')]
@@ -154,7 +154,7 @@ def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
     assert run['silently_wrong'] == 0
     up_deg, _, right_deg = turned_deg
     assert ('camera looks' in caplog.text) == bool(up_deg)
-    assert ('camera leans' in caplog.text) == bool(right_deg)
+    assert ('camera is rolled' in caplog.text) == bool(right_deg)
 
 
 def joint_run(

@@ -64,7 +64,7 @@ def write_drive(
     """
     Pan turns at 0.3 rad/s; joint states at 20 Hz, images at 5 Hz between two of them.
 
-    `bad` tells which messages hold no number, `set_back` by how much the clock is behind,
+    `bad` gives which messages hold no number, `set_back` by how much the clock is behind,
     `lone_tilt` the tilt, where it has messages of its own, 10 ms before those of the pan.
     """
     with BagWriter(path) as bag:

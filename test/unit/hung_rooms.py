@@ -125,7 +125,7 @@ def places_of(panoramas: list[Panorama]) -> FloatArray:
 
 
 def given_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> FloatArray:
-    """Poses as the panoramas tell them; most of the error in height is the camera's."""
+    """Poses as the panoramas show them; most of the error in height is the camera's."""
     count = len(world.poses)
     error = rng.multivariate_normal(np.zeros(4), PRIOR, count)
     error[:, 2] = np.sqrt(0.9) * rng.normal(0.0, np.sqrt(PRIOR[2, 2]))

@@ -1,4 +1,4 @@
-"""Views of a room with six landmarks a wall, and whether a place that they told is right."""
+"""Views of a room with six landmarks a wall, and whether a place found from them is right."""
 
 from __future__ import annotations
 

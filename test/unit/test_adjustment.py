@@ -96,7 +96,7 @@ def test_landmarks_share_what_the_poses_err() -> None:
         hung = world_hung(world, rng)
         found = solve(hung, measurements_of(hung, rng), prior, AS_EXPECTED)
         if found.chi_square.max() > 50.0:
-            continue  # told to be false
+            continue  # given to be false
         errors.append(found.positions - hung.points)
         loadings.append(found.shared_loading)
         owns.append(found.own_covariance)

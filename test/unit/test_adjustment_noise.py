@@ -144,7 +144,7 @@ def test_a_common_distance_from_the_walls_is_no_surprise() -> None:
     rng = np.random.default_rng(3)
     world = world_of(rng, 40, flat=True)
     framed = replace(world, points=world.points + 0.04 * ROOM.normals[world.walls])
-    # Well known places tell it from a smaller room.
+    # Well known places distinguish it from a smaller room.
     panoramas = panoramas_at(framed.poses, PRIOR / 400.0)
     measurements = measurements_of(framed, rng)
     found = adjusted(framed, measurements, world.points, panoramas)
@@ -188,7 +188,7 @@ def test_furniture_before_the_walls_does_not_bend_the_rest() -> None:
         kept.append((found.chi_square < 13.8)[on_wall].mean())
         refused.append((found.chi_square > 13.8)[~on_wall].mean())
     assert np.mean(of_poses) / 4.0 < 1.5
-    # Election tells them apart by their misfit.
+    # Election distinguishes them by their misfit.
     assert np.mean(kept) > 0.9
     assert np.mean(refused) > 0.9
 

@@ -117,7 +117,7 @@ def test_a_place_that_is_hardly_known_gives_no_tilt() -> None:
 
 
 def test_a_knock_is_found_from_an_uncertain_pose_and_distinguished_from_a_known_one() -> None:
-    """From there it would be told as 64 mrad."""
+    """From there it would be given as 64 mrad."""
     tilt_rad = 0.08
     low = replace(MOUNT, axis_xyz=(*MOUNT.axis_xyz[:2], 0.75))
     frame = draw_frame(SCENE, LENS, low, HERE, 0.05)
@@ -167,7 +167,7 @@ def test_a_knock_is_reported_alike_by_a_unit_that_stands_and_by_one_that_hangs(
         np.testing.assert_allclose(errors_of(found, HERE), -aside_rad, atol=3e-4)
 
 
-@pytest.mark.parametrize(('fit_again', 'leans'), [(3, False), (4, True)])
+@pytest.mark.parametrize(('fit_again', 'is tilted'), [(3, False), (4, True)])
 def test_a_camera_is_tilted_where_most_of_what_hangs_too_high_or_low_is_found_again(
     fit_again: int, leans: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -199,7 +199,7 @@ def test_a_camera_is_tilted_where_most_of_what_hangs_too_high_or_low_is_found_ag
             heights=tilted if reported else level,
         )
 
-    # As it is; with the roll that it tells; all around; with the roll of that; without.
+    # As it is; with the roll that it shows; all around; with the roll of that; without.
     before, again = only(2, reported=True), only(fit_again, reported=False)
     found = iter([before, again, only(4, reported=True), again, before])
     monkeypatch.setattr(detector, '_search', lambda *_: next(found))

@@ -64,7 +64,7 @@ def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
     assert lens.fx == pytest.approx(TRUE.fx, rel=2e-3)
     found = lens.distortion[0] if lens.distortion else 0.0
     assert found == pytest.approx(k1, abs=0.01) if k1 else found == 0.0
-    # What is told is what a lens without distortion would need for the turn to close.
+    # What is given is what a lens without distortion would need for the turn to close.
     problem = OverlapProblem(track_overlaps(aligned.sweep, MOUNT, True), sweep, MOUNT)
     plain = problem.fit([COMMON.index('focal_length')], (0.03, 0.01, 0.01))
     assert aligned.focal_px == pytest.approx(given.fx * np.exp(plain.common[0]), rel=4e-3)

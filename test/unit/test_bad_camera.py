@@ -76,8 +76,8 @@ def test_a_camera_bumped_against_the_base_goes_on(sensed: list[Sensed], angle_de
     [
         (1.0, 'tilt', r'looks ([\d.]+) deg below'),
         (-2.0, 'tilt', r'looks ([\d.]+) deg above'),
-        (-2.0, 'roll', r'leans ([\d.]+) deg to the right'),
-        (3.0, 'roll', r'leans ([\d.]+) deg to the left'),
+        (-2.0, 'roll', r'is rolled by ([\d.]+) deg to the right'),
+        (3.0, 'roll', r'is rolled by ([\d.]+) deg to the left'),
     ],
 )
 def test_a_camera_bumped_in_its_tilt_or_roll_finds_all_as_before(
@@ -87,7 +87,7 @@ def test_a_camera_bumped_in_its_tilt_or_roll_finds_all_as_before(
     reported: str,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """The joints say too much, so the camera looks lower, or leans to the left."""
+    """The joints say too much, so the camera looks lower, or is rolled to the left."""
 
     def tilted(step: Step, frame: CameraFrame | None) -> Sensed:
         if frame is not None:

@@ -88,7 +88,7 @@ def test_a_pose_that_expects_nothing_is_put_right_all_the_same(sensed: list[Sens
     assert 'nothing accepted for' in reported.reason
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
     assert found.after_s + FAULT_S <= 6.0
-    # Some landmarks speak for another place, though not surely.
+    # Some landmarks support another place, though not surely.
     inflated = first([m for m in moments if m.after_s < found.after_s], 'lost', since_s=-FAULT_S)
     assert 'landmarks speak for' in inflated.reason
     assert np.hypot(*inflated.sigma[:2]) > 0.15

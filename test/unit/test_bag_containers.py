@@ -1,4 +1,4 @@
-"""MCAP files of other hands are read whole, whatever they leave out; damage is told."""
+"""MCAP files of other hands are read whole, whatever they leave out; damage is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sweep tells of camera and mount: mended where it is wrong, left alone where right."""
+"""What a sweep shows of camera and mount: mended where it is wrong, left alone where right."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sweep goes through its angles as far as the pan joint turns, and tells what it covers."""
+"""A sweep goes through its angles as far as the pan joint turns, and reports what it covers."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_joint_that_never_moves():
     robot.stuck = True
     with pytest.raises(LandmarkNavError, match=r'frame 1 of 9, -57\.3 deg.*0\.00 deg and does no'):
         robot.run()
-    # Told again, in case that a message was lost.
+    # Sent again, in case that a message was lost.
     assert robot.commands > 1
 
 

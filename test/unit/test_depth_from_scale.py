@@ -79,7 +79,7 @@ def test_sizes_place_what_bearings_leave_uncertain_and_state_how_well() -> None:
     assert np.std(error) < 0.4 * np.std(before)
     assert 0.85 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.15
     np.testing.assert_allclose(6.0 - found.positions[:, 0], found.off_wall_m, atol=1e-12)
-    # Measurements alone tell as much, within what walls add.
+    # Measurements alone show as much, within what walls add.
     assert np.sqrt(free.own_covariance[:, 0, 0]).max() < 0.012
 
 

@@ -123,7 +123,7 @@ def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: Camera
     model, _ = model_of(camera, 0.8)
     covariance = rows_of(model, 0.15) + 0.002**2 * model.by_tilt_roll @ model.by_tilt_roll.T
     rng = np.random.default_rng(2)
-    # Of one row, given the others: a single near point tells a height from a tilt.
+    # Of one row, given the others: a single near point distinguishes a height from a tilt.
     own_px = 1.0 / np.sqrt(np.diag(np.linalg.inv(covariance)))
     refused = 0
     for _ in range(300):

@@ -1,4 +1,4 @@
-"""Figures of sweeps, stereo and all features together: what they show and what they tell."""
+"""Figures of sweeps, stereo and all features together: what they show."""
 
 from __future__ import annotations
 

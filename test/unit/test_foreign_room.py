@@ -1,4 +1,4 @@
-"""A room that shares one wall with the map: its place is never told as sure."""
+"""A room that shares one wall with the map: its place is never reported as certain."""
 
 from __future__ import annotations
 

@@ -244,7 +244,7 @@ class TestStatus:
         assert status == 'coasting'
         assert 'odometry stands' in reason
         assert 0.2 < sigma_m < 1.0
-        # The next image that shows something tells where the robot went meanwhile.
+        # The next image that shows something shows where the robot went meanwhile.
         pose = compose(moment.pose, [0.2, 0.0, 0.4])
         update = fused.add_detections(detections(MAP, pose, stamp_ns, range(8), SIGMA))
         assert update.degrees == 8

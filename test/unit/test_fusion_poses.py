@@ -1,4 +1,4 @@
-"""Triangulated poses in the filter, and what bearings tell of them."""
+"""Triangulated poses in the filter, and what bearings show of them."""
 
 from __future__ import annotations
 

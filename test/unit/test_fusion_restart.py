@@ -164,7 +164,7 @@ def test_unknown_may_be_reported_by_any_number(sigmas: tuple[float, float, float
 def test_a_place_given_after_the_camera_was_bumped_has_an_uncertain_heading(
     after: int, by: str
 ) -> None:
-    """A camera that finds the place is off by 2 deg, and so is the heading it tells."""
+    """A camera that finds the place is off by 2 deg, and so is the heading it shows."""
     fused, moment = driven(160 + after, bumped_at=160)
     given = moment.pose - np.array([0.0, 0.0, BUMP_RAD if by == 'camera' else 0.0])
     stamp_ns = moment.odometry.stamp_ns
@@ -231,7 +231,7 @@ def found_after(
 
     The place is searched for, or landmarks are seen where they should be.
 
-    The filter; errors and sigmas of the heading at all images since, degrees; what was told
+    The filter; errors and sigmas of the heading at all images since, degrees; what was given
     after the first.
     """
     fused, last = driven(160)

@@ -55,7 +55,7 @@ def sigma_m(fused: PoseFilter) -> float:
 def test_a_robot_that_is_pushed_is_followed(
     step: tuple[float, float, float], seed: int, landmarks: str
 ) -> None:
-    """Its wheels do not turn, or what they tell hangs: nothing but images tells where it is."""
+    """Its wheels do not turn, or what they show hangs: nothing but images shows where it is."""
     rng, fused = np.random.default_rng(seed), started(FusionConfig(landmarks=landmarks))
     pose, reported = START, []
     for k in range(1, 60):
@@ -76,7 +76,7 @@ def test_a_robot_that_is_pushed_is_followed(
 def test_a_camera_that_is_displaced_does_not_carry_the_robot_away(
     off_rad: float, seed: int, landmarks: str
 ) -> None:
-    """Then it drives 1 m on, by which landmarks tell who was turned, it or the robot."""
+    """Then it drives 1 m on, by which landmarks show who was turned, it or the robot."""
     rng, fused = np.random.default_rng(seed), started(FusionConfig(landmarks=landmarks))
     for k in range(1, 40):
         error, nees = watch(fused, START, k, rng, off_rad if k >= EVENT else 0.0)
@@ -116,7 +116,7 @@ def test_odometry_that_moves_on_is_believed() -> None:
     state = fused.state
     assert state is not None
     assert not state.hangs
-    # The first sample tells that it moves again, not since when.
+    # The first sample shows that it moves again, not since when.
     assert sigma_m(fused) < before + 0.15
     np.testing.assert_allclose(state.mean[:2], compose(pose, way)[:2], atol=0.05)
 

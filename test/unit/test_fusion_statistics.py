@@ -1,4 +1,4 @@
-"""Whether the filter's covariance tells the truth: NEES over drives that follow its model."""
+"""Whether the filter's covariance shows the truth: NEES over drives that follow its model."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_nees_lies_in_its_interval(landmarks: str) -> None:
 
 @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
 def test_what_measurements_repeat_is_counted_once(landmarks: str) -> None:
-    """Told so, NEES and NIS are as they should be; taken as independent, the pose is too sure."""
+    """Given so, NEES and NIS are as they should be; taken as independent, the pose is too sure."""
     given = FusionConfig(
         landmarks=landmarks, correlated_noise_fraction=0.9, bearing_probability=0.99999
     )

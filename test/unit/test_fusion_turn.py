@@ -75,7 +75,7 @@ def test_a_larger_one_is_flagged_by_as_much_as_was_seen(
     assert together == pytest.approx(angle_rad, rel=0.2)
     for k in (HEADING, BORESIGHT):
         assert 0.3 * abs(angle_rad) < np.sqrt(state.covariance[k, k]) < abs(angle_rad)
-    # The camera rested: that tells nothing of the stamps of its joints.
+    # The camera rested: that shows nothing of the stamps of its joints.
     assert fused.late.sigma_s == 0.0
     status, reason = fused.status
     assert status == 'coasting'
@@ -203,7 +203,7 @@ def test_joints_that_are_late_are_distinguished_from_wheels_that_slip(
 def test_an_angle_that_was_given_while_nothing_was_seen_is_reported_once(
     fused: PoseFilter,
 ) -> None:
-    """Odometry is not asked again of what the image after it has told."""
+    """Odometry is not asked again of what the image after it has given."""
     reported, pivot = [], np.zeros(3)
     for k, moment in enumerate(drive(140)):
         wheels = moment.odometry.pose_odom_base

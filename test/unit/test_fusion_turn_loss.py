@@ -38,7 +38,7 @@ def run(seed: int, loss: float, noise: OdometryNoiseConfig) -> tuple[PoseFilter,
     fused.initialize(start_estimate(offset=rng.normal(0.0, START_SIGMA)))
     reported = before = np.zeros(3)
     for k, moment in enumerate(drive(400, rng, NOISE)):
-        # Told of as much more way as it loses.
+        # Given of as much more way as it loses.
         step = relative(before, moment.odometry.pose_odom_base)
         reported = compose(reported, step + np.array([loss * abs(step[2]), 0.0, 0.0]))
         before = moment.odometry.pose_odom_base

@@ -1,4 +1,4 @@
-"""What the filter tells of itself, and for how long."""
+"""What the filter shows of itself, and for how long."""
 
 from __future__ import annotations
 

@@ -54,9 +54,9 @@ ZSTD, LZ4 = zstandard.ZstdCompressor().compress(ZEROS), lz4.frame.compress(ZEROS
 SMALL = zstandard.ZstdCompressor().compress(ZEROS[: 2**24])
 BOMBS = {
     'zstd that says so': mcap(chunk('zstd', ZSTD, 2**28)),
-    'zstd that lies': mcap(chunk('zstd', ZSTD, 1000)),
+    'zstd with a wrong size': mcap(chunk('zstd', ZSTD, 1000)),
     'lz4 that says so': mcap(chunk('lz4', LZ4, 2**28)),
-    'lz4 that lies': mcap(chunk('lz4', LZ4, 1000)),
+    'lz4 with a wrong size': mcap(chunk('lz4', LZ4, 1000)),
     'many': mcap(*([chunk('zstd', SMALL, 2**24)] * 99)),
     'file of zstd': ZSTD * 32,
     'zstd of zstd': zstandard.ZstdCompressor().compress(ZSTD),

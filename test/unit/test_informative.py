@@ -76,7 +76,7 @@ def test_what_was_looked_for_before_gives_way_to_what_gives_about_as_much() -> N
         looked_for |= set(chosen.tolist())
         novelty[chosen] *= 0.5
     assert len(looked_for) >= 10
-    # But not to what tells next to nothing.
+    # But not to what shows next to nothing.
     suspect = replace(LANDMARKS.landmarks[0], covariance=np.eye(3))
     landmarks = LandmarkMap((suspect, *LANDMARKS.landmarks[1:]))
     assert 0 not in most_informative(AXIS, landmarks, EVERY, SIGMA, 4, novelty=novelty)

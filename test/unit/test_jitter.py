@@ -1,4 +1,4 @@
-"""White noise of the poses of odometry, told from other noise."""
+"""White noise of the poses of odometry, distinguished from other noise."""
 
 from __future__ import annotations
 

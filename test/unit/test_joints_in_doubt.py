@@ -46,13 +46,13 @@ def pan_range_rad(seconds: float | FloatArray) -> float | FloatArray:
 
 
 def track_at(stamp_ns: int) -> PanTrack:
-    """What joint states that are late tell of the pan about a time."""
+    """What joint states that are late show of the pan about a time."""
     about = np.linspace(-0.4, 0.4, 33)
     return PanTrack(about, np.asarray(pan_range_rad(1e-9 * stamp_ns - LATE_S + about)))
 
 
 def late(seen: Detections) -> Detections:
-    """Bearings by the pan that joint states tell which are late."""
+    """Bearings by the pan that joint states show which are late."""
     seconds = 1e-9 * seen.stamp_ns
     off_rad = float(pan_range_rad(seconds) - pan_range_rad(seconds - LATE_S))
     track = track_at(seen.stamp_ns)
@@ -176,7 +176,7 @@ def test_landmarks_that_go_out_of_sight_in_a_swing_flag_the_joints(turns: bool) 
             sigmas.append(fused.late.sigma_s)
     assert reported[0] == ('tracking', '')
     assert sigmas[0] == 0.0
-    # Two in a row are no chance; and they are doubted once.
+    # Two in a row are no chance; and they are flagged once.
     assert (reported[1][0] == 'coasting') == turns
     assert ('joint_states are late' in reported[1][1]) == turns
     assert (sigmas[1] > 0.05) == turns
@@ -187,7 +187,7 @@ def test_landmarks_that_go_out_of_sight_in_a_swing_flag_the_joints(turns: bool) 
 
 @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
 def test_a_slow_swing_after_that_does_not_make_a_wrong_heading_sure(landmarks: str) -> None:
-    """At a constant rate nothing tells late joints from a robot that turned."""
+    """At a constant rate nothing distinguishes late joints from a robot that turned."""
     fused, rate = started(FusionConfig(landmarks=landmarks)), 0.06
     run(fused, 40)
     for k, moment in enumerate(drive(200)):

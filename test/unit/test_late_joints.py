@@ -1,4 +1,4 @@
-"""Joint states whose stamps are late, or that stay as they were: told, and measured."""
+"""Joint states whose stamps are late, or that stay as they were: reported, and measured."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LATE_S = 0.2
 
 
 def stamped_late(step: Step, frame: CameraFrame | None, late_s: float = LATE_S) -> Sensed:
-    """Joint states tell of every moment where the camera looked a while before."""
+    """Joint states give for every moment where the camera looked a while before."""
     if frame is None:
         return step, frame
     about = np.linspace(-0.4, 0.4, 17)
@@ -129,7 +129,7 @@ def test_a_delay_that_is_over_is_taken_back(sensed: list[Sensed], seconds: float
             localizer.add_frame(frame)
             delays.append(localizer.late.delay_s)
     assert max(delays) > 0.15
-    # The joints tell nothing of longer ones.
+    # The joints show nothing of longer ones.
     assert np.abs(delays).max() < 0.4
     assert abs(delays[-1]) < 0.02
 

@@ -244,7 +244,7 @@ def test_an_axis_that_is_tilted_unreported_is_levelled(panoramas: list[Panorama]
     for term, true in zip(terms, camera_tilt, strict=True):
         assert term.used
         assert abs(term.value - true) < 3.5 * term.sigma
-    # It shows what a level camera shows, but for what of the lean is not known.
+    # It shows what a level camera shows, but for what of the tilt is not known.
     horizons = [round(p.cylinder.cy) for p in (panorama, panoramas[0])]
     here = panorama.image[horizons[0] - 30 : horizons[0] + 30]
     level = panoramas[0].image[horizons[1] - 30 : horizons[1] + 30]
@@ -341,7 +341,7 @@ def test_bare_walls_cannot_be_learned() -> None:
 
 
 def test_walls_that_stand_elsewhere_carry_no_landmarks(panoramas: list[Panorama]) -> None:
-    # North and east are told farther away than they are, south and west are right.
+    # North and east are given farther away than they are, south and west are right.
     larger = rectangle_room(6.5, 6.0)
     learned = learn_from_panoramas(panoramas, larger, LearningConfig())
     assert {k.wall_id for k in learned.map.landmarks} == {'s', 'w'}

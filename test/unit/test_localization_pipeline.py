@@ -150,7 +150,7 @@ def test_poses_may_correct_the_odometry_instead_of_bearings() -> None:
 
 
 def test_the_fix_comes_from_the_bearings_alone() -> None:
-    # Priors that differ lead to one fix: they only tell where to look.
+    # Priors that differ lead to one fix: they only say where to look.
     frame = camera_image(START, 0.2)
     found = []
     for shift in ((0.0, 0.0, 0.0), (0.04, -0.03, 0.01), (-0.03, 0.04, -0.012)):

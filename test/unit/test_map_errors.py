@@ -41,7 +41,7 @@ class Both:
         self.rng, self.shared = np.random.default_rng(seed), shared
         self.mean = np.zeros(2 + FACTORS + 3 * COUNT)
         self.joint = block_diag(POSE**2, prior_covariance())
-        # Share of each error that is still kept since it was seen; 0 of what nothing is told of.
+        # Share of each error that is still kept since it was seen; 0 of what nothing is given of.
         self.fresh = np.zeros(FACTORS + 3 * COUNT)
         self.errors, self.pose, self.cross = ERRORS, POSE**2, np.zeros((2, len(self.fresh)))
 

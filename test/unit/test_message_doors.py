@@ -174,7 +174,7 @@ def test_what_is_not_estimated_is_unknown_and_both_ways_to_report_it_are_read():
             msg.pose.covariance[[14, 21, 28]] = unknown
             read = decode.pose_estimate(over_the_wire(msg))
             np.testing.assert_array_equal(read.covariance, covariance)
-    # Wheels tell nothing of their errors here.
+    # Wheels show nothing of their errors here.
     wheels = encode.odometry(FACTORY, OdometrySample(STAMP, estimate.pose))
     for full in (wheels.pose.covariance, wheels.twist.covariance):
         assert (np.diag(np.reshape(full, (6, 6))) >= 1e6).all()

@@ -172,7 +172,7 @@ def test_uncertain_what_was_seen_of_landmarks_is_forgotten() -> None:
     assert not refine([before._replace(update=used, model=None)], prior).any()
     against = replace(before.update, contradicts=True)
     assert not refine([before._replace(update=against, model=None)], prior).any()
-    # Nothing seen is no doubt.
+    # Nothing seen is no uncertainty.
     assert refine([before._replace(model=None)], prior).any()
 
 

@@ -31,7 +31,7 @@ CODES = [63, 81, 7, 70, 45, 27, 18]
 
 @pytest.fixture(scope='module')
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two minutes of a robot that wanders and does 5 % less than it was told, 0.2 s later."""
+    """Two minutes of a robot that wanders and does 5 % less than commanded, 0.2 s later."""
     folder = tmp_path_factory.mktemp('mrclam')
     rng = np.random.default_rng(1)
     turns = np.repeat(rng.uniform(-0.4, 0.5, 60), 40)

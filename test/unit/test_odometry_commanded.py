@@ -32,7 +32,7 @@ def test_each_command_lasts_until_the_next() -> None:
 
 
 def late_robot(delay_s: float) -> tuple[np.ndarray, np.ndarray, list[Detections]]:
-    """A robot that turns to and fro, at random, `delay_s` after it was told, 4 m from posts."""
+    """A robot that turns to and fro, at random, `delay_s` after the command, 4 m from posts."""
     rng = np.random.default_rng(3)
     stamps = BEGIN_NS + STEP_NS * np.arange(6000)
     turns = np.repeat(rng.uniform(-0.6, 0.6, 150), 40)

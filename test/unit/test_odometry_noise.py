@@ -83,7 +83,7 @@ class TestTrack:
         for k in range(1, 100):
             still = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.01, angular_rad_s=-0.01)
             assert track.add(still) is None
-        # Speeds may tell of a start before the pose does.
+        # Speeds may show a start before the pose does.
         assert track.add(sample(6.0, here)) is None
         assert track.add(sample(6.05, here)) is None
         assert track.add(sample(6.1, here)) is not None

@@ -1,4 +1,4 @@
-"""The papers tell the place, in any light, however the camera is mounted."""
+"""The papers show the place, in any light, however the camera is mounted."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_room_that_is_scaled_with_its_papers_is_reported(scale: float, words: 
     share = re.search(rf'look (\S+) % {words} than given', place.warning)
     assert share is not None
     assert float(share[1]) == pytest.approx(100.0 * abs(scale - 1.0), abs=0.8)
-    # The place is right in the room as it is told.
+    # The place is right in the room as it is given.
     assert np.hypot(*error_of(place, pose * [scale, scale, 1.0])[:2]) < 0.02
 
 
@@ -224,7 +224,7 @@ MOUNTS = {
         replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0), optical_center_offset=(0.05, 0.0, 0.04)),
         -0.1,
     ),
-    'leaning, as given': (replace(MOUNT, axis_rpy=(0.04, -0.05, 0.0)), 0.0),
+    'tilted, as given': (replace(MOUNT, axis_rpy=(0.04, -0.05, 0.0)), 0.0),
 }
 
 

@@ -210,7 +210,7 @@ def fit_of_size(size: float, sigma: float, misfit: float) -> PaperFit:
 @pytest.mark.parametrize('misfit', [0.8, 3.0])
 def test_papers_that_state_nothing_of_their_size_are_not_flagged(misfit: float) -> None:
     config = ReferenceAreaConfig()
-    # As the estimate scatters where papers tell a tenth of a percent of what is known before.
+    # As the estimate scatters where papers show a tenth of a percent of what is known before.
     given = 0.001 * config.paper_size_sigma**2
     sigma = float(np.sqrt(config.paper_size_sigma**2 - given))
     assert size_warning(fit_of_size(2.0 * float(np.sqrt(given)), sigma, misfit), config) == ''

@@ -120,7 +120,7 @@ def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
     found = frame_at(sweep(symmetric, (1.9, 1.5, 0.7)), learned(symmetric))
     assert isinstance(found, Refusal)
     assert found.reason == 'not unique'
-    # Both places are told.
+    # Both places are reported.
     assert '(1.90, 1.50)' in found.detail
     assert '(3.10, 2.50)' in found.detail
 
@@ -243,7 +243,7 @@ def test_no_place_is_proposed_behind_a_wall() -> None:
     [({}, 'look around'), ({'max_sigma_m': 1e-6}, 'sigma'), ({'max_sigma_rad': 1e-7}, 'sigma')],
 )
 def test_what_is_seen_must_gives_the_place_well(limit: dict[str, float], words: str) -> None:
-    """Or all around is looked for more; six landmarks within 0.6 rad tell it hardly."""
+    """Or all around is looked for more; six landmarks within 0.6 rad show it hardly."""
     pose = (4.6, 2.0, np.pi) if not limit else (2.4, 1.9, 0.4)
     frames = sweep(SCENE, pose, np.zeros(1) if not limit else PANS[::3])
     config = RelocalizationConfig(**({'max_sigma_m': 9.0, 'max_sigma_rad': 3.0} | limit))

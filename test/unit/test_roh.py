@@ -97,7 +97,7 @@ def test_beacons_are_put_right_by_what_is_seen_of_them(
     beacons: FloatArray, readings: tuple[FloatArray, FloatArray]
 ) -> None:
     """
-    Nine places have nine bearings too many: errors that repeat can be told without the truth.
+    Nine places have nine bearings too many: errors that repeat can be known without the truth.
 
     What changes from one reading to the next, a robot that stands takes the median of.
     """

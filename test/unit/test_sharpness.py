@@ -62,7 +62,7 @@ def test_neighbours_are_as_sharp_as_each_other(seed, mount):
     for pan in np.radians(np.arange(-120.0, 120.0, 20.0)):
         here = look_at(view(wall, pan, rng, mount, gain=0.8), CAMERA)
         there = look_at(view(wall, pan + STEP, rng, mount), CAMERA)
-        # Upside down the camera turns the other way, and the pan is told as the joint has it.
+        # Upside down the camera turns the other way, and the pan is given as the joint has it.
         assert 0.8 < relative_sharpness(here, there, -STEP) < 1.25
 
 

@@ -139,7 +139,7 @@ class TestSelection:
         'rpy', [(0.0, 0.05, 0.4), (np.pi, 0.0, 0.4), (0.0, np.pi, -0.7)], ids=str
     )
     def test_offset_camera_still_sees_all_three(self, rpy: tuple[float, float, float]) -> None:
-        """On units that lean or hang."""
+        """On units that are tilted or hang."""
         mount = PanTiltMount(
             axis_xyz=(0.1, 0.05, 1.0),
             axis_rpy=rpy,

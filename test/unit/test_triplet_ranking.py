@@ -1,4 +1,4 @@
-"""No triplet is ranked too high, by the search or by what turning and doubt cost."""
+"""No triplet is ranked too high, by the search or by what turning and uncertainty cost."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ def test_what_was_found_far_off_its_wall_is_known_less_well() -> None:
 
 
 def test_a_box_before_the_wall_does_not_stand_for_it() -> None:
-    # Just where a wall is told that is too near: behind it nothing stands but the wall.
+    # Just where a wall is given that is too near: behind it nothing stands but the wall.
     with pytest.raises(LandmarkNavError, match=r'12 patches 70\.0 cm behind'):
         check(np.append(np.full(12, -0.7), np.full(6, 0.01)), np.append(ALONG, ALONG[:6]))
 

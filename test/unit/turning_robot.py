@@ -31,7 +31,7 @@ AZIMUTH = np.radians(np.arange(-25.0, 26.0))
 
 @dataclass(frozen=True)
 class FakeImage:
-    """What a camera at `pan` shows; `number` tells two of the same view apart, as noise does."""
+    """What a camera at `pan` shows; `number` distinguishes two of the same view, as noise does."""
 
     pan: float
     number: int

@@ -108,7 +108,7 @@ def draw_observation_areas(
         same, total = np.sum(agree, axis=0)
         text += (
             f' Looked for from {total} places on another day (a lamp dimmed, a piece of furniture '
-            f'moved), the area tells from {same / total:.0%} of them whether a patch is found.'
+            f'moved), the area predicts for {same / total:.0%} of them whether a patch is found.'
         )
     text += ' Bottom right: the places of the sweeps, and how many landmarks each wall has.'
     caption(figure, text)

@@ -91,7 +91,7 @@ def number_landmarks(
     """
     Write numbers outside the walls, and make room for them there.
 
-    The last to be drawn in a figure, whose layout must stand. `shown` (n,) tells which.
+    The last to be drawn in a figure, whose layout must stand. `shown` (n,) says which.
     """
     which = np.flatnonzero(np.broadcast_to(shown, len(landmarks.landmarks)))
     if not len(which):

@@ -60,7 +60,7 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
 
 
 def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
-    """Heat map in millimetres with lines of equal error; blank where nothing can be told."""
+    """Heat map in millimetres with lines of equal error; blank where nothing is known."""
     x, y, error = _gridded(forecast.floor_xy, 1e3 * forecast.sigma_m)
     known = error[np.isfinite(error)]
     low, high = (float(np.quantile(known, q)) for q in (0.0, 0.98))

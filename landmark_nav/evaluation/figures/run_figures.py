@@ -101,7 +101,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
         )
         axes.plot(seconds, factor * fused[:, k], color=FUSED, linewidth=1.3, label='fused')
         axes.axhline(0.0, color=TRUTH, linewidth=0.6)
-        # A robot that is lost may be anywhere, and a start be told to decimetres: such bands run
+        # A robot that is lost may be anywhere, and a start be given to decimetres: such bands run
         # off the axes.
         widest = np.percentile(band[~run.lost], 98.0) if not run.lost.all() else np.nan
         shown = np.append(np.abs(factor * fused[:, k]), widest)
@@ -123,7 +123,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
     _strip(rows[3], run, seconds)
     rows[3].set_xlabel('time [s]')
     figure.suptitle(
-        'Errors of base_link in map: where it is said to be, seen from where it is'
+        'Errors of base_link in map: estimated position, seen from the true one'
         if len(run.truth)
         else 'No ground_truth/odom in the bag: no errors, only what the fusion claims'
     )
@@ -132,7 +132,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
 
 
 def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
-    """Tell for each image whether it gave a fix, whether fusion used it, whether it was lost."""
+    """Show for each image whether it gave a fix, whether fusion used it, whether it was lost."""
     fixed = np.isfinite(run.fixes[:, 0])
     used = np.array([update.fusion.refusal is None for update in run.updates])
     marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (

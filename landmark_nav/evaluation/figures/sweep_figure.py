@@ -141,5 +141,5 @@ def _text(
         f'neighbouring frames overlap by {1.0 - step / (left - right):.0%}; a column is shown by '
         f'{np.median(counts[0]):.0f} frames in the median, by {counts[0].max():.0f} at most; the '
         'median of those that look straightest at it is kept. The three papers of the reference '
-        'area tell where the camera stood.'
+        'area give the position of the camera.'
     )

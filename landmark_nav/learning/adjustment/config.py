@@ -11,7 +11,7 @@ __all__ = ['AdjustmentConfig', 'WallFitConfig']
 
 @dataclass(frozen=True)
 class AdjustmentConfig(Config):
-    """What is expected before there are measurements; they tell more."""
+    """What is expected before there are measurements, which refine it."""
 
     azimuth_sigma_rad: float = parameter(
         1.5e-4, 'what a panorama adds to each azimuth', minimum=0, maximum=0.1
@@ -21,7 +21,7 @@ class AdjustmentConfig(Config):
     )
     nearness_sigma: float = parameter(
         1.5e-3,
-        'what two panoramas add to the ratio of their distances that sizes tell',
+        'what two panoramas add to the ratio of their distances that sizes give',
         minimum=0,
         maximum=0.1,
     )

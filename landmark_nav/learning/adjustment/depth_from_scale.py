@@ -1,8 +1,8 @@
 """
 Depths of patches that both panoramas see in one direction, by how large each shows them.
 
-On the line through two panoramas bearings don't tell depth, and the walls would draw to them
-whatever stands there. Sizes tell it to a centimetre. They have no say in what is shared: panoramas
+On the line through two panoramas bearings don't give depth, and the walls would draw to them
+whatever stands there. Sizes give it to a centimetre. They do not affect what is shared: panoramas
 and walls are known better than sizes are free of what all have in common.
 """
 
@@ -20,11 +20,11 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['INFORMATIVE', 'depth_from_scale']
 
-# Patches whose depth is known to this share of what is doubt tell how true sizes are; so many.
+# Patches whose depth is known to this share of what is uncertain show how true sizes are; so many.
 _KNOWN = 0.25
 _LEAST_KNOWN = 10
 _MAD_TO_SIGMA = 1.4826
-# Sizes that tell no better than this share of what is doubt are left aside.
+# Sizes that are no better than this share of what is uncertain are left aside.
 INFORMATIVE = 0.5
 
 
@@ -37,7 +37,7 @@ def depth_from_scale(
     uncertain_sigma_m: float,
 ) -> tuple[Adjustment, Adjustment]:
     """
-    Place patches by their sizes where bearings leave their depths in doubt.
+    Place patches by their sizes where bearings leave their depths uncertain.
 
     Of such a patch the wall is believed no more than of a patch on a wall that nothing else hangs
     on: what hangs beside it may hang otherwise.
@@ -47,7 +47,7 @@ def depth_from_scale(
     adjustment : Adjustment
         With the walls.
     free : Adjustment
-        The same without: what bearings alone tell.
+        The same without: what bearings alone give.
     measurements : sequence of sequences
         Of each of n patches; its first is in the panorama that proposed it.
     normals : ndarray, shape (n, 3)
@@ -55,7 +55,7 @@ def depth_from_scale(
     config : AdjustmentConfig
         How precise sizes are and how differently things hang.
     uncertain_sigma_m : float
-        Standard deviation of a depth that is in doubt, metres, or more.
+        Standard deviation from which a depth is uncertain, metres.
 
     Returns
     -------

@@ -96,7 +96,7 @@ class Problem:
     """
     Measurements of n landmarks, the walls they hang on, and what is known of the panoramas.
 
-    `own_sigma` (k, 2) is what matching says of each measurement; `landmark` and `view` (k,) tell
+    `own_sigma` (k, 2) is what matching says of each measurement; `landmark` and `view` (k,) hold
     what it is of; `stretch` (n,) numbers the stretch of wall that each landmark hangs on.
     """
 
@@ -187,7 +187,7 @@ class Problem:
 
         `seen` (k, 2) and `wall` (n,) are the information of measurements and walls; `spread` as in
         `prior_covariance`. Bearings alone may leave a landmark anywhere along its ray: a share of
-        what the wall says is said of where it is in all directions.
+        a wall constrains the position in all directions.
         """
         prior = covariance_of(self.prior_covariance(spread))
         jx = at.by_point * seen[..., None]

@@ -29,14 +29,14 @@ _MAX_ITERATIONS = 15
 _CONVERGED, _LONGEST_M = 1e-7, 1.0
 # Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
 _TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH = 100.0, 6.0
-# A landmark that misses by more than this probability allows has no say in what is shared.
+# A landmark that misses by more than this probability allows does not affect what is shared.
 _OUTLIER_PROBABILITY = 0.01
 _NO_INFLUENCE = 1e-6
 # What misses by more sigmas than this is taken to be less certain, until it does not.
 _TAIL_SIGMAS = 2.5
 _NOISE_ITERATIONS = 60
 _NOISE_CONVERGED = 1e-3
-# Factors that landmarks have in common; what the others tell is below a tenth of a millimetre.
+# Factors that landmarks have in common; what the others hold is below a tenth of a millimetre.
 _MOST_FACTORS = 16
 # Among the sigmas that are estimated.
 _RELIEF, _SPREAD, _HANGING = 2, slice(3, 8), slice(5, 8)
@@ -107,7 +107,7 @@ def adjust(
     panoramas : sequence of Panorama
         With prior poses.
     places : ndarray, shape (4 * views, 4 * views)
-        Joint covariance of these, as `reference_area.joint_covariance` tells it.
+        Joint covariance of these, as `reference_area.joint_covariance` gives it.
     room : Room
         The walls; what hangs on them lies near them, not on them.
     config : AdjustmentConfig
@@ -142,7 +142,8 @@ def adjust(
         noise = better
         if still and moved < _CONVERGED:
             break
-    # The fewer residuals tell of a variance, the farther is its mean from its likeliest value.
+    # The fewer residuals a variance is estimated from, the farther is its mean from its likeliest
+    # value.
     noise = noise * np.sqrt(fewness)
     at = problem.linearize(points, shared)
     equations = problem.normal_equations(
@@ -276,12 +277,12 @@ def _noise(
     weight: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Sigmas that the residuals speak for, one step nearer.
+    Sigmas that the residuals show, one step nearer.
 
     Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
     Foerstner's form): squared residuals count against their redundancy, which is what the
     unknowns did not take from them. Expected sigmas join in as `weight` residuals each. Returned
-    with the mean of each variance, given how many tell of it, over its likeliest value.
+    with the mean of each variance, given how many it is estimated from, over its likeliest value.
     """
     at = problem.linearize(points, shared)
     information = _information(problem, at, noise, influence)

@@ -4,7 +4,7 @@ Whether the wall map fits what the panoramas see.
 Stereo alone, without the walls, says where patches lie. What hangs on a wall lies a little before
 it, all along it; a wall that is wrong in `room.yaml` has its patches elsewhere, or at an angle.
 What walls say of landmarks gives way to what the panoramas see, so that these are right all the
-same: where walls may be wrong that is told, and where they surely are nothing is learned.
+same: where walls may be wrong that is reported, and where they surely are nothing is learned.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from landmark_nav.types import FloatArray
 __all__ = ['WallResidual', 'check_walls', 'wall_residuals', 'wall_warnings']
 
 
-# Chance that walls which a person measured are doubted, and patches that doubt takes.
+# Chance that walls which a person measured are flagged, and patches that this takes.
 _FALSE_ALARM = 1e-3
 _FEW = 2
 # What refuses a wall is so many standard deviations beyond its bound.
 _SURE = 3.0
-# Of fewer things none can be told to be the odd one.
+# Of fewer things none can be found to be the odd one.
 _LEAST_THINGS = 3
 # Patches that it takes to refuse a wall, and how far along it they must spread, metres.
 _MIN_PATCHES = 6
@@ -130,7 +130,7 @@ def wall_residuals(
     room: Room,
     expected: AdjustmentConfig,
 ) -> tuple[WallResidual, ...]:
-    """Tell how far before their walls patches lie, by all that is known; arguments as above."""
+    """Report how far before their walls patches lie, by all that is known; arguments as above."""
     residuals = []
     for k, on in _judged(adjustment, walls, room, _FEW):
         off = _things(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
@@ -148,7 +148,7 @@ def wall_warnings(
     config: WallFitConfig,
 ) -> str:
     """
-    Say it if the walls, as a whole or beside each other, are hardly as the room says.
+    Warning if the walls, as a whole or beside each other, are hardly as the room says.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How the pan axis leans, as the reference papers show it: overlaps of frames cannot tell."""
+"""Tilt of the pan axis, as the reference papers show it: overlaps of frames do not show it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def levelled(
     mount: PanTiltMount, score: FloatArray, information: FloatArray, config: CalibrationConfig
 ) -> tuple[PanTiltMount, tuple[CalibrationTerm, ...]]:
     """
-    Turn the pan axis as far as it significantly leans.
+    Turn the pan axis as far as it is significantly tilted.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def levelled(
         As it was taken to stand.
     score, information : ndarray, shape (2,), (2, 2)
         What measurements say of small turns about x and y of the base, [rad], in information form:
-        the lean is ``information^-1 score``.
+        the tilt is ``information^-1 score``.
     config : CalibrationConfig
         Whether to use what is found.
 

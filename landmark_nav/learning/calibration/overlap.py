@@ -32,7 +32,7 @@ class Overlaps:
 
     `frames` (m, 2) are indices in the sweep, the later one in pan first; `pixels` (m, 2, 2) where
     each shows the point; `pair` (m,) counts the links of the chain, `closed` is set if they
-    make a full turn. `gaps_rad` tells the pans where a full turn has no link, as there is too
+    make a full turn. `gaps_rad` holds the pans where a full turn has no link, as there is too
     little to match.
     """
 

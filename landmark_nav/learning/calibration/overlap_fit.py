@@ -63,9 +63,9 @@ class OverlapProblem:
     overlaps : Overlaps
         Matches.
     sweep : Sweep
-        As it is told to be, all frames with one camera.
+        As it is given, all frames with one camera.
     mount : PanTiltMount
-        As it is told to be.
+        As it is given.
     range_m : callable, optional
         Horizontal distance from the axis of what is seen at azimuths and tangents (n,).
 
@@ -104,7 +104,7 @@ class OverlapProblem:
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
-        Fit some of the common terms, and the frames' angles about what they are told to be.
+        Fit some of the common terms, and the frames' angles about the given ones.
 
         Parameters
         ----------

@@ -4,7 +4,7 @@ Self-calibration out of a sweep: what the overlaps of its frames say of camera a
 What can be seen in what:
 
 * focal length and pan scale: both in a full turn, whose links must add up to one; in a part of a
-  turn they are one number, and the encoder is believed;
+  turn they are one number, and the encoder is taken as right;
 * tilt and roll of the camera to its axis, and the first radial distortion: in any overlap;
 * the optical centre's offset from the axis: once ranges are known, by their variation;
 * the joint's zero: not at all, it is the heading of the base by another name; nor a tilt of the
@@ -174,7 +174,7 @@ def fit_significant(
     frame_sigma : sequence of float, shape (3,)
         How far pan, tilt and roll of a single frame stray, radians.
     camera : CameraModel
-        As it is told to be.
+        As it is given.
 
     """
     free = sorted(free)

@@ -4,7 +4,7 @@ Whether a sweep turns as its pan angles say: sign and size of the turn, seen in 
 Neighbouring frames show the same things, shifted by what the camera turned. That over the change
 of the pan is 1; it is -1 where the sign of the pan is reversed, 0 where something else than this
 camera turns, and where it is another number the focal length is off by that, or the pan is. A full
-turn tells these two apart: its end shows what its start shows.
+turn distinguishes these two: its end shows what its start shows.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ class _Looks:
             slab = frame_slab(replace(frame, pan_rad=0.0), self._mount, self._cylinder)
             covered = slab.inside.all(axis=0)
             rows = slab.inside[:, covered].all(axis=1) if covered.any() else slab.inside.any(1)
-            # Ceiling and floor look alike in all directions: what changes across tells the turn.
+            # Ceiling and floor look alike in all directions: what changes across shows the turn.
             across = cv2.Sobel(cv2.blur(slab.image, (3, 3)), cv2.CV_32F, 1, 0)
             slopes = np.where(slab.inside > 0, across, np.float32(0.0))[rows]
             self._strips[k] = slopes.astype(np.float32), slab.middle - slab.start

@@ -134,14 +134,14 @@ class Album(Generic[FrameT]):
             self.suspect.discard(step)
 
     def blurred(self, step: int, frame: KeptFrame[FrameT]) -> str | None:
-        """Why a frame counts as blurred, or somebody passes; None if nobody can tell."""
+        """Why a frame counts as blurred, or somebody passes; None if that is not known."""
         ratio = self._sharpness(step, frame)
         if ratio is None or ratio >= self._least:
             return None if ratio is None else ''
         return f'blurred or covered: {ratio:.2f} of the texture that its neighbours show'
 
     def review(self) -> list[tuple[KeptFrame[FrameT], str]]:
-        """Doubt what is less sharp than its neighbours, now that there are some on both sides."""
+        """Suspect what is less sharp than its neighbours, once there are some on both sides."""
         found = []
         for step, kept in self.frames.items():
             if reason := self.blurred(step, kept):

@@ -1,4 +1,4 @@
-"""What the joint states tell of the pan-tilt unit: standing still, where, and how far it gets."""
+"""What the joint states show of the pan-tilt unit: standing still, where, and how far it gets."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class PanReach:
     """
     Which steps the pan joint can reach: within its limits, and where it stops before them.
 
-    Where it stops short is taken for a limit, but doubted until the joint has moved again: it
+    Where it stops short is taken for a limit, but unconfirmed until the joint has moved again: it
     might be stuck. A joint that has not moved at all is.
     """
 

@@ -27,7 +27,7 @@ class Place:
 
     @property
     def known(self) -> bool:
-        """Whether odometry tells."""
+        """Whether odometry shows it."""
         return self._last is not None
 
     @property

@@ -1,4 +1,4 @@
-"""What is told of a sweep while it runs and when it ends."""
+"""What is reported of a sweep while it runs and when it ends."""
 
 from __future__ import annotations
 

@@ -284,7 +284,7 @@ class SweepCapture(Generic[FrameT]):
     ) -> KeptFrame[FrameT] | None:
         """Keep the pending frame if the joint still stood after its exposure, and it is good."""
         if not self._stands(step, shot.stamp_ns, step.target_rad):
-            # It was but the turning point of a swing.
+            # It was only the turning point of an oscillation.
             step.pending, step.phase = None, Phase.SETTLING
             return None
         joints = self._track.at(shot.stamp_ns)

@@ -43,7 +43,7 @@ def pose_errors(
     seen: npt.NDArray[np.bool_] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    How well papers tell x, y and heading of viewpoints, and what these errors are made of.
+    How well papers give x, y and heading of viewpoints, and what these errors are made of.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def _loading(
     seen = papers_in_view(eye[:, :2], room)
     if seen.sum() >= LEAST_PAPERS:
         given, by_papers = pose_errors(eye, room, config, panorama.cylinder.fy, seen)
-        # A place that is better known than papers would tell it was told by something else.
+        # A pose that is better known than papers would give it comes from something else.
         ratio = eigh(covariance[_PLAN], given[0], eigvals_only=True)[-1]
         loading[_X_Y_HEADING] = min(1.0, ratio) * by_papers[0]
     half = solve_triangular(root_of(covariance), loading, lower=True)

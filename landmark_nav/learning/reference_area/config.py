@@ -11,7 +11,7 @@ __all__ = ['ReferenceAreaConfig']
 
 @dataclass(frozen=True)
 class ReferenceAreaConfig(Config):
-    """Standard deviations of what is told of papers, camera and joints."""
+    """Standard deviations of what is given of papers, camera and joints."""
 
     paper_sigma_m: float = parameter(
         0.001, 'standard deviation of how exactly a paper hangs, metres', minimum=0, maximum=0.1

@@ -61,7 +61,7 @@ _FALSE_ALARM, _SUSPECT, _EXPLAINED = 1e-4, 0.05, 3.0
 _SCATTER = 1.3
 # Papers that locate a panorama.
 _LEAST_SEEN = 2
-# What a paper costs that should be seen and is not, and one that is said to be hidden, in each
+# What a paper costs that should be seen and is not, and one that is taken to be hidden, in each
 # view, squared standard deviations.
 _MISSING, _HIDDEN = 60.0, 30.0
 # How far off a paper is looked for, metres, and how much its size may differ, as a share.
@@ -542,7 +542,7 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
     if kind == 'lean':
         roll, pitch = np.degrees(solution.values)
         text = (
-            f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
+            f'the pan axis tilts by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
             'base from what robot.yaml gives'
         )
     elif kind == 'swapped' and hypothesis.room is not None:
@@ -564,7 +564,7 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
     return PaperFault(kind, k, value, sigma, gain, text)
 
 
-# What is said of faults with a value that is positive, and negative.
+# How faults with a value are described that is positive, and negative.
 _WORDS = {
     'along': ('hangs {} further left', 'hangs {} further right'),
     'height': ('hangs {} higher', 'hangs {} lower'),

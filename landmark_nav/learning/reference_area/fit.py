@@ -265,7 +265,7 @@ class PaperFitter:
         chi = np.sum(weight * left**2) + np.sum(prior * (state - usual) ** 2)
         misfit = float(chi / max(1.0, np.sum(weight * m.sigma_px**2) - 3.0))
         fit = self._agreement(m, squared_misfit, state, covariance * max(1.0, misfit), misfit)
-        # The sweep itself tells how exact its joint angles are (expectation maximization).
+        # The sweep itself shows how exact its joint angles are (expectation maximization).
         used = np.unique(m.frame)
         left_over = model.angles(state)[used] ** 2 + model.angles(np.diag(covariance))[used]
         trusted = _TRUSTED_FRAMES * self._pan_sigma_rad**2
@@ -280,7 +280,7 @@ class PaperFitter:
         covariance: FloatArray,
         misfit: float,
     ) -> PaperFit:
-        """What a solution tells; `squared_misfit` (n,) are the squared deviations of the edges."""
+        """What a solution gives; `squared_misfit` (n,) are the squared deviations of the edges."""
         model, by_color = self._model, m.bright == 0
         found = np.bincount(m.paper[by_color], minlength=model.papers)
         agreed = by_color & (squared_misfit < _SURELY_WRONG)

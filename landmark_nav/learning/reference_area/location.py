@@ -3,8 +3,8 @@ Where a sweep was taken, from coloured papers that hang at known places.
 
 Blobs in the panorama give hypotheses; the edges of the papers, found to sub-pixel in every frame
 that shows them, then decide and refine. Livatino and Madsen triangulate the three papers; all
-their edges together say the same more accurately, and their sizes tell wrong combinations from
-right ones.
+their edges together say the same more accurately, and their sizes distinguish wrong combinations
+from right ones.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ _LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0
 # A place that costs so much more than one that fits is not worth a look.
 _HOPELESS = 20.0
-# Squared deviation of two places that are one: chi-square of 3 beyond all doubt.
+# Squared deviation of two places that are one: chi-square of 3, at certainty.
 _DISAGREEMENT = 35.0
 # Yaws that differ by less are one.
 _SAME_YAW_RAD = 0.05
-# Blobs lead to the papers from a camera that is told so much too high or too low.
+# Blobs lead to the papers from a camera that is given so much too high or too low.
 _RISE_STEP_M = 0.06
-# A camera that is told so much too high or too low is refused for that.
+# A camera that is given so much too high or too low is refused for that.
 _ANY_HEIGHT_M = 0.1
 # Places are distinguished with so many frames a paper.
 _QUICK_FRAMES = 2
@@ -75,9 +75,9 @@ class SweepPlace:
     Where a sweep was taken.
 
     `pose_map_base` (3,) and `height_m` of the optical centre, `covariance` (4, 4) of x, y, z,
-    heading. `axis_tilt_score` (2,) and `axis_tilt_information` (2, 2) say how the pan axis leans
-    about x and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes them.
-    `warning` says if sizes and distances of papers do not go together.
+    heading. `axis_tilt_score` (2,) and `axis_tilt_information` (2, 2) give how the pan axis is
+    tilted about x and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes
+    them. `warning` says if sizes and distances of papers do not go together.
     """
 
     pose_map_base: FloatArray
@@ -246,7 +246,7 @@ def check_agreement(
     config: ReferenceAreaConfig,
 ) -> None:
     """
-    Compare a place that is given, (3,) and (3, 3), with what papers tell, where they are in sight.
+    Compare a place that is given, (3,) and (3, 3), with what papers give, where they are in sight.
 
     Raises
     ------

@@ -45,7 +45,7 @@ _SHIFT_SIGMA_PX = 0.15
 # What shadows do to edges that are found by brightness.
 _BRIGHT_SIGMA_PX = 0.2
 # What turns an edge, at its ends, as a share of what shifts it: unknown, a turn of 0.02 px that
-# all frames share, as JPEG makes it, passes for a lean of the axis, and that for a height.
+# all frames share, as JPEG makes it, passes for a tilt of the axis, and that for a height.
 _TURN_SHARE = 0.5
 
 

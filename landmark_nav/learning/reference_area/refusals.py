@@ -31,7 +31,7 @@ __all__ = [
 
 # Shares of a paper's edges: what must be found of it, and what of that must fit.
 _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
-# In standard deviations: beyond that a prior is wrong, and sizes of papers are doubted.
+# In standard deviations: beyond that a prior is wrong, and sizes of papers are questioned.
 WRONG_PRIOR, _SIGNIFICANT_SIZE = 4.0, 3.3
 # A grey image comes back from JPEG or resampling with channels that differ by so much.
 _GREY_SPREAD = 2
@@ -40,7 +40,7 @@ _MOST_SWAPPED = 4
 
 
 WITHOUT_COLOR = (
-    'reference papers are told by their colour, and the images have none: publish colour '
+    'reference papers are found by their colour, and the images have none: publish colour '
     'images, or give the pose of each sweep (sweep/pose)'
 )
 
@@ -68,7 +68,7 @@ def wrong_prior(fit: PaperFit, room: Room, config: ReferenceAreaConfig) -> str |
     if np.hypot(*fit.tilt_rad) > WRONG_PRIOR * config.horizon_sigma_rad:
         roll, pitch = np.degrees(fit.tilt_rad)
         return (
-            f'the pan axis leans by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
+            f'the pan axis tilts by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
             'base from what robot.yaml says, as the papers show it: level the robot, or set '
             'pan_axis rpy'
         )
@@ -85,11 +85,11 @@ def wrong_prior(fit: PaperFit, room: Room, config: ReferenceAreaConfig) -> str |
 
 def size_warning(fit: PaperFit, config: ReferenceAreaConfig) -> str:
     """
-    Say it if papers do not look as large as given beside the distances between them.
+    Warning if papers do not look as large as given beside the distances between them.
 
-    A room that is told too large as a whole, papers and all, shows in nothing else.
+    A room that is given too large as a whole, papers and all, shows in nothing else.
     """
-    # Variance of a size that the prior drew towards what was told; where edges scatter more than
+    # Variance of a size that the prior drew towards what was given; where edges scatter more than
     # they should, so does it. Papers that say next to nothing of it leave it where it was.
     scatter = max(1.0, fit.misfit)
     variance = max(config.paper_size_sigma**2 - fit.size_sigma**2 / scatter, 1e-12)
@@ -98,7 +98,7 @@ def size_warning(fit: PaperFit, config: ReferenceAreaConfig) -> str:
     share = fit.size * config.paper_size_sigma**2 / variance
     return (
         f'the papers look {100 * abs(share):.1f} % {"larger" if share > 0.0 else "smaller"} than '
-        'told beside the distances between them: measure both again, all of room.yaml may be '
+        'given beside the distances between them: measure both again, all of room.yaml may be '
         f'too {"large" if share > 0.0 else "small"} by so much'
     )
 

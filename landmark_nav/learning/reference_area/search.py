@@ -22,7 +22,7 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['LEAST_PAPERS', 'PaperPlace', 'find_places', 'papers_in_view']
 
-# Papers that it takes; with two there is no telling whether one hangs elsewhere.
+# Papers that it takes; with two nothing shows whether one hangs elsewhere.
 LEAST_PAPERS = 3
 
 # Rough standard deviations of a blob: its outline is a pixel or two off.

@@ -27,7 +27,7 @@ class StereoConfig(Config):
     )
     min_approach: float = parameter(
         1.25,
-        'how many times nearer one of two views in line must be, which tells by sizes',
+        'how many times nearer one of two views in line must be, for depth from scale',
         minimum=1,
         maximum=100,
     )

@@ -21,7 +21,7 @@ class Found:
     """
     Patches that were found again from another place, and where the panoramas show each.
 
-    `origin` tells the panorama and the candidate of each; `outcomes` what became of every
+    `origin` holds the panorama and the candidate of each; `outcomes` what became of every
     candidate so far; `off_walls` what was found where it was not looked for, off its wall.
     """
 

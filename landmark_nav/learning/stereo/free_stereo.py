@@ -24,7 +24,7 @@ __all__ = ['FreeMatch', 'explain', 'match_freely']
 # From each depth to the next; half of that way is searched before it, half behind.
 _STEP = 0.72
 _NEAREST_M = 0.5
-# Nothing is to be expected behind a wall, but the wall itself if it is told too near.
+# Nothing is to be expected behind a wall, but the wall itself if it is given too near.
 _FARTHEST = 1.0 / _STEP
 _WIDEST_M = 2.0
 # What is no farther off its wall than this may as well hang on it.
@@ -67,7 +67,7 @@ def match_freely(
     -------
     FreeMatch or None
         The best one; None where there is none, where the wall is as good, and where too little
-        parallax tells its depth.
+        parallax gives its depth.
 
     """
     here, there = panoramas[patch.source], panoramas[other]

@@ -23,7 +23,7 @@ _BLUR_PX = 0.8
 _BLUR_SHARE = 0.5
 _ITERATIONS = 6
 _CONVERGED = 1e-4
-# Beyond this it is not the same patch, or no pattern that tells.
+# Beyond this it is not the same patch, or no usable pattern.
 _MOST = 0.25
 _LARGEST_SIGMA = 0.02
 _LEAST_PIVOT = 1e-5
@@ -54,7 +54,7 @@ def log_nearer(
     -------
     tuple of float
         Logarithm of how many times farther before the plane of what they show the first was
-        taken, and its sigma: infinite where nothing tells.
+        taken, and its sigma: infinite where nothing shows it.
 
     """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
@@ -97,7 +97,7 @@ def log_magnification(
     Returns
     -------
     tuple of float, or None
-        None where the pattern does not tell.
+        None where the pattern does not show it.
 
     """
     height, width = template.shape

@@ -48,7 +48,7 @@ class PatchMeasurement:
     """
     Where a panorama shows a patch: azimuth in its base frame, tangent, their sigmas.
 
-    How large it shows it tells how near it is: `log_nearer` is the logarithm of how many times
+    How large it shows it gives how near it is: `log_nearer` is the logarithm of how many times
     farther before the patch's plane the panorama was taken that proposed it.
     """
 

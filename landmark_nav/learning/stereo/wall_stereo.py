@@ -81,7 +81,8 @@ def match_in(
     """
     Find a patch of one panorama in another, number `other`.
 
-    Without parallax, and as far away, nothing tells what lies on the wall from what stands before.
+    Without parallax, and as far away, nothing distinguishes what lies on the wall from what stands
+    before.
     """
     here, there = panoramas[patch.source], panoramas[other]
     if not room.visible(there.center_map[:2], patch.position[:2]):

@@ -104,9 +104,9 @@ class AimedDetector:
         """Log another lean than the present one."""
         if abs(roll_rad - self.roll_change_rad) > TILTED_RAD:
             if roll_rad:
-                _LOG.warning('camera leans %.1f deg %s', *degrees_aside(roll_rad))
+                _LOG.warning('camera is rolled by %.1f deg %s', *degrees_aside(roll_rad))
             else:
-                _LOG.warning('camera leans no more')
+                _LOG.warning('camera is rolled no more')
 
     def detect(
         self,

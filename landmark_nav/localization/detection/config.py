@@ -18,7 +18,10 @@ class DetectionConfig(Config):
         14, 'least width and height of a template, pixels', minimum=6, maximum=256
     )
     max_count: int = parameter(
-        16, 'most landmarks looked for in an image: those that tell most', minimum=3, maximum=1000
+        16,
+        'most landmarks looked for in an image: the most informative ones',
+        minimum=3,
+        maximum=1000,
     )
     target_count: int = parameter(
         8,

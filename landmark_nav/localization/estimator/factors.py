@@ -3,7 +3,7 @@ What images and wheels measure, as functions of the state, with analytic derivat
 
 A detection is a point of the normalised image plane (x/z to the right, y/z down), seen through
 the lens as it is calibrated. The model has all that may be off between the map and that point:
-pose and lean of the base, mount, pan, focal length, principal point, joint delay. A measured
+pose and tilt of the base, mount, pan, focal length, principal point, joint delay. A measured
 bearing is the same with a camera that looks along it.
 """
 
@@ -203,7 +203,7 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     scale = 1.0 + float(state[PAN_SCALE])
     tilt = seen.tilt_rad + float(state[TILT])
     axes, axis_from_base = _axis_frame(*state[_RPY : _RPY + 3].tolist())
-    # A small pitch and lean of the base on an uneven floor, about its origin.
+    # A small pitch and roll of the base on an uneven floor, about its origin.
     tilting = np.array([[1.0, 0.0, -pitch], [0.0, 1.0, floor_roll], [pitch, -floor_roll, 1.0]])
     c, s = math.cos(heading), math.sin(heading)
     upright = (points_map - [x, y, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -213,7 +213,7 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     inner = (turn @ away[:, :, None])[:, :, 0]
     outer = inner - state[_CENTER:ROLL]
 
-    # Derivatives of `outer`: by x, y, heading, pitch and lean of the base, by the axis and its
+    # Derivatives of `outer`: by x, y, heading, pitch and roll of the base, by the axis and its
     # angles, by the optical centre, by pan and tilt, by the point.
     count = len(points_map)
     by = np.zeros((count, 3, 19))

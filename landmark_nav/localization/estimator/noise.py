@@ -2,7 +2,7 @@
 Noise of wheels, floor and detections, learned while the robot drives.
 
 Wheels, floors and cameras differ by more than a parameter file can say. The filter carries along
-which part of its covariance comes from each noise; the innovations tell by how much each differs
+which part of its covariance comes from each noise; the innovations show by how much each differs
 from its parameter: maximum likelihood by Fisher scoring, one step an image (Mehra, Approaches to
 Adaptive Filtering, IEEE Trans. Automatic Control 17(5), 1972).
 
@@ -20,7 +20,7 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['DETECTION', 'FLOOR', 'NOISES', 'SLIP_NOISE', 'TURNS', 'WAY', 'NoiseScales', 'learned']
 
-# White noise of the odometry by way and time, and by turns; its side slip; lean of the floor; the
+# White noise of the odometry by way and time, and by turns; its side slip; tilt of the floor; the
 # detections; and all other uncertainty.
 WAY, TURNS, SLIP_NOISE, FLOOR, DETECTION, _REST = range(6)
 NOISES = _REST

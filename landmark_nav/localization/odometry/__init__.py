@@ -1,1 +1,1 @@
-"""What wheels tell, and how far it is to be trusted."""
+"""What wheels measure, and how far it is to be trusted."""

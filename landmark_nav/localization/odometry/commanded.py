@@ -1,5 +1,5 @@
 """
-Odometry where a robot logs only the velocities it was told: integrated, and late by some time.
+Odometry where a robot logs only the commanded velocities: integrated, and late by some time.
 
 A base follows its commands after a while. Stamped with the command, such odometry runs ahead of
 what the camera sees; `command_delay_s` finds by how much.
@@ -22,7 +22,7 @@ __all__ = ['command_delay_s', 'integrate_commands']
 _DELAYS_S = np.arange(0.0, 0.601, 0.01)
 # Detections of one landmark that are compared are at most this far apart, seconds.
 _PAIR_S = 1.0
-# Fewer pairs, or turns that are more alike, tell nothing.
+# Fewer pairs, or turns that are more alike, show nothing.
 _MIN_PAIRS = 30
 _LEAST_TURN_RAD = 0.05
 

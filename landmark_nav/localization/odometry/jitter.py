@@ -4,7 +4,7 @@ White noise of the poses of odometry: what one sample adds, the next takes back.
 That of scan matchers and visual odometry, which measure a pose each time; wheels add increments.
 Of four increments in a row, the differences of the inner and of the outer two have the covariance
 -2 v, with v the variance of a pose. White noise of the increments adds nothing to it, and a steady
-acceleration makes it positive. A robot that shakes faster than samples tell it jitters, too.
+acceleration makes it positive. A robot that shakes faster than samples show jitters, too.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Jitter:
     Attributes
     ----------
     variances : tuple of float
-        Of a position on an axis [m^2] and of a heading [rad^2]; zero if too small to tell.
+        Of a position on an axis [m^2] and of a heading [rad^2]; zero if too small to see.
 
     """
 

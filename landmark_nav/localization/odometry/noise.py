@@ -104,7 +104,7 @@ class OdometryNoiseConfig(Config):
     turn_loss_sigma_m_per_rad: float = parameter(
         0.0,
         'Sigma of the way that is lost in turns, m per rad, which is estimated: a base that is '
-        'told to drive and to turn may drive slower. 0 has it lose none.',
+        'commanded to drive and to turn may drive slower. 0 has it lose none.',
         minimum=0.0,
         maximum=1.0,
     )
@@ -161,7 +161,7 @@ def motion_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
 
 
 def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (2, 3) of what the wheels told, by the way and the time, and by turns."""
+    """Variances (2, 3) of what the wheels reported, by the way and the time, and by turns."""
     forward, left, turn = motion.increment
     way = float(np.hypot(forward, left))
     rest = config.floor_m_per_sqrt_s**2 * motion.seconds

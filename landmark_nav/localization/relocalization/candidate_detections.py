@@ -98,7 +98,7 @@ def find_candidate_detections(
         Of the base at that time: only what can be seen from where it allows is looked for, where
         and as it may appear.
     lean_sigma_rad : float
-        How far the camera may look above, below, or lean: so much higher and lower is looked.
+        How far tilt and roll of the camera may be off: so much higher and lower is searched.
 
     Returns
     -------
@@ -168,7 +168,7 @@ def _search(landmark: Landmark, look: SearchRange, strip: Strip, tangent_sigma: 
 def _measured(
     index: int, landmark: Landmark, profile: _Profile, strip: Strip, tangent_sigma: float
 ) -> CandidateDetections:
-    """The best peaks of a landmark's profile, with the range that they tell."""
+    """The best peaks of a landmark's profile, with the range that they give."""
     columns = _peaks(profile)
     tangent, reach = profile.tangent[columns], profile.reach[columns]
     rise = landmark.position[2] - strip.center[2]

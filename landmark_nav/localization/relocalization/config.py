@@ -1,4 +1,4 @@
-"""How one's place is found, and when it is believed."""
+"""How the pose is found without a prior, and when it is accepted."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ['RelocalizationConfig']
 
 @dataclass(frozen=True)
 class RelocalizationConfig(Config):
-    """How one's place is found, and when it is believed."""
+    """How the pose is found without a prior, and when it is accepted."""
 
     when_lost: bool = parameter(
         True, 'look for the place without being asked, when it is not known any more'
@@ -24,7 +24,7 @@ class RelocalizationConfig(Config):
         maximum=3600.0,
     )
     min_landmarks: int = parameter(
-        6, 'least landmarks that must speak for a place', minimum=4, maximum=1000
+        6, 'least landmarks that must support a pose', minimum=4, maximum=1000
     )
     max_sigma_m: float = parameter(
         0.03, 'largest predicted position sigma (root of the trace), m', minimum=0.0, maximum=10.0
@@ -34,7 +34,7 @@ class RelocalizationConfig(Config):
     )
     tilt_sigma_rad: float = parameter(
         0.02,
-        'how far the camera may look above or below where its joints say, or lean, where nothing '
+        'how far tilt and roll of the camera may be off, where nothing '
         'is recognised without that; 0 does not search for it, and finds a small roll only; rad',
         minimum=0.0,
         maximum=0.1,

@@ -42,7 +42,7 @@ _MIN_FOUND_SHARE = 0.4
 # Most landmarks that another place may have, as a share of those of the best. What the map lacks
 # there is no evidence: nor may as many be found of those that are expected, up to this share.
 _MAX_RIVAL_SHARE, _ALIKE = 0.5, 0.75
-# So many proposed places are verified, and so many before one is believed.
+# So many proposed places are verified, and so many before one is accepted.
 CANDIDATES, _ALL_CANDIDATES = 4, 16
 # So many landmarks at a place are not found by chance.
 _LEAST_LANDMARKS = 4
@@ -78,7 +78,7 @@ def locate(
     detections : sequence of Detections
         Possible detections in each image, found without a prior.
     lean_sigma_rad : float
-        How far the camera may look above, below, or lean.
+        How far tilt and roll of the camera may be off.
 
     Returns
     -------
@@ -180,7 +180,7 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
         return best
     found, where = len(best.ids), _where(best)
     if found < config.min_landmarks:
-        words = 'too little seen', f'{found} landmarks speak for {where}'
+        words = 'too little seen', f'{found} landmarks support {where}'
         return (
             Refusal(*words)
             if found < _LEAST_LANDMARKS

@@ -61,7 +61,7 @@ class _Keyframe(NamedTuple):
     frame: CameraFrame
     direction: FloatArray
     detections: CandidateDetections
-    # Those of a camera that may look above, below, or lean.
+    # Those of a camera whose tilt and roll may be off.
     tilted: CandidateDetections | None = None
 
 
@@ -210,13 +210,13 @@ class Relocalizer:
 
     @property
     def tilt_roll_rad(self) -> tuple[float, float]:
-        """By how much more the camera looks up, and leans to its right, by the last place."""
+        """Tilt and roll of the camera against its joints, by the last pose, rad."""
         return self._lean_rad
 
     def _tilted(
         self, frames: Sequence[CameraFrame], tilt_sigma_rad: float
     ) -> list[CandidateDetections]:
-        """Detections in the images that are kept, levelled, of a camera that may lean."""
+        """Detections in the kept images, levelled, of a camera whose tilt and roll may be off."""
         for k, (keyframe, frame) in enumerate(zip(self._kept, frames, strict=True)):
             if keyframe.tilted is None:
                 seen = find_candidate_detections(

@@ -67,8 +67,8 @@ class Verification:
     """
     A verified hypothesis.
 
-    The camera looks higher by `tilt_rad`, and leans to its right by `roll_rad`. `ids` (n,) are the
-    landmarks found, `bearing_rad` (n,) their bearings at the estimated pose, `sigma_without_m`
+    The camera is tilted up by `tilt_rad`, and rolled to its right by `roll_rad`. `ids` (n,) are
+    the landmarks found, `bearing_rad` (n,) their bearings at the estimated pose, `sigma_without_m`
     (n,) the sigma of the pan axis (root of the trace) without each of them. `expected` is how many
     should have been found.
     """
@@ -117,7 +117,7 @@ def verify(
     carried : CarriedFrames
         The images.
     lean_sigma_rad : float
-        How far the camera may look above, below, or lean; a small roll is found without.
+        How far tilt and roll of the camera may be off; a small roll is found without.
 
     """
     unlevelled = carried

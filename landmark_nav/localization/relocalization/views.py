@@ -1,4 +1,4 @@
-"""Which images tell something new."""
+"""Which images add something new."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from landmark_nav.types import CameraFrame, FloatArray
 
 __all__ = ['shows_new', 'view_direction']
 
-# An image tells something new if it looks this share of half the field of view elsewhere, aside
+# An image adds something new if it looks this share of half the field of view elsewhere, aside
 # or up, or from this far away.
 _NEW_VIEW = 0.9
 _NEW_PLACE_M = 0.6

@@ -48,7 +48,7 @@ def localize_within_prior(
     Parameters
     ----------
     lean_sigma_rad : float
-        How far the camera may look above, below, or lean; a small roll is found without.
+        How far tilt and roll of the camera may be off; a small roll is found without.
 
     Returns
     -------

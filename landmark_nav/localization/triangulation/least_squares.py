@@ -85,7 +85,7 @@ def solve(
         jacobian[:, :2] = gradient
         weight = np.asarray(np.linalg.inv(np.diag(variance) + map_share(gradient, map_cov)))
         normal = jacobian.T @ weight @ jacobian
-        # A normal matrix scaled to unit diagonal tells rank from units.
+        # A normal matrix scaled to unit diagonal separates rank from units.
         scale = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-100))
         scaled = normal * scale[:, None] * scale
         if not np.isfinite(scaled).all():

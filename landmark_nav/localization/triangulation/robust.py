@@ -38,7 +38,7 @@ _DANGER_MARGIN = 0.075
 
 @dataclass(frozen=True)
 class TriangulationConfig(Config):
-    """When a fix is believed."""
+    """When a fix is accepted."""
 
     fit_probability: float = parameter(
         0.999, 'Chi-square level up to which bearings count as meeting.', minimum=0.5, maximum=1.0
@@ -158,7 +158,7 @@ def _without_outliers(
         if isinstance(solved, Refusal):
             if len(index) <= 4:
                 return solved
-            # Pulled away by outliers: the start, which is not, tells the worst of them.
+            # Pulled away by outliers: the start, which is not, shows the worst of them.
             residual = bearing_residuals(pose, position[index], bearing[index])
             used[index[np.argmax(residual**2 / variance[index])]] = False
             continue
@@ -208,7 +208,7 @@ def _checked(
 def _refusal(
     fix: Fix, position: FloatArray, start: PoseEstimate | None, config: TriangulationConfig
 ) -> Refusal | None:
-    """Why a solved fix is not to be believed; None if it is."""
+    """Why a solved fix is not accepted; None if it is."""
     nearest = float(np.min(np.hypot(*(position - fix.pose[:2]).T)))
     if nearest < config.min_range_m:
         return Refusal('too close to a landmark', f'{nearest:.2f} m')

@@ -75,7 +75,7 @@ def _power_center(position: FloatArray, bearing: FloatArray) -> FloatArray:
         scale = k31 / determinant
         x, y = scale * normal_x, scale * normal_y
         # Heading: direction of the sum of range * exp(i (azimuth - bearing)), bearings counted
-        # from the second. What is far away tells more of it.
+        # from the second. What is far away shows more of it.
         xa -= x
         ya -= y
         xc -= x

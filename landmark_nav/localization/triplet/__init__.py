@@ -1,4 +1,4 @@
-"""Where to look: the three landmarks that promise most."""
+"""Where to look: the three landmarks with the best expected fix."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class ActiveCamera:
         self._map, self._mount, self._config = landmark_map, mount, config
         self.record = FoundRecord(len(landmark_map.landmarks))
         self._chosen: Triplet | None = None
-        self._pending: dict[int, int] = {}  # looks in vain at what is still to be seen
+        self._pending: dict[int, int] = {}  # failed looks at what is still to be seen
         self._aimed: set[int] = set()  # what the view shows that was chosen last
 
     def saw(self, detections: Detections) -> None:

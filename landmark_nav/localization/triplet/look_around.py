@@ -43,7 +43,7 @@ class LookAroundConfig(Config):
 
 
 def is_known(pose: PoseEstimate) -> bool:
-    """Whether a pose is known well enough to tell where to look."""
+    """Whether a pose is known well enough to choose where to look."""
     variance = np.diag(pose.covariance)
     return bool(
         variance[0] + variance[1] <= _LOST_SIGMA_M**2 and variance[2] <= _LOST_SIGMA_RAD**2

@@ -1,5 +1,6 @@
 """
-Triplet selection: the three landmarks that promise the most certain pose for the time they take.
+Triplet selection: the three landmarks that are expected to give the most certain pose for the time
+they take.
 
 Madsen and Andersen, Optimal landmark selection for triangulation of robot position, Robotics and
 Autonomous Systems 23(4), 1998: propagate the measurement noise through the triangulation for every
@@ -34,7 +35,7 @@ __all__ = ['CameraState', 'TripletConfig', 'rank_triplets', 'visible_landmarks']
 _SHORTLIST = 24
 # A spread of that share of the nearest landmark's range changes variances by its square.
 _SMALL = 0.05
-# How many are told about.
+# How many are reported.
 _RANKED = 8
 
 
@@ -55,7 +56,7 @@ def rank_triplets(
     Parameters
     ----------
     prior : PoseEstimate
-        Of the base in map; its spread widens the margins and averages the promise.
+        Of the base in map; its spread widens the margins and averages the expected covariance.
     camera, mount : CameraModel, PanTiltMount
         What looks.
     config : TripletConfig
@@ -178,7 +179,7 @@ class _TripletSearch:
         score: FloatArray,
         visibility: npt.NDArray[np.int8],
     ) -> Ranking:
-        """Tell about triplets (m, 3) in order, the chosen one first."""
+        """Report triplets (m, 3) in order, the chosen one first."""
         axis = self._scene.axis
         chosen = self._index[triplets]
         covariance = fix_covariances(
@@ -188,7 +189,7 @@ class _TripletSearch:
         pan, seconds = tours.pan_rad, (tours.cost - 1.0) * self._config.dwell_time_s
         best: Triplet | Refusal
         if sigma_m[0] > self._config.max_sigma_m:
-            detail = f'the best promises {sigma_m[0]:.2f} m'
+            detail = f'the best expects {sigma_m[0]:.2f} m'
             best = Refusal('no triplet is accurate enough', detail)
         else:
             bearing, sigma = self._scene.expected_bearings(chosen[0])

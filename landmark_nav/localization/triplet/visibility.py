@@ -27,7 +27,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class TripletConfig(Config):
-    """Which landmarks count as visible, and what a triplet promises."""
+    """Which landmarks count as visible, and how a triplet is rated."""
 
     bearing_sigma_rad: float = parameter(
         4e-4, 'Expected measurement sigma of a bearing, rad.', minimum=1e-6, maximum=0.5

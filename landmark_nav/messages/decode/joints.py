@@ -124,7 +124,7 @@ def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
     """
     Stamp, ns, and tilt, rad, in a sensor_msgs/JointState of a tilt joint with its own driver.
 
-    None if it tells of the pan, too, or of other joints.
+    None if it holds the pan, too, or other joints.
 
     Raises
     ------

@@ -35,7 +35,7 @@ def landmark_markers(factory: MessageFactory, landmarks: LandmarkMap, stamp_ns: 
 
 
 def _landmark(factory: MessageFactory, stamp: Any, landmark: Landmark) -> list[Any]:
-    """Return the plate on the wall, its 3-sigma box of doubt as an ellipsoid, its number."""
+    """Return the plate on the wall, its 3-sigma ellipsoid, its number."""
     yaw = np.arctan2(landmark.normal[1], landmark.normal[0])
     x, y, z = landmark.position
     variances, axes = np.linalg.eigh(landmark.covariance[:2, :2])

@@ -101,7 +101,7 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
         raise LandmarkNavError(
             f'{metadata}: names {", ".join(missing[:3]) or "no file"}, which is not there'
         )
-    # Compressed files tell by their first bytes.
+    # Compressed files are known by their first bytes.
     by_message = str(information.get('compression_mode')).lower() == 'message'
     return [file for file in found.values() if file is not None], by_message
 

@@ -1,4 +1,4 @@
-"""What of a bag cannot be used: named, left out and told."""
+"""What of a bag cannot be used: named, left out and reported."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def naming(bag: Bag, topic: str) -> Iterator[None]:
 
 class MessageFilter:
     """
-    Leaves out what of a topic cannot be used, and says so once.
+    Leaves out what of a topic cannot be used, and reports it once.
 
     That is what its decoder refuses, and a message whose stamp differs from those around it as no
     transport delays a message: it would be put into another time.

@@ -264,7 +264,7 @@ class Bag:
             yield BagMessage(raw, self._reader(raw.channel), self)
 
     def is_unstamped(self, topic: str) -> bool:
-        """Whether the headers of a topic are not stamped; said once."""
+        """Whether the headers of a topic are not stamped; reported once."""
         if topic not in self._unstamped:
             first = islice(self.messages([topic]), _STAMPS)
             self._unstamped[topic] = not any(entry.header_ns for entry in first)

@@ -41,7 +41,7 @@ def sensor_events(
     with pan and tilt interpolated at their stamps. Stamps of joint states, images and odometry
     that are late by a known delay are put right by it. Ground truth, if there is any, comes as
     `PoseEstimate`. What cannot be used, such as a value that is not a number, is left out and
-    said through ``bag.warn``. A bag without images may bring ``detections`` instead, of this
+    reported through ``bag.warn``. A bag without images may bring ``detections`` instead, of this
     package or another sensor.
 
     Raises
@@ -78,7 +78,7 @@ def _usable(
     decoders: Mapping[str, Callable[[BagMessage], SensorEvent]],
     names: Mapping[str, str],
 ) -> Iterator[SensorEvent]:
-    """What messages hold, those left out that are bad input; told by the `names` of topics."""
+    """What messages hold, without bad input, which is reported by the `names` of topics."""
     truth = bag.find('ground_truth/odom')
     filters = {
         topic: MessageFilter(bag, topic, names.get(topic, 'messages'), needed=topic != truth)

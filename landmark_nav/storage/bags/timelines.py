@@ -23,16 +23,16 @@ __all__ = ['CameraInfos', 'JointHistory', 'JointLog', 'logged_joints']
 
 # Pan between two joint states is known if they are this close.
 _MAX_JOINT_GAP_NS = 500_000_000
-# So far beyond them the last rate tells it: a joint may start or stop at any moment.
+# So far beyond them the last rate gives it: a joint may start or stop at any moment.
 _SAME_TIME_NS = 2_000_000
 # A joint that is sent on step by step turns by so much faster and slower, ten times a second.
 # Joint states do not show it if they are as far apart, and in part if over half of that.
 _UNEVEN, _UNEVEN_NS = 0.2, 100_000_000
-# Joint states may be late by so much: as far the pan is told before and after an image.
+# Joint states may be late by so much: as far the pan is known before and after an image.
 _TRACK_NS = 400_000_000
 # Joint states older by this are not late: the clock was set back.
 _CLOCK_STEP_NS = 500_000_000
-# Of steps over the first, so many tell the rate of a joint, which is below the last.
+# Of steps over the first, so many give the rate of a joint, which is below the last.
 _MOVING_RAD, _ENOUGH_STEPS, _FASTEST_RAD_S = 1e-3, 20, 10.0
 
 
@@ -45,7 +45,7 @@ class JointHistory:
     samples : iterable of JointSample
         In any order; of several with one stamp the last counts.
     tilts : iterable of (int, float)
-        Stamps and tilts, rad, of a tilt joint that has a driver of its own: what the samples tell
+        Stamps and tilts, rad, of a tilt joint that has a driver of its own: what the samples hold
         of the tilt does not count then. Before the first and after the last it stays.
 
     """
@@ -93,7 +93,7 @@ class JointHistory:
         return Refusal(f'no joint_states for {gap_ns * 1e-9:.1f} s')
 
     def _tilt_rad(self, stamp_ns: int, with_pan_rad: float) -> float:
-        """Tilt at a time: what was told with the pan, unless it is told by itself."""
+        """Tilt at a time: that reported with the pan, unless it has a topic of its own."""
         return float(np.interp(stamp_ns, *self._tilts)) if len(self._tilts) else with_pan_rad
 
     def _track(self, stamp_ns: int, turns_rad: float) -> PanTrack:
@@ -106,7 +106,7 @@ class JointHistory:
         )
 
     def _rate(self, later: int) -> float | None:
-        """Rate of the pan, rad/s, from one sample to a later one; None if they do not tell."""
+        """Rate of the pan, rad/s, from one sample to a later one; None if they do not show it."""
         if not 0 < later < len(self._samples):
             return None
         gap_ns = self._stamps[later] - self._stamps[later - 1]
@@ -118,8 +118,8 @@ class JointHistory:
         """
         By how much the pan may turn faster or slower in a part of an interval of that rate.
 
-        The rates before and after it tell: a joint that starts, stops or swings differs from one
-        of them alone. Without any, it may have stood for a part.
+        The rates before and after it show it: a joint that starts, stops or swings differs from
+        one of them alone. Without any, it may have stood for a part.
         """
         beside = (self._rate(later - 1), self._rate(later + 1))
         changes = [abs(other - rate) for other in beside if other is not None]
@@ -145,7 +145,7 @@ class JointLog:
     logged : iterable of (int, JointSample)
         When each was recorded, in that order.
     tilts : iterable of (int, (int, float))
-        The same of tilts that are told by themselves, see `JointHistory`.
+        The same of tilts that are reported by themselves, see `JointHistory`.
 
     """
 

@@ -26,7 +26,7 @@ def truth_decoder(bag: Bag, topic: str) -> Callable[[BagMessage], PoseEstimate]:
     Decoder of the messages of a topic with the ground truth.
 
     Where it was stamped by another clock than the sensors, which the times of recording show, its
-    poses are moved to theirs, and the bag says so.
+    poses are moved to theirs, and the bag reports it.
     """
     shift_ns = _shift_ns(bag, topic)
 
