@@ -187,7 +187,7 @@ def test_who_waits_for_a_place_is_answered_as_the_node_ends(
         for caller in clients:
             client.wait(caller.service_is_ready, 30.0, 'the service')
             with ServiceDiscovery(client._node, 'relocalize') as acquaintance:
-                client.wait(acquaintance.made, 30.0, 'the node to know its client')
+                client.wait(acquaintance.is_complete, 30.0, 'the node to know its client')
             answers.append(caller.call_async(Trigger.Request()))
         client.wait(lambda: len(words) > 6, 30.0, 'the node to go on')
         assert not any(answer.done() for answer in answers)

@@ -40,7 +40,7 @@ OBSERVER = """
     with Interruption() as interruption, RobotClient(watch=interruption.check) as client:
         with client.recording(Path(folder), topics):
             def known():
-                word = client.said('odometry_fusion')
+                word = client.status_of('odometry_fusion')
                 return bool(word.values) and not word.lost and client.fixes > 10
 
             # A recording that ends by an error is not kept.

@@ -232,7 +232,7 @@ def test_the_cause_is_named_in_a_recorded_drive(name: str, tmp_path: Path) -> No
     mount, room = load_robot(BAGS / 'robot.yaml'), load_room(BAGS / 'room.yaml')
     found = diagnose(bag, mount, room)
     wrong = [*found.errors, *found.warnings]
-    assert any(f.name.startswith(error.names) and re.search(error.says, f.line()) for f in wrong)
+    assert any(f.name.startswith(error.names) and re.search(error.finding, f.line()) for f in wrong)
     assert len(wrong) <= 3, 'what follows from a fault is no fault of its own'
 
 
@@ -271,7 +271,7 @@ def test_learning_refuses_what_it_cannot_calibrate(
     assert main(['learn', str(bag), *files, '--out', str(tmp_path / 'map')]) == 1
     reported = capsys.readouterr().err
     assert SWEEPS[name].names in reported
-    assert SWEEPS[name].says in reported
+    assert SWEEPS[name].finding in reported
     assert not (tmp_path / 'map').exists()
 
 
