@@ -31,15 +31,15 @@ def on_walls(normals: list[list[float]]) -> LandmarkMap:
 
 
 def test_one_wall_does_not_speak_for_a_place_but_two_do() -> None:
-    landmark_ids = Witnesses(on_walls([EAST] * 5 + [NORTH] * 3))
-    assert landmark_ids.vouched
-    landmark_ids.restart(vouched=False)
-    landmark_ids.hear(np.arange(5))
-    assert not landmark_ids.vouched
-    landmark_ids.hear(np.array([5, 6]))
-    assert not landmark_ids.vouched
-    landmark_ids.hear(np.array([7]))
-    assert landmark_ids.vouched
+    witnesses = Witnesses(on_walls([EAST] * 5 + [NORTH] * 3))
+    assert witnesses.vouched
+    witnesses.restart(vouched=False)
+    witnesses.hear(np.arange(5))
+    assert not witnesses.vouched
+    witnesses.hear(np.array([5, 6]))
+    assert not witnesses.vouched
+    witnesses.hear(np.array([7]))
+    assert witnesses.vouched
 
 
 @pytest.mark.parametrize(('apart_m', 'enough'), [(1.5, False), (2.5, True)])
@@ -56,25 +56,25 @@ def test_one_wall_speaks_far_apart_for_a_robot_that_lost_track_in_its_room(
     room = LandmarkMap(east + walls.landmarks[6:])
 
     def sure_again(vouched: bool) -> bool:
-        landmark_ids = Witnesses(room, vouched)
+        witnesses = Witnesses(room, vouched)
         for wide in (False, True):
-            landmark_ids.note_width(wide)
-        landmark_ids.hear(np.arange(5))
-        assert not landmark_ids.vouched
-        landmark_ids.hear(np.array([5]))
-        return landmark_ids.vouched
+            witnesses.note_width(wide)
+        witnesses.hear(np.arange(5))
+        assert not witnesses.vouched
+        witnesses.hear(np.array([5]))
+        return witnesses.vouched
 
     assert sure_again(vouched=True) == enough
     assert not sure_again(vouched=False)
 
 
 def test_a_map_of_one_wall_cannot_ask_for_two() -> None:
-    landmark_ids = Witnesses(on_walls([EAST] * 5 + [NORTH] * 2))
-    landmark_ids.restart(vouched=False)
-    landmark_ids.hear(np.array([0, 1]))
-    assert not landmark_ids.vouched
-    landmark_ids.hear(np.array([2]))
-    assert landmark_ids.vouched
+    witnesses = Witnesses(on_walls([EAST] * 5 + [NORTH] * 2))
+    witnesses.restart(vouched=False)
+    witnesses.hear(np.array([0, 1]))
+    assert not witnesses.vouched
+    witnesses.hear(np.array([2]))
+    assert witnesses.vouched
 
 
 def found_at(pose: FloatArray, stamp_ns: int, landmark_map: LandmarkMap) -> PoseFilter:
