@@ -82,7 +82,7 @@ cameras: install
 triangulation: install
 	$(BIN)/python test/triangulation_check.py
 
-# From picture to corrected pose on the live graph.
+# From image to corrected pose on the live graph.
 latency: install
 	$(BIN)/python test/live_latency.py $(DRIVE) --map $(MAP) --room $(ROOM) --robot $(ROBOT) --start $(START)
 

@@ -39,7 +39,7 @@ class StreamError:
         Whose messages `change` alters; it returns a message, a list of them, or None.
     names : str
         Start of the name of the finding that names the cause.
-    says : str
+    finding : str
         What that finding says, a regular expression.
     recorded : bool
         Whether the recorder's clock is off with the stamps.

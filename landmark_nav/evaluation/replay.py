@@ -59,7 +59,7 @@ class Replay:
         Computing time of the whole run, reading and decoding included.
     odometry_noise : OdometryNoiseConfig
         Noise of the odometry, as learned by the end.
-    sighting_sigma : float
+    detection_sigma_factor : float
         Factor on the claimed sigmas of detections, as learned by the end.
     late : JointDelay
         Delay of the stamps of the joints, as estimated by the end.

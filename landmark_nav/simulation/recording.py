@@ -99,7 +99,7 @@ def drive_messages(
         Builds the messages.
     path_xy : ndarray, shape (n, 2)
         The way, map frame, metres.
-    gaze : Gaze
+    pan_control : PanControl
         Where the camera looks.
     seconds : float
         For how long; the robot stops where the path ends.

@@ -232,7 +232,9 @@ def test_the_cause_is_named_in_a_recorded_drive(name: str, tmp_path: Path) -> No
     mount, room = load_robot(BAGS / 'robot.yaml'), load_room(BAGS / 'room.yaml')
     found = diagnose(bag, mount, room)
     wrong = [*found.errors, *found.warnings]
-    assert any(f.name.startswith(error.names) and re.search(error.finding, f.line()) for f in wrong)
+    assert any(
+        f.name.startswith(error.names) and re.search(error.finding, f.line()) for f in wrong
+    )
     assert len(wrong) <= 3, 'what follows from a fault is no fault of its own'
 
 

@@ -80,7 +80,7 @@ class AimedDetector:
 
     @property
     def roll_change_rad(self) -> float:
-        """By how much the camera leans to its right; 0 unless it was displaced."""
+        """Roll of the camera to its right; 0 unless it was displaced."""
         return float(self._aim[2])
 
     @property

@@ -124,7 +124,7 @@ def bearing_model(
         Of the error that all of them share, rad^2.
     lever : ndarray, shape (2,)
         Pan axis in the base frame, metres.
-    lag : Lag
+    lag : PanError
         Error of the pan by late joint stamps, for the delay in the state `at`.
     pan : float
         Pan of the image, radians: an error of the principal point bends bearings about it.

@@ -1,5 +1,5 @@
 """
-A robot that stands, or odometry that hangs: images tell them apart.
+A robot that stands, or odometry that hangs: images distinguish them.
 
 Odometry also says that the robot stands if its driver hangs, or if the robot is pushed or carried.
 Where images contradict a stand, hypotheses are added in which the robot turned on the spot or

@@ -60,7 +60,7 @@ def update_turning(
     against the base; one image cannot tell which. So the angle, `turn_sigma_rad` at most, is
     added to the sigma of the heading, a part of it to that of the boresight, and to the position
     what it amounts to at the range of the landmarks. Later bearings, and the direction in which
-    the robot drives on, tell them apart.
+    the robot drives on, distinguish them.
 
     If the pan turns fast enough, late joint states may be the reason. A second hypothesis then
     opens their delay, and images at other rates tell which is true; where the delay is open

@@ -97,7 +97,7 @@ def find_candidate_detections(
     prior : PoseEstimate, optional
         Of the base at that time: only what can be seen from where it allows is looked for, where
         and as it may appear.
-    lean_sigma_rad : float
+    tilt_sigma_rad : float
         How far tilt and roll of the camera may be off: so much higher and lower is searched.
 
     Returns

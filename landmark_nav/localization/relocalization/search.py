@@ -75,7 +75,7 @@ def locate(
         Images, and the poses of the base at each by odometry.
     detections : sequence of Detections
         Possible detections in each image, found without a prior.
-    lean_sigma_rad : float
+    tilt_sigma_rad : float
         How far tilt and roll of the camera may be off.
 
     Returns

@@ -140,7 +140,7 @@ class Relocalizer:
         ----------
         frame : CameraFrame
             Image with its joint angles.
-        lean : Lean
+        camera_tilt : CameraTilt
             What is known by now of the camera, in this image and in those before.
 
         Returns

@@ -116,7 +116,7 @@ def verify(
         Hypothesis: the base at the images' common time, good to some 10 cm and 2 degrees.
     carried : CarriedFrames
         The images.
-    lean_sigma_rad : float
+    tilt_sigma_rad : float
         How far tilt and roll of the camera may be off; a small roll is found without.
 
     """

@@ -47,7 +47,7 @@ def localize_within_prior(
 
     Parameters
     ----------
-    lean_sigma_rad : float
+    tilt_sigma_rad : float
         How far tilt and roll of the camera may be off; a small roll is found without.
 
     Returns

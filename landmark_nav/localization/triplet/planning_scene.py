@@ -66,7 +66,7 @@ class PlanningScene:
         What looks.
     config : TripletConfig
         What counts as visible.
-    gaze : Gaze
+    camera_state : CameraState
         Where the camera looks and how far it turns.
 
     """

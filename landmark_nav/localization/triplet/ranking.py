@@ -94,7 +94,7 @@ class Ranking:
     ----------
     chosen : Triplet or Refusal
         The first.
-    standing : ndarray of int, shape (n,)
+    visibility : ndarray of int, shape (n,)
         `LandmarkVisibility` of each landmark of the map.
     ids : ndarray of int, shape (m, 3)
         Landmarks of the triplets.

@@ -61,7 +61,7 @@ def rank_triplets(
         What looks.
     config : TripletConfig
         What counts as visible, and what time costs.
-    gaze : Gaze, optional
+    camera_state : CameraState, optional
         Where the camera looks and how far it turns; a full turn at no cost by default.
     previous : Triplet, optional
         What is being looked at; kept unless another is better by `config.hysteresis`.
