@@ -89,7 +89,7 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
     half = replace(whole, landmarks=whole.landmarks[::2])
     publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
     ranked: list[Any] = []
-    frame_at: list[Any] = []
+    visibilities: list[Any] = []
 
     def publish_map(landmark_map: LandmarkMap, stamp_ns: int) -> None:
         messages = encode.landmark_map(ros_factory, landmark_map, stamp_ns)
@@ -106,9 +106,9 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
     publish_map(whole, 1)
     for node in (LOCALIZER, SELECTOR):
         start(node, robot_file=ROBOT, use_sim_time=True)
-    kind, topic = message_class('sensor_msgs/msg/PointCloud2'), f'{SELECTOR}/ranking'
+    kind, topic = message_class('sensor_msgs/msg/PointCloud2'), f'{SELECTOR}/triplet_scores'
     client._node.create_subscription(kind, topic, ranked.append, 10)
-    client._node.create_subscription(kind, f'{SELECTOR}/standing', frame_at.append, 10)
+    client._node.create_subscription(kind, f'{SELECTOR}/landmark_visibility', visibilities.append, 10)
     with fusion(domain_id):
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map')
         client.wait(status_of(LOCALIZER, 'no image'), 30.0, 'what the localizer waits for')
@@ -117,12 +117,12 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         first = play(drive.path, 0.5)
         watch.wait(20.0, 'the place, which nobody asked for')
         client.wait(lambda: any(cloud.width > 1 for cloud in ranked), 15.0, 'the ranking')
-        client.wait(lambda: bool(frame_at), 15.0, 'the standing of the landmarks')
+        client.wait(lambda: bool(visibilities), 15.0, 'the visibility of the landmarks')
         reasons = Layout('triplet_scores', np.dtype([('reason', 'u1')]))
         best, *others = unpack_cloud(max(ranked, key=lambda cloud: cloud.width), reasons)
         assert best['reason'] == 0
         assert all(other['reason'] > 0 for other in others)
-        assert frame_at[-1].width == len(whole.landmarks)
+        assert visibilities[-1].width == len(whole.landmarks)
         # Ages of images make sense on the clock of the bag alone.
         client.wait(
             lambda: 'latency_median_ms' in client.status_of(LOCALIZER).values, 15.0, 'ages'
