@@ -116,7 +116,7 @@ def jittering(position_m: float, heading_rad: float) -> Change:
     return change
 
 
-def frame_at() -> Change:
+def at_rest() -> Change:
     """Odometry that stays where it is and says that it stands."""
     stays = frozen('pose')
 
@@ -179,7 +179,7 @@ def faults(bag: Bag) -> dict[str, Fault]:
         'odometry repeats a sample': Fault(repeated(), (ODOMETRY,)),
         'odometry stops': Fault(nothing, (ODOMETRY,)),
         'odometry freezes': Fault(frozen('pose'), (ODOMETRY,)),
-        'odometry freezes and says it stands': Fault(frame_at(), (ODOMETRY,)),
+        'odometry freezes and says it stands': Fault(at_rest(), (ODOMETRY,)),
         'odometry is not a number': Fault(no_number, (ODOMETRY,)),
         'odometry jitters by 1 cm': Fault(jittering(0.01, 0.005), (ODOMETRY,), FOR_GOOD_S),
         'odometry stamps 30 s back': Fault(later(-30.0), (ODOMETRY,)),

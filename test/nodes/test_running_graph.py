@@ -108,7 +108,9 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         start(node, robot_file=ROBOT, use_sim_time=True)
     kind, topic = message_class('sensor_msgs/msg/PointCloud2'), f'{SELECTOR}/triplet_scores'
     client._node.create_subscription(kind, topic, ranked.append, 10)
-    client._node.create_subscription(kind, f'{SELECTOR}/landmark_visibility', visibilities.append, 10)
+    client._node.create_subscription(
+        kind, f'{SELECTOR}/landmark_visibility', visibilities.append, 10
+    )
     with fusion(domain_id):
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map')
         client.wait(status_of(LOCALIZER, 'no image'), 30.0, 'what the localizer waits for')

@@ -63,4 +63,6 @@ def test_standings_of_the_whole_map_are_reported_while_views_are_left(
 
     # The client watches that the selector runs.
     client.wait(goes_on, 20.0, 'choices, one after the other')
-    assert {frame_at.width for frame_at in landmark_visibilities} == {len(landmarks.landmarks)}
+    assert {visibilities.width for visibilities in landmark_visibilities} == {
+        len(landmarks.landmarks)
+    }

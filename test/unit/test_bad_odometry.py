@@ -28,7 +28,7 @@ def jumping(k: int, step: Step) -> Step | None:
     return replace(step, odometry=replace(step.odometry, pose_odom_base=moved))
 
 
-def frame_at(k: int, step: Step) -> Step | None:
+def repeated(k: int, step: Step) -> Step | None:
     """Odometry that repeats its last sample."""
     return replace(step, odometry=replace(step.odometry, stamp_ns=round(FAULT_S * 1e9)))
 
@@ -59,7 +59,7 @@ def behind(k: int, step: Step) -> Step | None:
     ('fault', 'reason'),
     [
         (jumping, 'odometry jumped'),
-        (frame_at, 'repeated a stamp'),
+        (repeated, 'repeated a stamp'),
         (silent, 'no odometry for'),
         (broken, 'not a number'),
         (behind, 'back'),

@@ -46,7 +46,7 @@ from landmark_nav.types import (
 )
 
 
-def frame_at(
+def located_at_rest(
     frames: Sequence[CameraFrame], landmark_map: LandmarkMap = MAP
 ) -> PoseEstimate | Refusal:
     return driven(frames, np.zeros((len(frames), 3)), landmark_map)
@@ -67,14 +67,14 @@ def driven(
 
 @pytest.mark.parametrize('pose', [(2.4, 1.9, 0.4), (1.5, 2.6, 3.1), (3.6, 1.4, -1.9)])
 def test_one_sweep_gives_the_place(pose: tuple[float, float, float]) -> None:
-    assert_right(frame_at(sweep(SCENE, pose)), pose)
+    assert_right(located_at_rest(sweep(SCENE, pose)), pose)
 
 
 def test_a_blurred_sweep_gives_the_place_as_well() -> None:
     """Sharp landmarks looked for in it are 19 mm off here."""
     pose = (1.5, 2.6, 3.1)
     frames = [replace(f, image=blurred_by(f.image, 3.0, 3.0)) for f in sweep(SCENE, pose)]
-    found = frame_at(frames)
+    found = located_at_rest(frames)
     assert_right(found, pose)
     assert isinstance(found, PoseEstimate)
     assert np.hypot(*(found.pose - pose)[:2]) < 0.012
@@ -89,7 +89,7 @@ def test_other_light_and_images_exchanged_do_no_harm() -> None:
         replace(frame, image=np.asarray(0.5 * frame.image + 20.0, dtype=np.uint8))
         for frame in sweep(changed, pose)
     ]
-    assert_right(frame_at(frames), pose)
+    assert_right(located_at_rest(frames), pose)
 
 
 def test_views_from_different_places_are_joined_by_odometry() -> None:
@@ -117,7 +117,7 @@ def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
         for b in (south, east)
     ]
     symmetric = Scene((south, east, *twins))
-    found = frame_at(sweep(symmetric, (1.9, 1.5, 0.7)), learned(symmetric))
+    found = located_at_rest(sweep(symmetric, (1.9, 1.5, 0.7)), learned(symmetric))
     assert isinstance(found, Refusal)
     assert found.reason == 'not unique'
     # Both places are reported.
@@ -131,14 +131,16 @@ def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
     sparse = replace(
         known, landmarks=tuple(k for k in known.landmarks if k not in south_east or k.id in few)
     )
-    found = frame_at(sweep(symmetric, (1.9, 1.5, 0.7)), sparse)
+    found = located_at_rest(sweep(symmetric, (1.9, 1.5, 0.7)), sparse)
     assert isinstance(found, Refusal)
     assert found.reason == 'not unique'
 
     # A wall that is different decides.
     north = SCENE.boards[2]
     decided = Scene((south, east, north, twins[1]))
-    assert_right(frame_at(sweep(decided, (1.9, 1.5, 0.7)), learned(decided)), (1.9, 1.5, 0.7))
+    assert_right(
+        located_at_rest(sweep(decided, (1.9, 1.5, 0.7)), learned(decided)), (1.9, 1.5, 0.7)
+    )
 
 
 def test_the_same_image_on_every_wall_is_no_place() -> None:
@@ -151,7 +153,7 @@ def test_the_same_image_on_every_wall_is_no_place() -> None:
         for k, board in enumerate(scene.boards)
         for j, (across, up) in enumerate(ALONG)
     ]
-    found = frame_at(
+    found = located_at_rest(
         sweep(scene, (1.6, 1.9, -0.8)), LandmarkMap(tuple(landmarks), walls=room.walls)
     )
     assert isinstance(found, Refusal)
@@ -160,19 +162,21 @@ def test_the_same_image_on_every_wall_is_no_place() -> None:
 
 @pytest.mark.parametrize('tilt_rad', [-0.2, 0.25])
 def test_a_sweep_at_a_known_tilt_gives_the_place(tilt_rad: float) -> None:
-    assert_right(frame_at(sweep(SCENE, (2.4, 1.9, 0.4), tilt_rad=tilt_rad)), (2.4, 1.9, 0.4))
+    assert_right(
+        located_at_rest(sweep(SCENE, (2.4, 1.9, 0.4), tilt_rad=tilt_rad)), (2.4, 1.9, 0.4)
+    )
 
 
 def test_a_view_at_another_tilt_is_a_new_one() -> None:
     pose = (2.4, 1.9, 0.4)
     ceiling = sweep(SCENE, pose, tilt_rad=0.8)
-    assert isinstance(frame_at(ceiling), Refusal)
-    assert_right(frame_at([*ceiling, *sweep(SCENE, pose)]), pose)
+    assert isinstance(located_at_rest(ceiling), Refusal)
+    assert_right(located_at_rest([*ceiling, *sweep(SCENE, pose)]), pose)
 
 
 def test_another_room_is_not_recognised() -> None:
     other = textured_room(ROOM, seed=11, feature_m=0.045)
-    found = frame_at(sweep(other, (2.4, 1.9, 0.4)))
+    found = located_at_rest(sweep(other, (2.4, 1.9, 0.4)))
     assert isinstance(found, Refusal)
     assert found.reason == 'nothing recognised'
 
@@ -181,7 +185,7 @@ def test_a_known_wall_in_another_room_is_not_enough() -> None:
     other = textured_room(ROOM, seed=11, feature_m=0.045)
     stolen = Scene((SCENE.boards[0], *other.boards[1:]))
     # It comes into view last.
-    found = frame_at(sweep(stolen, (2.4, 1.9, 0.4), np.roll(PANS, -4)))
+    found = located_at_rest(sweep(stolen, (2.4, 1.9, 0.4), np.roll(PANS, -4)))
     assert isinstance(found, Refusal)
     assert found.reason == 'nothing recognised'
     assert 'of' in found.detail
@@ -189,7 +193,7 @@ def test_a_known_wall_in_another_room_is_not_enough() -> None:
 
 def test_one_narrow_view_is_too_little() -> None:
     few = replace(MAP, landmarks=MAP.landmarks[:5])
-    found = frame_at(sweep(SCENE, (2.4, 1.9, 0.4)), few)
+    found = located_at_rest(sweep(SCENE, (2.4, 1.9, 0.4)), few)
     assert isinstance(found, Refusal)
     assert found.reason == 'too little seen'
 
@@ -197,7 +201,7 @@ def test_one_narrow_view_is_too_little() -> None:
 def test_darkness_and_an_empty_map_are_refusals() -> None:
     dark = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
     for landmark_map in (MAP, LandmarkMap(())):
-        found = frame_at([dark], landmark_map)
+        found = located_at_rest([dark], landmark_map)
         assert isinstance(found, Refusal)
         assert found.reason == 'nothing recognised'
 

@@ -102,11 +102,11 @@ def test_beacons_are_put_right_by_what_is_seen_of_them(
     What changes from one reading to the next, a robot that stands takes the median of.
     """
     places, bearings = readings
-    frame_at, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
+    resting, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
     errors = [
         np.linalg.norm(subset_poses(corners, seen)[..., :2] - place[:, None], axis=-1)
-        for corners in (beacons[:, :2], refined(beacons[:, :2], frame_at))
-        for seen, place in ((bearings, places), (frame_at, true))
+        for corners in (beacons[:, :2], refined(beacons[:, :2], resting))
+        for seen, place in ((bearings, places), (resting, true))
     ]
     each, at_rest, each_refined, refined_at_rest = map(np.median, errors)
     assert at_rest > 0.11
