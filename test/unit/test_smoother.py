@@ -76,7 +76,7 @@ class Drive:
             BEGIN_NS, truth[0] + noise * np.sqrt(np.diag(START)) * rng.normal(size=3), START
         )
         self._repeated = rng.normal(size=6)
-        self.measurements = [
+        self.detections = [
             self._seen(10 * (k + 1), pose, rng, noise) for k, pose in enumerate(self.truth)
         ]
         origin = se2.compose(self.start.pose, se2.inverse(reckoned[0]))
@@ -102,7 +102,7 @@ class Drive:
         )
 
     def smoothed(self, **changes):
-        given = {'detections': self.measurements, 'fusion': FUSION, **changes}
+        given = {'detections': self.detections, 'fusion': FUSION, **changes}
         return smooth(
             self.start,
             self.odometry,
@@ -132,7 +132,7 @@ def test_without_noise_the_truth_comes_back() -> None:
     found = drive.smoothed()
     assert np.abs(pose_errors(found.poses, drive.truth)).max() < 1e-5
     np.testing.assert_allclose(found.landmarks, PLACES, atol=1e-5)
-    np.testing.assert_array_equal(found.stamps_ns, [seen.stamp_ns for seen in drive.measurements])
+    np.testing.assert_array_equal(found.stamps_ns, [seen.stamp_ns for seen in drive.detections])
 
 
 def test_a_robot_that_was_carried_off_is_found_where_its_motion_is_not_known() -> None:
@@ -160,8 +160,8 @@ def test_errors_are_as_large_as_claimed() -> None:
 
 def test_a_camera_that_looks_aside_is_noticed() -> None:
     drive = Drive(0, noise=0.0)
-    aside = [replace(seen, bearing_rad=seen.bearing_rad + 0.03) for seen in drive.measurements]
-    found = drive.smoothed(measurements=aside)
+    aside = [replace(seen, bearing_rad=seen.bearing_rad + 0.03) for seen in drive.detections]
+    found = drive.smoothed(detections=aside)
     assert found.boresight_rad == pytest.approx(0.03, abs=1e-3)
     assert np.degrees(np.abs(pose_errors(found.poses, drive.truth)[:, 2]).max()) < 0.1
 
@@ -169,12 +169,12 @@ def test_a_camera_that_looks_aside_is_noticed() -> None:
 def test_a_principal_point_that_is_off_is_noticed() -> None:
     drive, lens = Drive(0, noise=0.0), 0.03
     bent = []
-    for k, seen in enumerate(drive.measurements):
+    for k, seen in enumerate(drive.detections):
         pan = float(np.sin(k))
         x, y = np.cos(seen.bearing_rad - pan), np.sin(seen.bearing_rad - pan)
         bearing = wrap_rad(np.arctan2(y + lens * x, x) - np.arctan(lens) + pan)
         bent.append(replace(seen, bearing_rad=bearing, pan_rad=pan))
-    found = drive.smoothed(measurements=bent, fusion=replace(FUSION, principal_point_sigma=0.05))
+    found = drive.smoothed(detections=bent, fusion=replace(FUSION, principal_point_sigma=0.05))
     assert found.lens == pytest.approx(lens, abs=1e-3)
     assert np.hypot(*pose_errors(found.poses, drive.truth)[:, :2].T).max() < 0.005
 
@@ -187,9 +187,9 @@ def test_mistaken_landmarks_are_outvoted() -> None:
         replace(seen, bearing_rad=seen.bearing_rad + np.array([0.5, 0.0, 0.0]))
         if rng.random() < 0.2
         else seen
-        for seen in drive.measurements
+        for seen in drive.detections
     ]
-    found = drive.smoothed(measurements=mixed)
+    found = drive.smoothed(detections=mixed)
     apart = pose_errors(found.poses, plain.poses)
     assert np.hypot(apart[:, 0], apart[:, 1]).max() < 0.02
 
@@ -197,8 +197,8 @@ def test_mistaken_landmarks_are_outvoted() -> None:
 def test_all_of_a_drive_gives_more_than_its_past() -> None:
     drive = Drive(31)
     cut = drive.smoothed(
-        measurements=[replace(s) for s in drive.measurements[:20]]
-        + [s.chosen(np.zeros(3, np.bool_)) for s in drive.measurements[20:]]
+        detections=[replace(s) for s in drive.detections[:20]]
+        + [s.chosen(np.zeros(3, np.bool_)) for s in drive.detections[20:]]
     )
     whole = drive.smoothed()
     trace = np.trace(whole.covariances[:, :2, :2], axis1=1, axis2=2)
@@ -209,11 +209,11 @@ def test_all_of_a_drive_gives_more_than_its_past() -> None:
 
 def test_derivatives_agree_with_differences() -> None:
     drive = Drive(2)
-    stamps = np.array([BEGIN_NS, *(seen.stamp_ns for seen in drive.measurements[:4])])
+    stamps = np.array([BEGIN_NS, *(seen.stamp_ns for seen in drive.detections[:4])])
     problem = Problem(
         drive.start,
         motions_between(stamps, drive.odometry, NOISE),
-        Bearings.of(drive.measurements[:4], drive.map),
+        Bearings.of(drive.detections[:4], drive.map),
         drive.map,
         np.array(MOUNT.axis_xyz[:2]),
         np.array([*NOISE.bias_sigmas, 0.1, 0.02, 0.05]),
@@ -256,6 +256,6 @@ def test_motions_compound_as_one() -> None:
 def test_bad_input() -> None:
     drive = Drive(4)
     with pytest.raises(LandmarkNavError, match='in the order of time'):
-        drive.smoothed(measurements=drive.measurements[::-1])
+        drive.smoothed(detections=drive.detections[::-1])
     with pytest.raises(LandmarkNavError, match='needs detections'):
         smooth(drive.start, drive.odometry, [], drive.initial[:0], drive.map, MOUNT)

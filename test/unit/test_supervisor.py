@@ -63,7 +63,7 @@ def test_a_killed_one_is_recognized_by_its_signal(supervisor: Supervisor) -> Non
     killer = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
     with supervisor:
         supervisor.start('short', [sys.executable, '-S', '-c', killer])
-        with pytest.raises(ProcessEndedError, match='signal SIGKILL: it said nothing'):
+        with pytest.raises(ProcessEndedError, match='signal SIGKILL: it printed nothing'):
             check_until_something_happens(supervisor)
 
 
