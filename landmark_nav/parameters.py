@@ -14,7 +14,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError, shown
 
-__all__ = ['Config', 'check_order', 'parameter', 'unit_hint']
+__all__ = ['Config', 'check_order', 'former_name', 'parameter', 'renamed', 'unit_hint']
 
 T = TypeVar('T')
 
@@ -26,8 +26,13 @@ def parameter(
     minimum: float | None = None,
     maximum: float | None = None,
     choices: Sequence[str] | None = None,
+    formerly: str = '',
 ) -> T:
-    """Dataclass field with a description and what it may be (inclusive range or choices)."""
+    """
+    Dataclass field with a description and what it may be (inclusive range or choices).
+
+    `formerly` is its name in the last release, which files may still give.
+    """
     return dataclasses.field(
         default=default,
         metadata={
@@ -35,8 +40,19 @@ def parameter(
             'minimum': minimum,
             'maximum': maximum,
             'choices': tuple(choices) if choices is not None else None,
+            'formerly': formerly,
         },
     )
+
+
+def former_name(field: dataclasses.Field[Any]) -> str:
+    """Name of a parameter in the last release, '' if it is the same."""
+    return str(field.metadata.get('formerly', ''))
+
+
+def renamed(former: str, name: str) -> str:
+    """Warning about a parameter that is given by its former name."""
+    return f'parameter {former} is now called {name}: its old name ends with the next release'
 
 
 @dataclasses.dataclass(frozen=True)

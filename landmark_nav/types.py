@@ -7,6 +7,7 @@ Frames are in the names: ``pose_map_base`` is the pose of ``base_link`` in ``map
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from enum import auto, Enum
 from functools import cached_property
 import math
 
@@ -37,17 +38,34 @@ __all__ = [
     'PlaceChain',
     'PoseEstimate',
     'Refusal',
+    'RefusalCode',
     'Sweep',
     'Triplet',
 ]
 
 
+class RefusalCode(Enum):
+    """Reasons that other stages act on."""
+
+    OTHER = auto()
+    UNRECOGNISED = auto()
+    """No pose shows the landmarks that should be seen from it."""
+    LOW_CORRELATION = auto()
+    """A texture looks different."""
+    CLOCK_SET_BACK = auto()
+
+
 @dataclass(frozen=True)
 class Refusal:
-    """Something to be expected did not work out: a short `reason` and what was measured."""
+    """
+    Something to be expected did not work out: a short `reason` and what was measured.
+
+    Programs look at the `code`; the wording is for people and may change.
+    """
 
     reason: str
     detail: str = ''
+    code: RefusalCode = RefusalCode.OTHER
 
     def __str__(self) -> str:
         """Both in one line."""

@@ -124,7 +124,7 @@ def main() -> int:
     calibration, landmarks = load_calibration(args.robot), load_map(args.map)
     mount = calibration.mount
     bag, good = Bag(args.drive), True
-    print(f'{"fault":44} given  back  tracking  wrong without a report')
+    print(f'{"fault":44} seen   back  tracking  wrong without a report')
     for name, fault in faults(bag).items():
         if not any(part in name for part in args.only or ['']):
             continue

@@ -105,7 +105,7 @@ def run_scenario(
     way_m = float(np.linalg.norm(np.diff(room.tour, axis=0), axis=1).sum())
     narrator.title(f'Driving {way_m:.0f} m, steered by the fused pose')
     narrator.print_line(
-        'the camera keeps turning to the three landmarks that promise the best fix'
+        'the camera keeps turning to the three landmarks that are expected to give the best fix'
     )
     with robot.recording(folder / 'recording', RECORDED_TOPICS):
         robot.start_at(second)

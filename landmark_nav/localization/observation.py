@@ -22,7 +22,7 @@ from landmark_nav.localization.joint_delay import in_time, JointDelay, PanMotion
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
-from landmark_nav.localization.relocalization.search import UNRECOGNISED
+from landmark_nav.localization.relocalization.search import nothing_recognised
 from landmark_nav.localization.relocalization.within_prior import localize_within_prior
 from landmark_nav.localization.triangulation.bearing_buffer import BearingBuffer
 from landmark_nav.localization.triangulation.model import axis_from_base
@@ -35,6 +35,7 @@ from landmark_nav.types import (
     OdometrySample,
     PoseEstimate,
     Refusal,
+    RefusalCode,
     Triplet,
 )
 
@@ -276,10 +277,10 @@ class Observer:
     ) -> PoseEstimate | Refusal:
         """Find the pose within a wide prior; if that fails again and again, try less often."""
         if self._vain > _EAGER and self._vain % _PATIENT:
-            return Refusal(UNRECOGNISED, 'neither in the images before')
+            return nothing_recognised('neither in the images before')
         seen = self._detector.levelled(frame), prior, self._map, self._mount, self._config
         place = localize_within_prior(*seen)
-        unrecognised = isinstance(place, Refusal) and place.reason == UNRECOGNISED
+        unrecognised = isinstance(place, Refusal) and place.code is RefusalCode.UNRECOGNISED
         if unrecognised and self._vain and self._config.turned_sigma_rad:
             # Not only in this image: the camera may have been displaced.
             relocated = localize_within_prior(*seen, self._config.turned_sigma_rad)

@@ -12,7 +12,7 @@ import numpy as np
 from landmark_nav.arrays import Float32Array, FloatArray
 from landmark_nav.matching.alignment import align
 from landmark_nav.matching.blur import for_matching, Pair
-from landmark_nav.types import Refusal
+from landmark_nav.types import Refusal, RefusalCode
 
 __all__ = ['Match', 'Query', 'match_template', 'match_templates']
 
@@ -121,7 +121,11 @@ def _peak(query: Query, scores: Float32Array) -> _Peak | Refusal:
         return Refusal('blank template', f'contrast {contrast:.1f}')
     _, score, _, (column, row) = cv2.minMaxLoc(scores)
     if score < query.min_score:
-        return Refusal('low correlation', f'{score:.2f} < {query.min_score:.2f}')
+        return Refusal(
+            'low correlation',
+            f'{score:.2f} < {query.min_score:.2f}',
+            RefusalCode.LOW_CORRELATION,
+        )
     if not (0 < column < scores.shape[1] - 1 and 0 < row < scores.shape[0] - 1):
         return Refusal('peak at the border of the search window')
     limit = query.max_second_ratio * score

@@ -174,7 +174,7 @@ class PlaceSearch:
         Go on with an image; what is known of the place by now.
 
         `camera_tilt` is what is known of the camera. The image's pan is that of joint states which
-        are stamped so much later, as the node was told and as was measured beyond that.
+        are stamped so much later: as the node was given, and as was measured beyond that.
         """
         relocalizer, self._lean_rad = self._relocalizer, (0.0, 0.0)
         if relocalizer is None:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import logging
 import re
 import traceback
-from typing import Any, TypeVar
+from typing import Any, cast, TypeVar
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException
@@ -30,6 +30,11 @@ from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
 from landmark_nav.ros.parameters import declare, misspelt
+from landmark_nav.ros.renamed_topics import (
+    FORMER_NAMES,
+    FormerSubscription,
+    RenamedPublisher,
+)
 from landmark_nav.ros.topics import TOPICS, with_depth
 
 __all__ = ['LandmarkNode']
@@ -155,7 +160,23 @@ class LandmarkNode(Node):
             except IrrelevantError as why:
                 source.of_no_use(str(why))
 
+        if former := FORMER_NAMES.get(topic):
+            old, new = (self.resolve_topic_name(name) for name in (former, topic))
+            late = FormerSubscription(self, old, new, callback, self._warn_once)
+            guarded = self.guarded(former, late)
+            super().create_subscription(msg_type, former, guarded, *args, **given)
         return super().create_subscription(msg_type, topic, take, *args, **given)
+
+    def create_publisher(
+        self, msg_type: Any, topic: str, *args: Any, **given: Any
+    ) -> Publisher[Any]:
+        """Make a publisher as rclpy does; it also serves the former name of a renamed topic."""
+        made = super().create_publisher(msg_type, topic, *args, **given)
+        if topic not in FORMER_NAMES:
+            return made
+        former = super().create_publisher(msg_type, FORMER_NAMES[topic], *args, **given)
+        served = RenamedPublisher(self, made, former, self._warn_once)
+        return cast('Publisher[Any]', served)
 
     def create_timer(  # type: ignore[override]
         self, timer_period_sec: float, callback: Callable[[], None], *args: Any, **given: Any

@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import unit_hint
+from landmark_nav.parameters import former_name, renamed, unit_hint
 
 __all__ = ['declare', 'misspelt']
 
@@ -43,6 +44,8 @@ def declare(node: Node, config_class: type[T], prefix: str = '') -> T:
         if dataclasses.is_dataclass(default):
             values[field.name] = declare(node, type(default), f'{name}.')
             continue
+        if former := former_name(field):
+            _take_former(node, prefix + former, name)
         listed = isinstance(default, tuple)
         try:
             value = node.declare_parameter(
@@ -77,6 +80,15 @@ def misspelt(node: Node) -> dict[str, str]:
         if not node.has_parameter(name)
     }
     return {name: names[0] for name, names in meant.items() if names}
+
+
+def _take_former(node: Node, former: str, name: str) -> None:
+    """Give a parameter the value that is given by its former name, unless it has one itself."""
+    given = getattr(node, '_parameter_overrides', {})
+    if former in given:
+        node.get_logger().warning(renamed(former, name))
+        value = given.pop(former).value
+        given.setdefault(name, Parameter(name, value=value))
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:

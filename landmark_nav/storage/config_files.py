@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import dataclasses
+import logging
 from pathlib import Path
 import sys
 from typing import Any, TypeVar
 
 from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.parameters import former_name, renamed
 from landmark_nav.storage.reading import read_yaml_mapping
 
 __all__ = ['load_config', 'shipped_config']
 
 T = TypeVar('T')
+
+_LOG = logging.getLogger(__name__)
 
 _KINDS = {
     bool: 'true or false',
@@ -53,9 +57,16 @@ def load_config(path: Path | str, default: T) -> T:
 def _changed(config: T, values: Any, where: str) -> T:
     if not isinstance(values, Mapping):
         raise LandmarkNavError(f'{where}: is {shown(values)}, not a mapping of parameters')
-    known = {field.name for field in dataclasses.fields(config)}  # type: ignore[arg-type]
+    fields = dataclasses.fields(config)  # type: ignore[arg-type]
+    known = {field.name for field in fields}
+    current = {former_name(field): field.name for field in fields} | {name: name for name in known}
     changes: dict[str, Any] = {}
-    for name, value in values.items():
+    for given, value in values.items():
+        name = current.get(given, given)
+        if name != given:
+            _LOG.warning('%s: %s', where, renamed(str(given), str(name)))
+            if name in values:
+                continue
         if name not in known:
             raise LandmarkNavError(
                 f'{where}: no parameter {shown(name)}: there are {", ".join(sorted(known))}'

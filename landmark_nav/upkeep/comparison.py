@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.matching import blur_to, match_template
-from landmark_nav.types import FloatArray, Landmark, LandmarkMap, Refusal
+from landmark_nav.types import FloatArray, Landmark, LandmarkMap, Refusal, RefusalCode
 
 __all__ = ['Comparison', 'Pair', 'Texture', 'compare_maps', 'wall_changes']
 
@@ -135,7 +135,7 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
         return Pair(a, b, Texture.UNKNOWN, offset, covariance)
     if isinstance(seen, Refusal):
         # Only a low correlation says that there is something else now.
-        changed = seen.reason == 'low correlation'
+        changed = seen.code is RefusalCode.LOW_CORRELATION
         what = Texture.CHANGED if changed else Texture.UNKNOWN
         return Pair(a, b, what, offset, covariance)
     return Pair(a, b, Texture.SAME, seen[0], covariance + seen[1])

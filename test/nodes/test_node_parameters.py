@@ -40,13 +40,13 @@ NODES = [
 @dataclasses.dataclass(frozen=True)
 class Section(Config):
     rate_hz: float = parameter(5.0, 'how often', minimum=1.0, maximum=10.0)
-    names: tuple[str, ...] = parameter(('a', 'b'), 'which')
+    names: tuple[str, ...] = parameter(('a', 'b'), 'which', formerly='words')
 
 
 @dataclasses.dataclass(frozen=True)
 class Whole(Config):
     count: int = parameter(3, 'how many', minimum=1)
-    kind: str = parameter('fast', 'how', choices=('fast', 'slow'))
+    kind: str = parameter('fast', 'how', choices=('fast', 'slow'), formerly='sort')
     section: Section = dataclasses.field(default_factory=Section)
 
     def __post_init__(self) -> None:
@@ -120,6 +120,20 @@ def test_a_name_that_nothing_has_is_reported_with_what_it_looks_like(context: Co
     overrides = [Parameter(name, value=value) for name, value in given.items()]
     node = ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
     assert misspelt(node) == {'countt': 'count', 'section.rat_hz': 'section.rate_hz'}
+
+
+def test_a_former_name_sets_the_parameter_unless_the_new_one_is_given(context: Context) -> None:
+    overrides = [Parameter('sort', value='slow'), Parameter('section.words', value=['c'])]
+    node = ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
+    assert node.config == Whole(kind='slow', section=Section(names=('c',)))
+    assert misspelt(node) == {}
+    both = [Parameter('sort', value='slow'), Parameter('kind', value='fast')]
+    assert ConfiguredNode(Whole, context=context, parameter_overrides=both).config == Whole()
+
+
+def test_a_former_name_is_checked_as_the_new_one(context: Context) -> None:
+    with pytest.raises(LandmarkNavError, match='fast, slow'):
+        ConfiguredNode(Whole, context=context, parameter_overrides=[Parameter('sort', value='no')])
 
 
 def test_values_that_contradict_each_other(context: Context) -> None:

@@ -33,6 +33,30 @@ def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
     assert config.fusion.history_s == LocalizationConfig().fusion.history_s
 
 
+@pytest.mark.parametrize(
+    ('section', 'former', 'name', 'value'),
+    [
+        ('observation.triplet', 'gather_s', 'fix_window_s', 2.0),  # keep
+        ('observation.triplet', 'look_s', 'dwell_time_s', 2.0),  # keep
+        ('observation.detection', 'enough', 'target_count', 7),  # keep
+    ],
+)
+def test_a_former_name_is_taken_with_a_warning(
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    section: str,
+    former: str,
+    name: str,
+    value: float,
+) -> None:
+    outer, inner = section.split('.')
+    config = load(tmp_path, f'{outer}: {{{inner}: {{{former}: {value}}}}}')
+    assert getattr(getattr(getattr(config, outer), inner), name) == value
+    assert name in caplog.text
+    config = load(tmp_path, f'{outer}: {{{inner}: {{{former}: 3, {name}: {value}}}}}')
+    assert getattr(getattr(getattr(config, outer), inner), name) == value
+
+
 @pytest.mark.parametrize('text', ['', '# fusion: {mode: poses}\n', 'fusion: {}\n'])
 def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> None:
     assert load(tmp_path, text) == LocalizationConfig()

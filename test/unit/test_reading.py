@@ -206,7 +206,9 @@ def test_a_hostile_log_is_refused(data: bytes, packed: bool, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    'data', [b'\x1f\x8b', gzip.compress(b'1 2')[:-9], gzip.compress(b' ' * 40_000_000), b'plain']
+    'data',
+    [b'\x1f\x8b', gzip.compress(b'1 2')[:-9], gzip.compress(b' ' * 40_000_000), b'plain'],
+    ids=['cut in the header', 'cut at the end', 'grows', 'not packed'],
 )
 def test_a_packed_log_that_is_damaged_or_grows_is_refused(data: bytes, tmp_path: Path) -> None:
     (tmp_path / 'Barcodes.dat.gz').write_bytes(data)

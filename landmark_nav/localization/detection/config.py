@@ -29,6 +29,7 @@ class DetectionConfig(Config):
         'repeat what the map has wrong',
         minimum=3,
         maximum=1000,
+        formerly='enough',
     )
     max_second_ratio: float = parameter(
         0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1

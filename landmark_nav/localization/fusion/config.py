@@ -29,6 +29,7 @@ class FusionConfig(Config):
         'Way over which it is forgotten what was seen of single landmarks, m.',
         minimum=0.1,
         maximum=1e9,
+        formerly='map_memory_m',
     )
     bearing_probability: float = parameter(
         0.999, 'Chi-square level of the gates for bearings.', minimum=0.5, maximum=1.0
@@ -39,6 +40,7 @@ class FusionConfig(Config):
         'has moved on.',
         minimum=0.0,
         maximum=1.0,
+        formerly='repeated_share',
     )
     repeat_length_m: float = parameter(
         0.5, 'Way over which they cease to, m.', minimum=0.001, maximum=1000.0
@@ -69,6 +71,7 @@ class FusionConfig(Config):
         'is known to decimetres only; 0 takes bearings as linear.',
         minimum=0.0,
         maximum=1000.0,
+        formerly='curvature_repeats',
     )
     turn_sigma_rad: float = parameter(
         0.035,

@@ -28,7 +28,7 @@ from landmark_nav.localization.odometry.noise import (
     OdometryNoiseConfig,
 )
 from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
-from landmark_nav.types import OdometrySample, Refusal
+from landmark_nav.types import OdometrySample, Refusal, RefusalCode
 
 __all__ = ['Ahead', 'History', 'Step']
 
@@ -313,4 +313,5 @@ class History:
         return Distrusted(
             'clock was set back',
             f'{(last_ns - sample.stamp_ns) * 1e-9:.1f} s: goes on from the last pose',
+            RefusalCode.CLOCK_SET_BACK,
         )

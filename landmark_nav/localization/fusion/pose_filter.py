@@ -38,6 +38,7 @@ from landmark_nav.types import (
     OdometrySample,
     PoseEstimate,
     Refusal,
+    RefusalCode,
 )
 
 __all__ = ['PoseFilter']
@@ -202,7 +203,7 @@ class PoseFilter:
 
         """
         refusal = self._history.add_odometry(sample)
-        if refusal is not None and refusal.reason == 'clock was set back':
+        if refusal is not None and refusal.code is RefusalCode.CLOCK_SET_BACK:
             self._health.restart(sample.stamp_ns)
         if refusal is not None and not isinstance(refusal, Ahead):
             self._health.note_trouble(sample.stamp_ns, refusal)

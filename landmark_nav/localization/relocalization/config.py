@@ -38,4 +38,5 @@ class RelocalizationConfig(Config):
         'is recognised without that; 0 does not search for it, and finds a small roll only; rad',
         minimum=0.0,
         maximum=0.1,
+        formerly='lean_sigma_rad',
     )

@@ -46,7 +46,7 @@ def propose(detections: CandidateDetections, landmark_map: LandmarkMap) -> Hypot
 
     Parameters
     ----------
-    detections : CandidateDetections
+    detections : Detections
         All in one base frame.
 
     Returns

@@ -24,19 +24,17 @@ from landmark_nav.localization.relocalization.verification import (
     Verification,
     verify,
 )
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, RefusalCode
 
 __all__ = [
     'CANDIDATES',
-    'UNRECOGNISED',
     'UncertainPose',
     'best_place',
     'locate',
+    'nothing_recognised',
     'verified_places',
 ]
 
-# Why there is no place: none shows what should be there.
-UNRECOGNISED = 'nothing recognised'
 # Least share of the landmarks expected at a place that must be found there.
 _MIN_FOUND_SHARE = 0.4
 # Most landmarks that another place may have, as a share of those of the best. What the map lacks
@@ -98,7 +96,7 @@ def locate(
     ]
     proposed = propose(CandidateDetections.joined(moved), landmark_map)
     if not len(proposed.poses):
-        return Refusal(UNRECOGNISED, 'no two detections agree on a place')
+        return nothing_recognised('no two detections agree on a place')
     poses, count, places = proposed.poses, len(proposed.poses), list[Verification]()
     for some in poses[:CANDIDATES], poses[CANDIDATES:_ALL_CANDIDATES]:
         places = verified_places(
@@ -150,7 +148,7 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
 
     """
     if not places:
-        return Refusal(UNRECOGNISED, f'none of {proposed} places shows what is to be seen there')
+        return nothing_recognised(f'none of {proposed} places shows what is to be seen there')
     best, *others = places
     found = len(best.ids)
     for other in others:
@@ -162,11 +160,15 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
                 f'{len(other.ids)} of {other.expected} at {_where(other)}',
             )
     if best.share < _MIN_FOUND_SHARE:
-        return Refusal(
-            UNRECOGNISED,
-            f'at {_where(best)} only {found} of {best.expected} landmarks are found',
+        return nothing_recognised(
+            f'at {_where(best)} only {found} of {best.expected} landmarks are found'
         )
     return best
+
+
+def nothing_recognised(detail: str) -> Refusal:
+    """No pose shows what should be seen from it."""
+    return Refusal('nothing recognised', detail, RefusalCode.UNRECOGNISED)
 
 
 def _where(place: Verification) -> str:

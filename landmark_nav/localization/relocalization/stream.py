@@ -26,7 +26,7 @@ from landmark_nav.localization.relocalization.candidate_detections import (
     find_candidate_detections,
 )
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
-from landmark_nav.localization.relocalization.search import locate, UNRECOGNISED
+from landmark_nav.localization.relocalization.search import locate
 from landmark_nav.localization.relocalization.verification import CarriedFrames
 from landmark_nav.localization.relocalization.views import shows_new, view_direction
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
@@ -37,6 +37,7 @@ from landmark_nav.types import (
     OdometrySample,
     PoseEstimate,
     Refusal,
+    RefusalCode,
 )
 
 __all__ = ['Relocalizer', 'Unseen']
@@ -178,7 +179,7 @@ class Relocalizer:
         seen = [keyframe.detections for keyframe in self._kept]
         outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
         tilt_sigma = self._config.tilt_sigma_rad
-        vain = isinstance(outcome, Refusal) and outcome.reason == UNRECOGNISED
+        vain = isinstance(outcome, Refusal) and outcome.code is RefusalCode.UNRECOGNISED
         if vain and tilt_sigma and len(self._kept) >= _VAIN:
             seen = self._tilted(carried.frames, tilt_sigma)
             tilted = locate(

@@ -34,7 +34,11 @@ class LookAroundConfig(Config):
         2.0, 'how long the pose must not have been known before, s', minimum=0.0, maximum=3600.0
     )
     dwell_time_s: float = parameter(
-        0.5, 'how long the camera rests at each view, s', minimum=0.0, maximum=60.0
+        0.5,
+        'how long the camera rests at each view, s',
+        minimum=0.0,
+        maximum=60.0,
+        formerly='look_s',
     )
 
 

@@ -65,9 +65,13 @@ class TripletConfig(Config):
         'both, s.',
         minimum=0.1,
         maximum=60.0,
+        formerly='gather_s',
     )
     dwell_time_s: float = parameter(
-        1.0, 'Time of a look, beside which that of turning counts, s.', minimum=0.01
+        1.0,
+        'Time of a look, beside which that of turning counts, s.',
+        minimum=0.01,
+        formerly='look_s',
     )
     pan_rate_rad_s: float = parameter(1.0, 'Rate of the pan unit, rad/s.', minimum=0.01)
     pan_acceleration_rad_s2: float = parameter(

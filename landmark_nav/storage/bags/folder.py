@@ -42,7 +42,7 @@ def read_sweep_folder(folder: Path | str) -> Sweep:
     missing = [name for name in _COLUMNS if not rows or rows[0].get(name) is None]
     if missing:
         raise LandmarkNavError(
-            f'{path}: {"lists no picture" if not rows else "lacks " + ", ".join(missing)}: '
+            f'{path}: {"lists no image" if not rows else "lacks " + ", ".join(missing)}: '
             f'it needs the columns {",".join(_COLUMNS)}'
         )
     frames: list[CameraFrame] = []
