@@ -47,7 +47,7 @@ _MOST_RISE_PX = 50.0
 _NEW, _STILL_KNOWN = 0.5, 0.8
 # Steps in which the lens is put right for drawing templates, over the focal length.
 _STEP = 4e-4
-# A wide pose is localize_within_prior by a search that takes a tenth of a second: in each of the first so many
+# A search within a wide prior takes a tenth of a second: it is made in each of the first so many
 # images, then, if nothing was found, in every third one.
 _EAGER, _PATIENT = 5, 3
 
