@@ -34,7 +34,7 @@ from landmark_nav.storage.atomic_io import check_writable, write_atomically
 from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
 from landmark_nav.types import LandmarkMap
 
 __all__ = ['add_arguments', 'run']
@@ -130,6 +130,7 @@ def run(args: argparse.Namespace) -> int:
     config = LocalizationConfig()
     if args.config:
         config = load_config(args.config, config)
+    config = replace(config, estimator=chosen_estimator(config.estimator, args.robot))
 
     # Walls that were found, not measured, say nothing of units.
     measured = landmarks.walls and not landmarks.has_own_frame

@@ -59,10 +59,10 @@ class LocalizationConfig(Config):
         0.5, 'time between two choices of the triplet, s', minimum=0.0
     )
     estimator: str = parameter(
-        'filter',
+        'auto',
         'what estimates the pose: the filter of bearings, or the joint estimator of pose, '
-        'calibration and map errors',
-        choices=('filter', 'joint'),
+        'calibration and map errors; auto takes the second where robot.yaml gives sigmas',
+        choices=('auto', 'filter', 'joint'),
     )
 
 

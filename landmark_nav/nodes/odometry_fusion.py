@@ -33,7 +33,7 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.transforms import MapToOdom
-from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
 from landmark_nav.types import (
     Detections,
     JointSample,
@@ -75,10 +75,11 @@ class Parameters(Config):
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
     estimator: str = parameter(
-        'filter',
+        'auto',
         'what estimates the pose: the filter of bearings, or the joint estimator of pose, '
-        'calibration and map errors; the same as of triangulation_localizer',
-        choices=('filter', 'joint'),
+        'calibration and map errors, as of triangulation_localizer; auto takes the second where '
+        'robot.yaml gives sigmas',
+        choices=('auto', 'filter', 'joint'),
     )
     map_frame: str = parameter('map', 'frame of odometry/fused')
     start_sigma_m: float = parameter(
@@ -113,7 +114,7 @@ class OdometryFusionNode(LandmarkNode):
         self._spread = SpreadCorrection(self._config.correction_time_s)
         config = self._config
         self._filter: PoseFilter | JointFusion
-        if config.estimator == 'joint':
+        if chosen_estimator(config.estimator, config.robot_file) == 'joint':
             self._filter = JointFusion(
                 LandmarkMap(()),
                 calibration,

@@ -32,7 +32,7 @@ from landmark_nav.ros.latest_only_worker import LatestOnlyWorker
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
-from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
 from landmark_nav.types import (
     CameraFrame,
     Expectation,
@@ -59,10 +59,10 @@ class Parameters(ObservationConfig):
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
     estimator: str = parameter(
-        'filter',
-        'whose expectations are used: those of the filter of bearings or of the joint estimator; '
-        'the same as of odometry_fusion',
-        choices=('filter', 'joint'),
+        'auto',
+        'whose expectations are used: those of the filter of bearings or of the joint estimator, '
+        'as of odometry_fusion; auto takes the second where robot.yaml gives sigmas',
+        choices=('auto', 'filter', 'joint'),
     )
     map_frame: str = parameter('map', 'frame of triangulation/pose')
     image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
@@ -111,7 +111,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._config,
         )
         self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
-        self._joint = self._config.estimator == 'joint'
+        self._joint = chosen_estimator(self._config.estimator, self._config.robot_file) == 'joint'
         self._observer: Observer | JointObserver | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None

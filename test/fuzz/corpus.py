@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import encode
@@ -14,6 +15,7 @@ from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import (
     Detections,
+    Expectation,
     JointSample,
     Landmark,
     LandmarkMap,
@@ -107,7 +109,11 @@ def messages(
         np.full(3, 0.9),
         np.full((3, 2), 20.0),
         np.array([4]),
+        points=np.column_stack([-np.tan(bearings), np.zeros(3)]),
+        point_covariance=np.tile(1e-6 * np.eye(2), (3, 1, 1)),
     )
+    calibration = Calibration.of_mount(mount)
+    expected = Expectation(stamp_ns, pose.pose, pose.covariance, calibration, 0.01)
     triplet = Triplet(stamp_ns, np.arange(3), bearings, np.full(3, 1e-3), np.eye(3) * 1e-4, 0.1)
     place = GlobalPose(stamp_ns, pose.pose, pose.covariance, np.arange(3))
     cylinder = Cylinder(64, 16, 10.2, 31.5, 7.5)
@@ -151,6 +157,7 @@ def messages(
         'initialpose': encode.pose(make, pose),
         'global_localization/pose': encode.global_pose(make, place),
         'odometry/fused': encode.odometry(make, sample, np.eye(3) * 1e-4),
+        'expectation': encode.expectation(make, expected, sample),
         'joint_delay': encode.joint_delay(make, stamp_ns, 0.01, 0.002),
         'pan_tilt/command': encode.sweep_trajectory(make, frames[:1], mount),
         'cmd_vel': make('geometry_msgs/msg/Twist'),

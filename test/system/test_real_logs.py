@@ -71,7 +71,7 @@ def test_so_do_those_of_other_robots(
     monkeypatch.setattr(convert, '_write_bag', lambda *given: kept.extend(given))
     start = converted(shared_data, robot, tmp_path / 'log')
     log, odometry, *_ = kept
-    events = heapq.merge(log.truth, odometry, log.measurements, key=lambda event: event.stamp_ns)
+    events = heapq.merge(log.truth, odometry, log.detections, key=lambda event: event.stamp_ns)
     posts = load_map(tmp_path / 'log_map')
     run = replay(
         events,

@@ -167,9 +167,9 @@ def test_a_knock_is_reported_alike_by_a_unit_that_stands_and_by_one_that_hangs(
         np.testing.assert_allclose(errors_of(found, HERE), -aside_rad, atol=3e-4)
 
 
-@pytest.mark.parametrize(('fit_again', 'is tilted'), [(3, False), (4, True)])
+@pytest.mark.parametrize(('fit_again', 'follows'), [(3, False), (4, True)])
 def test_a_camera_is_tilted_where_most_of_what_hangs_too_high_or_low_is_found_again(
-    fit_again: int, leans: bool, monkeypatch: pytest.MonkeyPatch
+    fit_again: int, follows: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of posters that were exchanged, one or another fits some roll."""
     roll_rad = 0.03
@@ -204,7 +204,7 @@ def test_a_camera_is_tilted_where_most_of_what_hangs_too_high_or_low_is_found_ag
     found = iter([before, again, only(4, reported=True), again, before])
     monkeypatch.setattr(detector, '_search', lambda *_: next(found))
     detector.detect(frame, PoseEstimate(0, HERE, PRIOR), np.arange(4))
-    assert detector.roll_change_rad == pytest.approx(roll_rad if leans else 0.0, abs=2e-3)
+    assert detector.roll_change_rad == pytest.approx(roll_rad if follows else 0.0, abs=2e-3)
 
 
 @pytest.mark.parametrize('roll_rad', [-0.035, 0.02])

@@ -90,7 +90,7 @@ def test_a_pose_that_expects_nothing_is_put_right_all_the_same(sensed: list[Sens
     assert found.after_s + FAULT_S <= 6.0
     # Some landmarks support another place, though not surely.
     inflated = first([m for m in moments if m.after_s < found.after_s], 'lost', since_s=-FAULT_S)
-    assert 'landmarks speak for' in inflated.reason
+    assert 'landmarks support' in inflated.reason
     assert np.hypot(*inflated.sigma[:2]) > 0.15
     later = [m for m in moments if found.after_s < m.after_s < 6.0]
     assert {m.status for m in later} == {'tracking'}
@@ -149,7 +149,7 @@ def test_a_map_of_another_room_is_not_believed(
         tried[frame.stamp_ns] = place = localize_within_prior(frame, *arguments)
         return place
 
-    monkeypatch.setattr(observation, 'narrowed', counted)
+    monkeypatch.setattr(observation, 'localize_within_prior', counted)
     rng = np.random.default_rng(0)
     patches = [np.ascontiguousarray(k.patch[::-1, ::-1]) for k in MAP.landmarks]
     landmarks = tuple(

@@ -98,7 +98,7 @@ class Both:
 
     def covariance(self) -> FloatArray:
         """Of place and errors, as `MapErrors` has it."""
-        errors, reported = prior_covariance(), self.errors.reported
+        errors, reported = prior_covariance(), self.errors.told
         if reported is not None:
             errors[np.ix_(reported.which, reported.which)] -= reported.less
         return np.block([[self.pose, self.cross], [self.cross.T, errors]])

@@ -139,7 +139,9 @@ def test_the_joint_estimator_finds_places_and_beacons(
         )
     )
     mount = PanTiltMount(pan_sigma_rad=0.0)
-    config = EstimatorConfig(tilt_sigma_rad=0.0, correlation_length_m=1e9, learning_sigma=0.0)
+    config = EstimatorConfig(
+        floor_tilt_sigma_rad=0.0, correlation_length_m=1e9, learning_sigma=0.0
+    )
     anywhere = PoseEstimate(0, np.array([3.0, 3.0, 0.0]), 9.0 * np.eye(3))
     exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
     joint = JointFilter(corners, exact, anywhere, config)
