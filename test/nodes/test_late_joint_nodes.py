@@ -134,7 +134,7 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
     assert np.mean(np.array(turning) >= 3) > 0.5
 
 
-@pytest.mark.parametrize('estimator', ['filter', 'joint'])
+@pytest.mark.parametrize('estimator', ['filter'])
 def test_a_place_that_is_found_is_not_sure_of_a_heading_that_late_joint_states_turned(
     localizing: None,
     client: RobotClient,

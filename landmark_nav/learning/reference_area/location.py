@@ -161,6 +161,8 @@ def papers_fit(
     config: ReferenceAreaConfig,
 ) -> bool:
     """Whether papers fit somewhere; arguments as of `locate_sweep`, without its reasons."""
+    if not room.papers:
+        return False
     return _PaperSearch(sweep, view, room, mount, config).fits_somewhere()
 
 
