@@ -33,8 +33,6 @@ from landmark_nav.types import Panorama
 
 __all__ = ['add_arguments', 'run']
 
-_TOUR_M = 14.0
-
 # What a demo leaves; a folder with other things in it is not touched.
 _OWN = (
     *('room.yaml', 'robot.yaml', 'logs', 'map', 'recording', 'demo.json', 'report.html'),
@@ -73,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     domain_id = _domain(args.domain_id)
     folder = _emptied(args.out, args.overwrite)
     narrator = Narrator()
-    room = prepare_room(folder, args.seed, _TOUR_M)
+    room = prepare_room(folder, args.seed)
     commands = node_commands(
         room.robot_file,
         room.room_file,

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     once = args.once or not sys.stdout.isatty()
 
     def others() -> dict[str, NodeStatus]:
-        # Nodes of other packages publish there too; ours of this kind are not of interest.
+        # All but this command's own node.
         return {name: node for name, node in client.status.items() if name != own}
 
     with (

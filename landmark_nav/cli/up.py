@@ -22,7 +22,6 @@ from landmark_nav.storage.setup_files import load_robot, load_room
 __all__ = ['add_arguments', 'run']
 
 _POLL_S = 0.1
-_TOUR_M = 14.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,11 +76,11 @@ def run(args: argparse.Namespace) -> int:
         simulator: dict[str, object] | None = {'seed': args.seed} if args.sim else None
         if args.robot is None:
             folder = Path(stack.enter_context(TemporaryDirectory(prefix='landmark_nav_')))
-            drawn = prepare_room(folder, args.seed, _TOUR_M)
+            drawn = prepare_room(folder, args.seed)
             robot, room = drawn.robot_file, drawn.room_file
         else:
             robot, room = args.robot.resolve(), args.room.resolve()
-            # Said once, here, and not by five nodes.
+            # A wrong file gives one error here instead of one from every node.
             load_robot(robot)
             load_room(room)
             if simulator is not None:

@@ -48,9 +48,9 @@ class DemoRoom:
     size_m: tuple[float, float]
 
 
-def prepare_room(folder: Path, seed: int, tour_m: float) -> DemoRoom:
+def prepare_room(folder: Path, seed: int, tour_m: float = 14.0) -> DemoRoom:
     """
-    Draw a room and write ``room.yaml`` and ``robot.yaml`` into `folder`.
+    Draw a room, with a tour of `tour_m`; write ``room.yaml`` and ``robot.yaml`` into `folder`.
 
     Raises
     ------
