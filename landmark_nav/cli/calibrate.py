@@ -228,7 +228,7 @@ def _report(
 
 def _summary(report: dict[str, Any], out: Path) -> str:
     lines = [
-        f'{report["sweeps"]} sweeps, {report["drives"]} drives with {report["images"]} images, '
+        f'sweeps: {report["sweeps"]}; drives: {report["drives"]}, with {report["images"]} images, '
         f'localization lost in {report["lost"]}',
         f'{"":16}{"prior":>12}{"found":>12}{"sigma":>10}     {"prior sigmas off":>16}',
     ]
