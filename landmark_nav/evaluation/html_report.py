@@ -92,9 +92,16 @@ def html_report(title: str, report: Mapping[str, Any], figures: Mapping[str, byt
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<title>{escape(title)}</title>'
         f'<style>{_STYLE}</style><h1>{escape(title)}</h1>'
-        '<p>Errors are absolute in map, never aligned, at the stamps of the images.</p>'
+        f'<p>Errors are {_frame(report)}, at the stamps of the images.</p>'
         f'{warning}<table><tr>{head}</tr>{body}</table><table>{others}</table>{images}</html>\n'
     )
+
+
+def _frame(report: Mapping[str, Any]) -> str:
+    """Name what errors are measured against."""
+    if report.get('aligned'):
+        return 'those after one rigid transformation, as the map has a frame of its own'
+    return 'absolute in map, never aligned'
 
 
 def _of_replay(report: Mapping[str, Any]) -> dict[str, str]:
