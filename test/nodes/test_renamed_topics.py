@@ -75,11 +75,11 @@ def take(received: list[int]) -> Any:
 
 
 def test_who_subscribes_to_the_former_name_is_served_and_named(graph: Graph) -> None:
-    publisher = graph.watched('new').create_publisher(Int32, NEW, 10)
-    received: list[int] = []
+    sender, received = graph.watched('new'), []
+    publisher = sender.create_publisher(Int32, NEW, 10)
     graph.node('old').create_subscription(Int32, FORMER, take(received), 10)
     graph.publish_until(publisher, received)
-    (warning,) = set(next(iter(graph.executor.get_nodes())).warned)
+    (warning,) = set(sender.warned)
     assert '/old' in warning
     assert NEW in warning
 
