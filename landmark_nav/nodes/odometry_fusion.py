@@ -24,6 +24,7 @@ from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.nodes.live_pose import LivePose
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
@@ -110,6 +111,7 @@ class OdometryFusionNode(LandmarkNode):
         calibration = load_calibration(self.required('robot_file', self._config.robot_file))
         self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
+        self._live = LivePose(self, self._config.map_frame)
         self._transform = MapToOdom(self)
         self._spread = SpreadCorrection(self._config.correction_time_s)
         config = self._config
@@ -240,6 +242,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _started(self, start: PoseEstimate, how: str) -> None:
         self._spread.restart()
+        self._live.restart()
         x, y, heading = start.pose
         self.get_logger().info(f'{how} at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
 
@@ -376,6 +379,13 @@ class OdometryFusionNode(LandmarkNode):
                 level = self._filter.level(estimate).scaled(estimate)
                 self._level.publish(encode.pose(ros_factory, level, self._config.map_frame))
         self._fused.publish(encode.odometry(ros_factory, fused, estimate.covariance, **frames))
+        self._live.show(estimate, sample, lambda: self._protection_level(estimate))
+
+    def _protection_level(self, estimate: PoseEstimate) -> PoseEstimate | None:
+        """Pose of whose covariance one sigma is the protection level."""
+        if not isinstance(self._filter, JointFusion):
+            return None
+        return self._filter.level(estimate).scaled(estimate)
 
 
 def _calibration_values(joint: JointFusion) -> dict[str, str]:

@@ -11,8 +11,15 @@ from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.encode.images import compressed_image, image
 from landmark_nav.messages.encode.joints import joint_delay, joint_state, sweep_trajectory
 from landmark_nav.messages.encode.landmarks import landmark_map
+from landmark_nav.messages.encode.markers import landmark_markers, pose_markers, view_markers
 from landmark_nav.messages.encode.panoramas import panorama
-from landmark_nav.messages.encode.poses import expectation, global_pose, odometry, pose
+from landmark_nav.messages.encode.poses import (
+    expectation,
+    global_pose,
+    odometry,
+    pose,
+    pose_stamped,
+)
 
 __all__ = [
     'camera_info',
@@ -25,9 +32,13 @@ __all__ = [
     'joint_delay',
     'joint_state',
     'landmark_map',
+    'landmark_markers',
     'odometry',
     'panorama',
     'pose',
+    'pose_markers',
+    'pose_stamped',
     'sweep_trajectory',
     'triplet',
+    'view_markers',
 ]

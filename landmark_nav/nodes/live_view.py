@@ -1,0 +1,67 @@
+"""What `triangulation_localizer` shows people: the image with what came of it, and the view."""
+
+from __future__ import annotations
+
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.debug_image import draw_observation
+from landmark_nav.localization.observation import Observation
+from landmark_nav.messages import encode
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Triplet
+
+__all__ = ['LiveView']
+
+_JPEG_QUALITY = 75
+
+
+class LiveView:
+    """
+    Publishes the debug image and the markers of the view, to who subscribes; else does nothing.
+
+    Parameters
+    ----------
+    node : LandmarkNode
+        Whose topics they are.
+    frame_id : str
+        Frame of the map.
+
+    """
+
+    def __init__(self, node: LandmarkNode, frame_id: str) -> None:
+        self._frame_id = frame_id
+        self._image = node.advertise('triangulation_localizer/debug_image/compressed')
+        self._markers = node.advertise('triangulation_localizer/markers')
+
+    def show(
+        self,
+        frame: CameraFrame,
+        pose: PoseEstimate,
+        seen: Observation,
+        landmarks: LandmarkMap,
+        mount: PanTiltMount,
+        triplet: Triplet | None,
+        optical_frame: str,
+    ) -> None:
+        """Show what was seen in an image from the expected pose of the base."""
+        if self._image.get_subscription_count():
+            chosen = () if triplet is None else triplet.ids
+            drawn = draw_observation(frame.image, seen, chosen)
+            message = encode.compressed_image(
+                ros_factory, drawn, frame.stamp_ns, optical_frame, _JPEG_QUALITY
+            )
+            self._image.publish(message)
+        if self._markers.get_subscription_count():
+            self._markers.publish(
+                encode.view_markers(
+                    ros_factory,
+                    pose,
+                    landmarks,
+                    mount,
+                    frame.camera,
+                    frame.pan_rad,
+                    seen.detections,
+                    triplet,
+                    self._frame_id,
+                )
+            )
