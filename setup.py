@@ -15,6 +15,8 @@ NODES = (
     'room_simulator',
     'bag_player',
 )
+# Whose layouts show the topics of the nodes.
+VIEWERS = ('rviz', 'foxglove', 'plotjuggler')
 
 setup(
     name=PACKAGE,
@@ -29,7 +31,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
-        (f'share/{PACKAGE}/config', sorted(glob('config/*'))),
+        (f'share/{PACKAGE}/config', sorted(glob('config/*.*'))),
+        *((f'share/{PACKAGE}/{viewer}', glob(f'config/{viewer}/*')) for viewer in VIEWERS),
         (f'share/{PACKAGE}/launch', sorted(glob(f'{PACKAGE}/launch/*.launch.py'))),
         (f'lib/{PACKAGE}', [f'resource/executables/{name}' for name in NODES]),
     ],

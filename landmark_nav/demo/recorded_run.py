@@ -30,6 +30,15 @@ RECORDED_TOPICS = (
     'triangulation/pose',
     'odometry/fused',
     '/diagnostics',
+    'triplet',
+    # For people: what RViz, Foxglove and PlotJuggler show.
+    'landmarks/markers',
+    'odometry_fusion/protection_level',
+    'odometry_fusion/path',
+    'odometry_fusion/odometry_path',
+    'odometry_fusion/markers',
+    'triangulation_localizer/markers',
+    'triangulation_localizer/debug_image/compressed',
 )
 
 T = TypeVar('T')

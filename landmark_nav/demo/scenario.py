@@ -14,6 +14,7 @@ from landmark_nav.demo.recorded_run import RECORDED_TOPICS
 from landmark_nav.demo.room import DemoRoom
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.simulation.drive_path import PathFollower
 from landmark_nav.types import FloatArray, OdometrySample, Panorama, PoseEstimate
@@ -63,8 +64,10 @@ class Robot(Protocol):
     def start_at(self, estimate: PoseEstimate) -> None:
         """Give the fusion the pose of the robot."""
 
-    def recording(self, path: Path, topics: Sequence[str]) -> AbstractContextManager[None]:
-        """Record topics while in the block."""
+    def recording(
+        self, path: Path, topics: Sequence[str], mount: PanTiltMount
+    ) -> AbstractContextManager[None]:
+        """Record topics and the robot's transforms while in the block."""
 
 
 def run_scenario(
@@ -107,7 +110,7 @@ def run_scenario(
     narrator.print_line(
         'the camera keeps turning to the three landmarks that are expected to give the best fix'
     )
-    with robot.recording(folder / 'recording', RECORDED_TOPICS):
+    with robot.recording(folder / 'recording', RECORDED_TOPICS, room.mount):
         robot.start_at(second)
         robot.wait(lambda: robot.fused is not None, 10.0, 'odometry/fused')
         robot.wait(lambda: robot.fixes > 0, 20.0, 'a first triangulated pose')

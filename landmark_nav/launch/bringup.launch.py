@@ -9,6 +9,7 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -26,7 +27,8 @@ NODES = {
 
 def generate_launch_description() -> LaunchDescription:
     """Return the nodes, each with its file in config/ and what is given here."""
-    config = Path(get_package_share_directory('landmark_nav')) / 'config'
+    share = Path(get_package_share_directory('landmark_nav'))
+    config = share / 'config'
     arguments = [
         DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
         DeclareLaunchArgument('room_file', description='room.yaml: walls and reference area'),
@@ -37,6 +39,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('namespace', default_value='', description='of all nodes'),
         DeclareLaunchArgument(
             'use_sim_time', default_value='false', description='take the time from /clock'
+        ),
+        DeclareLaunchArgument(
+            'rviz', default_value='false', description='show all of it in RViz (package rviz2)'
         ),
     ]
     types = {'load_on_start': bool, 'use_sim_time': bool}
@@ -57,4 +62,15 @@ def generate_launch_description() -> LaunchDescription:
         )
         for name, taken in NODES.items()
     ]
-    return LaunchDescription([*arguments, *nodes])
+    # The layout's topics are relative, so that RViz finds them in its namespace.
+    rviz = Node(
+        package='rviz2',
+        executable='rviz2',
+        namespace=LaunchConfiguration('namespace'),
+        arguments=['-d', str(share / 'rviz' / 'landmark_nav.rviz')],
+        parameters=[
+            {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)}
+        ],
+        condition=IfCondition(LaunchConfiguration('rviz')),
+    )
+    return LaunchDescription([*arguments, *nodes, rviz])

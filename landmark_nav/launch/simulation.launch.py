@@ -32,6 +32,9 @@ def generate_launch_description() -> LaunchDescription:
             default_value='false',
             description='take the time from /clock, which the simulator does not publish',
         ),
+        DeclareLaunchArgument(
+            'rviz', default_value='false', description='show all of it in RViz (package rviz2)'
+        ),
     ]
     # launch refuses an include that does not hand on what has no default.
     bringup = IncludeLaunchDescription(
@@ -43,6 +46,7 @@ def generate_launch_description() -> LaunchDescription:
             'load_on_start': LaunchConfiguration('load_on_start'),
             'namespace': LaunchConfiguration('namespace'),
             'use_sim_time': LaunchConfiguration('use_sim_time'),
+            'rviz': LaunchConfiguration('rviz'),
         }.items(),
     )
     types = {'seed': int, 'robot_file': str, 'room_file': str}

@@ -14,6 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -23,6 +24,7 @@ from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.service_discovery import ServiceDiscovery
 from landmark_nav.ros.topics import TOPICS, with_depth
 from landmark_nav.storage.bags import BagWriter
+from landmark_nav.storage.bags.robot_transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
 
 __all__ = ['NodeStatus', 'RobotClient']
@@ -206,13 +208,25 @@ class RobotClient:
         self._initial_pose.publish(encode.pose(ros_factory, estimate))
 
     @contextmanager
-    def recording(self, path: Path, topics: Sequence[str]) -> Iterator[None]:
-        """Record public topics, as serialised, while in the block."""
+    def recording(self, path: Path, topics: Sequence[str], mount: PanTiltMount) -> Iterator[None]:
+        """
+        Record public topics, as serialised, while in the block.
+
+        Given the mount, the bag holds the transforms of the robot as well.
+        """
+        transforms = None if mount is None else RobotTransforms(mount)
         with BagWriter(path) as bag:
 
             def writer(topic: str) -> Callable[[Any], None]:
                 kind = TOPICS[topic].type_name
-                return lambda data: bag.write_serialized(topic, kind, data, time.time_ns())
+
+                def write(data: bytes) -> None:
+                    now_ns = time.time_ns()
+                    bag.write_serialized(topic, kind, data, now_ns)
+                    for name, message in transforms.of(topic, data) if transforms else ():
+                        bag.write(name, message, now_ns)
+
+                return write
 
             subscriptions = [
                 self._node.create_subscription(

@@ -17,7 +17,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.topics import MAP_TOPICS, TOPIC_TYPES
 
 __all__ = [
     'LATCHED',
@@ -72,7 +72,7 @@ _PROFILES = (
     (SWEEP, 'sweep/image', 'sweep/image/compressed', 'sweep/camera_info'),
     (RELIABLE, 'sweep/trajectory', 'sweep/pose', 'pan_tilt/command', 'cmd_vel', 'initialpose'),
     (PANORAMAS, 'panorama/image', 'panorama/camera_info', 'panorama/pose'),
-    (LATCHED, 'landmarks', 'landmarks/atlas', 'landmarks/markers'),
+    (LATCHED, *MAP_TOPICS),
     (
         RELIABLE,
         'triplet',

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 from rclpy.node import Node
 
-from landmark_nav.messages.encode.headers import header, upright
+from landmark_nav.messages.encode.transforms import planar_transform, transforms
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.types import FloatArray
 
@@ -29,19 +29,6 @@ class MapToOdom:
 
     def send(self, stamp_ns: int, pose_map_odom: FloatArray, frames: tuple[str, str]) -> None:
         """Send a transform between these two frames."""
-        if self._publisher is None:
-            return
-        x, y, yaw = pose_map_odom
-        pose = upright(ros_factory, x, y, 0.0, yaw)
-        transform = ros_factory(
-            'geometry_msgs/msg/Transform',
-            translation=ros_factory('geometry_msgs/msg/Vector3', x=float(x), y=float(y)),
-            rotation=pose.orientation,
-        )
-        stamped = ros_factory(
-            'geometry_msgs/msg/TransformStamped',
-            header=header(ros_factory, stamp_ns, frames[0]),
-            child_frame_id=frames[1],
-            transform=transform,
-        )
-        self._publisher.publish(ros_factory('tf2_msgs/msg/TFMessage', transforms=[stamped]))
+        if self._publisher is not None:
+            sent = [planar_transform(*frames, pose_map_odom)]
+            self._publisher.publish(transforms(ros_factory, stamp_ns, sent))
