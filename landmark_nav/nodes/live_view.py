@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.debug_image import draw_observation
 from landmark_nav.localization.observation import Observation
@@ -13,11 +15,15 @@ from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Triplet
 __all__ = ['LiveView']
 
 _JPEG_QUALITY = 75
+# Drawing an image takes ten milliseconds of the thread that looks at images.
+_PERIOD_S = 0.2
 
 
 class LiveView:
     """
     Publishes the debug image and the markers of the view, to who subscribes; else does nothing.
+
+    Of the images of a second it shows five.
 
     Parameters
     ----------
@@ -32,6 +38,7 @@ class LiveView:
         self._frame_id = frame_id
         self._image = node.advertise('triangulation_localizer/debug_image/compressed')
         self._markers = node.advertise('triangulation_localizer/markers')
+        self._drawn_s = -_PERIOD_S
 
     def show(
         self,
@@ -44,7 +51,9 @@ class LiveView:
         optical_frame: str,
     ) -> None:
         """Show what was seen in an image from the expected pose of the base."""
-        if self._image.get_subscription_count():
+        now_s = time.monotonic()
+        if now_s - self._drawn_s >= _PERIOD_S and self._image.get_subscription_count():
+            self._drawn_s = now_s
             chosen = () if triplet is None else triplet.ids
             drawn = draw_observation(frame.image, seen, chosen)
             message = encode.compressed_image(
