@@ -25,7 +25,7 @@ _BACKGROUND: _Bgr = (20, 20, 20)
 _WIDE_PX = 640
 _FONT, _SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
 _LINE_PX, _PAD_PX = 15, 3
-_MOST_LETTERS = 34
+_MOST_LETTERS = 48
 
 
 def draw_observation(
