@@ -59,6 +59,8 @@ setup(
             'ros-trajectory-msgs==5.5.1',
             'ros-visualization-msgs==5.5.1',
         ],
+        # Many bags at once, on one machine or several; Parquet is what tables are kept in.
+        'batch': ['distributed>=2024.5', 'jinja2>=3.1', 'pyarrow>=16.0'],
         # Linters are pinned: another version would format and complain differently.
         # evo is what others measure trajectories with: our errors must be the same.
         'dev': [

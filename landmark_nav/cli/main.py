@@ -43,6 +43,7 @@ COMMANDS = {
     'call': ('call', 'call a service of the nodes (ROS)'),
     'drive': ('drive', 'drive the robot by keys (ROS)'),
     'status': ('status', 'print how the nodes are (ROS)'),
+    'batch': ('batch', 'many recordings at once, one table'),
     'map': ('maps', 'list, check, compare, join maps'),
     'figures': ('figures', 'draw the figures of Livatino and Madsen from own data'),
     'bench': ('bench', 'time every stage beside a reference'),
