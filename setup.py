@@ -45,6 +45,7 @@ setup(
         'zstandard>=0.22.0',
         'matplotlib>=3.6.0',
         'tqdm>=4.66.0',
+        'argcomplete>=3.1.4',
     ],
     extras_require={
         # ROS 2 as wheels, for machines without a ROS 2 of their own; std_msgs, rosgraph_msgs and

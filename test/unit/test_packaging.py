@@ -21,6 +21,7 @@ MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
 # rosdep key -> what pip calls it. There is no key for mcap: rosdep users have it from pip, with
 # its requirements.
 DISTRIBUTIONS = {
+    'python3-argcomplete': 'argcomplete',
     'python3-matplotlib': 'matplotlib',
     'python3-numpy': 'numpy',
     'python3-opencv': 'opencv-python-headless',
