@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 import time
 from typing import Any
-
-import numpy as np
 
 from landmark_nav.geometry import se2
 from landmark_nav.messages import encode
@@ -36,18 +35,19 @@ class ThinnedPath:
 
     def __init__(self, frame_id: str) -> None:
         self._frame_id, self._step_m = frame_id, _STEP_M
-        self._last_xy = np.full(2, np.inf)
+        self._last_xy = (math.inf, math.inf)
         self._poses: list[Any] = []
         self.changed = False
 
     def add(self, stamp_ns: int, pose: FloatArray) -> None:
         """Go on to a pose (3,), which is kept if it is a step away from the last one."""
-        if np.hypot(*(pose[:2] - self._last_xy)) < self._step_m:
+        x, y, _ = pose.tolist()
+        if math.dist((x, y), self._last_xy) < self._step_m:
             return
         if len(self._poses) >= _MOST_POINTS:
             self._poses, self._step_m = self._poses[::2], 2.0 * self._step_m
         self._poses.append(encode.pose_stamped(ros_factory, stamp_ns, pose, self._frame_id))
-        self._last_xy, self.changed = pose[:2].copy(), True
+        self._last_xy, self.changed = (x, y), True
 
     def message(self) -> Any:
         """The path up to now, stamped as its last pose."""
@@ -75,7 +75,7 @@ class LivePose:
         self._markers = node.advertise('odometry_fusion/markers')
         topics = ('odometry_fusion/path', 'odometry_fusion/odometry_path')
         self._outputs = [node.advertise(topic) for topic in topics]
-        self._published_s = -np.inf
+        self._published_s = -math.inf
         self.restart()
 
     def restart(self) -> None:
