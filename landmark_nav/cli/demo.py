@@ -27,6 +27,7 @@ from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.atomic_io import check_new, write_atomically
 from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama
@@ -36,6 +37,7 @@ __all__ = ['add_arguments', 'run']
 # What a demo leaves; a folder with other things in it is not touched.
 _OWN = (
     *('room.yaml', 'robot.yaml', 'logs', 'map', 'recording', 'demo.json', 'report.html'),
+    'foxglove.json',
     *('map.png', 'panorama_1.png', 'panorama_2.png', 'trajectory.png', 'errors.png'),
 )
 
@@ -72,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
     folder = _emptied(args.out, args.overwrite)
     narrator = Narrator()
     room = prepare_room(folder, args.seed)
+    shutil.copyfile(shipped_config('foxglove/landmark_nav.json'), folder / 'foxglove.json')
     commands = node_commands(
         room.robot_file,
         room.room_file,

@@ -115,6 +115,9 @@ def run_scenario(
         robot.wait(lambda: robot.fused is not None, 10.0, 'odometry/fused')
         robot.wait(lambda: robot.fixes > 0, 20.0, 'a first triangulated pose')
         _follow(robot, room.tour, lambda: _fused(robot), narrator)
+    narrator.print_line(
+        'recording/ is an MCAP file: Foxglove and Lichtblick show it with the layout foxglove.json'
+    )
 
 
 def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:

@@ -122,6 +122,7 @@ def test_learns_drives_and_stays_exact(tmp_path: Path, domain_id: int) -> None:
     bag = Bag(folder / 'recording')
     assert bag.complete
     assert bag.counts['/odometry/fused'] > 500
+    assert (folder / 'foxglove.json').is_file()
     # What the layouts of Foxglove and RViz show, as the nodes publish it.
     assert {name: bag.types.get(f'/{name}') for name in SHOWN} == SHOWN
     static, *_ = bag.messages(['/tf_static'])
