@@ -75,6 +75,7 @@ class LivePose:
         self._markers = node.advertise('odometry_fusion/markers')
         topics = ('odometry_fusion/path', 'odometry_fusion/odometry_path')
         self._outputs = [node.advertise(topic) for topic in topics]
+        self._subscribers = [0 for _ in topics]
         self._published_s = -math.inf
         self.restart()
 
@@ -103,8 +104,10 @@ class LivePose:
         if now_s - self._published_s < _PERIOD_S:
             return
         self._published_s = now_s
-        for path, output in zip(self._paths, self._outputs, strict=True):
-            if path.changed and output.get_subscription_count():
+        for k, (path, output) in enumerate(zip(self._paths, self._outputs, strict=True)):
+            before, self._subscribers[k] = self._subscribers[k], output.get_subscription_count()
+            # Who comes later sees the path also while the robot stands.
+            if self._subscribers[k] > before or (self._subscribers[k] and path.changed):
                 output.publish(path.message())
         if self._markers.get_subscription_count():
             drawn = encode.pose_markers(ros_factory, estimate, level(), self._frame_id)

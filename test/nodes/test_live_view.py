@@ -114,6 +114,16 @@ def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(graph: Graph)
     assert fused[0].pose.position.x == alone[0].pose.position.x == 0.0
     assert alone[-1].pose.position.x > 1.05 * fused[-1].pose.position.x
     assert max(abs(one.pose.position.y) for one in fused) == 0.0
+    # Who comes later sees the way up to now, though the robot stands.
+    late: list[Any] = []
+    graph.node.listen('odometry_fusion/path', late.append)
+
+    def standing() -> bool:
+        live.show(estimate(k, 0.01 * k), odometry(k, 0.011 * k), lambda: None)
+        return bool(late)
+
+    graph.until(standing)
+    assert len(late[-1].poses) == len(live._paths[0]._poses)
     # Played anew, the clock is set back.
     for messages in came.values():
         messages.clear()
