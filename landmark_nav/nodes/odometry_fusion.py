@@ -33,7 +33,7 @@ from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
-from landmark_nav.ros.transforms import MapToOdom
+from landmark_nav.ros.transforms import TransformBroadcaster
 from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
 from landmark_nav.types import (
     Detections,
@@ -112,7 +112,7 @@ class OdometryFusionNode(LandmarkNode):
         self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
         self._live = LivePose(self, self._config.map_frame)
-        self._transform = MapToOdom(self)
+        self._transform = TransformBroadcaster(self)
         self._spread = SpreadCorrection(self._config.correction_time_s)
         config = self._config
         self._filter: PoseFilter | JointFusion
@@ -270,7 +270,7 @@ class OdometryFusionNode(LandmarkNode):
             # Only here: a transform must not be published twice for one time.
             pose = self._spread.at(sample.stamp_ns, estimate.pose, sample.pose_odom_base)
             frames = (self._config.map_frame, self._odom_frame)
-            self._transform.send(sample.stamp_ns, pose, frames)
+            self._transform.send(sample.stamp_ns, [encode.planar_transform(*frames, pose)])
 
     def _on_detections(self, message: Any) -> None:
         self._waiting.append(decode.detections(message))

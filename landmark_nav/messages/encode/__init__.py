@@ -20,9 +20,18 @@ from landmark_nav.messages.encode.poses import (
     pose,
     pose_stamped,
 )
+from landmark_nav.messages.encode.transforms import (
+    camera_transform,
+    joint_transforms,
+    planar_transform,
+    Transform,
+    transforms,
+)
 
 __all__ = [
+    'Transform',
     'camera_info',
+    'camera_transform',
     'compressed_image',
     'detections',
     'expectation',
@@ -31,14 +40,17 @@ __all__ = [
     'image',
     'joint_delay',
     'joint_state',
+    'joint_transforms',
     'landmark_map',
     'landmark_markers',
     'odometry',
     'panorama',
+    'planar_transform',
     'pose',
     'pose_markers',
     'pose_stamped',
     'sweep_trajectory',
+    'transforms',
     'triplet',
     'view_markers',
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,14 +31,12 @@ def planar_transform(parent: str, child: str, pose: FloatArray) -> Transform:
     return Transform(parent, child, rot_z(pose[2]), np.array([*pose[:2], 0.0]))
 
 
-def joint_transforms(mount: PanTiltMount, joints: JointSample) -> list[Transform]:
-    """Transforms that turn with the joints: base to pan link, pan link to tilt link."""
+def joint_transforms(mount: PanTiltMount, joints: JointSample) -> Iterator[Transform]:
+    """Yield the transforms that turn with the joints: base to pan link, pan link to tilt link."""
     pan_link, tilt_link = _links(mount)
     panned = rotation_rpy(mount.axis_rpy) @ rot_z(joints.pan_rad)
-    return [
-        Transform(mount.base_frame, pan_link, panned, np.array(mount.axis_xyz)),
-        Transform(pan_link, tilt_link, rot_y(-joints.tilt_rad), np.zeros(3)),
-    ]
+    yield Transform(mount.base_frame, pan_link, panned, np.array(mount.axis_xyz))
+    yield Transform(pan_link, tilt_link, rot_y(-joints.tilt_rad), np.zeros(3))
 
 
 def camera_transform(mount: PanTiltMount, optical_frame: str) -> Transform:
