@@ -2,13 +2,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from landmark_nav.evaluation.html_report import html_report
 import numpy as np
 import pytest
 
 from landmark_nav.cli.run_summary import run_summary
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.clock import shifts_by_odometry
-from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.run_report import run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run

@@ -31,7 +31,7 @@ from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.localization.smoother import Smoothed
 from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['draw_errors', 'draw_trajectory']
+__all__ = ['body_frame', 'draw_errors', 'draw_trajectory']
 
 
 def draw_trajectory(
@@ -84,7 +84,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
     figure = new_figure(10.0, 7.6)
     rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
     seconds = 1e-9 * (run.stamps_ns - run.begin_ns).astype(np.float64)
-    turned = _body_frame(run)
+    turned = body_frame(run)
     fused = np.einsum('nij,nj->ni', turned, errors.fused)
     covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
@@ -147,7 +147,7 @@ def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     plain(axes)
 
 
-def _body_frame(run: Replay) -> FloatArray:
+def body_frame(run: Replay) -> FloatArray:
     """Rotations (n, 3, 3) of errors in map into along, across and heading."""
     heading = run.fused[:, 2]
     turned = np.zeros((len(heading), 3, 3))
