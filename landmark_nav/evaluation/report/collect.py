@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.calibration_run import Residuals
-from landmark_nav.evaluation.figures.run_figures import body_frame
+from landmark_nav.evaluation.figures.run_figures import body_frame, driven
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.report.frames import FrameStrip, jpeg
@@ -240,9 +240,10 @@ def _drive(
     levels = [(np.nan, np.nan) if u.level is None else tuple(u.level) for u in updates]
     reasons = [update.reason for update in updates]
     known = list(dict.fromkeys(reasons))
-    lines = {'odometry': run.odometry.poses, 'truth': run.truth.poses}
+    lines = {'odometry': run.odometry.poses[:, :2], 'truth': run.truth.poses[:, :2]}
     if smoothed is not None:
-        lines['smoothed'] = smoothed.poses
+        lines['smoothed'] = driven(run, smoothed.stamps_ns, smoothed.poses).T
+    lines['fused'] = driven(run, run.stamps_ns, run.fused).T
     return {
         't': _numbers(1e-9 * (stamps - run.begin_ns), 3),
         'pose': _numbers(run.fused[chosen], 4),
@@ -265,8 +266,8 @@ def _drive(
             for update, frame in zip(updates, frames, strict=True)
         ],
         'lines': {
-            name: _numbers(poses[:: -(-len(poses) // _MOST_POINTS) or 1, :2], 3)
-            for name, poses in lines.items()
+            name: _numbers(line[:: -(-len(line) // _MOST_POINTS) or 1], 3)
+            for name, line in lines.items()
         },
     }
 

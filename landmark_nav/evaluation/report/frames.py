@@ -14,8 +14,8 @@ from landmark_nav.types import CameraFrame
 
 __all__ = ['FrameStrip', 'jpeg']
 
-# Base64 makes four bytes of three: a page of 15 MB, with 3 MB for all the rest.
-_BUDGET_BYTES = 9_000_000
+# Base64 makes four bytes of three: a page of 15 MB, with 4 MB for all the rest.
+_BUDGET_BYTES = 8_000_000
 _WIDTH_PX = 480
 _QUALITY = 60
 

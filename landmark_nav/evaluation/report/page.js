@@ -194,7 +194,6 @@ function drawPlan() {
   for (const [name, line] of Object.entries(run ? run.lines : {})) {
     add(svg, 'path', {class: `line ${name}`, d: path(line.map(at))});
   }
-  if (run) add(svg, 'path', {class: 'line fused', d: path(run.pose.map(at))});
   for (const {pose} of sweeps) {
     add(svg, 'path', {class: 'sweep', d: 'M14 0L-9 9L-9 -9Z', transform: placed(pose)});
   }
@@ -501,7 +500,7 @@ function show(k) {
     ...(truth[0] === null ? [] : [`error ${(100 * Math.hypot(x - truth[0], y - truth[1])).toFixed(1)} cm, ${Math.abs(degrees * wrap(heading - truth[2])).toFixed(2)}°`]),
     `3 sigma ${sigma.toFixed(1)} cm, ${(3 * degrees * run.heading_sigma[now]).toFixed(2)}°`,
     ...(level === null ? [] : [`protection level ${(100 * level).toFixed(1)} cm, ${(degrees * turn).toFixed(2)}°`]),
-    `${seen.filter((one) => one.used).length} landmarks used, ${seen.filter((one) => !one.used).length} not`,
+    `landmarks used: ${seen.filter((one) => one.used).length}, not used: ${seen.filter((one) => !one.used).length}`,
   ].join(' · ');
   for (const draw of redraw) draw(now);
 }

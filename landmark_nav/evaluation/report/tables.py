@@ -109,10 +109,12 @@ def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
         lost = f'lost {len(spells)} times, {when}{" …" if len(spells) > 3 else ""}'
     else:
         lost = 'never lost'
+    degraded = sum(s['status'] == 'coasting' for s in report['spells'])
     undetected = f'{wrong} images are over 5 sigma off and not reported' if wrong else ''
     if wrong or report.get('warning'):
         level = 'bad'
-    return _verdict(level, (good, consistent, lost, undetected, report.get('warning') or ''))
+    parts = (good, consistent, lost, f'degraded {degraded} times' if degraded else '')
+    return _verdict(level, (*parts, undetected, report.get('warning') or ''))
 
 
 def drive_tables(report: Mapping[str, Any]) -> list[Table]:
@@ -143,7 +145,9 @@ def drive_tables(report: Mapping[str, Any]) -> list[Table]:
                  s['reason'], time_s=s['from_s'])
             for s in spells
         )  # fmt: skip
-        tables.append(_table('Not tracking', ('state', 'from [s]', 'to [s]', 'reason'), rows))
+        tables.append(
+            _table('Times that are not OK', ('state', 'from [s]', 'to [s]', 'reason'), rows)
+        )
     if calibration := report.get('calibration'):
         tables.append(_calibration_table(calibration))
     if checks := [c for c in report.get('checks', ()) if c['level'] != 'ok']:

@@ -70,9 +70,8 @@ class _Scene:
         self._plan: ImageArray = np.full((_HEIGHT, _WIDTH, 3), 255, np.uint8)
         for ends in walls:
             self._line(self._plan, ends, (85, 85, 85), 3)
-        for name, color in (('odometry', _ODOMETRY), ('truth', _TRUTH)):
-            self._line(self._plan, self._drive['lines'][name], color, 1)
-        self._line(self._plan, poses, _FUSED, 2)
+        for name, color in (('odometry', _ODOMETRY), ('truth', _TRUTH), ('fused', _FUSED)):
+            self._line(self._plan, self._drive['lines'][name], color, 2)
         for place in self._landmarks.values():
             cv2.circle(self._plan, self._pixels([place])[0].tolist(), 4 << _SHIFT, _LANDMARK, -1,
                        cv2.LINE_AA, _SHIFT)  # fmt: skip
