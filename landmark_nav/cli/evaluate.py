@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Localize along a recorded drive with the same stages as the nodes, compare '
         'with ground_truth/odom at the stamps of the images, and write what --json, --tum, '
-        '--report and --out ask for.'
+        '--report, --video and --out ask for.'
     )
     parser.add_argument('bag', metavar='BAG', help='bag of a drive')
     add_topic_argument(parser)

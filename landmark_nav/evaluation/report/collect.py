@@ -276,6 +276,15 @@ def _missed(update: LocalizationUpdate) -> list[int]:
     return [int(k) for k in update.observation.detections.missed]
 
 
+def _used(update: LocalizationUpdate) -> tuple[set[int], str]:
+    """Ids of the landmarks that corrected the pose, and why the others did not."""
+    fusion, found = update.fusion, set(update.observation.detections.ids.tolist())
+    if fusion.refusal is not None:
+        return set(), str(fusion.refusal)
+    # Of a recording only what was found is known.
+    return set(fusion.accepted_ids.tolist()) or found - set(fusion.rejected), 'outlier'
+
+
 def _seen(
     update: LocalizationUpdate,
     frame: CameraFrame | None,
@@ -287,14 +296,9 @@ def _seen(
 
     `outline` are the corners of the patch where the fused pose expects it, pixels.
     """
-    observation, fusion = update.observation, update.fusion
-    found = observation.detections
+    observation, found = update.observation, update.observation.detections
+    used, why = _used(update)
     reasons = {**dict.fromkeys(_missed(update), 'not found'), **observation.refused}
-    reasons = {int(k): str(why) for k, why in {**reasons, **fusion.rejected}.items()}
-    used = set(fusion.accepted_ids.tolist())
-    if fusion.refusal is None and not used:
-        # Of a recording only what was found is known.
-        used = set(found.ids.tolist()) - set(fusion.rejected)
     entries = [
         {
             'id': int(k),
@@ -302,14 +306,14 @@ def _seen(
             'score': round(float(score), 3),
             'uv': _numbers(uv, 1),
             'used': k in used,
-            'reason': '' if k in used else reasons.get(int(k), str(fusion.refusal or '')),
+            'reason': '' if k in used else why,
         }
         for k, bearing, score, uv in zip(
             found.ids.tolist(), found.bearing_rad, found.score, found.uv_px, strict=True
         )
     ]
     listed = {entry['id'] for entry in entries}
-    entries += [{'id': k, 'reason': why} for k, why in reasons.items() if k not in listed]
+    entries += [{'id': int(k), 'reason': str(r)} for k, r in reasons.items() if k not in listed]
     if frame is None or not entries:
         return entries
     mapped = set(landmarks.ids.tolist())

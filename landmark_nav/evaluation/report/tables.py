@@ -106,14 +106,14 @@ def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
     if spells:
         level = 'warning'
         when = ', '.join(f'{s["from_s"]:.1f} to {s["to_s"]:.1f} s' for s in spells[:3])
-        lost = f'lost {len(spells)} times, {when}{" …" if len(spells) > 3 else ""}'
+        lost = f'lost {when}' + (f' and {len(spells) - 3} times more' if len(spells) > 3 else '')
     else:
         lost = 'never lost'
     degraded = sum(s['status'] == 'coasting' for s in report['spells'])
     undetected = f'{wrong} images are over 5 sigma off and not reported' if wrong else ''
     if wrong or report.get('warning'):
         level = 'bad'
-    parts = (good, consistent, lost, f'degraded {degraded} times' if degraded else '')
+    parts = (good, consistent, lost, f'times degraded: {degraded}' if degraded else '')
     return _verdict(level, (*parts, undetected, report.get('warning') or ''))
 
 
@@ -126,19 +126,13 @@ def drive_tables(report: Mapping[str, Any]) -> list[Table]:
             'The map has a frame of its own: errors are those after one rigid transformation; '
             f'its metre is {report["scale"]:.4f} m long.'
         )
-    tables = [
-        _table(
-            'Errors',
-            ('error', *names),
-            (
-                _row(label, *(cell(report[n][key], factor, digits) for n in names), why=why)
-                for label, key, factor, digits, why in _ERRORS
-            ),
-            note,
-            _WHOSE,
-        ),
-        _table('Figures of merit', ('figure', 'value'), _merits(report)),
-    ]
+    tables = [_table('Figures of merit', ('figure', 'value'), _merits(report))]
+    if report['fused']['position_rmse_m'] is not None:
+        rows = (
+            _row(label, *(cell(report[n][key], factor, digits) for n in names), why=why)
+            for label, key, factor, digits, why in _ERRORS
+        )
+        tables.insert(0, _table('Errors', ('error', *names), rows, note, _WHOSE))
     if spells := report['spells']:
         rows = (
             _row(STATUS.get(s['status'], s['status']), f'{s["from_s"]:.1f}', f'{s["to_s"]:.1f}',
