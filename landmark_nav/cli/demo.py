@@ -135,7 +135,8 @@ def _report(
     measured = figures(run, landmarks)
     room = load_room(folder / 'room.yaml')
     strip = FrameStrip()
-    for event in sensor_events(bag, calibration.mount):
+    # Images that were recorded before the first joint states are none of the run.
+    for event in sensor_events(bag.warning_to(lambda _: None), calibration.mount):
         if isinstance(event, CameraFrame):
             strip.add(event)
     inputs = {'recording': bag.path, 'map': folder / 'map', 'room': folder / 'room.yaml'}
