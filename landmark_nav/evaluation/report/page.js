@@ -180,7 +180,7 @@ function drawPlan() {
     ...sweeps.map((s) => s.pose), ...(run ? run.pose : [])].map(at);
   const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])) - 40);
   const size = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) + 40 - low[k]);
-  const svg = add(byId('plan'), 'svg', {class: 'plan', tabindex: 0, role: 'img',
+  const svg = add(byId('plan'), 'svg', {class: 'plan', tabindex: 0, role: 'group',
     'aria-label': 'plan: arrow keys go from landmark to landmark, + and - zoom'});
   svg.style.aspectRatio = `${size[0]} / ${size[1]}`;
   const wedge = run ? add(svg, 'path', {class: 'view'}) : null;
@@ -442,7 +442,7 @@ function drawPanoramas() {
     const {image, size: [width, height], candidates} = data.panoramas[parent.dataset.panorama];
     const bar = add(parent, 'div', {class: 'bar'});
     const says = add(bar, 'span', {'aria-live': 'polite'}, 'Green and bold: elected, with number. Click one.');
-    const svg = add(parent, 'svg', {class: 'over', tabindex: 0, role: 'img',
+    const svg = add(parent, 'svg', {class: 'over', tabindex: 0, role: 'group',
       'aria-label': 'panorama: arrow keys go from candidate to candidate, + and - zoom'});
     svg.style.setProperty('--tall', `${100 * height / width}cqw`);
     add(svg, 'image', {href: `data:image/jpeg;base64,${image}`, width, height, preserveAspectRatio: 'none'});
