@@ -398,21 +398,28 @@ function drawCharts() {
       cursors.push(add(inner, 'path', {class: 'cursor', visibility: run ? '' : 'hidden'}));
     }
     if (run) {
-      const [svg, inner] = panel(30, 'state');
-      add(svg, 'text', {x: 2, y: 22}, 'state');
+      const [svg, inner] = panel(46, 'state and reasons'), why = [];
+      add(svg, 'text', {x: 2, y: 46}, 'state');
       for (let k = 0, end; k < run.t.length; k = end) {
         for (end = k + 1; end < run.t.length && run.status[end] === run.status[k]; end += 1);
         const until = end < run.t.length ? run.t[end] : last, name = run.status[k];
         const tall = {OK: 8, degraded: 18}[name] || 30;
-        const bar = add(inner, 'rect', {class: `status-${name.replace(/\W/g, '')}`, x: x(run.t[k]), y: 30 - tall,
+        const bar = add(inner, 'rect', {class: `status-${name.replace(/\W/g, '')}`, x: x(run.t[k]), y: 46 - tall,
           width: Math.max(x(until) - x(run.t[k]), 1.5), height: tall});
-        add(bar, 'title', {}, `${name} from ${run.t[k]} s: ${run.reasons[run.reason[k]]}`);
+        const reason = run.reasons[run.reason[k]];
+        add(bar, 'title', {}, `${name} from ${run.t[k]} s: ${reason}`);
+        if (name !== 'OK') {
+          const start = Math.max(Math.min(x(run.t[k]), wide - 6 * reason.length), 0);
+          const element = add(inner, 'text', {x: start, y: 11}, reason);
+          why.push({element, x: start + 3 * reason.length, y: 0, length: 6 * reason.length / 7});
+        }
       }
+      thin(why, 1);
       cursors.push(add(inner, 'path', {class: 'cursor'}));
       add(drawn, 'p', {class: 'hint'}, 'State: a low bar is OK, a middle one degraded, a high one lost.');
     }
     const [axis] = panel(14, 'time');
-    for (const t of ticks(first, Math.max(last, first + 1e-6), Math.max(wide / 90, 2))) {
+    for (const t of ticks(first, Math.max(last, first + 1e-6), Math.max(wide / 60, 2))) {
       add(axis, 'text', {x: LEFT + x(t), y: 12, 'text-anchor': 'middle'}, `${t} s`);
     }
     drawn.insertBefore(axis, drawn.querySelector('p'));

@@ -73,7 +73,8 @@ def _table(
 
 
 def _verdict(level: str, parts: Iterable[str]) -> dict[str, str]:
-    return {'level': level, 'text': '; '.join(filter(None, parts)) + '.'}
+    text = '; '.join(filter(None, parts))
+    return {'level': level, 'text': text if text.endswith('?') else f'{text}.'}
 
 
 def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
