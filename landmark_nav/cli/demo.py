@@ -20,21 +20,21 @@ from landmark_nav.demo.scenario import run_scenario
 from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.demo.verdict import Check, figures, judge
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
-from landmark_nav.evaluation.html_report import html_report
+from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.atomic_io import check_new, write_atomically
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import Panorama
+from landmark_nav.types import CameraFrame, Panorama
 
 __all__ = ['add_arguments', 'run']
 
-# What a demo leaves; a folder with other things in it is not touched.
+# What a demo leaves, or left once; a folder with other things in it is not touched.
 _OWN = (
     *('room.yaml', 'robot.yaml', 'logs', 'map', 'recording', 'demo.json', 'report.html'),
     'foxglove.json',
@@ -97,9 +97,9 @@ def run(args: argparse.Namespace) -> int:
             supervisor.start(name, command)
         with RobotClient(domain_id, watch) as robot:
             run_scenario(robot, room, commands, folder, narrator)
-            panoramas = robot.panoramas
+            swept = robot.panoramas
         unclean = [name for name, status in supervisor.stop().items() if status]
-    return _report(folder, panoramas, unclean, narrator)
+    return _report(folder, args.command_line, swept, unclean, narrator)
 
 
 def _domain(given: int | None) -> int:
@@ -128,25 +128,29 @@ def _emptied(folder: Path, overwrite: bool) -> Path:
 
 
 def _report(
-    folder: Path, panoramas: list[Panorama], unclean: list[str], narrator: Narrator
+    folder: Path, command: str, swept: list[Panorama], unclean: list[str], narrator: Narrator
 ) -> int:
     """Measure the recording, draw it, and judge."""
     narrator.title('Measuring the recording against the ground truth')
     landmarks = load_map(folder / 'map')
-    run = recorded_run(Bag(folder / 'recording'))
+    bag, calibration = Bag(folder / 'recording'), load_calibration(folder / 'robot.yaml')
+    run = recorded_run(bag)
     measured = figures(run, landmarks)
     room = load_room(folder / 'room.yaml')
+    strip = FrameStrip()
+    # Images that were recorded before the first joint states are none of the run.
+    for event in sensor_events(bag.warning_to(lambda _: None), calibration.mount):
+        if isinstance(event, CameraFrame):
+            strip.add(event)
+    inputs = {'recording': bag.path, 'map': folder / 'map', 'room': folder / 'room.yaml'}
+    page = drive_page(
+        'Demo', command, inputs, measured, run, run_errors(run), landmarks, calibration, strip,
+        papers=room.papers,
+    )  # fmt: skip
     # The node gives the map alone; the same stages show what became of every candidate.
-    learned = learn_from_panoramas(panoramas, room, LearningConfig())
-    drawn = {name: folder / f'{name.lower()}.png' for name in ('Trajectory', 'Errors', 'Map')}
-    draw_trajectory(run, landmarks, drawn['Trajectory'])
-    draw_errors(run, run_errors(run), drawn['Errors'])
-    draw_map(landmarks, drawn['Map'], room.papers)
-    for k, view in enumerate(learned.panoramas):
-        path = drawn[f'Panorama {k + 1}'] = folder / f'panorama_{k + 1}.png'
-        draw_panorama(view, learned.candidates[k], learned.outcomes[k], k + 1, path)
-    report_figures = {caption: path.read_bytes() for caption, path in drawn.items()}
-    write_atomically(folder / 'report.html', html_report('Demo', measured, report_figures))
+    learned = learn_from_panoramas(swept, room, LearningConfig())
+    page['data']['panoramas'] = panoramas(learned)
+    write_report(folder / 'report.html', page)
     write_atomically(folder / 'demo.json', json.dumps(measured, indent=2) + '\n')
     for line in error_table(measured):
         narrator.print_line(line)
@@ -157,8 +161,5 @@ def _report(
     for check in checks:
         narrator.print_line(f'{"ok    " if check.passed else "FAILED"}  {check.text}')
     narrator.print_line(f'{narrator.seconds:.0f} s; all of it is in {folder}:')
-    narrator.print_line(
-        'report.html, and what is in it: demo.json, map.png, trajectory.png, errors.png,'
-    )
-    narrator.print_line('panorama_*.png; map/, recording/ (MCAP), logs/ of the nodes')
+    narrator.print_line('report.html to play it, demo.json, map/, recording/ (MCAP), logs/')
     return 0 if all(check.passed for check in checks) else 1

@@ -25,6 +25,7 @@ from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
+from landmark_nav.evaluation.report import check_report, learning_page, write_report
 from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
@@ -106,12 +107,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--json', metavar='F', type=Path, help='write counts, errors and times to F'
     )
+    parser.add_argument(
+        '--report',
+        metavar='F.html',
+        type=Path,
+        help='write a page with the map, the panoramas and all candidates to F.html',
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Learn, draw, write; nothing is written unless all went well."""
     begin = time.perf_counter()
-    check_writable(args.json, args.walls_out)
+    check_report(args.report)
+    check_writable(args.json, args.walls_out, args.report)
     room = load_room(args.room) if args.room else None
     given = load_calibration(args.robot)
     mount = given.mount
@@ -153,6 +161,11 @@ def run(args: argparse.Namespace) -> int:
         write_atomically(args.walls_out, room_text(room))
     if args.json:
         write_atomically(args.json, json.dumps(report, indent=2) + '\n')
+    if args.report:
+        inputs = {'bag': bag.path, 'room': args.room, 'robot': args.robot, 'config': args.config}
+        title = f'{args.out.name}, learned from {bag.path.name}'
+        page = learning_page(title, args.command_line, inputs, report, result, room.papers)
+        write_report(args.report, page)
     print(_summary(report, result.panoramas, args.out))
     return 0
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import pose_report, run_errors
+from landmark_nav.evaluation.run_report import pose_report, run_errors, spells
 from landmark_nav.types import LandmarkMap
 
 __all__ = ['Check', 'figures', 'judge']
@@ -29,7 +29,7 @@ class Check:
 def figures(run: Replay, landmarks: LandmarkMap) -> dict[str, Any]:
     """Figures of the drive, by the keys of ``landmark-nav evaluate --json``."""
     walls = len({landmark.wall_id for landmark in landmarks.landmarks})
-    return {**pose_report(run, run_errors(run), landmarks), 'walls': walls}
+    return {**pose_report(run, run_errors(run), landmarks), 'spells': spells(run), 'walls': walls}
 
 
 def judge(measured: dict[str, Any]) -> list[Check]:
