@@ -124,7 +124,11 @@ def run(args: argparse.Namespace) -> int:
         located, found = None, {}
         if room is None:
             located, frames = _located(bag, mount, config, log)
-            panoramas, room, found = list(located.panoramas), located.room, _found(bag, located)
+            panoramas, room, found = (
+                list(located.panoramas),
+                located.room,
+                located.provenance(scale_source(bag)),
+            )
         else:
             panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
@@ -189,13 +193,6 @@ def _located(
         return known_places(bag, stamped, config.odometry)
 
     return locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
-
-
-def _found(bag: Bag, located: Located) -> dict[str, str]:
-    """What a map that was learned without a plan says of its frame and scale."""
-    source = scale_source(bag)
-    own = {'frame': 'base_link at the first sweep'} if source == 'odom' else {}
-    return {**own, 'scale': source, 'scale_sigma': f'{located.scale_sigma:.5f}'}
 
 
 def panoramas_of_bag(

@@ -93,6 +93,11 @@ class Located:
         way = self.poses.states[1:, :2].ravel()
         return float(1.0 / np.sqrt(way @ np.linalg.solve(plan, way)))
 
+    def provenance(self, source: str) -> dict[str, str]:
+        """What the map says of its frame and scale, the latter from `source`."""
+        own = {'frame': 'base_link at the first sweep'} if source == 'odom' else {}
+        return {**own, 'scale': source, 'scale_sigma': f'{self.scale_sigma:.5f}'}
+
 
 def locate(
     panoramas: Sequence[Panorama],
