@@ -53,7 +53,7 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room, room_text
 from landmark_nav.types import Panorama, PlaceChain, Sweep
 
-__all__ = ['LearningStages', 'add_arguments', 'panoramas_of_bag', 'run']
+__all__ = ['LearningStages', 'add_arguments', 'located_sweeps', 'panoramas_of_bag', 'run']
 
 _LOG = logging.getLogger(__name__)
 
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
     with atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
-            located, frames = _located(bag, mount, config, log)
+            located, frames = located_sweeps(bag, mount, config, log)
             panoramas, room, found = (
                 list(located.panoramas),
                 located.room,
@@ -176,10 +176,10 @@ class _ShownStages(StageLog):
             yield
 
 
-def _located(
+def located_sweeps(
     bag: Bag, mount: PanTiltMount, config: LearningStages, log: StageLog
 ) -> tuple[Located, list[int]]:
-    """Panoramas of a bag, where they were taken and the walls around; frames of each."""
+    """Panoramas of a bag with their poses, the walls around; how many frames each has."""
     scale_source(bag)
     frames: list[int] = []
 

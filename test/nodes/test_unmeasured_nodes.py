@@ -43,7 +43,7 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(
     client.wait(lambda: {SYNTHESIZER, LEARNER} <= client.status.keys(), 30.0, 'the nodes')
     with pytest.raises(LandmarkNavError, match=r'odom.*sweep/pose.*room_file'):
         client.call('learn_landmarks', 30.0)
-    player = play(sweeps, 4.0)
+    player = play(sweeps, 10.0)
     client.wait(lambda: client.status_of(LEARNER).values['panoramas'] == '2', 60.0, 'two sweeps')
     client.wait(lambda: len(client.panoramas) == 2, 60.0, 'their panoramas')
     player.wait(60.0)
