@@ -44,10 +44,17 @@ from landmark_nav.learning.sweep_pipeline import (
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, PoseEstimate, Sweep
 
-__all__ = ['Located', 'UnmeasuredConfig', 'learn_located', 'locate', 'locate_sweeps']
+__all__ = [
+    'RELATIVE_SIGMA',
+    'Located',
+    'UnmeasuredConfig',
+    'learn_located',
+    'locate',
+    'locate_sweeps',
+]
 
 # How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
-_SEARCH_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
+RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
 # Covariance of a pose that is only given to know how far the walls are.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
@@ -156,7 +163,7 @@ def locate(
             p,
             center_map=eye,
             heading_rad=float(state[2]),
-            covariance=np.diag(_SEARCH_SIGMA**2),
+            covariance=np.diag(RELATIVE_SIGMA**2),
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
