@@ -270,14 +270,12 @@ class TestPlan:
         np.testing.assert_array_equal(again.best.poses_map_base, plan.best.poses_map_base)
         np.testing.assert_array_equal(again.best.sigma_m, plan.best.sigma_m)
 
-    def test_a_room_whose_walls_were_found_names_no_papers(self, plan: Plan) -> None:
+    def test_a_room_whose_walls_were_found_names_no_papers(self) -> None:
         free = plan_positions(rectangle_room(5.0, 4.0), MOUNT, 2, CONFIG, np.random.default_rng(1))
         places = free.best.poses_map_base
         assert np.linalg.norm(places[1, :2] - places[0, :2]) > 0.5
         assert np.isfinite(free.best.sigma_m).all()
         assert free.best.cost_m < np.median([other.cost_m for other in free.random])
-        # Places that need not see papers are more: what papers allow is among them.
-        assert free.best.landmarks > 0.8 * plan.best.landmarks
 
     def test_a_third_place_makes_it_better(self, plan: Plan) -> None:
         more = plan_positions(ROOM, MOUNT, 3, CONFIG, np.random.default_rng(1))
