@@ -188,7 +188,8 @@ class LandmarkLearnerNode(LandmarkNode):
 
 def main() -> int:
     """Entry point of the executable."""
-    return run_node(LandmarkLearnerNode, threads=2)
+    # Frames go on arriving while one thread learns and another waits for those of a sweep.
+    return run_node(LandmarkLearnerNode, threads=3)
 
 
 if __name__ == '__main__':

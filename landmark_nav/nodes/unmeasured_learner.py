@@ -33,7 +33,7 @@ _STEP_NS, _MOST_SAMPLES = 45_000_000, 2**17
 # A stamp that is earlier by more is of a clock that was set back.
 _SET_BACK_NS = 1_000_000_000
 # Images of all sweeps that are kept.
-_MAX_BYTES = 2**30
+_MAX_BYTES = 2**29
 
 
 @dataclass(frozen=True)
