@@ -131,7 +131,7 @@ def _migrate(args: argparse.Namespace) -> int:
 def describe_alignment(alignment: FrameAlignment) -> str:
     """Say where the frame of map B is in that of A."""
     x, y, heading = alignment.pose
-    sigma_x, sigma_y, _, sigma = np.sqrt(np.diag(alignment.covariance))
+    sigma_x, sigma_y, *_, sigma = np.sqrt(np.diag(alignment.covariance))
     return (
         f'B is aligned to A by {alignment.support} landmarks: its frame is at ({x:.3f}, {y:.3f}) '
         f'm, {np.degrees(heading):.2f} deg (sigma {1e3 * np.hypot(sigma_x, sigma_y):.1f} mm); its '

@@ -37,7 +37,8 @@ _MEASURED_SCALE_SIGMA = 2e-3
 # Of 120 landmarks of two rooms at most 4 agreed by chance, of one room 84 to 100 (seeds 901, 902).
 # Another transformation may have this share of the support.
 _LEAST_SUPPORT, _LEAST_SHARE, _MOST_RIVAL = 4, 0.1, 0.5
-_ROUNDS = 10
+# Rounds of the fit, and the spread of the first, halved in each; unknowns without data stay.
+_ROUNDS, _FIRST_SPREAD, _LEAST_INFORMATION = 10, 8.0, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +50,19 @@ class FrameAlignment:
     ----------
     pose : ndarray, shape (3,)
         Of the frame of b in a: metres of a, radians.
+    rise_m : float
+        Its height in a: that of the camera is given, and not scaled.
     scale : float
         Metre of b in metres of a.
-    covariance : ndarray, shape (4, 4)
-        Of x, y, heading and the logarithm of the scale.
+    covariance : ndarray, shape (5, 5)
+        Of x, y, height, heading and the logarithm of the scale.
     support : int
         How many landmarks of a agree.
 
     """
 
     pose: FloatArray
+    rise_m: float
     scale: float
     covariance: FloatArray
     support: int
@@ -66,7 +70,7 @@ class FrameAlignment:
 
 @dataclass(frozen=True, eq=False)
 class _Matches:
-    """Textures that look alike: places (m, 2) in each map, heading of b in a, and landmarks."""
+    """Textures that look alike: places (m, 3) in each map, heading of b in a, and landmarks."""
 
     in_a: FloatArray
     in_b: FloatArray
@@ -125,24 +129,20 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
     """
     Map b in the frame and the metre of a.
 
-    The error of the alignment is four more factors that all its landmarks share.
+    The error of the alignment is five more factors that all its landmarks share.
     """
     scale, pose = alignment.scale, alignment.pose
     turn = np.eye(3)
     turn[:2, :2] = rotation(pose[2])
+    origin = np.array([*pose[:2], alignment.rise_m])
     root = np.linalg.cholesky(alignment.covariance)
 
     def placed(points: FloatArray) -> FloatArray:
-        xy = transform_points(pose, scale * points[..., :2])
-        return np.concatenate([xy, scale * points[..., 2:]], -1)
+        return np.asarray(origin + scale * turn @ points)
 
     def moved(k: Landmark) -> Landmark:
         position = placed(k.position)
-        by_frame = np.zeros((3, 4))
-        by_frame[:2, :2] = np.eye(2)
-        by_frame[:2, 2] = rotation(np.pi / 2) @ (position[:2] - pose[:2])
-        by_frame[:, 3] = position - [*pose[:2], 0.0]
-        factors = by_frame @ root
+        factors = _by_frame(position - origin) @ root
         by_own = scale * turn
         return replace(
             k,
@@ -169,17 +169,31 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
 
     known = b.calibration
     if known is not None and known.by_map is not None:
-        known = replace(known, by_map=np.pad(known.by_map, ((0, 0), (0, 4))))
+        known = replace(known, by_map=np.pad(known.by_map, ((0, 0), (0, 5))))
     return replace(
         b,
         landmarks=tuple(moved(k) for k in b.landmarks),
         walls=tuple(
-            replace(w, start=ends(w.start), end=ends(w.end), height=scale * w.height)
+            replace(
+                w,
+                start=ends(w.start),
+                end=ends(w.end),
+                height=scale * w.height + alignment.rise_m,
+            )
             for w in b.walls
         ),
         panorama_poses=tuple(posed(place) for place in b.panorama_poses),
         calibration=known,
     )
+
+
+def _by_frame(ways: FloatArray) -> FloatArray:
+    """Derivatives (..., 3, 5) of points, by their ways (..., 3) from the origin of the frame."""
+    jacobian = np.zeros((*ways.shape, 5))
+    jacobian[..., :3] = np.eye(3)
+    jacobian[..., 0, 3], jacobian[..., 1, 3] = -ways[..., 1], ways[..., 0]
+    jacobian[..., 4] = ways
+    return jacobian
 
 
 def _scale_sigma(landmarks: LandmarkMap) -> float:
@@ -211,10 +225,10 @@ def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
             if abs(point_a[2] - point_b[2]) > _GATE_SIGMAS * height_sigma:
                 continue
             turn = np.arctan2(*one.normal[1::-1]) - np.arctan2(*other.normal[1::-1])
-            rows.append((score, *point_a[:2], *point_b[:2], turn, i, j))
-    table = np.array(sorted(rows, reverse=True)[:_MOST_MATCHES]).reshape(-1, 8)
-    index = table[:, 6:].astype(np.intp)
-    return _Matches(table[:, 1:3], table[:, 3:5], wrap_rad(table[:, 5]), index[:, 0], index[:, 1])
+            rows.append((score, *point_a, *point_b, turn, i, j))
+    table = np.array(sorted(rows, reverse=True)[:_MOST_MATCHES]).reshape(-1, 10)
+    index = table[:, 8:].astype(np.intp)
+    return _Matches(table[:, 1:4], table[:, 4:7], wrap_rad(table[:, 7]), index[:, 0], index[:, 1])
 
 
 def _image(k: Landmark, texel_m: float) -> npt.NDArray[np.float32]:
@@ -250,8 +264,7 @@ def _point(k: Landmark, offset_m: FloatArray) -> FloatArray:
 
 def _agreement(matches: _Matches, scale_sigma: float) -> npt.NDArray[np.bool_]:
     """Which matches (columns) the transformation of each match (rows) fits, (m, m)."""
-    way_a = matches.in_a[None] - matches.in_a[:, None]
-    way_b = matches.in_b[None] - matches.in_b[:, None]
+    way_a, way_b = (xyz[None, :, :2] - xyz[:, None, :2] for xyz in (matches.in_a, matches.in_b))
     off = np.einsum('kij,klj->kli', rotation(matches.turn_rad), way_b) - way_a
     sigma = np.hypot(scale_sigma, _NORMAL_SIGMA_RAD) * np.linalg.norm(way_b, axis=-1)
     turn = wrap_rad(matches.turn_rad[None] - matches.turn_rad[:, None])
@@ -292,33 +305,29 @@ def _fitted(
     scale_sigma: float,
 ) -> FrameAlignment:
     """Pose and scale that fit the matches that agree (Gauss-Newton; outliers leave)."""
-    state = np.array([0.0, 0.0, turn_rad, 0.0])
     chosen = matches.chosen(agree)
-    middle = chosen.in_a.mean(0) - rotation(turn_rad) @ chosen.in_b.mean(0)
-    state[:2] = middle
-    own_a, own_b = a.covariances[:, :2, :2], b.covariances[:, :2, :2]
-    prior = np.diag([0.0, 0.0, 0.0, scale_sigma**-2])
-    spread = 8.0
-    covariance = np.eye(4)
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(turn_rad)
+    state = np.array([*(chosen.in_a - chosen.in_b @ turn.T).mean(0), turn_rad, 0.0])
+    # Both frames are on the floor, but for what cameras of given height see in another metre.
+    height_sigma = np.hypot(_HEIGHT_SIGMA_M, scale_sigma * np.abs(matches.in_a[:, 2]).max())
+    prior = np.diag([0.0, 0.0, height_sigma**-2, 0.0, scale_sigma**-2])
+    spread = _FIRST_SPREAD
     for _ in range(_ROUNDS):
-        turned = np.exp(state[3]) * rotation(state[2])
-        ways = matches.in_b @ turned.T
-        off = matches.in_a - ways - state[:2]
-        noise = own_a[matches.a] + turned @ own_b[matches.b] @ turned.T
-        noise += _MATCH_SIGMA_M**2 * np.eye(2)
-        information = np.linalg.inv(noise)
-        squared = np.einsum('mi,mij,mj->m', off, information, off)
-        which = squared < (_GATE_SIGMAS * spread) ** 2
+        turn[:2, :2] = rotation(state[3])
+        scaled = np.exp(state[4]) * turn
+        ways = matches.in_b @ scaled.T
+        off = matches.in_a - ways - state[:3]
+        noise = a.covariances[matches.a] + scaled @ b.covariances[matches.b] @ scaled.T
+        information = np.linalg.inv(noise + _MATCH_SIGMA_M**2 * np.eye(3))
+        which = np.einsum('mi,mij,mj->m', off, information, off) < (_GATE_SIGMAS * spread) ** 2
         spread = max(1.0, 0.5 * spread)
-        jacobian = np.zeros((len(off), 2, 4))
-        jacobian[:, :, :2] = np.eye(2)
-        jacobian[:, :, 2] = ways @ rotation(np.pi / 2).T
-        jacobian[:, :, 3] = ways
-        weighed = np.einsum('mki,mkl->mil', jacobian[which], information[which])
-        normal = np.einsum('mil,mlj->ij', weighed, jacobian[which]) + prior
-        covariance = np.linalg.inv(normal + 1e-9 * np.eye(4))
-        pull = np.einsum('mil,ml->i', weighed, off[which]) - prior @ state
-        state = state + covariance @ pull
+        jacobian = _by_frame(ways[which])
+        weighed = np.einsum('mki,mkl->mil', jacobian, information[which])
+        normal = np.einsum('mil,mlj->ij', weighed, jacobian) + prior
+        covariance = np.linalg.inv(normal + _LEAST_INFORMATION * np.eye(5))
+        # Only height and scale have a prior, of 0.
+        state = state + covariance @ (np.einsum('mil,ml->i', weighed, off[which]) - prior @ state)
     support = matches.chosen(which).landmarks
-    pose = np.array([*state[:2], wrap_rad(state[2])])
-    return FrameAlignment(pose, float(np.exp(state[3])), covariance, support)
+    pose = np.array([*state[:2], wrap_rad(state[3])])
+    return FrameAlignment(pose, float(state[2]), float(np.exp(state[4])), covariance, support)

@@ -224,12 +224,12 @@ def test_maps_of_two_rooms_are_distinguished_in_one_sentence(tmp_path):
     assert main(['map', 'diff', a, c]) == 0
 
 
-POSE, SCALE = np.array([1.5, -2.0, 2.1]), 1.03
+POSE, RISE_M, SCALE = np.array([1.5, -2.0, 2.1]), -0.033, 1.03
 
 
 def in_own_frame(learned: LandmarkMap) -> LandmarkMap:
     """The same map as if it had been learned without a plan: in another frame and metre."""
-    moved = in_frame_of(FrameAlignment(POSE, SCALE, 1e-16 * np.eye(4), 0), learned)
+    moved = in_frame_of(FrameAlignment(POSE, RISE_M, SCALE, 1e-16 * np.eye(5), 0), learned)
     own = {'frame': 'base_link at the first sweep', 'scale': 'odom', 'scale_sigma': '0.02'}
     return replace(moved, provenance=own)
 
@@ -254,10 +254,12 @@ def test_frames_and_metres_of_maps_are_found_by_their_landmarks():
     found = align_frames(a, in_own_frame(b))
     back = se2.inverse(POSE)
     expected = np.array([*back[:2] / SCALE, back[2]])
-    off = np.append(found.pose - expected, np.log(found.scale * SCALE))
-    assert off @ np.linalg.solve(found.covariance, off) < 18.5  # chi square of 4, 0.1 %
-    assert np.hypot(*off[:2]) < 0.03
-    assert abs(off[3]) < 0.005
+    x, y, turn = found.pose - expected
+    rise, growth = found.rise_m + RISE_M / SCALE, np.log(found.scale * SCALE)
+    off = np.array([x, y, rise, turn, growth])
+    assert off @ np.linalg.solve(found.covariance, off) < 20.5  # chi square of 5, 0.1 %
+    assert np.hypot(x, y) < 0.03
+    assert abs(growth) < 0.005
     merged = merge_maps(a, in_own_frame(b))
     assert 5 <= len(merged.landmarks) <= 10
     assert np.abs(merged.positions[:, 1]).max() < 0.03
