@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,13 +10,15 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.se2 import compose, compose_jacobians
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.smoother.motion import chained, motions_between
+from landmark_nav.localization.smoother.motion import chained, Motions, motions_between
 from landmark_nav.types import OdometrySample, PlaceChain, PoseEstimate
 
 __all__ = ['carried_on', 'given_places', 'places_by_odometry']
 
 # A robot that moves farther while it takes a sweep, by odometry, does not stand: m and rad.
 _STANDS_M, _STANDS_RAD = 0.03, 0.02
+# Samples before and after the times that are asked for.
+_MARGIN = 20
 
 
 def places_by_odometry(
@@ -47,14 +50,13 @@ def places_by_odometry(
                 f'odom does not cover sweep {number} (of {begin * 1e-9:.1f} s): it must come from '
                 'the first sweep to the last'
             )
-        x, y, turn = motions_between(np.array([begin, end]), samples, config).increment[0]
+        x, y, turn = _motions([begin, end], samples, config).increment[0]
         if np.hypot(x, y) > _STANDS_M or abs(turn) > _STANDS_RAD:
             raise LandmarkNavError(
                 f'the robot moved {100 * np.hypot(x, y):.0f} cm and '
                 f'{np.degrees(turn):.1f} deg by odom in sweep {number}: let it stand, sweep again'
             )
-    stamps = np.array([begin for begin, _ in spans_ns])
-    return chained(motions_between(stamps, samples, config), config)
+    return chained(_motions([begin for begin, _ in spans_ns], samples, config), config)
 
 
 def given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:
@@ -89,9 +91,19 @@ def carried_on(
     place: PoseEstimate, samples: Sequence[OdometrySample], config: OdometryNoiseConfig
 ) -> PoseEstimate:
     """Pose at the last sample of odometry (one or more), from one at an earlier time."""
-    stamps = np.array([place.stamp_ns, samples[-1].stamp_ns])
-    chain = chained(motions_between(stamps, samples, config), config)
+    end_ns = samples[-1].stamp_ns
+    chain = chained(_motions([place.stamp_ns, end_ns], samples, config), config)
     by_pose, by_way = compose_jacobians(place.pose, chain.poses[1])
     covariance = by_pose @ place.covariance @ by_pose.T
     covariance += by_way @ chain.covariance[3:, 3:] @ by_way.T
-    return PoseEstimate(int(stamps[1]), compose(place.pose, chain.poses[1]), covariance)
+    return PoseEstimate(end_ns, compose(place.pose, chain.poses[1]), covariance)
+
+
+def _motions(
+    stamps_ns: Sequence[int], samples: Sequence[OdometrySample], config: OdometryNoiseConfig
+) -> Motions:
+    """Motions between times, by the samples around them: hours of others cost time."""
+    known = [sample.stamp_ns for sample in samples]
+    first = max(bisect_left(known, stamps_ns[0]) - _MARGIN, 0)
+    last = bisect_right(known, stamps_ns[-1]) + _MARGIN
+    return motions_between(np.array(stamps_ns), samples[first:last], config)
