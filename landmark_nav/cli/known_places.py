@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.smoother.motion import chained, motions_between
+from landmark_nav.localization.sweep_places import given_places, places_by_odometry
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.message_filter import MessageFilter
 from landmark_nav.types import OdometrySample, PlaceChain, Sweep
 
 __all__ = ['known_places', 'scale_source']
-
-# A robot that moves farther while it takes a sweep, by odometry, does not stand: m and rad.
-_STANDS_M, _STANDS_RAD = 0.03, 0.02
 
 
 def scale_source(bag: Bag) -> str:
@@ -49,8 +44,18 @@ def known_places(bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig)
         It does not say where each was taken, or the robot moved in one of them.
 
     """
-    if scale_source(bag) == 'sweep/pose':
-        return _given(bag, sweeps)
+    samples = [] if scale_source(bag) == 'sweep/pose' else _odometry(bag)
+    try:
+        if not samples:
+            return given_places([sweep.pose_map_base for sweep in sweeps])
+        spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in sweeps]
+        return places_by_odometry(spans, samples, config)
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{bag.path}: {error}') from error
+
+
+def _odometry(bag: Bag) -> list[OdometrySample]:
+    """Odometry of a bag, by time."""
     topic = bag.require('odom')
     messages = MessageFilter(bag, topic)
     read = (
@@ -59,45 +64,4 @@ def known_places(bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig)
     )
     samples = sorted((s for s in read if s is not None), key=lambda s: s.stamp_ns)
     messages.report()
-    for number, sweep in enumerate(sweeps, 1):
-        _check_covered(bag, number, sweep, samples)
-        ends = np.array([sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns])
-        x, y, turn = motions_between(ends, samples, config).increment[0]
-        if np.hypot(x, y) > _STANDS_M or abs(turn) > _STANDS_RAD:
-            raise LandmarkNavError(
-                f'{bag.path}: the robot moved {100 * np.hypot(x, y):.0f} cm and '
-                f'{np.degrees(turn):.1f} deg by odom in sweep {number}: let it stand, sweep again'
-            )
-    stamps = np.array([sweep.stamp_ns for sweep in sweeps])
-    return chained(motions_between(stamps, samples, config), config)
-
-
-def _check_covered(bag: Bag, number: int, sweep: Sweep, samples: Sequence[OdometrySample]) -> None:
-    begin, end = sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns
-    if not samples or samples[0].stamp_ns > end or samples[-1].stamp_ns < begin:
-        raise LandmarkNavError(
-            f'{bag.path}: odom does not cover sweep {number} (of {begin * 1e-9:.1f} s): record it '
-            'from the first sweep to the last'
-        )
-
-
-def _given(bag: Bag, sweeps: Sequence[Sweep]) -> PlaceChain:
-    """Poses that were published, in the frame of the first: its own error moves the whole map."""
-    given = [sweep.pose_map_base for sweep in sweeps]
-    if any(pose is None for pose in given):
-        missing = 1 + next(k for k, pose in enumerate(given) if pose is None)
-        raise LandmarkNavError(
-            f'{bag.path}: sweep {missing} has no sweep/pose, others have: publish it for each'
-        )
-    known = [pose for pose in given if pose is not None]
-    poses = np.array([pose.pose for pose in known])
-    count = len(known)
-    joint = np.zeros((count, 3, count, 3))
-    first = known[0].covariance
-    moved = np.tile(np.eye(3), (count, 1, 1))
-    way = poses[:, :2] - poses[0, :2]
-    moved[:, 0, 2], moved[:, 1, 2] = -way[:, 1], way[:, 0]
-    for k in range(1, count):
-        joint[k, :, k] = known[k].covariance
-    joint[1:, :, 1:] += np.einsum('aij,jk,blk->aibl', moved[1:], first, moved[1:])
-    return PlaceChain(poses, joint.reshape(3 * count, 3 * count))
+    return samples

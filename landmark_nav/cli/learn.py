@@ -54,7 +54,7 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room, room_text
 from landmark_nav.types import Panorama, PlaceChain, Sweep
 
-__all__ = ['LearningStages', 'add_arguments', 'panoramas_of_bag', 'run']
+__all__ = ['LearningStages', 'add_arguments', 'located_sweeps', 'panoramas_of_bag', 'run']
 
 _LOG = logging.getLogger(__name__)
 
@@ -131,8 +131,12 @@ def run(args: argparse.Namespace) -> int:
     with atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
-            located, frames = _located(bag, mount, config, log)
-            panoramas, room, found = list(located.panoramas), located.room, _found(bag, located)
+            located, frames = located_sweeps(bag, mount, config, log)
+            panoramas, room, found = (
+                list(located.panoramas),
+                located.room,
+                located.provenance(scale_source(bag)),
+            )
         else:
             panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
@@ -185,10 +189,10 @@ class _ShownStages(StageLog):
             yield
 
 
-def _located(
+def located_sweeps(
     bag: Bag, mount: PanTiltMount, config: LearningStages, log: StageLog
 ) -> tuple[Located, list[int]]:
-    """Panoramas of a bag, where they were taken and the walls around; frames of each."""
+    """Panoramas of a bag with their poses, the walls around; how many frames each has."""
     scale_source(bag)
     frames: list[int] = []
 
@@ -202,13 +206,6 @@ def _located(
         return known_places(bag, stamped, config.odometry)
 
     return locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
-
-
-def _found(bag: Bag, located: Located) -> dict[str, str]:
-    """What a map that was learned without a plan says of its frame and scale."""
-    source = scale_source(bag)
-    own = {'frame': 'base_link at the first sweep'} if source == 'odom' else {}
-    return {**own, 'scale': source, 'scale_sigma': f'{located.scale_sigma:.5f}'}
 
 
 def panoramas_of_bag(

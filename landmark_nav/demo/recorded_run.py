@@ -18,7 +18,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import Detections, PoseEstimate, Refusal
 
-__all__ = ['RECORDED_TOPICS', 'recorded_run']
+__all__ = ['RECORDED_TOPICS', 'SWEEP_TOPICS', 'recorded_run']
 
 RECORDED_TOPICS = (
     'camera/image_raw/compressed',
@@ -39,6 +39,12 @@ RECORDED_TOPICS = (
     'odometry_fusion/markers',
     'triangulation_localizer/markers',
     'triangulation_localizer/debug_image/compressed',
+)
+
+# What `landmark-nav learn` takes without a plan.
+SWEEP_TOPICS = (
+    *('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory'),
+    *('odom', 'ground_truth/odom'),
 )
 
 T = TypeVar('T')

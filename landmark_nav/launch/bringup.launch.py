@@ -1,7 +1,8 @@
 """
 Everything that learns and localizes, for a robot that publishes its sensors.
 
-``ros2 launch landmark_nav bringup.launch.py robot_file:=robot.yaml room_file:=room.yaml``
+``ros2 launch landmark_nav bringup.launch.py robot_file:=robot.yaml``, and
+``room_file:=room.yaml`` if the room is measured.
 """
 
 from pathlib import Path
@@ -18,7 +19,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 NODES = {
     'sweep_capture': ('robot_file',),
     'panorama_synthesizer': ('robot_file', 'room_file'),
-    'landmark_learner': ('room_file', 'map_folder', 'load_on_start'),
+    'landmark_learner': ('robot_file', 'room_file', 'map_folder', 'load_on_start'),
     'triplet_selector': ('robot_file',),
     'triangulation_localizer': ('robot_file',),
     'odometry_fusion': ('robot_file',),
@@ -31,7 +32,11 @@ def generate_launch_description() -> LaunchDescription:
     config = share / 'config'
     arguments = [
         DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
-        DeclareLaunchArgument('room_file', description='room.yaml: walls and reference area'),
+        DeclareLaunchArgument(
+            'room_file',
+            default_value='',
+            description='room.yaml: walls and reference area; empty: they are found',
+        ),
         DeclareLaunchArgument('map_folder', default_value='map', description='folder of the map'),
         DeclareLaunchArgument(
             'load_on_start', default_value='false', description='load that map at once'

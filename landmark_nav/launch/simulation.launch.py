@@ -1,7 +1,8 @@
 """
 The simulated robot with everything that learns and localizes.
 
-``ros2 launch landmark_nav simulation.launch.py robot_file:=robot.yaml room_file:=room.yaml``
+``ros2 launch landmark_nav simulation.launch.py robot_file:=robot.yaml``, and
+``room_file:=room.yaml`` for that room instead of one that a seed draws.
 """
 
 from pathlib import Path
@@ -21,7 +22,11 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument('seed', default_value='1', description='draws the room'),
         DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
-        DeclareLaunchArgument('room_file', description='room.yaml: walls and reference area'),
+        DeclareLaunchArgument(
+            'room_file',
+            default_value='',
+            description='room.yaml: walls and reference area; empty: drawn, and not given',
+        ),
         DeclareLaunchArgument('map_folder', default_value='map', description='folder of the map'),
         DeclareLaunchArgument(
             'load_on_start', default_value='false', description='load that map at once'

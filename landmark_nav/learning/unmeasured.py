@@ -44,10 +44,17 @@ from landmark_nav.learning.sweep_pipeline import (
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, PoseEstimate, Sweep
 
-__all__ = ['Located', 'UnmeasuredConfig', 'learn_located', 'locate', 'locate_sweeps']
+__all__ = [
+    'RELATIVE_SIGMA',
+    'Located',
+    'UnmeasuredConfig',
+    'learn_located',
+    'locate',
+    'locate_sweeps',
+]
 
 # How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
-_SEARCH_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
+RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
 # Covariance of a pose that is only given to know how far the walls are.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
@@ -92,6 +99,11 @@ class Located:
         plan = chain[1:, :2, 1:, :2].reshape(2 * count - 2, 2 * count - 2)
         way = self.poses.states[1:, :2].ravel()
         return float(1.0 / np.sqrt(way @ np.linalg.solve(plan, way)))
+
+    def provenance(self, source: str) -> dict[str, str]:
+        """What the map says of its frame and scale, the latter from `source`."""
+        own = {'frame': 'base_link at the first sweep'} if source == 'odom' else {}
+        return {**own, 'scale': source, 'scale_sigma': f'{self.scale_sigma:.5f}'}
 
 
 def locate(
@@ -151,7 +163,7 @@ def locate(
             p,
             center_map=eye,
             heading_rad=float(state[2]),
-            covariance=np.diag(_SEARCH_SIGMA**2),
+            covariance=np.diag(RELATIVE_SIGMA**2),
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]

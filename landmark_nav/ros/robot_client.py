@@ -208,7 +208,9 @@ class RobotClient:
         self._initial_pose.publish(encode.pose(ros_factory, estimate))
 
     @contextmanager
-    def recording(self, path: Path, topics: Sequence[str], mount: PanTiltMount) -> Iterator[None]:
+    def recording(
+        self, path: Path, topics: Sequence[str], mount: PanTiltMount | None = None
+    ) -> Iterator[None]:
         """
         Record public topics, as serialised, while in the block.
 
