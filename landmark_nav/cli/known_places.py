@@ -5,24 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.se2 import compose, rotation
+from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.smoother.motion import chained, motions_between
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.message_filter import MessageFilter
-from landmark_nav.types import OdometrySample, PlaceChain, Sweep
+from landmark_nav.types import FloatArray, OdometrySample, PlaceChain, Sweep
 
-__all__ = ['known_places', 'scale_source']
+__all__ = ['check_scale', 'known_places']
 
 # A robot that moves farther while it takes a sweep, by odometry, does not stand: m and rad.
 _STANDS_M, _STANDS_RAD = 0.03, 0.02
 
 
-def scale_source(bag: Bag) -> str:
+def check_scale(bag: Bag, sheets: SheetsConfig) -> None:
     """
-    Name what gives the scale of a map that is learned without a plan.
+    Check that something gives the scale of a map that is learned without a plan.
 
     Raises
     ------
@@ -30,27 +33,43 @@ def scale_source(bag: Bag) -> str:
         Nothing does.
 
     """
-    for topic in ('sweep/pose', 'odom'):
-        if bag.find(topic):
-            return topic
-    raise LandmarkNavError(
-        f'{bag.path}: nothing gives the scale: record odom from sweep to sweep, publish '
-        'sweep/pose, or measure walls and papers and give --room'
-    )
+    posed = bag.find('sweep/pose') or bag.find('odom')
+    if not (posed or sheets.has_papers or sheets.has_markers):
+        raise LandmarkNavError(
+            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
+            '(--paper-size, --marker-size), or measure walls and papers (--room)'
+        )
 
 
-def known_places(bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig) -> PlaceChain:
+def known_places(
+    bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig
+) -> list[PlaceChain]:
     """
-    Poses of sweeps as `scale_source` gives them.
+    Poses of sweeps by each source that has them: those of the first give the frame.
 
     Raises
     ------
     LandmarkNavError
-        It does not say where each was taken, or the robot moved in one of them.
+        One does not say where each was taken, or the robot moved in one of them.
 
     """
-    if scale_source(bag) == 'sweep/pose':
-        return _given(bag, sweeps)
+    known = [_given(bag, sweeps)] if bag.find('sweep/pose') else []
+    if bag.find('odom'):
+        driven = _driven(bag, sweeps, config)
+        known.append(_seen_from(driven, known[0].poses[0]) if known else driven)
+    return known
+
+
+def _seen_from(places: PlaceChain, first: FloatArray) -> PlaceChain:
+    """Poses in the frame of the first sweep, in the frame in which that is `first` (3,)."""
+    count = len(places.poses)
+    turn = np.kron(np.eye(count), block_diag(rotation(first[2]), 1.0))
+    poses = np.array([compose(first, pose) for pose in places.poses])
+    return PlaceChain(poses, turn @ places.covariance @ turn.T, places.source)
+
+
+def _driven(bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig) -> PlaceChain:
+    """Poses by odometry; the robot stands while it takes a sweep."""
     topic = bag.require('odom')
     messages = MessageFilter(bag, topic)
     read = (
@@ -100,4 +119,4 @@ def _given(bag: Bag, sweeps: Sequence[Sweep]) -> PlaceChain:
     for k in range(1, count):
         joint[k, :, k] = known[k].covariance
     joint[1:, :, 1:] += np.einsum('aij,jk,blk->aibl', moved[1:], first, moved[1:])
-    return PlaceChain(poses, joint.reshape(3 * count, 3 * count))
+    return PlaceChain(poses, joint.reshape(3 * count, 3 * count), 'sweep/pose')
