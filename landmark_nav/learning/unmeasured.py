@@ -143,9 +143,7 @@ def locate(
             for p in panoramas
         ]
         sheets = [find_sheets(p, config.sheets) for p in panoramas]
-        poses = relative_poses(
-            features, known, lever, config.relative_pose, sheets, config.sheets.size_sigma
-        )
+        poses = relative_poses(features, known, lever, config.relative_pose, sheets)
     with log.measure('facades'):
         sigma = config.relative_pose.direction_sigma_rad
         points = seen_points(poses.states, poses.pairs, lever, sigma)

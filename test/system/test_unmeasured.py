@@ -120,7 +120,7 @@ def test_papers_whose_size_is_wrong_contradict_odometry(
     words = ['learn', str(sweeps), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
     assert main([*words, '--paper-size', '0.148', '0.210']) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert 'odom' in line and 'papers' in line and 'sigma' in line
+    assert all(word in line for word in ('odom', 'papers', 'sigma'))
     assert not (tmp_path / 'map').exists()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -13,9 +15,9 @@ from landmark_nav.geometry.rotation import rot_z
 from landmark_nav.learning.relative_pose.epipolar import center
 from landmark_nav.learning.relative_pose.scale import PlaceSource, scale_sigma, SheetSource
 from landmark_nav.learning.relative_pose.sheet_tracks import (
+    FINE,
     sheet_misses,
     sheet_tracks,
-    SheetTrack,
 )
 from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
@@ -108,32 +110,30 @@ def views(
         across = 3e-4 * reach * (np.eye(3) - np.outer(ray, ray))
         root = across + 5e-3 * reach * np.outer(ray, ray)
         position = true / size + root @ rng.normal(size=3)
-        seen.append(SheetView('papers', name, position, root @ root.T))
+        shared = 0.002 * position[:, None]
+        seen.append(SheetView('papers', name, position, root @ root.T, shared))
     return seen
 
 
 def true_pose() -> TwoViews:
     way = center(STATES[1], LEVER) - center(STATES[0], LEVER)
-    return TwoViews(
-        float(STATES[1, 2]), float(np.arctan2(way[1], way[0])), STATES[1, 4:], 100
-    )
+    return TwoViews(float(STATES[1, 2]), float(np.arctan2(way[1], way[0])), STATES[1, 4:], 100)
 
 
 def papers(seed: int, size: float = 1.0) -> SheetSource:
     rng = np.random.default_rng(seed)
     sheets = [views(state, rng, size) for state in STATES]
-    tracks, _ = sheet_tracks(sheets, {(0, 1): true_pose()})
-    return SheetSource('papers', tracks, 0.002, LEVER)
+    tracks, _ = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
+    return SheetSource('papers', tracks, LEVER)
 
 
 def test_sheets_of_one_look_are_told_apart_and_false_ones_left_out() -> None:
     rng = np.random.default_rng(1)
     sheets = [views(state, rng, names='aaa') for state in STATES]
     for seen in sheets:  # a poster of another size, which both show
-        poster = seen[0]
-        seen.append(SheetView('papers', 'a', 0.7 * poster.position, 0.5 * poster.covariance))
-        seen.append(SheetView('papers', 'a', rng.normal(0.0, 2.0, 3), poster.covariance))
-    tracks, lengths = sheet_tracks(sheets, {(0, 1): true_pose()})
+        seen.append(replace(seen[0], position=0.7 * seen[0].position))
+        seen.append(replace(seen[0], position=rng.normal(0.0, 2.0, 3)))
+    tracks, lengths = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
     assert len(tracks) == len(SHEETS)
     way = np.linalg.norm(center(STATES[1], LEVER) - center(STATES[0], LEVER))
     assert lengths[0, 1] == pytest.approx(way, rel=0.01)
@@ -141,11 +141,11 @@ def test_sheets_of_one_look_are_told_apart_and_false_ones_left_out() -> None:
 
 def test_sheets_that_contradict_each_other_are_refused() -> None:
     rng = np.random.default_rng(2)
-    sheets = [[v for v in views(state, rng, names='abc')][:1] for state in STATES]
+    sheets = [views(state, rng)[:1] for state in STATES]
     for seen in sheets:
-        seen.append(SheetView('papers', 'b', 0.7 * seen[0].position, seen[0].covariance))
+        seen.append(replace(seen[0], name='b', position=0.7 * seen[0].position))
     with pytest.raises(LandmarkNavError, match='check the size'):
-        sheet_tracks(sheets, {(0, 1): true_pose()})
+        sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
 
 
 def test_the_scale_that_sheets_give_is_consistent() -> None:
@@ -158,7 +158,6 @@ def test_the_scale_that_sheets_give_is_consistent() -> None:
 
 def test_slopes_of_sheets_are_right() -> None:
     track = papers(3).tracks[0]
-    track = SheetTrack('papers', 'a', track.views, track.positions, track.covariance)
     off, slopes, _ = sheet_misses(STATES, track, LEVER)
     step = 1e-6 * np.random.default_rng(4).normal(size=STATES.shape)
     ahead, back = (sheet_misses(STATES + sign * step, track, LEVER)[0] for sign in (1.0, -1.0))

@@ -34,8 +34,13 @@ from landmark_nav.learning.relative_pose.scale import (
     Source,
     stacked,
 )
-from landmark_nav.learning.relative_pose.sheet_tracks import sheet_tracks
-from landmark_nav.learning.relative_pose.two_views import hypotheses, turn_support, TwoViews
+from landmark_nav.learning.relative_pose.sheet_tracks import FINE, ROUGH, sheet_tracks
+from landmark_nav.learning.relative_pose.two_views import (
+    hypotheses,
+    turn_support,
+    two_views_of,
+    TwoViews,
+)
 from landmark_nav.learning.sheets.view import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
@@ -87,7 +92,6 @@ def relative_poses(
     lever: FloatArray,
     config: RelativePoseConfig,
     sheets: Sequence[Sequence[SheetView]] = (),
-    size_sigma: float = 0.0,
 ) -> RelativePoses:
     """
     Find the poses of sweeps from what their panoramas show, and the scale from all that gives it.
@@ -104,8 +108,6 @@ def relative_poses(
         What counts.
     sheets : sequence of sequence of SheetView
         What may be a sheet of a known size, of each sweep.
-    size_sigma : float
-        Standard deviation of these sizes, a share.
 
     Raises
     ------
@@ -129,22 +131,13 @@ def relative_poses(
             )
         if _stands_out(ranked, config):
             found[i, j] = ranked[0]
-    tracks, lengths = sheet_tracks(sheets, found) if sheets else ([], {})
+    lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
     if known:
         eyes = [_viewpoint(pose, lever) for pose in known[0].poses]
         lengths = {(i, j): float(np.hypot(*(eyes[j] - eyes[i]))) for i, j in found}
     first = known[0].poses[0] if known else np.zeros(3)
     start = _placed(count, found, lengths, first, lever)
-    places = [PlaceSource(chain) for chain in known]
-    kinds = sorted({track.kind for track in tracks})
-    sources: list[Source] = [
-        *places,
-        *(
-            SheetSource(kind, [t for t in tracks if t.kind == kind], size_sigma, lever)
-            for kind in kinds
-        ),
-    ]
-    fit, pairs_along = _fitted(start, found, features, places, sources, lever, config)
+    fit, sources, pairs_along = _fitted(start, found, features, known, sheets, lever, config)
     shares = tuple(source.share(fit.states, lever) for source in sources)
     covariance = fit.covariance.reshape(count, STATE, count, STATE)
     tilts = np.array([covariance_of(covariance[k, 4:, k, 4:]) for k in range(count)])
@@ -222,16 +215,20 @@ def _fitted(
     start: FloatArray,
     found: Mapping[tuple[int, int], TwoViews],
     features: Sequence[Features],
-    places: Sequence[PlaceSource],
-    sources: Sequence[Source],
+    known: Sequence[PlaceChain],
+    sheets: Sequence[Sequence[SheetView]],
     lever: FloatArray,
     config: RelativePoseConfig,
-) -> tuple[EpipolarFit, list[RayPairs]]:
-    """Fit to all matches and sources; the matches."""
+) -> tuple[EpipolarFit, list[Source], list[RayPairs]]:
+    """Fit to all matches and sources of the scale; these sources and matches."""
     prior = np.zeros_like(start)
     prior[0, :3] = start[0, :3]
     covariance, states = _prior_covariance(len(start), config), start
-    for _ in range(_ROUNDS):
+    places = [PlaceSource(chain) for chain in known]
+    for number in range(_ROUNDS):
+        poses = {pair: two_views_of(states, *pair, lever) for pair in found}
+        tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []
+        sources: list[Source] = [*places, *SheetSource.of_kinds(tracks, lever)]
         pairs = [matches_along(i, j, states, features, lever, config) for i, j in sorted(found)]
         fit = fit_poses(
             states, pairs, lever, config.direction_sigma_rad, prior, covariance, stacked(sources)
@@ -239,7 +236,7 @@ def _fitted(
         states = fit.states
         for source in places:
             source.inflate(states, lever)
-    return fit, pairs
+    return fit, sources, pairs
 
 
 def _prior_covariance(count: int, config: RelativePoseConfig) -> FloatArray:

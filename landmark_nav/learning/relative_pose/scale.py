@@ -122,23 +122,28 @@ class PlaceSource:
 
 @dataclass(frozen=True, eq=False)
 class SheetSource:
-    """Sheets of one kind, whose sizes are off by one factor."""
+    """Sheets of one kind, which share errors: of their size, of how the camera shows edges."""
 
     name: str
     tracks: Sequence[SheetTrack]
-    size_sigma: float
     lever: FloatArray
 
+    @classmethod
+    def of_kinds(cls, tracks: Sequence[SheetTrack], lever: FloatArray) -> list[SheetSource]:
+        """One for each kind of sheets."""
+        kinds = sorted({track.kind for track in tracks})
+        return [cls(kind, [t for t in tracks if t.kind == kind], lever) for kind in kinds]
+
     def rows(self, states: FloatArray) -> Rows:
-        """As of `PlaceSource`; the factor of the sizes is eliminated."""
+        """As of `PlaceSource`; shared errors, each with a row for its prior, are eliminated."""
         found = [sheet_misses(states, track, self.lever) for track in self.tracks]
-        off, jacobian, by_size = (np.concatenate(part) for part in zip(*found, strict=True))
-        prior = 1.0 / self.size_sigma
-        # One more row, the prior of the factor, and all rows without what the factor explains.
-        unit = np.append(by_size, prior) / np.sqrt(by_size @ by_size + prior**2)
-        jacobian = jacobian.reshape(len(off), -1)
-        off, jacobian = np.append(off, 0.0), np.vstack([jacobian, np.zeros(jacobian.shape[1])])
-        return off - unit * (unit @ off), jacobian - np.outer(unit, unit @ jacobian)
+        off, jacobian, shared = (np.concatenate(part) for part in zip(*found, strict=True))
+        count = shared.shape[1]
+        basis, _ = np.linalg.qr(np.vstack([shared, np.eye(count)]))
+        rows = np.column_stack([off, jacobian.reshape(len(off), -1)])
+        rows = np.vstack([rows, np.zeros((count, rows.shape[1]))])
+        rows -= basis @ (basis.T @ rows)
+        return rows[:, 0], rows[:, 1:]
 
     def share(self, states: FloatArray, lever: FloatArray) -> ScaleShare:
         """What they say of the scale."""

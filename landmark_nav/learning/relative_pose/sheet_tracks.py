@@ -20,10 +20,11 @@ from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets.view import SheetView
 from landmark_nav.types import FloatArray
 
-__all__ = ['SheetTrack', 'sheet_misses', 'sheet_tracks']
+__all__ = ['FINE', 'ROUGH', 'SheetTrack', 'sheet_misses', 'sheet_tracks']
 
-# Two views of one sheet, by relative poses that are found but not yet fitted: rad and m.
-_ROUGH_RAD, _ROUGH_M = 0.006, 0.005
+# How well relative poses are known that are found but not yet fitted, and then, rad: two views of
+# one sheet miss each other by it, times their distance.
+ROUGH, FINE = 0.006, 0.0015
 # Chance that two views of a sheet miss each other by more; lengths that differ by fewer standard
 # deviations are one, and less certain ones are no use.
 _CHANCE, _SAME_SIGMAS, _MOST_SIGMA = 1e-3, 3.0, 0.1
@@ -35,13 +36,18 @@ _Link = tuple[tuple[int, int], tuple[int, int]]
 
 @dataclass(frozen=True, eq=False)
 class SheetTrack:
-    """One sheet in `views` (m,): `positions` (m, 3) and `covariance` (m, 3, 3) as in SheetView."""
+    """
+    One sheet in `views` (m,).
+
+    `positions` (m, 3), `covariance` (m, 3, 3) and `shared` (m, 3, q) are as in `SheetView`.
+    """
 
     kind: str
     name: str
     views: tuple[int, ...]
     positions: FloatArray
     covariance: FloatArray
+    shared: FloatArray
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,9 @@ class _Pair:
 
 
 def sheet_tracks(
-    sheets: Sequence[Sequence[SheetView]], found: Mapping[tuple[int, int], TwoViews]
+    sheets: Sequence[Sequence[SheetView]],
+    found: Mapping[tuple[int, int], TwoViews],
+    pose_sigma_rad: float,
 ) -> tuple[list[SheetTrack], dict[tuple[int, int], float]]:
     """
     Find which views show the same sheets.
@@ -66,6 +74,8 @@ def sheet_tracks(
         What may be a sheet, of each view.
     found : mapping
         Relative poses of pairs of views.
+    pose_sigma_rad : float
+        How well these are known.
 
     Returns
     -------
@@ -82,7 +92,7 @@ def sheet_tracks(
     links: list[_Link] = []
     lengths = {}
     for (i, j), pose in found.items():
-        agreed = _agreed(sheets[i], sheets[j], pose, (i, j))
+        agreed = _agreed(sheets[i], sheets[j], pose, pose_sigma_rad, (i, j))
         if agreed:
             links += [((i, pair.one), (j, pair.other)) for pair in agreed]
             weight = np.array([pair.sigma_m**-2 for pair in agreed])
@@ -93,15 +103,20 @@ def sheet_tracks(
         if len(set(views)) < len(views):
             continue  # two sheets that one view shows apart
         seen = [sheets[view][k] for view, k in group]
-        positions, covariance = (
-            np.array([getattr(s, what) for s in seen]) for what in ('position', 'covariance')
+        measured = (
+            np.array([getattr(s, what) for s in seen])
+            for what in ('position', 'covariance', 'shared')
         )
-        tracks.append(SheetTrack(seen[0].kind, seen[0].name, views, positions, covariance))
+        tracks.append(SheetTrack(seen[0].kind, seen[0].name, views, *measured))
     return tracks, lengths
 
 
 def _agreed(
-    one: Sequence[SheetView], other: Sequence[SheetView], pose: TwoViews, views: tuple[int, int]
+    one: Sequence[SheetView],
+    other: Sequence[SheetView],
+    pose: TwoViews,
+    pose_sigma_rad: float,
+    views: tuple[int, int],
 ) -> list[_Pair]:
     """Pairs of views of one sheet each that agree on the length of the way, most certain first."""
     pairs = [
@@ -109,7 +124,7 @@ def _agreed(
         for a, first in enumerate(one)
         for b, second in enumerate(other)
         if (first.kind, first.name) == (second.kind, second.name)
-        and (pair := _way(a, b, first, second, pose)) is not None
+        and (pair := _way(a, b, first, second, pose, pose_sigma_rad)) is not None
     ]
     if not pairs:
         return []
@@ -126,13 +141,15 @@ def _agreed(
     return best
 
 
-def _way(a: int, b: int, first: SheetView, second: SheetView, pose: TwoViews) -> _Pair | None:
+def _way(
+    a: int, b: int, first: SheetView, second: SheetView, pose: TwoViews, pose_sigma_rad: float
+) -> _Pair | None:
     """How long the way is if two views show one sheet; None if they do not."""
     state = np.array([0.0, 0.0, pose.heading_rad, 0.0, *pose.tilt_rad])
     there = turned(state, second.position[None])[0]
     rotation = rot_z(pose.heading_rad)
     reach = np.array([np.linalg.norm(s.position) for s in (first, second)])
-    rough = _ROUGH_M**2 + _ROUGH_RAD**2 * np.sum(reach**2)
+    rough = pose_sigma_rad**2 * np.sum(reach**2)
     covariance = first.covariance + rotation @ second.covariance @ rotation.T
     information = np.linalg.inv(covariance + rough * np.eye(3))
     way = first.position - there
@@ -193,19 +210,20 @@ def sheet_misses(
     misses : ndarray, shape (3 m,)
     jacobian : ndarray, shape (3 m, v, 6)
         By the states.
-    by_size : ndarray, shape (3 m,)
-        By the share by which the sheet is larger than given.
+    by_shared : ndarray, shape (3 m, q)
+        By the errors that all sheets of the kind share.
 
     """
     count = len(track.views)
     off, weight = np.empty((count, 3)), np.zeros((count, 3, 3))
-    jacobian, by_size = np.zeros((count, 3, len(states), STATE)), np.empty((count, 3))
+    jacobian = np.zeros((count, 3, len(states), STATE))
+    by_shared = np.empty_like(track.shared)
     for k, (view, seen) in enumerate(zip(track.views, track.positions, strict=True)):
         state, rotation = states[view], rot_z(states[view, 2])
         root = np.linalg.cholesky(rotation @ track.covariance[k] @ rotation.T)
         weight[k] = np.linalg.inv(root)
         reach = turned(state, seen[None])[0]
-        by_size[k] = reach
+        by_shared[k] = rotation @ track.shared[k]
         off[k] = center(state, lever) + reach
         arm = off[k] - [*state[:2], 0.0]
         slope = jacobian[k, :, view]
@@ -221,4 +239,4 @@ def sheet_misses(
         return np.asarray(left @ flat)
 
     by_states = whitened(jacobian).reshape(3 * count, len(states), STATE)
-    return whitened(off)[:, 0], by_states, whitened(by_size)[:, 0]
+    return whitened(off)[:, 0], by_states, whitened(by_shared)

@@ -52,7 +52,8 @@ def find_markers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
         sigma = config.corner_sigma_px / panorama.cylinder.fx
         located = locate_square(panorama.cylinder.rays(pixels), config.marker_size_m, sigma)
         if located is not None:
-            found.append(SheetView('markers', str(int(number)), *located))
+            shared = config.size_sigma * located[0][:, None]
+            found.append(SheetView('markers', str(int(number)), *located, shared))
     return found
 
 
@@ -79,11 +80,10 @@ def locate_square(
     )
     if not count:
         return None
-    pose = np.concatenate([turns[0], middles[0]])
     turn, middle = cv2.solvePnPRefineLM(
-        square, flat[:, None], np.eye(3), np.zeros(4), pose[:3], pose[3:]
+        square, flat[:, None], np.eye(3), np.zeros(4), turns[0], middles[0]
     )
-    pose = np.concatenate([turn, middle]).ravel()
+    pose: FloatArray = np.concatenate([turn, middle]).ravel().astype(np.float64)
 
     def projected(at: FloatArray) -> FloatArray:
         pixels, _ = cv2.projectPoints(square, at[:3], at[3:], np.eye(3), np.zeros(4))
@@ -95,5 +95,4 @@ def locate_square(
     if pose[5] <= 0.0 or np.linalg.matrix_rank(jacobian) < len(pose):
         return None
     covariance = sigma_rad**2 * np.linalg.inv(jacobian.T @ jacobian)
-    position = np.asarray(axes.T @ pose[3:], dtype=np.float64)
-    return position, np.asarray(axes.T @ covariance[3:, 3:] @ axes)
+    return np.asarray(pose[3:] @ axes), np.asarray(axes.T @ covariance[3:, 3:] @ axes)

@@ -35,31 +35,38 @@ def find_papers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
         near = (reach > _NEAREST_M / _ROUGHLY) & (reach < _FARTHEST_M * _ROUGHLY)
         likely = (share > _NARROWEST / _ROUGHLY) & (share < _WIDEST * _ROUGHLY) & near
         outlines = outline_blobs(view, color, blobs.only(likely))
-        for azimuth, tangent, sigma in zip(
-            outlines.azimuth_rad, outlines.tangent, outlines.sigma, strict=True
+        for azimuth, tangent, sigma, by_response in zip(
+            outlines.azimuth_rad,
+            outlines.tangent,
+            outlines.sigma,
+            outlines.by_response,
+            strict=True,
         ):
             seen = np.ptp(azimuth) / np.ptp(tangent) / shape
             reach_m = config.paper_height_m / np.ptp(tangent)
             if _NARROWEST < seen < _WIDEST and _NEAREST_M < reach_m < _FARTHEST_M:
-                found.append(_located(color, azimuth, tangent, sigma, config))
+                position, by_edge = _located(azimuth, tangent, config.paper_height_m)
+                own = by_edge * sigma
+                # Outwards is to the right (less azimuth), to the left, down and up.
+                response = by_edge @ (by_response * [-1.0, 1.0, -1.0, 1.0])
+                shared = np.stack([config.size_sigma * position, response], 1)
+                found.append(SheetView('papers', color, position, own @ own.T, shared))
     return found
 
 
 def _located(
-    color: str, azimuth: FloatArray, tangent: FloatArray, sigma: FloatArray, config: SheetsConfig
-) -> SheetView:
+    azimuth: FloatArray, tangent: FloatArray, height_m: float
+) -> tuple[FloatArray, FloatArray]:
     """
-    Locate an upright sheet.
+    Middle (3,) of an upright sheet and its derivative (3, 4) by right, left, bottom and top.
 
     `azimuth` (2,) are its right and left edges, `tangent` (2,) its bottom and top above the middle
-    between these; `sigma` (4,) of all.
+    between these.
     """
     middle, (bottom, top) = azimuth.mean(), tangent
-    reach = config.paper_height_m / (top - bottom)
+    reach = height_m / (top - bottom)
     ray = np.array([np.cos(middle), np.sin(middle), 0.5 * (bottom + top)])
-    by_azimuth = reach * np.array([-ray[1], ray[0], 0.0])
-    by_end = [
-        sign * reach / (top - bottom) * ray + [0.0, 0.0, 0.5 * reach] for sign in (1.0, -1.0)
-    ]
-    jacobian = np.stack([0.5 * by_azimuth, 0.5 * by_azimuth, *by_end], 1) * sigma
-    return SheetView('papers', color, reach * ray, jacobian @ jacobian.T)
+    by_azimuth = 0.5 * reach * np.array([-ray[1], ray[0], 0.0])
+    nearer = reach / (top - bottom) * ray
+    up = np.array([0.0, 0.0, 0.5 * reach])
+    return reach * ray, np.stack([by_azimuth, by_azimuth, up + nearer, up - nearer], 1)
