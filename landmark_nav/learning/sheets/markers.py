@@ -87,7 +87,7 @@ def locate_square(
 
     def projected(at: FloatArray) -> FloatArray:
         pixels, _ = cv2.projectPoints(square, at[:3], at[3:], np.eye(3), np.zeros(4))
-        return np.asarray(pixels).ravel()
+        return np.asarray(pixels, dtype=np.float64).ravel()
 
     jacobian = np.stack(
         [(projected(pose + s) - projected(pose - s)) / (2.0 * _STEP) for s in _STEP * np.eye(6)], 1
