@@ -16,7 +16,7 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['moved_walls']
 
-_STEPS = 8
+_STEPS = 10
 # Misses, in standard deviations, beyond which a patch counts next to nothing.
 _TAIL_WIDTH = 2.0
 # Neighbours whose planes turn by less do not determine their corner, radians.
