@@ -60,7 +60,7 @@ def test_walls_that_are_off_move_to_their_patches(seed: int) -> None:
 
 def test_walls_that_are_measured_or_show_nothing_stay() -> None:
     free, walls = patches(np.random.default_rng(5))
-    off = CORNERS + [0.1, 0.0]
+    off = CORNERS + np.array([0.1, 0.0])
     measured = room_of(off, None)
     assert moved_walls(free, walls, measured, CONFIG) is measured
     right = room_of(CORNERS, 0.1)
