@@ -3,8 +3,8 @@ Learning without a plan, one line a room and way: scale from odometry between sw
 from A4 papers at unknown places (``papers``); or walls that are off by 10 cm (``walls``).
 
 ``python test/unmeasured_check.py --seeds 801 802`` simulates rooms; ``--study`` takes the study's
-recording; ``--ways`` chooses. ``../shared/tools/add_odometry.py`` puts odometry between sweeps. Exits
-with 1 if a room misses a bound, or is refused.
+recording; ``--ways`` chooses. ``../shared/tools/add_odometry.py`` puts odometry between sweeps.
+Exits with 1 if a room misses a bound, or is refused.
 """
 
 from __future__ import annotations
