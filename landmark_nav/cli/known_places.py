@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.learning.sheets import SheetsConfig
+from landmark_nav.localization import sweep_places
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.sweep_places import given_places, places_by_odometry
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.message_filter import MessageFilter
 from landmark_nav.types import OdometrySample, PlaceChain, Sweep
 
-__all__ = ['known_places', 'scale_source']
+__all__ = ['check_scale', 'known_places']
 
 
-def scale_source(bag: Bag) -> str:
+def check_scale(bag: Bag, sheets: SheetsConfig) -> None:
     """
-    Name what gives the scale of a map that is learned without a plan.
+    Check that something gives the scale of a map that is learned without a plan.
 
     Raises
     ------
@@ -25,38 +26,38 @@ def scale_source(bag: Bag) -> str:
         Nothing does.
 
     """
-    for topic in ('sweep/pose', 'odom'):
-        if bag.find(topic):
-            return topic
-    raise LandmarkNavError(
-        f'{bag.path}: nothing gives the scale: record odom from sweep to sweep, publish '
-        'sweep/pose, or measure walls and papers and give --room'
-    )
+    posed = bag.find('sweep/pose') or bag.find('odom')
+    if not (posed or sheets.has_papers or sheets.has_markers):
+        raise LandmarkNavError(
+            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
+            '(--paper-size, --marker-size), or measure walls and papers (--room)'
+        )
 
 
-def known_places(bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig) -> PlaceChain:
+def known_places(
+    bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig
+) -> list[PlaceChain]:
     """
-    Poses of sweeps as `scale_source` gives them.
+    Poses of sweeps by each source of a bag that has them, as of `sweep_places.known_places`.
 
     Raises
     ------
     LandmarkNavError
-        It does not say where each was taken, or the robot moved in one of them.
+        One does not say where each was taken, or the robot moved in one of them.
 
     """
-    samples = [] if scale_source(bag) == 'sweep/pose' else _odometry(bag)
+    spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in sweeps]
+    given = [sweep.pose_map_base for sweep in sweeps]
     try:
-        if not samples:
-            return given_places([sweep.pose_map_base for sweep in sweeps])
-        spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in sweeps]
-        return places_by_odometry(spans, samples, config)
+        return sweep_places.known_places(given, spans, _odometry(bag), config)
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{bag.path}: {error}') from error
 
 
 def _odometry(bag: Bag) -> list[OdometrySample]:
-    """Odometry of a bag, by time."""
-    topic = bag.require('odom')
+    """Odometry of a bag, by time; none where it has none."""
+    if not (topic := bag.find('odom')):
+        return []
     messages = MessageFilter(bag, topic)
     read = (
         messages.take(lambda entry: decode.odometry(entry.message), entry)

@@ -65,9 +65,9 @@ class Robot(Protocol):
         """Give the fusion the pose of the robot."""
 
     def recording(
-        self, path: Path, topics: Sequence[str], mount: PanTiltMount
+        self, path: Path, topics: Sequence[str], mount: PanTiltMount | None = None
     ) -> AbstractContextManager[None]:
-        """Record topics and the robot's transforms while in the block."""
+        """Record topics while in the block; given the mount, the robot's transforms as well."""
 
 
 def run_scenario(

@@ -6,19 +6,57 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.se2 import compose, compose_jacobians
+from landmark_nav.geometry.se2 import compose, compose_jacobians, rotation
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.smoother.motion import chained, Motions, motions_between
-from landmark_nav.types import OdometrySample, PlaceChain, PoseEstimate
+from landmark_nav.types import FloatArray, OdometrySample, PlaceChain, PoseEstimate
 
-__all__ = ['carried_on', 'given_places', 'places_by_odometry']
+__all__ = ['carried_on', 'known_places', 'places_by_odometry']
 
 # A robot that moves farther while it takes a sweep, by odometry, does not stand: m and rad.
 _STANDS_M, _STANDS_RAD = 0.03, 0.02
 # Samples before and after the times that are asked for.
 _MARGIN = 20
+
+
+def known_places(
+    given: Sequence[PoseEstimate | None],
+    spans_ns: Sequence[tuple[int, int]],
+    samples: Sequence[OdometrySample],
+    config: OdometryNoiseConfig,
+) -> list[PlaceChain]:
+    """
+    Poses of sweeps by each source that has them: those of the first give the frame.
+
+    Parameters
+    ----------
+    given : sequence of PoseEstimate or None
+        What was published for each sweep.
+    spans_ns, samples, config
+        As of `places_by_odometry`; without samples odometry is no source.
+
+    Raises
+    ------
+    LandmarkNavError
+        One does not say where each was taken, or the robot moved in one of them.
+
+    """
+    known = [_given_places(given)] if any(pose is not None for pose in given) else []
+    if samples:
+        driven = places_by_odometry(spans_ns, samples, config)
+        known.append(_seen_from(driven, known[0].poses[0]) if known else driven)
+    return known
+
+
+def _seen_from(places: PlaceChain, first: FloatArray) -> PlaceChain:
+    """Poses in the frame of the first sweep, in the frame in which that is `first` (3,)."""
+    count = len(places.poses)
+    turn = np.kron(np.eye(count), block_diag(rotation(first[2]), 1.0))
+    poses = np.array([compose(first, pose) for pose in places.poses])
+    return PlaceChain(poses, turn @ places.covariance @ turn.T, places.source)
 
 
 def places_by_odometry(
@@ -59,7 +97,7 @@ def places_by_odometry(
     return chained(_motions([begin for begin, _ in spans_ns], samples, config), config)
 
 
-def given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:
+def _given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:
     """
     Poses of sweeps that were published, in the frame of the first: its error moves the whole map.
 
@@ -84,7 +122,7 @@ def given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:
     for k in range(1, count):
         joint[k, :, k] = known[k].covariance
     joint[1:, :, 1:] += np.einsum('aij,jk,blk->aibl', moved[1:], known[0].covariance, moved[1:])
-    return PlaceChain(poses, joint.reshape(3 * count, 3 * count))
+    return PlaceChain(poses, joint.reshape(3 * count, 3 * count), 'sweep/pose')
 
 
 def carried_on(

@@ -14,11 +14,7 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import PanoramaStages
 from landmark_nav.learning.unmeasured import learn_located, locate_sweeps, UnmeasuredConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.sweep_places import (
-    carried_on,
-    given_places,
-    places_by_odometry,
-)
+from landmark_nav.localization.sweep_places import carried_on, known_places
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.messages import decode
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
@@ -90,23 +86,29 @@ class UnmeasuredLearner:
 
         """
         recorded = [self._sweeps[stamp] for stamp in sorted(self._sweeps)]
-        source = self._scale_source(recorded)
 
         def sweeps() -> Iterator[Sweep]:
             depth = decode.BitDepth()
             return (sweep.decoded(depth, self._node.drop) for sweep in recorded)
 
-        def known(_stamped: Sequence[Sweep]) -> PlaceChain:
-            if source == 'sweep/pose':
-                return given_places([sweep.pose_map_base for sweep in recorded])
-            spans = [sweep.span_ns for sweep in recorded]
-            return places_by_odometry(spans, list(self._odometry), self._config.odometry)
+        given = [sweep.pose_map_base for sweep in recorded]
+        spans = [sweep.span_ns for sweep in recorded]
+        odometry = list(self._odometry)
+        sheets = self._config.unmeasured.sheets
+        if not (any(given) or odometry or sheets.has_papers or sheets.has_markers):
+            raise LandmarkNavError(
+                'nothing gives the scale: connect odom and sweep again, publish sweep/pose, hang '
+                'sheets (unmeasured.sheets), or measure walls and papers and give room_file'
+            )
+
+        def known(_stamped: Sequence[Sweep]) -> list[PlaceChain]:
+            return known_places(given, spans, odometry, self._config.odometry)
 
         unmeasured = self._config.unmeasured
         mount = self._given.mount
         located = locate_sweeps(sweeps, known, mount, self._config, unmeasured, StageLog())
         result = learn_located(located, self._config, unmeasured)
-        learned = replace(result.map, prior=self._given, provenance=located.provenance(source))
+        learned = replace(result.map, prior=self._given, provenance=located.provenance)
         return replace(result, map=learned)
 
     def place_now(self, result: LearningResult) -> PoseEstimate | None:
@@ -115,16 +117,6 @@ class UnmeasuredLearner:
             return None
         place = base_from_axis(result.map.panorama_poses[-1], self._given.mount)
         return carried_on(place, list(self._odometry), self._config.odometry)
-
-    def _scale_source(self, recorded: Sequence[RecordedSweep]) -> str:
-        if any(sweep.pose_map_base is not None for sweep in recorded):
-            return 'sweep/pose'
-        if self._odometry:
-            return 'odom'
-        raise LandmarkNavError(
-            'nothing gives the scale: connect odom and sweep again, publish sweep/pose, or '
-            'measure walls and papers and give room_file'
-        )
 
     def _on_sweep(self, sweep: RecordedSweep) -> None:
         if not sweep.frames:

@@ -77,11 +77,37 @@ def test_the_map_serves_a_drive(learned: tuple[dict[str, Any], Path], tmp_path: 
     assert run['availability'] > 0.9
 
 
+def test_papers_at_unknown_places_give_the_scale(tmp_path: Path) -> None:
+    words = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
+    words += ['--paper-size', '0.210', '0.297', '--json', str(tmp_path / 'learn.json')]
+    assert main(words) == 0
+    learned = json.loads((tmp_path / 'learn.json').read_text())
+    truth = truth_of_bag(Bag(BAGS / 'learn'))
+    expected = se2.relative(truth.poses[0], truth.poses[-1])
+    x, y, _ = learned['sweeps'][1]['pose']
+    scale = np.hypot(x, y) / np.hypot(*expected[:2])
+    found = learned['unmeasured']
+    assert list(found['sources']) == ['papers']
+    assert abs(scale - 1.0) < 3.0 * float(found['scale_sigma'])
+    assert scale == pytest.approx(1.0, abs=0.005)
+
+
+def test_papers_whose_size_is_wrong_contradict_odometry(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweeps = with_odometry(BAGS / 'learn', tmp_path / 'sweeps')
+    words = ['learn', str(sweeps), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
+    assert main([*words, '--paper-size', '0.148', '0.210']) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert all(word in line for word in ('odom', 'papers', 'sigma'))
+    assert not (tmp_path / 'map').exists()
+
+
 def test_without_any_scale_the_ways_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
     assert main(words) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert all(way in line for way in ('odom', 'sweep/pose', '--room'))
+    assert all(way in line for way in ('odom', 'sweep/pose', '--paper-size', '--room'))
     assert not (tmp_path / 'map').exists()

@@ -10,7 +10,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.sweep_places import (
     carried_on,
-    given_places,
+    known_places,
     places_by_odometry,
 )
 from landmark_nav.types import OdometrySample, PoseEstimate
@@ -62,7 +62,7 @@ def test_a_pose_is_carried_on_with_what_odometry_adds() -> None:
 def test_errors_of_given_poses_are_relative_to_the_first() -> None:
     first = PoseEstimate(1, np.array([1.0, 2.0, 0.5]), np.diag([1e-4, 1e-4, 1e-6]))
     second = PoseEstimate(2, np.array([3.0, 2.0, 0.1]), np.diag([4e-4, 1e-4, 4e-6]))
-    places = given_places([first, second])
+    (places,) = known_places([first, second], [], [], CONFIG)
     np.testing.assert_array_equal(places.poses[0], first.pose)
     rng = np.random.default_rng(3)
     draws = np.array(
@@ -95,4 +95,4 @@ def test_odometry_that_does_not_say_is_refused(
 def test_a_sweep_without_its_pose_is_named() -> None:
     given = PoseEstimate(1, np.zeros(3), np.eye(3))
     with pytest.raises(LandmarkNavError, match='sweep 2 has no sweep/pose'):
-        given_places([given, None])
+        known_places([given, None], [], [], CONFIG)
