@@ -59,6 +59,8 @@ setup(
             'ros-trajectory-msgs==5.5.1',
             'ros-visualization-msgs==5.5.1',
         ],
+        # The site in docs/; furo for phones and dark mode.
+        'docs': ['furo>=2025.7', 'myst-parser>=4.0', 'sphinx>=8.1'],
         # Linters are pinned: another version would format and complain differently.
         # evo is what others measure trajectories with: our errors must be the same.
         'dev': [
