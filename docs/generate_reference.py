@@ -75,6 +75,8 @@ TOPICS = {
     'odometry_fusion/odometry_path': 'way by odometry alone, at most 5 Hz',
     'triangulation_localizer/debug_image/compressed': 'image with expected windows and matches, '
     'while somebody subscribes',
+    'triangulation_localizer/markers': 'field of view, rays to the triplet and to what is found',
+    'odometry_fusion/markers': 'robot, covariance and protection level for RViz and Foxglove',
     'triplet_selector/triplet_scores': 'triplets with their [reason](../architecture.md#codes)',
     'triplet_selector/landmark_visibility': 'landmarks with their '
     '[reason](../architecture.md#codes)',
