@@ -265,7 +265,7 @@ def _commands() -> Iterator[str]:
     from landmark_nav.cli.main import COMMANDS
 
     yield from ('# Commands', '', 'What `landmark-nav COMMAND --help` prints.')
-    for name, (module, summary) in COMMANDS.items():
+    for name, (module, summary, *_) in COMMANDS.items():
         yield from ('', f'## {name}', '', f'{summary[0].upper()}{summary[1:]}.', '')
         yield from ('```text', _help(name), '```')
         for action in _subcommands(module):
