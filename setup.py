@@ -67,6 +67,8 @@ setup(
             'ros-trajectory-msgs==5.5.1',
             'ros-visualization-msgs==5.5.1',
         ],
+        # The site in docs/; furo for phones and dark mode.
+        'docs': ['furo>=2025.7', 'myst-parser>=4.0', 'sphinx>=8.1'],
         # Many bags at once, on one machine or several; Parquet is what tables are kept in.
         'batch': ['distributed>=2024.5', 'pyarrow>=16.0'],
         # Linters are pinned: another version would format and complain differently.
