@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.diagnosis.causes import Cause, IMAGES, JOINTS, ODOMETRY, Verdict
+from landmark_nav.diagnosis.causes import Cause, IMAGES, JOINTS, MOUNT, ODOMETRY, Verdict
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
 from landmark_nav.diagnosis.units import nearness_of_room, unit_of
@@ -130,6 +130,45 @@ def _named(cause: Cause) -> Finding:
             'error',
             'its pose does not turn as the camera does, its twist does',
             'publish the pose that the twist sums up to',
+        )
+    if cause.kind == 'speed':
+        return Finding(
+            'pan unit',
+            'error',
+            'summed up, the pan is what the images turn by: it holds speeds, not angles',
+            'publish angles as position in joint_states',
+        )
+    if cause.kind == 'heading':
+        return Finding(
+            'pan frame',
+            'error',
+            'the pan has the yaw of odom in it: it is an angle against the room',
+            'publish the angle of the joint, against the robot',
+        )
+    if cause.kind == 'bias':
+        return Finding(
+            'odom yaw',
+            'error',
+            f'drifts by {np.degrees(-value):.1f} deg/s against the images',
+            'calibrate the gyro while the robot stands',
+            {'bias_rad_s': -value},
+        )
+    if cause.kind == 'curve':
+        return Finding(
+            'odom yaw',
+            'error',
+            f'curves by {np.degrees(-value):.0f} deg/m against the images',
+            'calibrate the radii of the wheels, on a straight line',
+            {'curve_rad_m': -value},
+        )
+    if stream == MOUNT:
+        side = {'ahead': ('ahead', 'behind'), 'left': ('to the left', 'to the right')}[cause.kind]
+        return Finding(
+            'camera mount',
+            'error',
+            f'the pan axis is {abs(value):.1f} m {side[value < 0.0]} of where robot.yaml has it',
+            'measure pan_axis xyz: metres ahead, to the left and up of base_link',
+            {f'{cause.kind}_m': value},
         )
     return {JOINTS: _pan_scale, ODOMETRY: _yaw_scale, IMAGES: _image_scale}[stream](value)
 

@@ -305,7 +305,9 @@ class _Drive:
         late = cause.value if cause.kind == 'clock' and abs(cause.value) <= CORRECTED_S else 0.0
         by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
         sigma = max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S)
-        pan_sigma_s = sigma if late and cause.stream != ODOMETRY else 0.0
+        pan_sigma_s = sigma if cause.stream != ODOMETRY else 0.0
+        if not late:
+            return found, Delays(), False
         return found, Delays(**{by_stream[cause.stream]: late}, pan_sigma_s=pan_sigma_s), False
 
     def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
@@ -353,7 +355,8 @@ class _Drive:
             turns[good],
             Track.of(streams[0].seconds, self._mount.pan_sense * _angles(streams[0])),
             odometry,
-            (self._mount.axis_xyz[0], self._mount.axis_xyz[1]),
+            self._mount.axis_xyz[:2],
+            self._mount.optical_center_offset[:2],
             float(self._mount.azimuth_base_rad(0.0)),
         )
 
