@@ -514,7 +514,7 @@ FURTHER = {
         (),
         _SAME,
         '(camera|papers)',
-        'height|higher|lower',
+        'height|higher|lower|pan_axis xyz',
         robot=lambda m: replace(m, axis_xyz=m.axis_xyz[::-1]),
     ),
     'camera pitched by 0.3 rad': StreamError(

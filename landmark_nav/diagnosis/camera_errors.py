@@ -27,7 +27,15 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-__all__ = ['CameraError', 'CameraSetup', 'Corners', 'Matches', 'camera_error', 'corners', 'matched']
+__all__ = [
+    'CameraError',
+    'CameraSetup',
+    'Corners',
+    'Matches',
+    'camera_error',
+    'corners',
+    'matched',
+]
 
 # Corners are looked for in images of this width, and so many.
 _WIDTH, _MOST_CORNERS = 320, 400
@@ -153,15 +161,13 @@ def _rolled(setup: CameraSetup, value: float) -> CameraSetup:
     return replace(setup, mount=replace(setup.mount, camera_roll_rad=roll))
 
 
-def _lens(setup: CameraSetup, **change: float) -> CameraSetup:
+def _lens(setup: CameraSetup, **change: Any) -> CameraSetup:
     return replace(setup, camera=replace(setup.camera, **change))
 
 
 def _bent(setup: CameraSetup, value: float) -> CameraSetup:
     first, *rest = setup.camera.coefficients.tolist()
-    return replace(
-        setup, camera=replace(setup.camera, distortion=(first + value, *rest))
-    )
+    return replace(setup, camera=replace(setup.camera, distortion=(first + value, *rest)))
 
 
 # A search begins at the best of these shares of the reach, if one is better than nothing.
@@ -170,10 +176,15 @@ _TRIED = (-0.5, -0.1, 0.1, 0.5)
 
 @dataclass(frozen=True)
 class _Error:
-    """A number of lens or mount: what adds to it, where a search begins, how far it goes."""
+    """
+    A number of lens or mount: what adds to it, where a search begins, how far it goes.
+
+    What is off by less than `matters` is within what localization and learning estimate.
+    """
 
     change: Callable[[CameraSetup, float], CameraSetup]
     reach: float
+    matters: float = 0.05
     starts: tuple[float, ...] = (0.0,)
 
 
@@ -182,7 +193,7 @@ _ERRORS = {
     'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), 0.6),
     'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), 0.6),
     'axis roll': _Error(lambda s, v: _mounted(s, roll=v), 0.6),
-    'roll': _Error(_rolled, 0.6, (0.0, _QUARTER, -_QUARTER, np.pi)),
+    'roll': _Error(_rolled, 0.6, starts=(0.0, _QUARTER, -_QUARTER, np.pi)),
     'focal length': _Error(
         lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v), fy=s.camera.fy * np.exp(v)), 0.7
     ),
@@ -212,18 +223,19 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     if not len(matches.pairs) or matches.pairs[-1] + 1 < _LEAST_PAIRS:
         return None
     none = _score(matches, setup)
+    level = replace(matches, tilts_rad=np.zeros_like(matches.tilts_rad))
+    if matches.tilts_rad.any() and (without := _score(level, setup)) > none + _CERTAIN:
+        matches, none = level, without  # of another joint
     found = {name: _best(matches, setup, error, none) for name, error in _ERRORS.items()}
     name = max(found, key=lambda key: found[key][1])
     value, score = found[name]
-    if score < none + _CERTAIN:
+    if score < none + _CERTAIN or abs(value) < _ERRORS[name].matters:
         return None
     also = tuple(key for key in found if key != name and found[key][1] > score - _ALIKE)
     return CameraError(name, value, _ERRORS[name].change(setup, value), also)
 
 
-def _best(
-    matches: Matches, setup: CameraSetup, error: _Error, none: float
-) -> tuple[float, float]:
+def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> tuple[float, float]:
     """The likeliest value, and its score; `none` is that of 0."""
 
     def badness(value: float) -> float:

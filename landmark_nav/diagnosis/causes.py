@@ -50,6 +50,8 @@ _FIRST_NOISE_RAD = 0.01
 
 # A step of a robot goes along its heading to this, forwards or backwards.
 _ALONG_RAD, _STEP_S = 0.1, 0.2
+# Usual places of a pan axis in a base and of an optical centre beside its axis.
+_AXIS_M, _OFFSET_M = 0.3, 0.1
 # Values of one parameter are searched for on this grid, as shares of its range, and then between.
 _GRID = np.linspace(-1.0, 1.0, 21)
 
@@ -67,7 +69,8 @@ class Cause:
         Whose fault: ``images``, ``joint_states``, ``odom`` or ``pan_axis``.
     kind : str
         ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed`` and ``heading``
-        (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead`` and ``left``.
+        (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``, ``left``,
+        ``offset`` and ``upside down`` (of the mount).
     motion : Motion
         Without the fault.
     left : Fit
@@ -187,6 +190,8 @@ def _cause(
     left = explained(motion)
     score = left.log_likelihood - 0.5 * parameters * np.log(max(len(motion), 2))
     score += _along(motion)
+    score -= 0.5 * float(np.sum(np.square(motion.axis_xy) / _AXIS_M**2))
+    score -= 0.5 * float(np.sum(np.square(motion.offset_xy) / _OFFSET_M**2))
     return Cause(stream, kind, motion, left, float(score), value, name, offset_s)
 
 
@@ -226,11 +231,19 @@ def _others(motion: Motion) -> Iterator[Cause]:
         x, y = motion.axis_xy
         return replace(motion, axis_xy=(x + ahead_m, y + left_m))
 
+    def offset(ahead_m: float) -> Motion:
+        x, y = motion.offset_xy
+        return replace(motion, offset_xy=(x + ahead_m, y))
+
+    # A camera the other way up sees what one sees whose robot turns the other way.
+    hanging = replace(motion, turns_rad=-motion.turns_rad, pan=replace(pan, values=-pan.values))
+    yield _cause(MOUNT, 'upside down', hanging, 1 if motion.hangs else 3)
     for stream, kind, reach, change in (
         (ODOMETRY, 'bias', 1.0, lambda value: again(bias_rad_s=value)),
         (ODOMETRY, 'curve', 3.0, lambda value: again(curve_rad_m=value)),
         (MOUNT, 'ahead', 2.0, lambda value: moved(value, 0.0)),
         (MOUNT, 'left', 2.0, lambda value: moved(0.0, value)),
+        (MOUNT, 'offset', 1.0, offset),
     ):
         yield _best(stream, kind, change, reach)
 
@@ -291,8 +304,9 @@ def _scales(motion: Motion) -> Iterator[Cause]:
             yield _cause(stream, 'scale', changed, 1, scale)
             if motion.odometry is not None:
                 # Or the path was summed up with that yaw.
-                track = driven_again(motion.odometry, yaw_scale=scale)
-                yield _cause(stream, 'scale', replace(motion, odometry=track), 1, scale)
+                for value in (scale, float(np.sign(scale))):
+                    track = driven_again(motion.odometry, yaw_scale=value)
+                    yield _cause(stream, 'scale', replace(motion, odometry=track), 1, value)
 
 
 def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:

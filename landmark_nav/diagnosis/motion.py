@@ -10,8 +10,8 @@ From one image to the next the camera turns by
          + bias * (time) + curve * (path by odometry)
 
 and both scales are 1, bias and curve 0, where all is well. `nearness` is the mean inverse distance
-of what is seen; `sideways` is 0 unless the camera is turned on the robot. The noise is Student's t: images are
-mistaken now and then (Lange, Little, Taylor, J. Am. Stat. Assoc. 84, 1989).
+of what is seen; `sideways` is 0 unless the camera is turned on the robot. The noise is Student's
+t: images are mistaken now and then (Lange, Little, Taylor, J. Am. Stat. Assoc. 84, 1989).
 """
 
 from __future__ import annotations
@@ -136,6 +136,8 @@ class Motion:
         Optical centre from the axis, in the frame that turns.
     ahead_rad : float
         Azimuth in ``base_link`` of pan 0.
+    hangs : bool
+        Whether the camera is given as upside down.
     pan_clock, odometry_clock : Clock
         Of these streams.
 
@@ -149,6 +151,7 @@ class Motion:
     axis_xy: tuple[float, float] = (0.0, 0.0)
     offset_xy: tuple[float, float] = (0.0, 0.0)
     ahead_rad: float = 0.0
+    hangs: bool = False
     pan_clock: Clock = field(default_factory=Clock)
     odometry_clock: Clock = field(default_factory=Clock)
     pan_scale: float = 1.0
@@ -317,6 +320,7 @@ class Linear:
     Each of these four is what it would be if the others were 0.
     """
 
+    quiet: bool
     pan_scale: Estimate
     yaw_scale: Estimate
     pan_clock_s: Estimate
@@ -327,7 +331,13 @@ class Linear:
     curve_rad_m: Estimate
     ahead_m: Estimate
     left_m: Estimate
-    quiet: bool
+
+    @property
+    def heading_rad(self) -> Estimate:
+        """By how much the camera looks farther left than pan and mount say."""
+        size = float(np.hypot(self.nearness.value, self.sideways.value))
+        sigma = max(self.nearness.sigma, self.sideways.sigma) / max(size, 1e-9)
+        return Estimate(float(np.arctan2(-self.sideways.value, self.nearness.value)), sigma)
 
     @property
     def fits(self) -> bool:
@@ -370,4 +380,4 @@ def linear(motion: Motion) -> Linear:
     # A lever shows by how it moves what is seen.
     near = max(abs(found.values[4]), 1e-3)
     small[-2:] = (Estimate(*(float(v) / near for v in lever)) for lever in small[-2:])
-    return Linear(*small, quiet=found.quiet)
+    return Linear(found.quiet, *small)
