@@ -94,6 +94,8 @@ def cause_findings(judged: Verdict) -> list[Finding]:
 
 # Of what images show of lens and mount, more is an error: radians, or a share of the focal length.
 _CAMERA_OFF = 0.14
+_ZOOM = 'calibrate the camera at the size and zoom that are published'
+_SQUARE = 'calibrate again: pixels are square, if the driver does not stretch images'
 
 
 def camera_finding(error: CameraError) -> Finding:
@@ -102,7 +104,20 @@ def camera_finding(error: CameraError) -> Finding:
     degrees = abs(np.degrees(value))
     rpy = ', '.join(f'{angle:.3f}' for angle in mount.axis_rpy)
     share = 100.0 * abs(np.expm1(-value))
+    of_lens = {
+        name: (
+            'camera lens',
+            f'{what} in camera_info is {share:.0f} % too {"short" if value > 0.0 else "long"}',
+            advice,
+        )
+        for name, what, advice in (
+            ('focal length', 'the focal length', _ZOOM),
+            ('fx', 'fx', _SQUARE),
+            ('fy', 'fy', _SQUARE),
+        )
+    }
     name, text, advice = {
+        **of_lens,
         'tilt': (
             'camera tilt',
             f'looks {degrees:.0f} deg {"higher" if value > 0.0 else "lower"} than mount and tilt '
@@ -123,17 +138,6 @@ def camera_finding(error: CameraError) -> Finding:
             'camera roll',
             f'images are turned by {np.degrees(value):.0f} deg',
             f'set camera_roll: {mount.camera_roll_rad:.4f} in robot.yaml, or turn them',
-        ),
-        'focal length': (
-            'camera lens',
-            f'the focal length in camera_info is {share:.0f} % too '
-            f'{"short" if value > 0.0 else "long"}',
-            'calibrate the camera at the size and zoom that are published',
-        ),
-        'fy': (
-            'camera lens',
-            f'fy in camera_info is {share:.0f} % too {"short" if value > 0.0 else "long"}',
-            'calibrate again: pixels are square, if the driver does not stretch images',
         ),
         'cx': (
             'camera lens',
@@ -350,7 +354,7 @@ def _image_scale(seen: float) -> Finding:
         'camera lens',
         'error' if abs(off) > 10.0 else 'warning',
         f'the focal length in camera_info is {abs(off):.0f} % too {side}',
-        'calibrate the camera at the size and zoom that are published',
+        _ZOOM,
         {'scale': seen},
     )
 

@@ -48,6 +48,8 @@ _INDEPENDENT = 4
 _MOST_MATCHES, _SPACING_PX, _TRACKED_PX = 50, 12.0, 20.0
 _SPARSE = 8
 _LEAST_PAIRS = 10
+# A tilt that moves by less stands.
+_LEVEL_RAD = 0.02
 # Likelihoods this near are alike, and this far above none an error is one.
 _ALIKE, _CERTAIN = 5.0, 12.0
 
@@ -197,6 +199,7 @@ _ERRORS = {
     'focal length': _Error(
         lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v), fy=s.camera.fy * np.exp(v)), 0.7
     ),
+    'fx': _Error(lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v)), 0.7),
     'fy': _Error(lambda s, v: _lens(s, fy=s.camera.fy * np.exp(v)), 0.7),
     'cx': _Error(lambda s, v: _lens(s, cx=s.camera.cx + v * s.camera.fx), 0.4),
     'cy': _Error(lambda s, v: _lens(s, cy=s.camera.cy + v * s.camera.fy), 0.4),
@@ -224,7 +227,8 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
         return None
     none = _score(matches, setup)
     level = replace(matches, tilts_rad=np.zeros_like(matches.tilts_rad))
-    if matches.tilts_rad.any() and (without := _score(level, setup)) > none + _CERTAIN:
+    moving = np.ptp(matches.tilts_rad) > _LEVEL_RAD
+    if moving and (without := _score(level, setup)) > none + _CERTAIN:
         matches, none = level, without  # of another joint
     found = {name: _best(matches, setup, error, none) for name, error in _ERRORS.items()}
     name = max(found, key=lambda key: found[key][1])
@@ -285,17 +289,19 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
     moved = np.stack(
         [wrap_rad(azimuth_after - azimuth - turn[k]), (slope_after - slope) * level], -1
     )
-    residuals, sigma = moved, max(float(np.median(np.abs(moved))), _LEAST_SIGMA_RAD)
+    # Depths disturb azimuths more than elevations.
+    residuals = moved
+    sigma = np.maximum(np.median(np.abs(moved), axis=0), _LEAST_SIGMA_RAD)
     for _ in range(_ITERATIONS):
         weights = (_FREEDOM + 1.0) / (_FREEDOM + (residuals / sigma) ** 2)
-        weighted = weights[..., None] * columns
+        weighted = (weights / sigma**2)[..., None] * columns
         information = _sums(np.einsum('nri,nrj->nij', weighted, columns), k)
         trace = np.trace(information, axis1=1, axis2=2)
         information += (1e-6 * trace[:, None, None] + 1e-12) * np.eye(3)
         right = _sums(np.einsum('nri,nr->ni', weighted, moved), k)
         local = np.linalg.solve(information, right[..., None])[..., 0]
         residuals = moved - np.einsum('nri,ni->nr', columns, local[k])
-        sigma = max(float(np.sqrt(np.mean(weights * residuals**2))), _LEAST_SIGMA_RAD)
+        sigma = np.maximum(np.sqrt(np.mean(weights * residuals**2, axis=0)), _LEAST_SIGMA_RAD)
     each = -np.log(sigma) - 0.5 * (_FREEDOM + 1.0) * np.log1p((residuals / sigma) ** 2 / _FREEDOM)
     # What was measured are pixels, whatever angle a lens gives them.
     in_pixels = each.sum(1).mean() + _log_angle_per_px(matches, setup)

@@ -183,7 +183,8 @@ class _Drive:
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
             looks = look(self._bag, self._images, infos, setup, THOROUGH)
             found, delays, _ = self._judged(looks)
-        return Diagnosis((*of_camera, *found), delays)
+        said = {finding.name for finding in of_camera}
+        return Diagnosis((*of_camera, *(f for f in found if f.name not in said)), delays)
 
     def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
         """Findings, delays, and whether joints and odometry explain what the images show."""
