@@ -78,7 +78,9 @@ def check_path(stream: Stream) -> Path | None:
     own = float(np.abs(np.sum(weight * (direction / heading) ** 2)))
     mirrored = float(np.abs(np.sum(weight * (direction * heading) ** 2)))
     aside = float(np.angle(np.sum(weight * direction / heading)))  # mostly forwards
-    if own > _AGREES and abs(aside) > _ASIDE_RAD:
+    # A robot may well drive backwards; one that drives straight shows nothing.
+    turned = min(abs(aside), np.pi - abs(aside)) > _ASIDE_RAD
+    if own > _AGREES >= mirrored and turned:
         finding = Finding(
             'odom path',
             'error',
