@@ -192,9 +192,9 @@ class _Error:
 
 _QUARTER = 0.5 * np.pi
 _ERRORS = {
-    'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), 0.6),
-    'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), 0.6),
-    'axis roll': _Error(lambda s, v: _mounted(s, roll=v), 0.6),
+    'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), 1.0),
+    'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), 1.0),
+    'axis roll': _Error(lambda s, v: _mounted(s, roll=v), 1.0),
     'roll': _Error(_rolled, 0.6, starts=(0.0, _QUARTER, -_QUARTER, np.pi)),
     'focal length': _Error(
         lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v), fy=s.camera.fy * np.exp(v)), 0.7
