@@ -45,7 +45,7 @@ setup(
         'scipy>=1.11.2',
         'opencv-python-headless>=4.6.0.66',
         'PyYAML>=6.0.1',
-        'Jinja2>=3.1.2',
+        'jinja2>=3.1.2',
         'rosbags>=0.11.6',
         'mcap>=1.0.0',
         'lz4>=4.0.2',

@@ -22,6 +22,7 @@ MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
 # its requirements.
 DISTRIBUTIONS = {
     'python3-argcomplete': 'argcomplete',
+    'python3-jinja2': 'jinja2',
     'python3-matplotlib': 'matplotlib',
     'python3-numpy': 'numpy',
     'python3-opencv': 'opencv-python-headless',
