@@ -22,7 +22,7 @@ from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
 from landmark_nav.diagnosis import diagnose, QUICK
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
 from landmark_nav.evaluation.report import check_report, learning_page, write_report
@@ -228,7 +228,15 @@ def _config(args: argparse.Namespace) -> LearningStages:
         'marker_dictionary': args.marker_dictionary,
     }
     sizes = {name: value for name, value in given.items() if value is not None}
-    sheets = replace(config.unmeasured.sheets, **sizes)
+    if sizes and args.room:
+        raise UsageError(
+            '--paper-size and --marker-size give the scale where there is no --room: leave out '
+            'one of them'
+        )
+    try:
+        sheets = replace(config.unmeasured.sheets, **sizes)
+    except LandmarkNavError as error:
+        raise UsageError(str(error)) from error
     return replace(config, unmeasured=replace(config.unmeasured, sheets=sheets))
 
 

@@ -40,14 +40,14 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(
     start(LEARNER, robot_file=ROBOT, map_folder=str(folder))
     starts: list[Any] = []
     client.listen('initialpose', starts.append)
-    client.wait(lambda: {SYNTHESIZER, LEARNER} <= client.status.keys(), 30.0, 'the nodes')
+    client.wait(lambda: {SYNTHESIZER, LEARNER} <= client.status.keys(), 60.0, 'the nodes')
     with pytest.raises(LandmarkNavError, match=r'odom.*sweep/pose.*room_file'):
         client.call('learn_landmarks', 30.0)
     player = play(sweeps, 10.0)
-    client.wait(lambda: client.status_of(LEARNER).values['panoramas'] == '2', 60.0, 'two sweeps')
+    client.wait(lambda: client.status_of(LEARNER).values['panoramas'] == '2', 120.0, 'two sweeps')
     client.wait(lambda: len(client.panoramas) == 2, 60.0, 'their panoramas')
-    player.wait(60.0)
-    answer = client.call('learn_landmarks', 120.0)
+    player.wait(120.0)
+    answer = client.call('learn_landmarks', 240.0)
     assert 'metres from odom' in answer
     client.call('save_map', 20.0)
     learned = load_map(folder)
@@ -66,7 +66,7 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(
         start(name, robot_file=ROBOT, use_sim_time=True)
     client.wait(
         lambda: client.status_of('odometry_fusion').values.get('landmarks', '0') != '0',
-        30.0,
+        60.0,
         'the map',
     )
     drive = truth_of_bag(Bag(RECORDED / 'drive')).seen_from(truth.poses[0])
@@ -79,4 +79,4 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(
         return bool(np.hypot(*off[:2]) < 0.05 and abs(off[2]) < np.radians(1.0))
 
     play(RECORDED / 'drive', 0.5)
-    client.wait(is_right, 30.0, 'the pose in the map, which nobody gave')
+    client.wait(is_right, 60.0, 'the pose in the map, which nobody gave')

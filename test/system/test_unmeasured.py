@@ -103,6 +103,24 @@ def test_papers_whose_size_is_wrong_contradict_odometry(
     assert not (tmp_path / 'map').exists()
 
 
+@pytest.mark.parametrize(
+    'words',
+    [
+        ['--paper-size', '-1', '2'],
+        ['--paper-size', '0.2', '0'],
+        ['--marker-size', '0.1', '--marker-dictionary', 'none'],
+        ['--paper-size', '0.2', '0.3', '--room', str(BAGS / 'room.yaml')],
+    ],
+)
+def test_sizes_that_are_none_are_wrong_usage(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
+    assert main([*given, *words]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert len(line) < 200
+
+
 def test_without_any_scale_the_ways_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

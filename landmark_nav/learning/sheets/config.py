@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.parameters import Config, parameter
 
@@ -31,7 +31,7 @@ class SheetsConfig(Config):
         0.0, 'side of the black square of markers, metres', minimum=0, maximum=5
     )
     marker_dictionary: str = parameter(
-        'DICT_4X4_50', 'dictionary of the markers, as OpenCV names it', choices=_DICTIONARIES
+        'DICT_4X4_50', 'dictionary of the markers, as OpenCV names it'
     )
     size_sigma: float = parameter(
         0.002, 'standard deviation of these sizes, a share', minimum=1e-5, maximum=0.1
@@ -41,11 +41,16 @@ class SheetsConfig(Config):
     )
 
     def __post_init__(self) -> None:
-        """Check that sizes come in pairs and colours have a hue."""
+        """Check that sizes come in pairs, colours have a hue and the dictionary is known."""
         super().__post_init__()
         if (self.paper_width_m > 0.0) != (self.paper_height_m > 0.0):
             raise LandmarkNavError(
                 f'papers of {self.paper_width_m:g} m x {self.paper_height_m:g} m: give both sides'
+            )
+        if self.marker_dictionary not in _DICTIONARIES:
+            raise LandmarkNavError(
+                f'marker dictionary {shown(self.marker_dictionary)}: take one that OpenCV has, as '
+                'DICT_4X4_50, DICT_6X6_250 or DICT_APRILTAG_36h11'
             )
         for color in self.paper_colors.split():
             paper_bgr(color)
