@@ -208,13 +208,17 @@ class RobotClient:
         self._initial_pose.publish(encode.pose(ros_factory, estimate))
 
     @contextmanager
-    def recording(self, path: Path, topics: Sequence[str], mount: PanTiltMount) -> Iterator[None]:
+    def recording(
+        self, path: Path, topics: Sequence[str], mount: PanTiltMount | None = None
+    ) -> Iterator[None]:
         """
         Record public topics, as serialised, while in the block.
 
         Given the mount, the bag holds the transforms of the robot as well.
         """
         transforms = None if mount is None else RobotTransforms(mount)
+        # Transforms are made at the end: this thread steers the robot meanwhile.
+        kept: list[tuple[str, bytes, int]] = []
         with BagWriter(path) as bag:
 
             def writer(topic: str) -> Callable[[Any], None]:
@@ -223,8 +227,8 @@ class RobotClient:
                 def write(data: bytes) -> None:
                     now_ns = time.time_ns()
                     bag.write_serialized(topic, kind, data, now_ns)
-                    for name, message in transforms.of(topic, data) if transforms else ():
-                        bag.write(name, message, now_ns)
+                    if transforms is not None and topic in transforms.topics:
+                        kept.append((topic, data, now_ns))
 
                 return write
 
@@ -243,6 +247,10 @@ class RobotClient:
             finally:
                 for subscription in subscriptions:
                     self._node.destroy_subscription(subscription)
+            if transforms is not None:
+                for topic, data, stamp_ns in kept:
+                    for name, message in transforms.of(topic, data):
+                        bag.write(name, message, stamp_ns)
 
     def _last_heard(self) -> str:
         """Last reports of the nodes, which often hold the reason."""
