@@ -217,6 +217,8 @@ class RobotClient:
         Given the mount, the bag holds the transforms of the robot as well.
         """
         transforms = None if mount is None else RobotTransforms(mount)
+        # Transforms are made at the end: this thread steers the robot meanwhile.
+        kept: list[tuple[str, bytes, int]] = []
         with BagWriter(path) as bag:
 
             def writer(topic: str) -> Callable[[Any], None]:
@@ -225,8 +227,8 @@ class RobotClient:
                 def write(data: bytes) -> None:
                     now_ns = time.time_ns()
                     bag.write_serialized(topic, kind, data, now_ns)
-                    for name, message in transforms.of(topic, data) if transforms else ():
-                        bag.write(name, message, now_ns)
+                    if transforms is not None and topic in transforms.topics:
+                        kept.append((topic, data, now_ns))
 
                 return write
 
@@ -245,6 +247,10 @@ class RobotClient:
             finally:
                 for subscription in subscriptions:
                     self._node.destroy_subscription(subscription)
+            if transforms is not None:
+                for topic, data, stamp_ns in kept:
+                    for name, message in transforms.of(topic, data):
+                        bag.write(name, message, stamp_ns)
 
     def _last_heard(self) -> str:
         """Last reports of the nodes, which often hold the reason."""

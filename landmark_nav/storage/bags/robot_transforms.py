@@ -44,6 +44,11 @@ class RobotTransforms:
             'joint_states': self._of_joints,
         }
 
+    @property
+    def topics(self) -> set[str]:
+        """Topics from which transforms follow."""
+        return {'camera/camera_info', *self._of}
+
     def of(self, topic: str, data: bytes) -> Iterator[tuple[str, Any]]:
         """Topic and message of the transforms that follow from a message as serialised."""
         if topic == 'camera/camera_info':
