@@ -80,7 +80,9 @@ def true_places(drive: Bag) -> PoseTrack:
     )
 
 
-@pytest.mark.parametrize(('arrive_late', 'estimator'), [(False, 'filter'), (True, 'filter')])
+@pytest.mark.parametrize(
+    ('arrive_late', 'estimator'), [(False, 'filter'), (True, 'filter'), (True, 'joint')]
+)
 def test_late_joint_states_are_measured_and_images_turned_by_it(
     arrive_late: bool,
     localizing: None,
@@ -134,7 +136,7 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
     assert np.mean(np.array(turning) >= 3) > 0.5
 
 
-@pytest.mark.parametrize('estimator', ['filter'])
+@pytest.mark.parametrize('estimator', ['filter', 'joint'])
 def test_a_place_that_is_found_is_not_sure_of_a_heading_that_late_joint_states_turned(
     localizing: None,
     client: RobotClient,

@@ -79,7 +79,7 @@ class Watch:
         return bool(np.hypot(*error[:2]) < 0.05 and abs(error[2]) < np.radians(1.0))
 
 
-@pytest.mark.parametrize('estimator', ['filter'])
+@pytest.mark.parametrize('estimator', ['filter', 'joint'])
 def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
     estimator: str,
     start: Callable[..., None],
