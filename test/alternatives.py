@@ -32,7 +32,7 @@ from landmark_nav.evaluation.true_places import truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.fusion import FusionConfig, PoseFilter
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map

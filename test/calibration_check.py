@@ -42,8 +42,8 @@ from landmark_nav.learning.pipeline import (
     PanoramaStages,
 )
 from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.joint_delay import PanMotion
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.late_joints import PanMotion
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map

@@ -22,7 +22,7 @@ import numpy as np
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import bearings
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.room_generator import generate_scene

@@ -25,6 +25,7 @@ import sys
 import time
 
 import cv2
+from landmark_nav.localization.observation import ObservationConfig
 import numpy as np
 from scipy.sparse import coo_matrix, vstack
 from scipy.sparse.linalg import spsolve
@@ -36,8 +37,7 @@ from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.detection.appearance import APPEARANCES
-from landmark_nav.localization.observation import ObservationConfig
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     bearing_gradients,

@@ -24,8 +24,7 @@ from faults import degraded, faults, FOR_GOOD_S
 import numpy as np
 
 from landmark_nav.evaluation.metrics import pose_errors, undetected_failures
-from landmark_nav.localization.joint_localizer import JointLocalizer
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
@@ -83,7 +82,7 @@ class Outcome:
 
 def outcome(
     events: Iterator[Any],
-    localizer: Localizer | JointLocalizer,
+    localizer: Localizer | Localizer,
     start: FloatArray,
     at_s: float,
     over_s: float,
@@ -137,11 +136,9 @@ def main() -> int:
                 for topic, message, log in degraded(bag, name, fault, at_s):
                     written.write(topic, message, log)
             over_s = fault.seconds if fault.topics else 0.0
-            localizer: Localizer | JointLocalizer = Localizer(
-                landmarks, mount, LocalizationConfig()
-            )
+            localizer: Localizer | Localizer = Localizer(landmarks, mount, LocalizationConfig())
             if args.joint:
-                localizer = JointLocalizer(landmarks, calibration, LocalizationConfig())
+                localizer = Localizer(landmarks, calibration, LocalizationConfig())
             done = outcome(sensor_events(Bag(path), mount), localizer, start, at_s, over_s)
         print(f'{name:44}{done}', flush=True)
         good &= not done.wrong_s > REPORTED_S and np.isfinite(done.back_s)

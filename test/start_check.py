@@ -18,7 +18,7 @@ import numpy as np
 
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks

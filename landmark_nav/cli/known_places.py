@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.localization.odometry.motions import chained, motions_between
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.smoother.motion import chained, motions_between
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.message_filter import MessageFilter

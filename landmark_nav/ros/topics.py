@@ -81,7 +81,6 @@ _PROFILES = (
         'odometry/fused',
         'odometry_fusion/protection_level',
         'expectation',
-        'joint_delay',
     ),
 )
 

@@ -13,8 +13,8 @@ import pytest
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection.height import CameraTilt
-from landmark_nav.localization.detection.prior import PriorTrack
+from landmark_nav.localization.detection.rows import CameraTilt
+from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import Relocalizer
@@ -32,8 +32,8 @@ SURE, WIDE = 1e-4 * np.eye(3), np.eye(3)
 
 
 @pytest.fixture
-def prior() -> PriorTrack:
-    return PriorTrack(0.5)
+def prior() -> ExpectedPoses:
+    return ExpectedPoses(0.5)
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def ended() -> Future[None]:
 
 @pytest.fixture
 def search(
-    prior: PriorTrack, reported: list[Any], services: dict[str, Any], ended: Future[None]
+    prior: ExpectedPoses, reported: list[Any], services: dict[str, Any], ended: Future[None]
 ) -> PlaceSearch:
     publisher = SimpleNamespace(publish=reported.append)
 
@@ -76,7 +76,7 @@ def search(
     return made
 
 
-def fuse(prior: PriorTrack, stamp_ns: int, covariance: np.ndarray) -> None:
+def fuse(prior: ExpectedPoses, stamp_ns: int, covariance: np.ndarray) -> None:
     pose = PoseEstimate(stamp_ns, np.zeros(3), covariance)
     prior.add(pose, OdometrySample(stamp_ns, np.zeros(3)))
 
@@ -86,7 +86,9 @@ def test_nobody_reported_the_place(search: PlaceSearch) -> None:
     assert search.active
 
 
-def test_a_fused_pose_that_is_late_is_waited_for(search: PlaceSearch, prior: PriorTrack) -> None:
+def test_a_fused_pose_that_is_late_is_waited_for(
+    search: PlaceSearch, prior: ExpectedPoses
+) -> None:
     fuse(prior, 0, SURE)
     search.consider(SECOND)
     assert not search.active
@@ -97,7 +99,7 @@ def test_a_fused_pose_that_is_late_is_waited_for(search: PlaceSearch, prior: Pri
     assert not search.active
 
 
-def test_a_pose_that_is_not_known(search: PlaceSearch, prior: PriorTrack) -> None:
+def test_a_pose_that_is_not_known(search: PlaceSearch, prior: ExpectedPoses) -> None:
     fuse(prior, 0, WIDE)
     search.consider(0)
     assert search.active
@@ -204,7 +206,7 @@ def test_who_calls_while_a_place_is_looked_for_gets_the_same_answer(
 def test_a_call_is_not_ended_by_a_pose_that_was_asked_for_before(
     search: PlaceSearch,
     services: dict[str, Any],
-    prior: PriorTrack,
+    prior: ExpectedPoses,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     call = services['relocalize']()

@@ -8,7 +8,8 @@ import numpy as np
 from place_scenes import MAP, MOUNT, ROOM, SCENE, sweep
 from scenes import textured_room
 
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.calibration import Calibration
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate
 
 OTHER = textured_room(ROOM, seed=23, feature_m=0.045)
@@ -17,7 +18,7 @@ POSE = (2.4, 1.9, 0.4)
 
 def reported(frames: list[CameraFrame]) -> tuple[list[str], int]:
     """What the state says with each image of a robot that turns its camera, and places found."""
-    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer = Localizer(MAP, Calibration.exact(MOUNT), LocalizationConfig())
     statuses, places = [], 0
     for k, frame in enumerate(frames):
         for tick in range(4):

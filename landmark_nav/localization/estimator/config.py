@@ -62,6 +62,9 @@ class EstimatorConfig(Config):
     step_sigma_m: float = parameter(
         0.02, 'Sigma of such a motion of the base, m.', minimum=0.0, maximum=10.0
     )
+    history_s: float = parameter(
+        2.0, 'How late a measurement may come, s.', minimum=0.0, maximum=60.0
+    )
     learning_sigma: float = parameter(
         1.0,
         'How far noise may differ from its parameters: sigma of the logarithm of a factor on its '

@@ -9,7 +9,7 @@ from landmark_nav.messages.encode.cameras import camera_info
 from landmark_nav.messages.encode.detections import detections, triplet
 from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.encode.images import compressed_image, image
-from landmark_nav.messages.encode.joints import joint_delay, joint_state, sweep_trajectory
+from landmark_nav.messages.encode.joints import joint_state, sweep_trajectory
 from landmark_nav.messages.encode.landmarks import landmark_map
 from landmark_nav.messages.encode.panoramas import panorama
 from landmark_nav.messages.encode.poses import expectation, global_pose, odometry, pose
@@ -22,7 +22,6 @@ __all__ = [
     'global_pose',
     'header',
     'image',
-    'joint_delay',
     'joint_state',
     'landmark_map',
     'odometry',

@@ -39,7 +39,6 @@ TOPIC_TYPES = {
     'odometry/fused': 'nav_msgs/msg/Odometry',
     'odometry_fusion/protection_level': 'geometry_msgs/msg/PoseWithCovarianceStamped',
     'expectation': 'sensor_msgs/msg/PointCloud2',
-    'joint_delay': 'sensor_msgs/msg/PointCloud2',
     'tf': 'tf2_msgs/msg/TFMessage',
     'tf_static': 'tf2_msgs/msg/TFMessage',
 }

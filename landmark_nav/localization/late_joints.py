@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import hypot
 from typing import NamedTuple
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
-from landmark_nav.types import CameraFrame, Detections, JointSample
+from landmark_nav.types import CameraFrame, JointSample
 
 __all__ = [
     'DELAY_BOUND_S',
@@ -17,7 +16,6 @@ __all__ = [
     'PanError',
     'PanMotion',
     'in_time',
-    'seen_in_time',
 ]
 
 # Over a shorter time the slope of the pan is mostly noise.
@@ -86,9 +84,8 @@ class JointDelay:
 
 
 class PanMotion(NamedTuple):
-    """Azimuth in ``base_link`` where a camera looks, its rate and its track."""
+    """Rate and track of the azimuth in ``base_link`` where a camera looks."""
 
-    azimuth_rad: float
     rate_rad_s: float
     track: PanTrack | None
 
@@ -97,22 +94,12 @@ class PanMotion(NamedTuple):
         """Of an image, or of joint states."""
         track = joints.pan_track
         return cls(
-            float(mount.azimuth_base_rad(joints.pan_rad)),
             mount.pan_sense * joints.pan_rate_rad_s,
             track and PanTrack(track.seconds, mount.azimuth_base_rad(track.pans_rad)),
         )
 
 
-def in_time(frame: CameraFrame, late: JointDelay) -> tuple[CameraFrame, float]:
-    """Return an image with its pan corrected for the delay, and the sigma of that pan, rad."""
-    if not (late.delay_s or late.sigma_s):
-        return frame, frame.pan_sigma_rad
-    lag = late.lag(frame.pan_rate_rad_s, frame.pan_track)
-    sigma = hypot(frame.pan_sigma_rad, lag.rate_rad_s * late.sigma_s, lag.bend_rad)
-    return replace(frame, pan_rad=frame.pan_rad + lag.shift_rad), sigma
-
-
-def seen_in_time(seen: Detections, late: JointDelay) -> Detections:
-    """Return bearings corrected for a delay, whichever delay they were computed with."""
-    lag = late.lag(seen.pan_rate_rad_s, seen.pan_track, seen.pan_delay_s)
-    return replace(seen, bearing_rad=seen.bearing_rad + lag.shift_rad, pan_delay_s=late.delay_s)
+def in_time(frame: CameraFrame, delay_s: float) -> CameraFrame:
+    """Return an image with the pan that it had if joint states are stamped so much later."""
+    lag = JointDelay(delay_s).lag(frame.pan_rate_rad_s, frame.pan_track)
+    return replace(frame, pan_rad=frame.pan_rad + lag.shift_rad)

@@ -21,7 +21,7 @@ from landmark_nav.localization.estimator import (
 )
 from landmark_nav.localization.estimator.filter import State
 from landmark_nav.localization.estimator.timeline import REACH_NS, Timeline
-from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay, PanMotion, STILL
+from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion, STILL
 from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
@@ -38,7 +38,7 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['JointFusion']
+__all__ = ['Fusion']
 
 _LOG = logging.getLogger(__name__)
 
@@ -58,7 +58,7 @@ _TRUSTED = 4.0
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
 
 
-class JointFusion:
+class Fusion:
     """
     Pose, calibration and map errors out of whatever comes when; offline and in the node.
 
@@ -68,8 +68,6 @@ class JointFusion:
         Landmarks with their joint covariance.
     calibration : Calibration
         Prior of mount, lens and clocks.
-    window_s : float
-        How late a measurement may come.
 
     """
 
@@ -79,14 +77,12 @@ class JointFusion:
         calibration: Calibration,
         config: EstimatorConfig | None = None,
         odometry: OdometryNoiseConfig | None = None,
-        window_s: float = 2.0,
     ) -> None:
         self._map, self._prior = landmark_map, calibration
         self._config, self._odometry = (
             config or EstimatorConfig(),
             odometry or OdometryNoiseConfig(),
         )
-        self._window_s = window_s
         self._track, self._clock = OdometryTrack(self._odometry), ClockWatch()
         self._line: Timeline | None = None
         # The state when images last spoke for the pose beyond doubt.
@@ -115,7 +111,7 @@ class JointFusion:
 
         """
         ends = self._track.stamps_ns
-        recent = ends and (max(ends[0], ends[1] - round(1e9 * self._window_s)), ends[1])
+        recent = ends and (max(ends[0], ends[1] - round(1e9 * self._config.history_s)), ends[1])
         self._place(checked_start(start, recent, now_ns))
 
     def place(
@@ -152,7 +148,7 @@ class JointFusion:
         line, ends, stamp = self._line, self._track.stamps_ns, sample.stamp_ns
         if ends is not None:
             newest = ends[1] if line is None else line.newest_ns
-            window_ns = round(1e9 * self._window_s)
+            window_ns = round(1e9 * self._config.history_s)
             step = self._clock.judge(stamp, ends[1], newest, window_ns)
             seconds = f'{1e-9 * (stamp - ends[1]):.1f} s'
             if step is ClockStep.AHEAD:
@@ -337,7 +333,7 @@ class JointFusion:
         self._integrity, self._unlikely = Integrity(), ()
 
     def _begin(self, joint: JointFilter) -> None:
-        self._line, self._update = Timeline(joint, self._track, self._window_s), None
+        self._line, self._update = Timeline(joint, self._track, self._config.history_s), None
 
     def _set_back(self, sample: OdometrySample) -> None:
         """Go on from the newest pose by another clock (a bag that starts over)."""
