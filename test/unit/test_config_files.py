@@ -65,7 +65,7 @@ def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> No
 @pytest.mark.parametrize(
     ('text', 'complaint'),
     [
-        ('fusion: {}', "no parameter 'fusio': there are"),
+        ('fusion: {}', "no parameter 'fusion': there are"),
         ('/**: {ros__parameters: {joint: {}}}', 'is a file for ROS'),
         ('joint: {tail: 4}', "joint: no parameter 'tail'"),
         ('observation: {detection: {appearance: x}}', 'parameter appearance .* take one of'),

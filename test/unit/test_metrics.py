@@ -198,10 +198,9 @@ def silent_odometry():
     )
 
 
-def image(stamp, variance, mount):
-    """What was measured must not matter."""
+def image(stamp, variance, mount, pose):
     count = len(PLACES)
-    bearings = se2.bearings([0.4, -0.3, 0.4], PLACES)
+    bearings = se2.bearings(mount.axis_pose_map(pose), PLACES)
     return ImagePoints.of_bearings(
         stamp, np.arange(count), bearings, np.full(count, variance), mount
     )
@@ -216,7 +215,7 @@ def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
     truth = PoseTrack.of([(k * SECOND // 10, pose) for k in range(times * 10)])
     prior = np.diag([0.1**2, 0.2**2, 0.1**2])
     mount = PanTiltMount(axis_xyz=(lever, 0.0, 1.0), pan_sigma_rad=0.0)
-    images = [image(k * SECOND, 1e-6, mount) for k in range(times)]
+    images = [image(k * SECOND, 1e-6, mount, pose) for k in range(times)]
     exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
     start = PoseEstimate(0, pose + 0.1, prior)
     return (
@@ -253,6 +252,6 @@ def test_bound_is_unknown_without_truth():
     world = landmarks(1e-6 * np.eye(3), np.zeros((3, 1)))
     for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
         mount = PanTiltMount()
-        known, seen = Calibration.of_mount(mount), image(SECOND, 1e-6, mount)
+        known, seen = Calibration.of_mount(mount), image(SECOND, 1e-6, mount, np.zeros(3))
         bound = posterior_bound(truth, [seen], world, known, config, start)
         assert np.isnan(bound).all()

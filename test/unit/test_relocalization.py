@@ -297,9 +297,7 @@ def test_what_odometry_may_have_erred_by_is_left_open() -> None:
 @pytest.mark.parametrize(
     ('tilt_rad', 'roll_rad'), [(0.035, 0.0), (-0.035, 0.0), (0.0, 0.035), (0.015, -0.02)]
 )
-def test_a_camera_that_was_displaced_finds_its_place_and_how_it_looks(
-    tilt_rad: float, roll_rad: float
-) -> None:
+def test_a_camera_that_was_displaced_finds_its_place(tilt_rad: float, roll_rad: float) -> None:
     pose = (2.4, 1.9, 0.4)
     # The joints, as drawn, are those of a camera that looks higher than they say.
     displaced = [
@@ -319,4 +317,3 @@ def test_a_camera_that_was_displaced_finds_its_place_and_how_it_looks(
         if isinstance(outcome, PoseEstimate):
             break
     assert_right(outcome, pose)
-    np.testing.assert_allclose(relocalizer.tilt_roll_rad, (tilt_rad, roll_rad), atol=2e-3)

@@ -144,6 +144,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         'realtime_factor',
         'result_hash',
         'spells',
+        'calibration',
         'odometry_noise',
         'sighting_sigma',
         'found',

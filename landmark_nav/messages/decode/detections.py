@@ -38,7 +38,7 @@ def detections(msg: Any) -> Detections:
 
     """
     points, stamp = unpack_cloud(msg, DETECTIONS), stamp_ns(msg.header)
-    delay = points['joint_delay'][:1].tolist() or [0.0]
+    (delay,) = seconds(points['joint_delay'][:1].tolist() or [0.0], 'detections delay', stamp)
     # Other sensors may see a landmark twice at a time.
     landmark_ids(points['id'], 'detections', unique=False)
     missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
@@ -56,7 +56,7 @@ def detections(msg: Any) -> Detections:
         finite(found['score'], 'detections score', stamp),
         finite(np.stack([found['u'], found['v']], -1), 'detections pixel', stamp),
         points['id'][missed],
-        joint_delay_s=seconds(delay, 'detections delay', stamp)[0],
+        joint_delay_s=delay,
         points=places if of_image else places[:0],
         point_covariance=spread if of_image else spread[:0],
         near=near if near.any() else None,
