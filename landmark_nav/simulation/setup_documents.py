@@ -64,7 +64,8 @@ def robot_document(mount: PanTiltMount) -> str:
         document['pan_sigma'] = float(mount.pan_sigma_rad)
     return _yaml(
         'pose of the pan axis in base_link at pan 0 (the camera then looks along +x), and of the\n'
-        '# optical centre from the axis, in metres and radians; sigmas: what the maker of a simulated robot knows',
+        '# optical centre from the axis, in metres and radians; sigmas: what the maker of a\n'
+        '# simulated robot knows',
         document,
     )
 
