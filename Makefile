@@ -31,7 +31,7 @@ install: .venv/installed
 .venv/installed: $(PACKAGED)
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	rm -rf build
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[ros,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[ros,dev,batch]'
 	touch $@
 
 demo: install

@@ -45,6 +45,7 @@ setup(
         'zstandard>=0.22.0',
         'matplotlib>=3.6.0',
         'tqdm>=4.66.0',
+        'argcomplete>=3.1.4',
     ],
     extras_require={
         # ROS 2 as wheels, for machines without a ROS 2 of their own; std_msgs, rosgraph_msgs and
@@ -59,6 +60,8 @@ setup(
             'ros-trajectory-msgs==5.5.1',
             'ros-visualization-msgs==5.5.1',
         ],
+        # Many bags at once, on one machine or several; Parquet is what tables are kept in.
+        'batch': ['distributed>=2024.5', 'jinja2>=3.1', 'pyarrow>=16.0'],
         # Linters are pinned: another version would format and complain differently.
         # evo is what others measure trajectories with: our errors must be the same.
         'dev': [

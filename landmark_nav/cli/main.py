@@ -8,8 +8,9 @@ missing optional dependency breaks its own command alone.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
+import difflib
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
@@ -18,34 +19,84 @@ import os
 from pathlib import Path
 import signal
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 import warnings
 
-from landmark_nav.errors import LandmarkNavError, one_line, UsageError, why
+from landmark_nav.errors import LandmarkNavError, one_line, shown, UsageError, why
 from landmark_nav.signals import interrupting
 from landmark_nav.threads import keep_to_one_thread
 
 __all__ = ['main']
 
-# Command -> its module and what it does.
+# Command -> its module, what it does, and an example.
 COMMANDS = {
-    'demo': ('demo', 'learn, drive and localize with a simulated robot (ROS)'),
-    'learn': ('learn', 'make a map out of a bag of sweeps'),
-    'calibrate': ('calibrate', 'a better robot.yaml out of sweeps and drives'),
-    'check': ('check', 'say what is wrong with a recording'),
-    'evaluate': ('evaluate', 'run a drive bag through the localizer and measure its errors'),
-    'panorama': ('panorama', 'make a panorama out of a sweep'),
-    'plan': ('plan', 'propose where to take panoramas'),
-    'simulate': ('simulate', 'write bags of simulated sweeps and drives'),
-    'convert': ('convert', 'make a bag and a map of the log of another project'),
-    'play': ('play', 'play a bag onto topics with /clock (ROS)'),
-    'up': ('up', 'start all nodes, with a simulated robot if need be (ROS)'),
-    'call': ('call', 'call a service of the nodes (ROS)'),
-    'drive': ('drive', 'drive the robot by keys (ROS)'),
-    'status': ('status', 'print how the nodes are (ROS)'),
-    'map': ('maps', 'list, check, compare, join maps'),
-    'figures': ('figures', 'draw the figures of Livatino and Madsen from own data'),
-    'bench': ('bench', 'time every stage beside a reference'),
+    'demo': (
+        'demo',
+        'learn, drive and localize with a simulated robot (ROS)',
+        'demo --out demo',
+    ),
+    'learn': (
+        'learn',
+        'make a map out of a bag of sweeps',
+        'learn bags/learn --room bags/room.yaml --robot bags/robot.yaml --out map',
+    ),
+    'calibrate': (
+        'calibrate',
+        'a better robot.yaml out of sweeps and drives',
+        'calibrate drive --map map --robot robot.yaml --out better.yaml',
+    ),
+    'check': (
+        'check',
+        'say what is wrong with a recording',
+        'check drive --robot robot.yaml --map map',
+    ),
+    'evaluate': (
+        'evaluate',
+        'run a drive bag through the localizer and measure its errors',
+        'evaluate bags/drive --map map --robot bags/robot.yaml --report run.html',
+    ),
+    'panorama': (
+        'panorama',
+        'make a panorama out of a sweep',
+        'panorama sweep --out panorama.png',
+    ),
+    'plan': (
+        'plan',
+        'propose where to take panoramas',
+        'plan --room room.yaml --robot robot.yaml --positions 3 --out plan.yaml',
+    ),
+    'simulate': (
+        'simulate',
+        'write bags of simulated sweeps and drives',
+        'simulate --out room --seed 7 --light-change',
+    ),
+    'convert': (
+        'convert',
+        'make a bag and a map of the log of another project',
+        'convert mrclam MRCLAM_Dataset1 --robot 1 --out mrclam',
+    ),
+    'play': ('play', 'play a bag onto topics with /clock (ROS)', 'play bags/drive --rate 2'),
+    'up': ('up', 'start all nodes, with a simulated robot if need be (ROS)', 'up --sim'),
+    'call': ('call', 'call a service of the nodes (ROS)', 'call learn_landmarks'),
+    'drive': ('drive', 'drive the robot by keys (ROS)', 'drive'),
+    'status': ('status', 'print how the nodes are (ROS)', 'status'),
+    'batch': (
+        'batch',
+        'many recordings at once, one table',
+        'batch jobs.yaml --out results --against earlier',
+    ),
+    'map': ('maps', 'list, check, compare, join maps', 'map show map'),
+    'figures': (
+        'figures',
+        'draw the figures of Livatino and Madsen from own data',
+        'figures --out figures',
+    ),
+    'bench': ('bench', 'time every stage beside a reference', 'bench --json bench.json'),
+    'completion': (
+        'completion',
+        'print what makes a shell complete commands',
+        'completion bash >> ~/.bash_completion',
+    ),
 }
 
 # Options that name what is written.
@@ -76,7 +127,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors='backslashreplace')
     arguments = sys.argv[1:] if argv is None else list(argv)
-    name = next((word for word in arguments if not word.startswith('-')), '')
+    # A shell that completes a line gives it in the environment.
+    words = os.environ.get('COMP_LINE', '').split()[1:] or arguments
+    name = next((word for word in words if not word.startswith('-')), '')
     try:
         status = _run(name, arguments)
         _flush()
@@ -119,30 +172,64 @@ def _run(name: str, arguments: list[str]) -> int:
         '2 wrong usage.',
     )
     parser.add_argument('--version', action='version', version=f'landmark-nav {_version()}')
-    parser.add_argument('-v', '--verbose', action='store_true', help='say what is being done')
+    _add_verbosity(parser, 0)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
-    command = None
-    for known, (module, summary) in COMMANDS.items():
+    command, asked = None, parser
+    for known, (module, summary, example) in COMMANDS.items():
         subparser = commands.add_parser(known, help=summary)
         if known == name:
+            asked = subparser
             # What OpenCV says of a broken image, beside the line of ours that names the file.
             os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
             command = import_module(f'landmark_nav.cli.{module}')
             command.add_arguments(subparser)
+            _add_verbosity(subparser, argparse.SUPPRESS)
+            listed = f'{subparser.epilog}\n\n' if subparser.epilog else ''
+            subparser.epilog = f'{listed}example: landmark-nav {example}'
+    if '_ARGCOMPLETE' in os.environ:
+        import_module('argcomplete').autocomplete(parser)
     if not arguments:
         parser.print_help(sys.stderr)
         return 2
     try:
         if '' in arguments:
             parser.error('an argument is empty: is a variable of the shell not set?')
-        args = parser.parse_args(arguments)
+        if name and command is None:
+            parser.error(f'{shown(name)} is no command{_meant(name, COMMANDS)}')
+        args, strange = parser.parse_known_args(arguments)
+        if strange:
+            options = _meant(strange[0], asked._option_string_actions)
+            asked.error(f'{shown(strange[0])} is not understood{options}')
     except SystemExit as stop:  # argparse has printed its help or what is wrong
         return stop.code if isinstance(stop.code, int) else 2
     assert command is not None, 'argparse requires a known command'
-    _set_up_logging(args.verbose)
+    _set_up_logging(args.verbosity)
     _check_apart(args)
     with interrupting():
         return int(command.run(args))
+
+
+def _add_verbosity(parser: argparse.ArgumentParser, default: Any) -> None:
+    """Declare how much is said; after the command as well as before it."""
+    group = parser.add_mutually_exclusive_group()
+    for flags, value, text in (
+        (('-v', '--verbose'), 1, 'say what is being done'),
+        (('-q', '--quiet'), -1, 'no progress and no warnings'),
+    ):
+        group.add_argument(
+            *flags,
+            dest='verbosity',
+            action='store_const',
+            const=value,
+            default=default,
+            help=text,
+        )
+
+
+def _meant(word: str, known: Iterable[str]) -> str:
+    """Return the question whether a known word was meant, if one is like it."""
+    like = difflib.get_close_matches(word.partition('=')[0], list(known), 1)
+    return f': did you mean {like[0]}?' if like else ''
 
 
 def _check_apart(args: argparse.Namespace) -> None:
@@ -169,11 +256,11 @@ def _flush() -> None:
         raise
 
 
-def _set_up_logging(verbose: bool) -> None:
+def _set_up_logging(verbosity: int) -> None:
     """Log to stderr, warnings of libraries included, a line each."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_OneLine('%(levelname)s: %(message)s'))
-    logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
+    logging.basicConfig(level=logging.WARNING - 10 * verbosity, handlers=[handler])
     logging.captureWarnings(True)
     warnings.formatwarning = lambda message, category, *_, **__: f'{category.__name__}: {message}'
 

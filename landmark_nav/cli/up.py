@@ -58,10 +58,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='form of camera/image_raw (default auto)',
     )
     add_namespace(parser)
-    parser.epilog = (
-        'examples: landmark-nav up --sim; '
-        'landmark-nav up --robot robot.yaml --room room.yaml --map kitchen'
-    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -48,9 +48,11 @@ BELOW = {
     'ros': FILES,
     'nodes': {*STAGES, *FILES, 'simulation', *RUN},
     'demo': {*STAGES, *FILES, 'simulation', 'evaluation'},
+    'batch': FILES,
     'cli': {
         *STAGES,
         *FILES,
+        'batch',
         'planning',
         'simulation',
         'evaluation',

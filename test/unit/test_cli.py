@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import argparse
 from importlib import import_module
+import os
+from pathlib import Path
 import subprocess
 import sys
 import types
@@ -210,3 +212,49 @@ def test_arguments_that_cannot_be_are_status_2_and_one_line(
     line = capsys.readouterr().err.splitlines()[-1]
     assert complaint in line
     assert len(line) <= 200
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'meant'),
+    [(['lern', 'bag'], 'learn'), (['evaluate', 'bag', '--mapp', 'map'], '--map')],
+)
+def test_a_slip_of_the_pen_is_answered_by_what_was_meant(
+    arguments: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    required = ['--map', 'map', '--robot', 'robot.yaml'] if arguments[0] == 'evaluate' else []
+    assert main([*arguments, *required]) == 2
+    assert f'{meant}?' in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(('flag', 'shown'), [('-q', False), ('--quiet', False), ('-v', True)])
+def test_a_flag_after_the_command_counts_as_well(
+    flag: str, shown: bool, command: types.ModuleType
+) -> None:
+    level = []
+    command.run = lambda args: level.append(args.verbosity > 0) or 0  # type: ignore[attr-defined]
+    assert main(['learn', 'folder', flag]) == main([flag, 'learn', 'folder']) == 0
+    assert level == [shown, shown]
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_help_ends_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, '--help']) == 0
+    text = ' '.join(capsys.readouterr().out.split())
+    example = text.rpartition('landmark-nav ')[2]
+    assert example == COMMANDS[name][2]
+
+
+@pytest.mark.parametrize(
+    ('line', 'offered'), [('landmark-nav ev', 'evaluate'), ('landmark-nav learn --ro', '--robot')]
+)
+def test_a_shell_completes_commands_and_options(line: str, offered: str, tmp_path: Path) -> None:
+    environment = os.environ | {
+        '_ARGCOMPLETE': '1',
+        '_ARGCOMPLETE_STDOUT_FILENAME': str(tmp_path / 'offered'),
+        'COMP_LINE': line,
+        'COMP_POINT': str(len(line)),
+        '_ARGCOMPLETE_COMP_WORDBREAKS': ' ',
+    }
+    command = [sys.executable, '-m', 'landmark_nav']
+    subprocess.run(command, env=environment, timeout=120, check=False)
+    assert offered in (tmp_path / 'offered').read_text()

@@ -21,6 +21,7 @@ MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
 # rosdep key -> what pip calls it. There is no key for mcap: rosdep users have it from pip, with
 # its requirements.
 DISTRIBUTIONS = {
+    'python3-argcomplete': 'argcomplete',
     'python3-matplotlib': 'matplotlib',
     'python3-numpy': 'numpy',
     'python3-opencv': 'opencv-python-headless',
@@ -112,7 +113,7 @@ def test_every_third_party_import_is_declared(setup_arguments: dict[str, Any]) -
                 is_python = name in names(setup_arguments['install_requires']) or name in modules
                 (python if is_python else ros).add(modules.get(name, name))
     assert python == names(setup_arguments['install_requires'])
-    assert ros <= depends()
+    assert ros <= depends() | names(setup_arguments['extras_require']['batch'])
 
 
 def test_the_extra_has_the_ros_dependencies(setup_arguments: dict[str, Any]) -> None:

@@ -1,0 +1,246 @@
+"""A file of runs as the stages that they need: commands of `landmark-nav`, each done once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+import hashlib
+from itertools import product
+import json
+from pathlib import Path
+from typing import Any
+
+from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.storage.fields import check_spelling, list_field, name_field
+from landmark_nav.storage.reading import read_yaml_mapping
+
+__all__ = ['COMMANDS', 'Run', 'Stage', 'read_runs']
+
+# Commands in the order of a run, and what each reads of those before, if the file names nothing:
+# option -> (command, place in its folder), the nearest first.
+COMMANDS: dict[str, dict[str, tuple[tuple[str, str], ...]]] = {
+    'simulate': {},
+    'learn': {
+        'bag': (('simulate', 'out/learn'),),
+        'room': (('simulate', 'out/room.yaml'),),
+        'robot': (('simulate', 'out/robot.yaml'),),
+    },
+    'calibrate': {
+        'bags': (('simulate', 'out/drive'),),
+        'map': (('learn', 'out'),),
+        'robot': (('simulate', 'out/robot.yaml'),),
+    },
+    'evaluate': {
+        'bag': (('simulate', 'out/drive'),),
+        'map': (('learn', 'out'),),
+        'robot': (('calibrate', 'out'), ('simulate', 'out/robot.yaml')),
+    },
+}
+# What a run gives for all of its stages.
+_SHARED = {'robot': ('learn', 'calibrate', 'evaluate'), 'room': ('learn', 'calibrate')}
+# Options that name files or folders.
+_PATHS = ('bag', 'bags', 'room', 'robot', 'map', 'camera')
+# What the batch itself gives.
+_OWN = ('out', 'json', 'report', 'overwrite')
+_MOST_RUNS = 100_000
+
+
+@dataclass(frozen=True)
+class Stage:
+    """
+    One command.
+
+    Attributes
+    ----------
+    command : str
+        Of `landmark-nav`.
+    arguments : tuple of str
+        What it is given but outputs; ``@KEY/PLACE`` is a file of another stage.
+    config : str
+        Content of its ``--config``, empty for none.
+    after : tuple of str
+        Keys of the stages whose results it reads.
+    key : str
+        Of all that its result depends on: command, arguments, content of files, `after`.
+
+    """
+
+    command: str
+    arguments: tuple[str, ...]
+    config: str
+    after: tuple[str, ...]
+    key: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """A row of the table: stages in order, and the values of the grid that it has."""
+
+    name: str
+    values: dict[str, Any]
+    stages: tuple[Stage, ...]
+
+
+def read_runs(path: Path, version: str) -> list[Run]:
+    """
+    Read a file of runs.
+
+    Parameters
+    ----------
+    path : Path
+        YAML with `runs`, a list of mappings (docs/batch.md), and `grid`.
+    version : str
+        Of the package: results of another one are not taken.
+
+    Raises
+    ------
+    LandmarkNavError
+        The file does not say what to run.
+
+    """
+    document = read_yaml_mapping(path)
+    check_spelling(document, ('runs', 'grid'), str(path))
+    grid = _grid(document.get('grid', {}), str(path))
+    runs: dict[str, Run] = {}
+    for number, entry in enumerate(list_field(document, 'runs', str(path)), 1):
+        where = f'{path}: run {number}'
+        if not isinstance(entry, Mapping) or not set(COMMANDS) & set(entry):
+            raise LandmarkNavError(f'{where}: names none of {", ".join(COMMANDS)}')
+        known = ('name', 'folder', *_SHARED, *COMMANDS)
+        check_spelling(entry, known, where)
+        if strange := [key for key in entry if key not in known]:
+            raise LandmarkNavError(f'{where}: {shown(strange[0])} is none of {", ".join(known)}')
+        for folder in _folders(path.parent, entry, where):
+            for values in grid:
+                run = _run(entry, folder, values, version, where)
+                # Values of the grid for other commands make no other run.
+                if runs.setdefault(run.name, run) != run:
+                    raise LandmarkNavError(f'{where}: another run is called {run.name}')
+                if len(runs) > _MOST_RUNS:
+                    raise LandmarkNavError(f'{path}: more than {_MOST_RUNS} runs')
+    if not runs:
+        raise LandmarkNavError(f'{path}: holds no run')
+    return list(runs.values())
+
+
+def _grid(given: Any, where: str) -> list[dict[str, Any]]:
+    """Every combination of values."""
+    if not isinstance(given, Mapping):
+        raise LandmarkNavError(f'{where}: grid is {shown(given)}, not a mapping of lists')
+    for name in given:
+        command, _, option = str(name).partition('.')
+        if command not in COMMANDS or not option:
+            raise LandmarkNavError(
+                f'{where}: grid: {shown(name)}: write COMMAND.OPTION or COMMAND.config.NAME'
+            )
+    columns = [list_field(given, name, f'{where}: grid') for name in given]
+    return [dict(zip(map(str, given), row, strict=True)) for row in product(*columns)]
+
+
+def _folders(base: Path, entry: Mapping[str, Any], where: str) -> Iterator[Path]:
+    """Where the relative paths of a run begin: a run for each folder that `folder` matches."""
+    pattern = name_field(entry, 'folder', where, '.')
+    if Path(pattern).is_absolute():
+        base, pattern = Path(Path(pattern).anchor), str(Path(pattern).relative_to('/'))
+    folders = [base] if pattern in ('.', '') else sorted(base.glob(pattern))
+    folders = [folder for folder in folders if folder.is_dir()]
+    if not folders:
+        raise LandmarkNavError(f'{where}: no folder is like {pattern} in {base}')
+    yield from folders
+
+
+def _run(
+    entry: Mapping[str, Any], folder: Path, values: dict[str, Any], version: str, where: str
+) -> Run:
+    """Build the run of an entry, in a folder, with values of the grid that concern it."""
+    values = {name: value for name, value in values.items() if name.partition('.')[0] in entry}
+    name = name_field(entry, 'name', where, '') or folder.resolve().name
+    if name_field(entry, 'folder', where, '.') not in ('.', '') and 'name' in entry:
+        name += f' {folder.name}'
+    name += ''.join(f' {key}={value}' for key, value in values.items())
+    stages: dict[str, Stage] = {}
+    for command in COMMANDS:
+        if command in entry:
+            where_it_is = f'{where}: {command}'
+            options = _options(entry, command, values, where_it_is)
+            stages[command] = _stage(command, options, stages, folder, version, where_it_is)
+    return Run(name, values, tuple(stages.values()))
+
+
+def _options(
+    entry: Mapping[str, Any], command: str, values: Mapping[str, Any], where: str
+) -> dict[str, Any]:
+    """Return options of a command: those of its run, its own, and those of the grid."""
+    given = entry[command] or {}
+    if not isinstance(given, Mapping):
+        raise LandmarkNavError(f'{where} is {shown(given)}, not a mapping of options')
+    options = {key: entry[key] for key, users in _SHARED.items() if key in entry}
+    options = {key: value for key, value in options.items() if command in _SHARED[key]}
+    options |= json.loads(json.dumps(given, default=str))
+    for name, value in values.items():
+        path = name.split('.')
+        if path[0] != command:
+            continue
+        at = options
+        for part in path[1:-1]:
+            at = at.setdefault(part, {})
+            if not isinstance(at, dict):
+                raise LandmarkNavError(f'{where}: grid: {name}: {part} is no mapping')
+        at[path[-1]] = value
+    if own := [key for key in options if key in _OWN]:
+        raise LandmarkNavError(f'{where}: {own[0]}: the batch chooses it')
+    return options
+
+
+def _stage(
+    command: str,
+    options: dict[str, Any],
+    before: Mapping[str, Stage],
+    folder: Path,
+    version: str,
+    where: str,
+) -> Stage:
+    config = options.pop('config', {})
+    if isinstance(config, str):
+        options['config'] = config
+    after = {}
+    for option, sources in COMMANDS[command].items():
+        for source, place in sources if option not in options else ():
+            if source in before:
+                options[option] = f'@{before[source].key}/{place}'
+                after[source] = before[source].key
+                break
+    arguments: list[str] = []
+    content = hashlib.sha256(version.encode())
+    for option, value in options.items():
+        words = [str(word) for word in (value if isinstance(value, list) else [value])]
+        if option in (*_PATHS, 'config'):
+            words = [word if word.startswith('@') else str(folder / word) for word in words]
+            for word in words:
+                _add_content(content, Path(word), where)
+        if option in ('bag', 'bags'):
+            arguments = words + arguments
+        elif value is True:
+            arguments.append(_flag(option))
+        elif value is not False and value is not None:
+            arguments += [_flag(option), *words]
+    text = json.dumps(config, sort_keys=True) if config and isinstance(config, dict) else ''
+    content.update(json.dumps([command, arguments, text, sorted(after.values())]).encode())
+    key = f'{command}-{content.hexdigest()[:16]}'
+    return Stage(command, tuple(arguments), text, tuple(after.values()), key)
+
+
+def _flag(option: str) -> str:
+    return '--' + option.replace('_', '-')
+
+
+def _add_content(content: Any, path: Path, where: str) -> None:
+    """Add what tells another content of a file or folder: names, sizes and times."""
+    if str(path).startswith('@'):
+        return
+    if not path.exists():
+        raise LandmarkNavError(f'{where}: {path}: is not there')
+    files = sorted(path.rglob('*')) if path.is_dir() else [path]
+    for file in files:
+        status = file.stat()
+        content.update(f'{file.name} {status.st_size} {status.st_mtime_ns}\n'.encode())

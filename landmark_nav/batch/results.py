@@ -1,0 +1,243 @@
+"""The table of a batch, and two tables compared run by run."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Mapping, Sequence
+import csv
+from dataclasses import dataclass
+from io import StringIO
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy import stats
+
+from landmark_nav.batch.jobs import Run
+from landmark_nav.batch.work import Outcome
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.reading import read_text
+
+__all__ = ['Change', 'compare', 'page', 'read_table', 'row', 'table_csv', 'write_parquet']
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Figure:
+    """A column: where the command writes it, and which way is worse (0: neither)."""
+
+    read: Callable[[Mapping[str, Any]], Any]
+    worse: int = 0
+
+
+_FIGURES: dict[str, dict[str, _Figure]] = {
+    'learn': {'elected': _Figure(lambda r: r['elected'], -1)},
+    'evaluate': {
+        'position_rmse_m': _Figure(lambda r: r['fused']['position_rmse_m'], 1),
+        'position_max_m': _Figure(lambda r: r['fused']['position_max_m'], 1),
+        'heading_rmse_deg': _Figure(lambda r: r['fused']['heading_rmse_deg'], 1),
+        'availability': _Figure(lambda r: r['availability'], -1),
+        'nees': _Figure(lambda r: r['nees']['mean']),
+        'undetected_wrong': _Figure(lambda r: r.get('silently_wrong'), 1),
+        'result_hash': _Figure(lambda r: r['result_hash']),
+    },
+}
+_WORSE = {name: figure.worse for group in _FIGURES.values() for name, figure in group.items()}
+_COSTS = ('cpu_s', 'wall_s', 'memory_mb')
+_THUMBNAIL_PX = 240
+
+
+def row(run: Run, outcome: Outcome, results: Path) -> Row:
+    """Return the table's row of a run: values of the grid, figures, cost, reason of a failure."""
+    figures: Row = {}
+    for stage in run.stages:
+        wanted = _FIGURES.get(stage.command, {})
+        report: Mapping[str, Any] = {}
+        if wanted and not outcome.reason:
+            text = (results / 'stages' / stage.key / 'result.json').read_text(encoding='utf-8')
+            report = json.loads(text)
+        figures |= {name: f.read(report) if report else None for name, f in wanted.items()}
+    costs = {name: round(getattr(outcome, name), 3) for name in _COSTS}
+    return {'run': run.name, **run.values, **figures, **costs, 'failure': outcome.reason}
+
+
+def table_csv(rows: Sequence[Row]) -> str:
+    """Return rows as CSV; numbers with all digits, so that equal tables have equal figures."""
+    text = StringIO()
+    writer = csv.DictWriter(text, _columns(rows), lineterminator='\n')
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def write_parquet(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as a Parquet file."""
+    from pyarrow import parquet, Table
+
+    columns = _columns(rows)
+    parquet.write_table(Table.from_pydict({c: [r.get(c) for r in rows] for c in columns}), path)
+
+
+def _columns(rows: Sequence[Row]) -> list[str]:
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+def read_table(path: Path) -> list[Row]:
+    """
+    Read ``table.csv`` of an earlier batch.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or the folder that holds it.
+
+    Raises
+    ------
+    LandmarkNavError
+        It is no such table.
+
+    """
+    path = path / 'table.csv' if path.is_dir() else path
+    rows = list(csv.DictReader(StringIO(read_text(path))))
+    if not rows or 'run' not in rows[0] or 'failure' not in rows[0]:
+        raise LandmarkNavError(f'{path}: is no table of landmark-nav batch')
+    return [dict(row) for row in rows]
+
+
+@dataclass(frozen=True)
+class Change:
+    """
+    How a figure differs between two batches, over the runs that both have.
+
+    Attributes
+    ----------
+    name : str
+    runs : int
+    before, after : float
+        Means.
+    change, low, high : float
+        Mean of after less before and its 95 % interval (Student's t over pairs).
+    worse : bool
+        The whole interval is on the worse side.
+
+    """
+
+    name: str
+    runs: int
+    before: float
+    after: float
+    change: float
+    low: float
+    high: float
+    worse: bool
+
+
+def compare(after: Sequence[Row], before: Sequence[Row]) -> list[Change]:
+    """Compare two tables run by run; failures count as a figure of 0 or 1."""
+    earlier = {str(row['run']): row for row in before}
+    pairs = [(earlier[row['run']], row) for row in after if row['run'] in earlier]
+    if not pairs:
+        raise LandmarkNavError('--against: no run has the name of one of these runs')
+    failed = [(float(bool(old['failure'])), float(bool(new['failure']))) for old, new in pairs]
+    changes = [_change('failures', np.array(failed), 1)]
+    for name, worse in _WORSE.items():
+        both = [(_number(old.get(name)), _number(new.get(name))) for old, new in pairs]
+        values = np.array([pair for pair in both if None not in pair], dtype=float)
+        if len(values):
+            changes.append(_change(name, values, worse))
+    return changes
+
+
+def _number(value: Any) -> float | None:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return None
+
+
+def _change(name: str, pairs: np.ndarray[Any, Any], worse: int) -> Change:
+    difference = pairs[:, 1] - pairs[:, 0]
+    mean, count = float(difference.mean()), len(difference)
+    half = np.inf
+    if count > 1:
+        spread = float(difference.std(ddof=1)) / np.sqrt(count)
+        half = float(stats.t.ppf(0.975, count - 1)) * spread
+    is_worse = bool(worse * mean - half > 0.0)
+    if name == 'failures':  # a run that fails now is worse, how few there may be
+        is_worse = bool((difference > 0.0).any())
+    before, after = (float(side.mean()) for side in pairs.T)
+    return Change(name, count, before, after, mean, mean - half, mean + half, is_worse)
+
+
+def page(
+    title: str, runs: Sequence[Run], rows: Sequence[Row], changes: Sequence[Change], results: Path
+) -> str:
+    """Return one HTML page: changes, failures with their reason, the table with thumbnails."""
+    from jinja2 import Environment
+
+    by_name = {run.name: run for run in runs}
+    good = [row for row in rows if not row['failure']]
+    columns = [name for name in _columns(rows) if name != 'failure']
+    shown = [(row, _pictures(by_name[row['run']], results)) for row in good]
+    template = Environment(autoescape=True).from_string(_PAGE)
+    return template.render(
+        title=title,
+        shown=shown,
+        failures=[row for row in rows if row['failure']],
+        columns=columns,
+        changes=changes,
+        cell=_cell,
+    )
+
+
+def _cell(value: Any) -> str:
+    return f'{value:.4g}' if isinstance(value, float) else '' if value is None else str(value)
+
+
+def _pictures(run: Run, results: Path) -> list[tuple[str, str]]:
+    """Where a run's pictures lead to, and each as a small image in the page itself."""
+    pictures = []
+    for stage in run.stages:
+        folder = results / 'stages' / stage.key
+        file = folder / 'out' / {'learn': 'map.png'}.get(stage.command, 'trajectory.png')
+        if (image := cv2.imread(str(file)) if file.is_file() else None) is None:
+            continue
+        size = (_THUMBNAIL_PX, round(_THUMBNAIL_PX * image.shape[0] / image.shape[1]))
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        data = base64.b64encode(cv2.imencode('.png', small)[1].tobytes()).decode('ascii')
+        report = folder / 'report.html'
+        target = report if report.is_file() else file
+        pictures.append((str(target.relative_to(results)), data))
+    return pictures
+
+
+_PAGE = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{{ title }}</title>
+<style>
+:root{color-scheme:light dark}body{font:16px/1.4 sans-serif;margin:1rem auto;max-width:80rem;
+padding:0 1rem}table{border-collapse:collapse;display:block;overflow-x:auto}td,th{padding:.2rem
+.6rem;border-bottom:1px solid #8886;text-align:right;white-space:nowrap}td:first-child,
+th:first-child,.left{text-align:left}.left{white-space:normal}img{background:#fff;width:120px}
+.worse{font-weight:bold}
+</style>
+<h1>{{ title }}</h1>
+<p>{{ shown | length }} runs done, {{ failures | length }} failed.</p>
+{% if changes %}<h2>Against the earlier batch</h2>
+<table><tr><th>figure<th>runs<th>before<th>after<th>change<th>95 % interval<th class=left>verdict
+{% for c in changes %}<tr><td>{{ c.name }}<td>{{ c.runs }}<td>{{ cell(c.before) }}
+<td>{{ cell(c.after) }}<td>{{ cell(c.change) }}<td>{{ cell(c.low) }} to {{ cell(c.high) }}
+<td class="left{{ ' worse' if c.worse }}">{{ 'worse' if c.worse else '' }}{% endfor %}</table>
+{% endif %}{% if failures %}<h2>Failures</h2>
+<table><tr><th>run<th class=left>reason
+{% for row in failures %}<tr><td>{{ row.run }}<td class=left>{{ row.failure }}{% endfor %}
+</table>{% endif %}{% if shown %}<h2>Runs</h2>
+<table><tr><th>{% for name in columns %}<th>{{ name }}{% endfor %}
+{% for row, pictures in shown %}<tr><td>{% for link, data in pictures %}<a href="{{ link }}"
+><img src="data:image/png;base64,{{ data }}" alt="{{ row.run }}"></a> {% endfor %}
+{% for name in columns %}<td>{{ cell(row.get(name)) }}{% endfor %}{% endfor %}</table>{% endif %}
+</html>
+"""

@@ -1,0 +1,120 @@
+"""`landmark-nav batch`: many recordings through learn, calibrate and evaluate, one table."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+import re
+
+from landmark_nav.batch.jobs import read_runs, Run
+from landmark_nav.batch.results import (
+    Change,
+    compare,
+    page,
+    read_table,
+    row,
+    table_csv,
+    write_parquet,
+)
+from landmark_nav.batch.work import run_all, stage_arguments
+from landmark_nav.cli.numbers import within
+from landmark_nav.cli.progress import progress
+from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.storage.atomic_io import check_writable, write_atomically
+
+__all__ = ['add_arguments', 'run']
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Run simulate, learn, calibrate and evaluate over many recordings at once, on the cores '
+        'of this machine or on a scheduler of dask.distributed, and write table.csv, '
+        'table.parquet and index.html. What an earlier call has done in DIR is not repeated.'
+    )
+    parser.add_argument('jobs', metavar='JOBS.yaml', type=Path, help='the runs: docs/batch.md')
+    parser.add_argument(
+        '--out', metavar='DIR', type=Path, default=Path('batch'), help='results (default batch)'
+    )
+    parser.add_argument(
+        '--scheduler',
+        metavar='ADDRESS',
+        help='of a scheduler that runs, such as tcp://host:8786; its workers need the same files',
+    )
+    parser.add_argument(
+        '--workers',
+        type=within(int, 1, 1024),
+        metavar='N',
+        help='processes on this machine, without --scheduler (default: one a core)',
+    )
+    parser.add_argument(
+        '--against',
+        metavar='RESULTS',
+        type=Path,
+        help='compare with an earlier batch run by run; exit status 1 where it got worse',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run all; one that fails does not end the others."""
+    runs = read_runs(args.jobs, _version())
+    for one in runs:
+        _check_options(one, args.jobs)
+    before = read_table(args.against) if args.against else None
+    if args.scheduler and not re.fullmatch(r'\w+://\S+', args.scheduler):
+        raise UsageError(f'--scheduler {args.scheduler}: write tcp://HOST:PORT')
+    args.out.mkdir(parents=True, exist_ok=True)
+    check_writable(args.out / 'table.csv')
+    outcomes = {}
+    ended = run_all(runs, args.out, args.scheduler, args.workers)
+    for one, outcome in progress(ended, 'runs', len(runs)):
+        outcomes[one.name] = outcome
+    rows = [row(one, outcomes[one.name], args.out) for one in runs]
+    changes = compare(rows, before) if before else []
+    write_atomically(args.out / 'table.csv', table_csv(rows))
+    write_parquet(rows, args.out / 'table.parquet')
+    title = f'{args.jobs.stem}: {len(runs)} runs'
+    write_atomically(args.out / 'index.html', page(title, runs, rows, changes, args.out))
+    failed = [entry for entry in rows if entry['failure']]
+    for entry in failed:
+        print(f'{entry["run"]}: failed: {entry["failure"]}')
+    for change in changes:
+        print(_change_line(change))
+    print(
+        f'{len(rows) - len(failed)} of {len(rows)} runs done: index.html, table.csv and '
+        f'table.parquet in {args.out}'
+    )
+    return int(bool(failed) or any(change.worse for change in changes))
+
+
+def _check_options(one: Run, jobs: Path) -> None:
+    """Refuse what a command does not take before anything runs."""
+    for stage in one.stages:
+        parser = _Parser(prog=stage.command)
+        import_module(f'landmark_nav.cli.{stage.command}').add_arguments(parser)
+        try:
+            parser.parse_args(stage_arguments(stage, Path(), Path())[1:])
+        except LandmarkNavError as error:
+            raise UsageError(f'{jobs}: {one.name}: {stage.command}: {error}') from error
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> None:  # type: ignore[override]
+        raise LandmarkNavError(message)
+
+
+def _change_line(change: Change) -> str:
+    verdict = ': worse' if change.worse else ''
+    return (
+        f'{change.name}: {change.before:.4g} before, {change.after:.4g} now, change '
+        f'{change.low:+.3g} to {change.high:+.3g} ({change.runs} runs, 95 %){verdict}'
+    )
+
+
+def _version() -> str:
+    try:
+        return version('landmark_nav')
+    except PackageNotFoundError:
+        return ''

@@ -1,0 +1,24 @@
+"""`landmark-nav completion`: what makes a shell complete commands, options and files."""
+
+from __future__ import annotations
+
+import argparse
+
+from argcomplete.shell_integration import shellcode
+
+__all__ = ['add_arguments', 'run']
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what the command takes."""
+    parser.description = (
+        'Print the lines that make a shell complete commands and options of landmark-nav. Add '
+        'them to ~/.bash_completion, ~/.zshrc, or ~/.config/fish/completions/landmark-nav.fish.'
+    )
+    parser.add_argument('shell', choices=('bash', 'zsh', 'fish'))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print them."""
+    print(shellcode(['landmark-nav'], shell=args.shell))
+    return 0

@@ -1,0 +1,78 @@
+"""`landmark-nav batch` on a scheduler and workers as real processes, one of them killed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import csv
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip('distributed', reason='the extra batch is not installed')
+
+DASK = [sys.executable, '-m', 'dask']
+JOBS = """
+runs:
+  - name: room
+    simulate: {frames: 8, sweeps: 1, drive-seconds: 0.5}
+  - name: no robot
+    simulate: {robot: jobs.yaml}
+grid:
+  simulate.seed: [1, 2, 3]
+"""
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Address of a scheduler and its two workers."""
+    file = tmp_path / 'scheduler.json'
+    words = ['scheduler', '--port', '0', '--no-dashboard', '--scheduler-file', str(file)]
+    processes = [subprocess.Popen([*DASK, *words], stderr=subprocess.DEVNULL)]
+    deadline = time.monotonic() + 60.0
+    while not file.exists():
+        assert time.monotonic() < deadline, 'the scheduler did not start'
+        time.sleep(0.1)
+    words = ['worker', '--no-nanny', '--nthreads', '1', '--no-dashboard']
+    words += ['--scheduler-file', str(file), '--local-directory', str(tmp_path)]
+    workers = [subprocess.Popen([*DASK, *words], stderr=subprocess.DEVNULL) for _ in range(2)]
+    yield json.loads(file.read_text())['address'], workers
+    for process in (*workers, *processes):
+        process.kill()
+        process.wait()
+
+
+def test_a_worker_is_killed_and_nothing_is_lost(
+    tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]
+) -> None:
+    address, workers = cluster
+    (tmp_path / 'jobs.yaml').write_text(JOBS)
+    words = ['batch', 'jobs.yaml', '--out', 'out', '--scheduler', address]
+    command = [sys.executable, '-m', 'landmark_nav', *words]
+    batch = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    mark = f'-{workers[0].pid}'
+    deadline = time.monotonic() + 120.0
+    while not list((tmp_path / 'out').glob(f'stages/.*{mark}')):
+        assert batch.poll() is None
+        assert time.monotonic() < deadline, 'the worker got no work'
+        time.sleep(0.02)
+    workers[0].kill()
+    said, _ = batch.communicate(timeout=240.0)
+    # That robot.yaml is none.
+    assert batch.returncode == 1, said
+    rows = list(csv.DictReader((tmp_path / 'out' / 'table.csv').open()))
+    assert [bool(row['failure']) for row in rows] == [False] * 3 + [True] * 3
+    assert all(len(row['failure']) < 200 for row in rows)
+    page = (tmp_path / 'out' / 'index.html').read_text()
+    assert all(row['run'] in page for row in rows)
+
+    done = sorted((tmp_path / 'out' / 'stages').glob('simulate-*/done.json'))
+    before = [os.stat(path).st_mtime_ns for path in done]
+    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert again.returncode == 1
+    assert [os.stat(path).st_mtime_ns for path in done] == before
+    assert len(before) == 3

@@ -1,0 +1,107 @@
+"""A file of runs becomes stages, each done once; two tables are compared run by run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from landmark_nav.batch.jobs import read_runs, Run
+from landmark_nav.batch.results import compare
+from landmark_nav.errors import LandmarkNavError
+
+RUN = """
+runs:
+  - folder: rooms/*
+    robot: robot.yaml
+    learn: {bag: sweeps, room: room.yaml}
+    evaluate: {bag: drive, start: [1.0, 2.0, 0.5]}
+grid:
+  evaluate.config.choice_period_s: [0.5, 1.0]
+"""
+
+
+@pytest.fixture
+def recordings(tmp_path: Path) -> Path:
+    for room in ('attic', 'hall'):
+        for name in ('sweeps', 'drive'):
+            (tmp_path / 'rooms' / room / name).mkdir(parents=True)
+        for name in ('robot.yaml', 'room.yaml'):
+            (tmp_path / 'rooms' / room / name).write_text(room)
+    return tmp_path
+
+
+def runs_of(folder: Path, text: str) -> list[Run]:
+    file = folder / 'jobs.yaml'
+    file.write_text(text)
+    return read_runs(file, '1')
+
+
+def test_a_grid_over_folders_shares_what_it_does_not_change(recordings: Path) -> None:
+    runs = runs_of(recordings, RUN)
+    assert len(runs) == len({run.name for run in runs}) == 4
+    keys = [[stage.key for stage in run.stages] for run in runs]
+    assert len({learn for learn, _ in keys}) == 2
+    assert len({evaluate for _, evaluate in keys}) == 4
+    for run in runs:
+        learn, evaluate = run.stages
+        assert evaluate.after == (learn.key,)
+        assert f'@{learn.key}/out' in evaluate.arguments
+        assert evaluate.arguments[0].endswith('drive')
+
+
+def test_another_content_of_a_file_is_another_stage(recordings: Path) -> None:
+    before = runs_of(recordings, RUN)
+    (recordings / 'rooms' / 'attic' / 'room.yaml').write_text('another room')
+    after = runs_of(recordings, RUN)
+    same = [old.stages == new.stages for old, new in zip(before, after, strict=True)]
+    assert same == [False, False, True, True]
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'runs: []',
+        'runs: 5',
+        'runs: [{robot: robot.yaml}]',
+        'runs: [{learn: {bag: nowhere, robot: nothing}}]',
+        'runs: [{folder: nowhere/*, learn: {}}]',
+        'runs: [{learn: {out: here}}]',
+        'runs: [{lern: {}, evaluate: {}}]',
+        'runs: [{simulate: {}}]\ngrid: {seed: [1]}',
+        'runs: [{simulate: {}}]\ngrid: {simulate.seed: 1}',
+        'runs: [{simulate: {}}, {simulate: {seed: 2}}]',
+    ],
+)
+def test_a_wrong_file_is_refused_in_a_line(tmp_path: Path, text: str) -> None:
+    with pytest.raises(LandmarkNavError):
+        runs_of(tmp_path, text)
+
+
+def table(errors_m: Any, failure: str = '') -> list[dict[str, Any]]:
+    return [
+        {'run': str(k), 'position_rmse_m': error, 'failure': failure}
+        for k, error in enumerate(errors_m)
+    ]
+
+
+def test_only_a_change_beyond_its_interval_is_worse() -> None:
+    rng = np.random.default_rng(5)
+    wrong, low = 0, []
+    for _ in range(400):
+        before, after = rng.normal(0.01, 0.002, (2, 12))
+        (_, change) = compare(table(after), table(before))
+        wrong += change.worse
+        low.append(change.low <= 0.0 <= change.high)
+    assert 0.92 < np.mean(low) < 0.98
+    assert wrong < 0.05 * 400
+    (_, change) = compare(table(before + 0.004), table(before))
+    assert change.worse
+    assert not compare(table(before - 0.004), table(before))[1].worse
+
+
+def test_one_run_that_fails_now_is_worse() -> None:
+    failures, *_ = compare(table([0.01], 'no place found'), table([0.01]))
+    assert failures.worse
