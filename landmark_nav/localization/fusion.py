@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 import logging
-from math import sqrt
+from math import log, sqrt
 
 import numpy as np
 
@@ -20,11 +21,12 @@ from landmark_nav.localization.estimator import (
     Update,
 )
 from landmark_nav.localization.estimator.filter import State
-from landmark_nav.localization.estimator.timeline import REACH_NS, Timeline
+from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
 from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion, STILL
 from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
+from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
 from landmark_nav.localization.start import checked_start
 from landmark_nav.types import (
     CameraFrame,
@@ -55,7 +57,10 @@ _MAY_STEP = {
 }
 # Log of the odds from which images speak for a pose beyond doubt.
 _TRUSTED = 4.0
+# Log of the odds that a pose that somebody gives is right: one in a hundred is another place.
+_GIVEN_RIGHT = log(99.0)
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
+_WRONG_START = Refusal('the given start is wrong', 'images are not those of that place')
 
 
 class Fusion:
@@ -85,6 +90,11 @@ class Fusion:
         )
         self._track, self._clock = OdometryTrack(self._odometry), ClockWatch()
         self._line: Timeline | None = None
+        # A given start is in doubt until images alone give the pose: the filter from there on if
+        # it were anywhere, the state at the start, and the log of the odds that it is right.
+        self._anywhere: JointFilter | None = None
+        self._given: State | None = None
+        self._start_odds = _GIVEN_RIGHT
         # The state when images last spoke for the pose beyond doubt.
         self._trusted: State | None = None
         # What of the mount would be too far from its prior to be believed.
@@ -113,6 +123,9 @@ class Fusion:
         ends = self._track.stamps_ns
         recent = ends and (max(ends[0], ends[1] - round(1e9 * self._config.history_s)), ends[1])
         self._place(checked_start(start, recent, now_ns))
+        assert self._line is not None, 'it was placed'
+        self._anywhere, self._given = copy(self._line.filter), self._line.filter.snapshot
+        self._anywhere.forget_pose()
 
     def place(
         self,
@@ -177,17 +190,36 @@ class Fusion:
         line, ends = self._line, self._track.stamps_ns
         if line is None:
             return _NOT_STARTED
+        if self._start_odds < 0.0:
+            return _WRONG_START
         if ends is not None and seen.stamp_ns - ends[1] > REACH_NS:
             return Refusal('detections are ahead', f'{1e-9 * (seen.stamp_ns - ends[1]):.1f} s')
         update = line.add_image(seen)
         self._update = update if isinstance(update, Update) else None
         self._integrity.add(seen.stamp_ns, self._update, len(seen.missed))
+        if self._update is not None:
+            self._weigh_start(line, seen, self._update)
         self._unlikely = self.calibration.contradictions(self._prior.widened(_MAY_STEP))
-        if self._integrity.log_ratio >= _TRUSTED and not self._unlikely:
+        sure = self._integrity.log_ratio >= _TRUSTED and not self._unlikely
+        if sure and self._anywhere is None:
             self._trusted = line.filter.snapshot
         if self._update is not None and self._update.stepped:
             _LOG.warning('camera or base was turned, and the wheels did not measure it')
         return update
+
+    def _weigh_start(self, line: Timeline, seen: ImagePoints, update: Update) -> None:
+        """Compare an image with what it would be anywhere, until images alone give the pose."""
+        anywhere = self._anywhere
+        if anywhere is None or self._given is None:
+            return
+        move_to(seen.stamp_ns, anywhere, self._track)
+        self._start_odds += update.log_evidence - anywhere.observe(seen).log_evidence
+        if self._start_odds < 0.0:
+            # What was learned at a wrong pose is wrong.
+            line.filter.restore(self._given)
+            self._begin(line.filter)
+        elif not is_prior_uncertain(anywhere.estimate.covariance):
+            self._anywhere = None
 
     def points(
         self, found: Detections, joints: JointSample | CameraFrame | None = None
@@ -240,7 +272,8 @@ class Fusion:
         """
         if self._line is None:
             return None
-        return self._integrity.doubted(self._line.estimate(stamp_ns), bool(self._unlikely))
+        lost = bool(self._unlikely) or self._start_odds < 0.0
+        return self._integrity.doubted(self._line.estimate(stamp_ns), lost)
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
         """Where the camera should be at a time; None before a pose is known."""
@@ -294,6 +327,8 @@ class Fusion:
             names = ', '.join(self._unlikely)
             status = Status.LOST
             reason = f'{names} would be far from robot.yaml: it is rather elsewhere'
+        if self._start_odds < 0.0:
+            status, reason = Status.LOST, str(_WRONG_START)
         silent_s = 1e-9 * ((stamp_ns or 0) - (ends[1] if ends else 0))
         if stamp_ns is None or silent_s <= _SILENT_S:
             return status, reason
@@ -325,12 +360,14 @@ class Fusion:
         else:
             joint = self._line.filter
             if lost and self._trusted is not None:
-                # A wrong pose teaches wrong things. It was lost for a reason: the camera may have
-                # been turned.
+                # A wrong pose teaches wrong things. If the start was right, it was lost for a
+                # reason: the camera may have been turned.
                 joint.restore(self._trusted)
-                joint = joint.stepped()
+                if self._start_odds >= 0.0:
+                    joint = joint.stepped()
         self._begin(joint.placed(start, pan_rate_rad_s))
         self._integrity, self._unlikely = Integrity(), ()
+        self._anywhere, self._start_odds = None, _GIVEN_RIGHT
 
     def _begin(self, joint: JointFilter) -> None:
         self._line, self._update = Timeline(joint, self._track, self._config.history_s), None

@@ -406,12 +406,11 @@ class JointFilter:
             stepped = self._stepped(prior)
             freed, alternative = self._corrected(stepped, seen)
             odds = self._config.step_probability / (1.0 - self._config.step_probability)
+            evidence = alternative.log_evidence + float(np.log(odds))
             agree = int(np.sum(alternative.weight > _INLIER))
-            if (
-                agree >= _WITNESSES
-                and alternative.log_evidence + np.log(odds) > update.log_evidence
-            ):
-                prior, after, update = stepped, freed, alternative._replace(stepped=True)
+            if agree >= _WITNESSES and evidence > update.log_evidence:
+                prior, after = stepped, freed
+                update = alternative._replace(log_evidence=evidence, stepped=True)
         self._state, self.predicted = after, prior
         return update
 
