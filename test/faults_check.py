@@ -82,7 +82,7 @@ class Outcome:
 
 def outcome(
     events: Iterator[Any],
-    localizer: Localizer | Localizer,
+    localizer: Localizer,
     start: FloatArray,
     at_s: float,
     over_s: float,
@@ -117,7 +117,6 @@ def main() -> int:
     parser.add_argument('--start', nargs=3, type=float, required=True)
     parser.add_argument('--at', type=float, default=12.0, help='seconds into the drive (12)')
     parser.add_argument('--only', nargs='+', help='faults whose name holds one of these')
-    parser.add_argument('--joint', action='store_true', help='with the joint estimator')
     args = parser.parse_args()
     logging.getLogger('landmark_nav').setLevel(logging.CRITICAL)
     calibration, landmarks = load_calibration(args.robot), load_map(args.map)
@@ -136,9 +135,7 @@ def main() -> int:
                 for topic, message, log in degraded(bag, name, fault, at_s):
                     written.write(topic, message, log)
             over_s = fault.seconds if fault.topics else 0.0
-            localizer: Localizer | Localizer = Localizer(landmarks, mount, LocalizationConfig())
-            if args.joint:
-                localizer = Localizer(landmarks, calibration, LocalizationConfig())
+            localizer = Localizer(landmarks, calibration, LocalizationConfig())
             done = outcome(sensor_events(Bag(path), mount), localizer, start, at_s, over_s)
         print(f'{name:44}{done}', flush=True)
         good &= not done.wrong_s > REPORTED_S and np.isfinite(done.back_s)
