@@ -433,7 +433,7 @@ class Detections:
     that should be in view, were looked for and not found. `points` (n, 2) are the places in the
     normalised image, x/z to the right and y/z down, as camera_info has it, `point_covariance`
     (n, 2, 2) theirs; both are empty where only bearings are known. `near` (3,) is the pose that
-    the image itself shows, where hardly any was known before. The pan, its rate and sigma
+    the image itself shows, where hardly any was known before. The pan and its sigma
     are of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``.
     """
 
@@ -444,7 +444,6 @@ class Detections:
     score: FloatArray
     uv_px: FloatArray
     missed: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    pan_rate_rad_s: float = 0.0
     pan_sigma_rad: float = 0.0
     pan_rad: float = 0.0
     joint_delay_s: float = 0.0

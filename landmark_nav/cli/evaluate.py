@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--config',
         metavar='F',
         help='parameters that differ from the defaults: YAML with the sections observation, '
-        'joint, odometry and relocalization',
+        'estimator, odometry and relocalization',
     )
     parser.add_argument(
         '--smooth',

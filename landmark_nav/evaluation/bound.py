@@ -77,7 +77,7 @@ def _bound(
     if np.isnan(poses[0]).any():
         return bound
     # Points without noise are nothing to learn noise from, and no surprise.
-    noise = replace(config.joint, tail_freedom=0.0, step_probability=0.0, learning_sigma=0.0)
+    noise = replace(config.estimator, tail_freedom=0.0, step_probability=0.0, learning_sigma=0.0)
     start = PoseEstimate(begin, poses[0], start.covariance)
     ideal = JointFilter(landmark_map, calibration, start, noise, config.odometry)
     track = OdometryTrack(config.odometry)

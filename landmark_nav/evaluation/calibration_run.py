@@ -117,9 +117,9 @@ class CalibrationDrive:
         """Use the same detections with another prior; what came of it, and the residuals."""
         config = self._config
         joint = JointFilter(
-            self.landmark_map, calibration, self.start, config.joint, config.odometry
+            self.landmark_map, calibration, self.start, config.estimator, config.odometry
         )
-        line = Timeline(joint, OdometryTrack(config.odometry), config.joint.history_s)
+        line = Timeline(joint, OdometryTrack(config.odometry), config.estimator.history_s)
         seconds, points, weights = [], [], []
         for measured in self._measured:
             if isinstance(measured, OdometrySample):

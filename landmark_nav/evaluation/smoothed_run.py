@@ -70,7 +70,7 @@ def smooth_run(
         seen = update.points or ImagePoints.nothing(update.stamp_ns)
         near = update.fused.pose if unknown else seen.near
         images.append(replace(seen, stamp_ns=update.stamp_ns, near=near))
-    joint = JointFilter(landmark_map, calibration, run.start, config.joint, config.odometry)
+    joint = JointFilter(landmark_map, calibration, run.start, config.estimator, config.odometry)
     poses = smoothed_poses(joint, track, images, lost)
     return Smoothed(
         np.array([pose.stamp_ns for pose in poses], dtype=np.int64),

@@ -23,7 +23,3 @@ class PanTrack:
         """Pan at times (m,); beyond the first and the last it stays."""
         times = np.asarray(seconds, dtype=np.float64)
         return np.interp(times, self.seconds, self.pans_rad)
-
-    def reaches(self, seconds: float) -> bool:
-        """Whether the pan is known so long after."""
-        return bool(self.seconds[-1] >= seconds)

@@ -46,7 +46,7 @@ class LocalizationConfig(Config):
     """Parameters of all stages."""
 
     observation: LookingConfig = field(default_factory=LookingConfig)
-    joint: EstimatorConfig = field(default_factory=EstimatorConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
 
@@ -114,8 +114,8 @@ class Localizer:
         self, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
     ) -> None:
         self._map, self._config = landmark_map, config
-        self._fusion = Fusion(landmark_map, calibration, config.joint, config.odometry)
-        self._observer = Observer(landmark_map, calibration, config.observation, config.joint)
+        self._fusion = Fusion(landmark_map, calibration, config.estimator, config.odometry)
+        self._observer = Observer(landmark_map, calibration, config.observation, config.estimator)
         self._unseen = Unseen(config.relocalization.unseen_s)
         self._sample: OdometrySample | None = None
         self._relocalizer: Relocalizer | None = self._new_search()

@@ -198,7 +198,6 @@ class Observer:
         seen = replace(
             seen,
             missed=np.array(sorted(missed), dtype=np.int64),
-            pan_rate_rad_s=frame.pan_rate_rad_s,
             pan_sigma_rad=frame.pan_sigma_rad,
             pan_rad=float(expected.calibration.mount.azimuth_base_rad(frame.pan_rad)),
             points=points.points,

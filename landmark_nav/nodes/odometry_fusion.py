@@ -65,7 +65,7 @@ class Parameters(Config):
         minimum=0.0,
         maximum=60.0,
     )
-    joint: EstimatorConfig = field(default_factory=EstimatorConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
 
 
@@ -81,7 +81,7 @@ class OdometryFusionNode(LandmarkNode):
         self._transform = MapToOdom(self)
         self._spread = SpreadCorrection(self._config.correction_time_s)
         config = self._config
-        self._fusion = Fusion(LandmarkMap(()), calibration, config.joint, config.odometry)
+        self._fusion = Fusion(LandmarkMap(()), calibration, config.estimator, config.odometry)
         self._expectation = self.advertise('expectation')
         self._level = self.advertise('odometry_fusion/protection_level')
         self._landmarks = 0

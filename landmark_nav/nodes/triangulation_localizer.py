@@ -71,7 +71,7 @@ class Parameters(LookingConfig):
     max_prior_age_s: float = parameter(
         0.5, 'how far odometry/fused may be from an image, s', minimum=0.0
     )
-    joint: EstimatorConfig = field(default_factory=EstimatorConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     relocalization: PlaceSearchConfig = field(default_factory=PlaceSearchConfig)
 
@@ -160,7 +160,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._health = Health(Level.LOST, f'landmarks dropped: {error}')
             raise
         landmarks = decode.landmark_map(points, atlas)
-        self._observer = Observer(landmarks, self._calibration, config, config.joint)
+        self._observer = Observer(landmarks, self._calibration, config, config.estimator)
         self._search.use(landmarks)
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no image yet')

@@ -24,13 +24,13 @@ def load(tmp_path: Path, text: str) -> LocalizationConfig:
 
 
 def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
-    text = 'joint: {tail_freedom: 4}\nobservation:\n  triangulation:\n    max_sigma_m: 1\n'
+    text = 'estimator: {tail_freedom: 4}\nobservation:\n  triangulation:\n    max_sigma_m: 1\n'
     config = load(tmp_path, text)
-    assert config.joint.tail_freedom == 4.0
+    assert config.estimator.tail_freedom == 4.0
     assert config.observation.triangulation.max_sigma_m == 1.0
     assert isinstance(config.observation.triangulation.max_sigma_m, float)
     assert config.odometry == LocalizationConfig().odometry
-    assert config.joint.history_s == LocalizationConfig().joint.history_s
+    assert config.estimator.history_s == LocalizationConfig().estimator.history_s
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_a_former_name_is_taken_with_a_warning(
     assert getattr(getattr(getattr(config, outer), inner), name) == value
 
 
-@pytest.mark.parametrize('text', ['', '# joint: {history_s: 1}\n', 'joint: {}\n'])
+@pytest.mark.parametrize('text', ['', '# estimator: {history_s: 1}\n', 'estimator: {}\n'])
 def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> None:
     assert load(tmp_path, text) == LocalizationConfig()
 
@@ -66,12 +66,12 @@ def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> No
     ('text', 'complaint'),
     [
         ('fusion: {}', "no parameter 'fusion': there are"),
-        ('/**: {ros__parameters: {joint: {}}}', 'is a file for ROS'),
-        ('joint: {tail: 4}', "joint: no parameter 'tail'"),
+        ('/**: {ros__parameters: {estimator: {}}}', 'is a file for ROS'),
+        ('estimator: {tail: 4}', "estimator: no parameter 'tail'"),
         ('observation: {detection: {appearance: x}}', 'parameter appearance .* take one of'),
-        ('joint: 3', 'joint: is 3, not a mapping'),
-        ('joint: {history_s: soon}', "joint: history_s is 'soon': take a number"),
-        ('joint: {history_s: true}', 'history_s is True: take a number'),
+        ('estimator: 3', 'estimator: is 3, not a mapping'),
+        ('estimator: {history_s: soon}', "estimator: history_s is 'soon': take a number"),
+        ('estimator: {history_s: true}', 'history_s is True: take a number'),
         ('odometry: {along_m_per_sqrt_m: -1}', 'along_m_per_sqrt_m of .* is -1'),
         ('odometry: {estimate_odometry_bias: 1}', 'take true or false'),
         ('observation: {detection: {max_count: 2.5}}', 'take a whole number'),

@@ -208,7 +208,7 @@ def image(stamp, variance, mount, pose):
 
 def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
     config = LocalizationConfig(
-        joint=EstimatorConfig(correlation_length_m=1e9, floor_tilt_sigma_rad=0.0),
+        estimator=EstimatorConfig(correlation_length_m=1e9, floor_tilt_sigma_rad=0.0),
         odometry=silent_odometry(),
     )
     pose = np.array([0.3, -0.2, 0.5])
