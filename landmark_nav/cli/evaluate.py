@@ -134,6 +134,8 @@ def run(args: argparse.Namespace) -> int:
     diagnosis = diagnose(bag, mount, Room(landmarks.walls) if measured else None, QUICK)
     refuse_errors(bag, diagnosis)
     late = diagnosis.delays
+    # What was measured is not known exactly.
+    calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
     delays = late.joints_s, late.images_s, late.odometry_s
     events = progress(sensor_events(bag, mount, *delays), 'localizing', total)
     done = replay(events, landmarks, calibration, config, start, covariance)

@@ -1,4 +1,4 @@
-"""The state of the joint estimator, fed by odometry, detections and places as they come."""
+"""The state of the estimator, fed by odometry, detections and places as they come."""
 
 from __future__ import annotations
 
