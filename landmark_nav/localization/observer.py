@@ -66,7 +66,7 @@ class Observation:
     refused : mapping of int to Refusal
         Why others were not, by landmark id.
     triangulate : callable
-        Gives `fix`, which takes as long as it takes only where somebody asks for it.
+        Gives `fix` where somebody asks for it.
     unusable : bool
         Whether the image was not searched at all.
 
