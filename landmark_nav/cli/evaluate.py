@@ -135,9 +135,11 @@ def run(args: argparse.Namespace) -> int:
     refuse_errors(bag, diagnosis)
     late = diagnosis.delays
     # What was measured is not known exactly.
+    delay_s = calibration['joint_delay'][0] + late.joints_s
+    calibration = calibration.with_values(joint_delay=delay_s)
     calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
-    delays = late.joints_s, late.images_s, late.odometry_s
-    events = progress(sensor_events(bag, mount, *delays), 'localizing', total)
+    events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)
+    events = progress(events, 'localizing', total)
     done = replay(events, landmarks, calibration, config, start, covariance)
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
