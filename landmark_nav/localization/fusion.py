@@ -22,7 +22,7 @@ from landmark_nav.localization.estimator import (
 )
 from landmark_nav.localization.estimator.filter import State
 from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
-from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion, STILL
+from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion
 from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
@@ -143,14 +143,17 @@ class Fusion:
 
         """
         found = checked_start(found, self._reach_ns, now_ns)
-        lag, late = STILL, self._prior_late if self._line is None else self.late
+        late = self._prior_late if self._line is None else self.late
+        rate, bend = 0.0, 0.0
         if joints is not None:
-            swing = PanMotion.of(joints, self._prior.base)
-            lag = late.lag(swing.rate_rad_s, swing.track, late.delay_s)
+            pan = PanMotion.of(joints, self._prior.base)
+            rate = pan.rate_rad_s
+            if pan.track is not None and late.sigma_s:
+                _, rate, bend = pan.track.lagged(late.delay_s, late.sigma_s)
         # The pan may begin to turn meanwhile.
-        bent = np.diag([0.0, 0.0, lag.bend_rad**2])
+        bent = np.diag([0.0, 0.0, bend**2])
         found = replace(found, covariance=found.covariance + bent)
-        self._place(found, lag.rate_rad_s)
+        self._place(found, rate)
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether a start at a time can be moved on to now."""

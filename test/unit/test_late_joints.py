@@ -13,7 +13,7 @@ from rendered_drives import camera_image, MAP, MOUNT, START, START_SIGMA, Step
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.frozen_image import FrozenImage
-from landmark_nav.localization.late_joints import in_time, JointDelay
+from landmark_nav.localization.late_joints import in_time
 from landmark_nav.localization.localizer import (
     LocalizationConfig,
     LocalizationUpdate,
@@ -199,16 +199,12 @@ def test_a_camera_without_noise_that_stands_goes_on() -> None:
         assert update.used >= 3
 
 
-def test_the_lag_of_a_pan_is_exact_where_it_speeds_up() -> None:
+def test_an_image_gets_the_pan_of_its_true_time(sensed: list[Sensed]) -> None:
+    _, frame = next(pair for pair in sensed if pair[1] is not None)
+    assert frame is not None
     about = np.linspace(-0.4, 0.4, 81)
-    track = PanTrack(about, about**3)
-    lag = JointDelay(0.2).lag(0.0, track)
-    assert lag.shift_rad == pytest.approx(0.008)
-    assert lag.rate_rad_s == pytest.approx(0.12, rel=0.01)
-    # What is open says so: the slope within it, and what that leaves out.
-    wide = JointDelay(0.2, 0.1).lag(0.0, track)
-    assert wide.rate_rad_s == pytest.approx((0.3**3 - 0.1**3) / 0.2)
-    assert wide.bend_rad == pytest.approx(0.5 * (0.3**3 + 0.1**3) - 0.2**3)
+    turning = replace(frame, pan_track=PanTrack(about, about**3))
+    assert in_time(turning, 0.2).pan_rad - frame.pan_rad == pytest.approx(0.008)
 
 
 def test_without_a_track_the_pan_goes_on_at_its_rate(sensed: list[Sensed]) -> None:

@@ -48,6 +48,7 @@ from landmark_nav.localization.estimator.noise import (
     NoiseScales,
     SLIP_NOISE,
 )
+from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
     jitter_variances,
@@ -411,6 +412,10 @@ class JointFilter:
             if agree >= _WITNESSES and evidence > update.log_evidence:
                 prior, after = stepped, freed
                 update = alternative._replace(log_evidence=evidence, stepped=True)
+        recognised = found_log_ratios(update.residual, update.covariance).sum()
+        if recognised + MISSED * len(seen.missed) < 0.0:
+            # Chance finds as much in windows as large: it would move the pose anywhere.
+            after, update = replace(prior, stamp_ns=after.stamp_ns), _unused(update)
         self._state, self.predicted = after, prior
         return update
 
@@ -596,6 +601,15 @@ def _usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
     shared = np.array([seen.tilt_rad, seen.pan_rate_rad_s, seen.pan_sigma_rad])
     good &= np.isfinite(shared).all()
     return seen if good.all() else seen.chosen(good)
+
+
+def _unused(update: Update) -> Update:
+    """Return what an image would have done to a state that it did not change."""
+    return update._replace(
+        weight=np.zeros_like(update.weight),
+        separation=np.zeros_like(update.separation),
+        without=np.zeros_like(update.without),
+    )
 
 
 def _nothing(seen: ImagePoints) -> Update:

@@ -20,16 +20,11 @@ import numpy as np
 from scipy.special import chdtri, ndtri
 
 from landmark_nav.localization.estimator.filter import Update
+from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
 from landmark_nav.types import FloatArray, PoseEstimate
 
 __all__ = ['Integrity', 'ProtectionLevel', 'Status', 'protection_level']
 
-# Shares: of detections that are wrong though the pose is right; of the landmarks in view that are
-# found if it is right, and by chance if it is wrong.
-_WRONG, _FOUND, _BY_CHANCE = 0.1, 0.8, 0.15
-# Chance matches fall anywhere within so many standard deviations, and this angle, about the
-# expected point.
-_WINDOW_SIGMAS, _LEAST_WINDOW = 3.0, 0.02
 # One detection, and all misses of an image, count at most this much: they have causes in common.
 _MOST, _MOST_MISSED = 2.0, 2.0
 # Bounds of the sum and of what one image adds; the sum below which a pose is lost, and what one
@@ -120,11 +115,13 @@ class Integrity:
         found = 0 if update is None else len(update.columns)
         if self._found_ns is None:
             self._found_ns = stamp_ns
-        gained = max(-_MOST_MISSED, missed * float(np.log((1 - _FOUND) / (1 - _BY_CHANCE))))
+        gained = max(-_MOST_MISSED, missed * MISSED)
         if update is not None and found:
             self._found_ns = max(self._found_ns, stamp_ns)
             self._stepped |= update.stepped
-            gained += float(np.minimum(log_ratios(update), _MOST).sum())
+            gained += float(
+                np.minimum(found_log_ratios(update.residual, update.covariance), _MOST).sum()
+            )
         self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
         self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
 
@@ -155,20 +152,3 @@ class Integrity:
             return Status.DEGRADED, f'heading sigma {np.degrees(heading):.1f} deg: {why}'
         self._stepped = False
         return Status.OK, ''
-
-
-def log_ratios(update: Update) -> FloatArray:
-    """Log likelihood ratio (m,) of each detection: pose right against pose wrong."""
-    residual, covariance = update.residual, update.covariance
-    squares = np.einsum(
-        'mi,mi->m', residual, np.linalg.solve(covariance, residual[..., None])[..., 0]
-    )
-    half = np.maximum(
-        _WINDOW_SIGMAS * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), _LEAST_WINDOW
-    )
-    area = np.prod(2.0 * half, axis=1)
-    density = np.exp(-0.5 * np.minimum(squares, 1e3))
-    density /= np.sqrt(np.linalg.det(2.0 * np.pi * covariance))
-    return np.asarray(
-        np.log((1.0 - _WRONG) * density * area + _WRONG) + np.log(_FOUND / _BY_CHANCE)
-    )

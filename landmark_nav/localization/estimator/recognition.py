@@ -1,0 +1,44 @@
+"""Whether what is found in an image is recognised, or a match by chance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from landmark_nav.types import FloatArray
+
+__all__ = ['MISSED', 'found_log_ratios']
+
+# Shares: of detections that are wrong though the pose is right; of the landmarks in view that are
+# found if it is right, and by chance if it is wrong.
+_WRONG, _FOUND, _BY_CHANCE = 0.1, 0.8, 0.15
+# Chance matches fall anywhere within so many standard deviations, and this angle, about the
+# expected point.
+_WINDOW_SIGMAS, _LEAST_WINDOW = 3.0, 0.02
+# Log likelihood ratio of a landmark that is not found: pose right against pose wrong.
+MISSED = float(np.log((1.0 - _FOUND) / (1.0 - _BY_CHANCE)))
+
+
+def found_log_ratios(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """
+    Log likelihood ratio (m,) of each landmark that is found: pose right against pose wrong.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (m, d)
+        Measured minus expected.
+    covariance : ndarray, shape (m, d, d)
+        Of each residual.
+
+    """
+    squares = np.einsum(
+        'mi,mi->m', residual, np.linalg.solve(covariance, residual[..., None])[..., 0]
+    )
+    half = np.maximum(
+        _WINDOW_SIGMAS * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), _LEAST_WINDOW
+    )
+    area = np.prod(2.0 * half, axis=1)
+    density = np.exp(-0.5 * np.minimum(squares, 1e3))
+    density /= np.sqrt(np.linalg.det(2.0 * np.pi * covariance))
+    return np.asarray(
+        np.log((1.0 - _WRONG) * density * area + _WRONG) + np.log(_FOUND / _BY_CHANCE)
+    )
