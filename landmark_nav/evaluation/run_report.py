@@ -23,7 +23,14 @@ from landmark_nav.localization.estimator import ImagePoints, Update
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate
 from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['RunErrors', 'integrity_report', 'pose_report', 'run_errors', 'run_report']
+__all__ = [
+    'RunErrors',
+    'integrity_report',
+    'pose_report',
+    'run_errors',
+    'run_report',
+    'spells',
+]
 
 SCHEMA = 1
 # A place that is known in fewer of the images is hardly known.
@@ -85,7 +92,7 @@ def run_report(
         },
         'realtime_factor': span_s / run.seconds,
         'result_hash': result_hash(stamps, run.fused, run.fixes),
-        'spells': _spells(run),
+        'spells': spells(run),
         'calibration': None
         if run.calibration is None
         else run.calibration.differences(calibration),
@@ -173,18 +180,18 @@ def _warning(availability: float) -> str | None:
     )
 
 
-def _spells(run: Replay) -> list[dict[str, Any]]:
+def spells(run: Replay) -> list[dict[str, Any]]:
     """When the state was not tracking, and the reason that it gave first."""
-    spells = []
+    found = []
     for status, group in groupby(run.updates, key=lambda update: update.status):
         updates = list(group)
         if status == 'tracking':
             continue
         first, last = ((updates[k].stamp_ns - run.begin_ns) * 1e-9 for k in (0, -1))
-        spells.append(
+        found.append(
             {'status': status, 'from_s': first, 'to_s': last, 'reason': updates[0].reason}
         )
-    return spells
+    return found
 
 
 def _used(update: LocalizationUpdate, sigma_factor: float) -> ImagePoints:

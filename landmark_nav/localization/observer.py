@@ -8,7 +8,7 @@ windows. So what is not known is searched for, and what was learned narrows the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.detection.correlation import DetectionResult
+from landmark_nav.localization.detection.expectation import Expectation as Window
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
@@ -69,6 +70,8 @@ class Observation:
         Gives `fix` where somebody asks for it.
     unusable : bool
         Whether the image was not searched at all.
+    expected : mapping of int to Window
+        Where landmarks were searched, by id.
 
     """
 
@@ -76,6 +79,7 @@ class Observation:
     refused: Mapping[int, Refusal]
     triangulate: Callable[[], PoseEstimate | Refusal]
     unusable: bool = False
+    expected: Mapping[int, Window] = field(default_factory=dict)
 
     @cached_property
     def fix(self) -> PoseEstimate | Refusal:
@@ -204,7 +208,9 @@ class Observer:
             point_covariance=points.covariance,
             near=None if place is None else place.pose,
         )
-        return Observation(seen, result.refused, lambda: self.fix(seen, expected))
+        return Observation(
+            seen, result.refused, lambda: self.fix(seen, expected), expected=result.expected
+        )
 
     def _narrowed(self, frame: CameraFrame, expected: Expectation) -> PoseEstimate | None:
         """Find the pose within a wide one; if that fails again and again, try less often."""

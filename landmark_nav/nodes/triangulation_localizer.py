@@ -16,6 +16,7 @@ from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observer import Observation, Observer, straight
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
+from landmark_nav.nodes.live_view import LiveView
 from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.camera_frames import CameraFrames
@@ -86,6 +87,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._mount = self._calibration.mount
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
+        self._live = LiveView(self, self._config.map_frame)
         self._frames = CameraFrames(self, self._mount, self._config.joint_delay_s)
         self._fused = ExpectedPoses[PoseEstimate](self._config.max_prior_age_s)
         self._expected = ExpectedPoses[Expectation](self._config.max_prior_age_s)
@@ -195,15 +197,28 @@ class TriangulationLocalizerNode(LandmarkNode):
         if searches and (self._look(message) or self._fused.recent(stamp) is None):
             return
         start = time.monotonic()
-        seen = self._observe(message)
+        seen, frame, prior = self._observe(message)
         self._images_unusable = seen.unusable
         self._search.note(stamp, len(seen.detections))
-        found = replace(seen.detections, joint_delay_s=self._config.joint_delay_s)
+        found = replace(
+            seen.detections,
+            uv_px=frame.camera.in_full_image(seen.detections.uv_px),
+            joint_delay_s=self._config.joint_delay_s,
+        )
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
         if self._fix.get_subscription_count() and isinstance(seen.fix, PoseEstimate):
             self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
+        self._live.show(
+            frame,
+            prior,
+            seen,
+            self._search.landmarks,
+            self._calibration.mount,
+            self._triplet,
+            message.header.frame_id,
+        )
 
     def _look(self, message: Any) -> bool:
         """Search for the place in an image; whether it was found."""
@@ -214,7 +229,8 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._health = Health(Level.LOST, words)
         return not isinstance(outcome, Refusal)
 
-    def _observe(self, message: Any) -> Observation:
+    def _observe(self, message: Any) -> tuple[Observation, CameraFrame, PoseEstimate]:
+        """What is seen in an image, with all that belongs to it, from the expected pose."""
         stamp = decode.stamp_ns(message.header)
         assert self._observer is not None, 'images come after the map'
         frame = self._complete(message, self._expected.reaches)
@@ -223,9 +239,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         expected = self._expected.at(stamp)
         if isinstance(expected, Refusal):
             raise LandmarkNavError(str(expected))
-        seen = self._observer.look(frame, expected)
-        uv_px = frame.camera.in_full_image(seen.detections.uv_px)
-        return replace(seen, detections=replace(seen.detections, uv_px=uv_px))
+        return self._observer.look(frame, expected), frame, expected
 
     def _complete(self, message: Any, also: Callable[[int], bool]) -> CameraFrame:
         """Image with all that belongs to it."""
