@@ -119,9 +119,8 @@ class Integrity:
         if update is not None and found:
             self._found_ns = max(self._found_ns, stamp_ns)
             self._stepped |= update.stepped
-            gained += float(
-                np.minimum(found_log_ratios(update.residual, update.covariance), _MOST).sum()
-            )
+            each = found_log_ratios(update.residual, update.covariance)
+            gained += float(np.minimum(each, _MOST).sum())
         self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
         self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
 
