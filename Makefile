@@ -99,7 +99,7 @@ UNMEASURED ?= 801 802 803
 unmeasured: install
 	$(BIN)/python test/unmeasured_check.py --study --seeds $(UNMEASURED)
 
-# Errors of robot.yaml at driving and at learning, on the study: the joint estimator beside the filter.
+# Errors of robot.yaml at driving and at learning, on the study.
 calibration: install
 	$(BIN)/python test/calibration_check.py
 

@@ -31,7 +31,7 @@ from landmark_nav.evaluation.report import calibration_page, check_report, write
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
@@ -192,7 +192,7 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     events = sensor_events(bag, known.mount, 0.0, late.images_s, late.odometry_s)
     total = bag.counts[bag.require('odom')]
     shown_events = progress(events, 'calibrating', 2 * total)
-    config = LocalizationConfig(estimator='joint')
+    config = LocalizationConfig()
     try:
         drive = calibrate_by_drive(shown_events, landmarks, known, config)
     except LandmarkNavError as error:

@@ -18,9 +18,8 @@ from landmark_nav.cli.run_summary import run_summary
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.alignment import aligned, aligned_report
-from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
-from landmark_nav.evaluation.replay import Replay, replay
+from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.report import (
     check_report,
     drive_page,
@@ -33,13 +32,12 @@ from landmark_nav.evaluation.smoothed_run import departures, smooth_run, smoothe
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.geometry.walls import Room
-from landmark_nav.localization.fusion import FusionConfig
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import LandmarkMap
 
 __all__ = ['add_arguments', 'run']
@@ -86,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--config',
         metavar='F',
         help='parameters that differ from the defaults: YAML with the sections observation, '
-        'fusion, odometry, health and relocalization, and with choice_period_s',
+        'estimator, odometry and relocalization',
     )
     parser.add_argument(
         '--smooth',
@@ -140,7 +138,6 @@ def run(args: argparse.Namespace) -> int:
     config = LocalizationConfig()
     if args.config:
         config = load_config(args.config, config)
-    config = replace(config, estimator=chosen_estimator(config.estimator, args.robot))
 
     # Walls that were found, not measured, say nothing of units.
     measured = landmarks.walls and not landmarks.has_own_frame
@@ -148,43 +145,15 @@ def run(args: argparse.Namespace) -> int:
     refuse_errors(bag, diagnosis)
     late = diagnosis.delays
     # What was measured is not known exactly.
-    sigma_s = max(late.pan_sigma_s, config.fusion.delay_sigma_s)
-    config = replace(config, fusion=replace(config.fusion, delay_sigma_s=sigma_s))
-
+    delay_s = calibration['joint_delay'][0] + late.joints_s
+    calibration = calibration.with_values(joint_delay=delay_s)
+    calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
+    events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)
+    events = progress(events, 'localizing', total)
     strip = FrameStrip()
-
-    def localized(joint_delay_s: float, fusion: FusionConfig) -> Replay:
-        delays = (joint_delay_s, late.images_s, late.odometry_s)
-        events = progress(sensor_events(bag, mount, *delays), 'localizing', total)
-        if (args.report or args.video) and not strip.frames:
-            events = strip.watch(events)
-        known = replace(config, fusion=fusion)
-        return replay(events, landmarks, mount, known, start, covariance, calibration)
-
-    done = localized(late.joints_s, config.fusion)
-    learned = replace(config, odometry=done.odometry_noise)
-    offsets = camera_offsets(done, landmarks, mount, learned)
-    # The joint estimator takes the delay into account.
-    again = config.estimator == 'filter' and (offsets.delay_matters or late.joints_s != 0.0)
-    offsets = replace(offsets, delay_s=late.joints_s + offsets.delay_s)
-    delay_s = late.joints_s
-    if again:
-        sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
-        fusion = replace(config.fusion, delay_sigma_s=sigma_s)
-        corrected = localized(offsets.delay_s, fusion)
-        delay_text = (
-            f'{bag.path}: joint_states are stamped {1e3 * offsets.delay_s:.1f} ms late (sigma '
-            f'{1e3 * offsets.delay_sigma_s:.1f} ms)'
-        )
-        if corrected.tracking.sum() >= done.tracking.sum():
-            done, delay_s = corrected, offsets.delay_s
-            bag.warn(
-                f'{delay_text}: taken into account; on the robot set joint_delay_s of '
-                f'triangulation_localizer to {delay_s:.4f}'
-            )
-        else:
-            # Put right all the time, fewer poses are sure.
-            bag.warn(f'{delay_text} in the end, and not all the time: look at their clock')
+    if args.report or args.video:
+        events = strip.watch(events)
+    done = replay(events, landmarks, calibration, config, start, covariance)
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     own_frame = landmarks.has_own_frame and len(done.truth) > 0
@@ -200,15 +169,12 @@ def run(args: argparse.Namespace) -> int:
             f'from {1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
         )
     learned = replace(config, odometry=done.odometry_noise)
-    report = run_report(done, errors, landmarks, mount, learned)
+    report = run_report(done, errors, landmarks, calibration, learned)
     if own_frame:
         report |= aligned_report(rigid, errors, alignment)
-    report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
     report['checks'] = [finding.report() for finding in diagnosis.findings]
-    if done.calibration is not None:
-        report['calibration'] = done.calibration.differences(calibration)
-        report['integrity'] = integrity_report(done, errors)
-    smoothed = smooth_run(done, landmarks, mount, learned, calibration) if args.smooth else None
+    report['integrity'] = integrity_report(done, errors)
+    smoothed = smooth_run(done, landmarks, calibration, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)
         if apart := departures(done, smoothed):

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.localization.detection.expectation import Expectation
-from landmark_nav.localization.observation import Observation
+from landmark_nav.localization.observer import Observation
 from landmark_nav.types import FloatArray, ImageArray, PoseEstimate
 
 __all__ = ['draw_observation']

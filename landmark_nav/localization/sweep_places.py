@@ -10,8 +10,8 @@ from scipy.linalg import block_diag
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.se2 import compose, compose_jacobians, rotation
+from landmark_nav.localization.odometry.motions import chained, Motions, motions_between
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.smoother.motion import chained, Motions, motions_between
 from landmark_nav.types import FloatArray, OdometrySample, PlaceChain, PoseEstimate
 
 __all__ = ['carried_on', 'known_places', 'places_by_odometry']

@@ -6,7 +6,7 @@ import time
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.debug_image import draw_observation
-from landmark_nav.localization.observation import Observation
+from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import encode
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode

@@ -86,7 +86,6 @@ _PROFILES = (
         'odometry_fusion/markers',
         'triangulation_localizer/markers',
         'expectation',
-        'joint_delay',
     ),
 )
 

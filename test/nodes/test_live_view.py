@@ -16,7 +16,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.observation import Observation
+from landmark_nav.localization.observer import Observation
 from landmark_nav.nodes import live_pose, live_view
 from landmark_nav.nodes.live_pose import LivePose, ThinnedPath
 from landmark_nav.nodes.live_view import LiveView
@@ -181,5 +181,5 @@ def show_image(live: LiveView) -> None:
     nothing = Detections(0, none.astype(np.int64), none, none, none, none.reshape(0, 2))
     camera = CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0)
     frame = CameraFrame(0, np.zeros((480, 640), np.uint8), camera, 0.1)
-    seen = Observation(nothing, {}, Refusal('dark'))
+    seen = Observation(nothing, {}, lambda: Refusal('dark'))
     live.show(frame, estimate(0, 1.0), seen, LandmarkMap(()), PanTiltMount(), None, 'optical')

@@ -9,7 +9,7 @@ import pytest
 
 from landmark_nav.localization.debug_image import draw_observation
 from landmark_nav.localization.detection.expectation import Expectation
-from landmark_nav.localization.observation import Observation
+from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import Detections, ImageArray, Refusal
@@ -38,7 +38,7 @@ def observation(found: dict[int, tuple[float, float]], refused: dict[int, str]) 
         uv,
     )
     reasons = {number: Refusal(reason) for number, reason in refused.items()}
-    return Observation(detections, reasons, Refusal('too few'), expected=places)
+    return Observation(detections, reasons, lambda: Refusal('too few'), expected=places)
 
 
 @pytest.fixture(scope='module')
@@ -106,7 +106,7 @@ def test_an_image_that_was_not_searched_is_drawn_and_the_input_stays() -> None:
     outside = Observation(
         nothing.detections,
         {3: Refusal('late')},
-        Refusal('none'),
+        lambda: Refusal('none'),
         expected={3: expected(-40.0, 900.0)},
     )
     assert draw_observation(image, outside).shape == image.shape

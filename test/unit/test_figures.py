@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from bare_landmarks import bare_landmark
 import cv2
@@ -20,9 +21,8 @@ from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Wall
-from landmark_nav.localization.fusion import FusionUpdate
-from landmark_nav.localization.observation import Observation
-from landmark_nav.localization.pipeline import LocalizationUpdate
+from landmark_nav.localization.localizer import LocalizationUpdate
+from landmark_nav.localization.observer import Observation
 from landmark_nav.types import (
     Candidate,
     Detections,
@@ -132,6 +132,10 @@ def test_panorama_marks_what_was_elected(tmp_path, column):
     assert share_of(tmp_path / 'refused.png', LANDMARK_BGR) == 0.0
 
 
+def chosen(fix):
+    return fix or Refusal('too few')
+
+
 def a_run(truth=True, fixed=True):
     updates = []
     for k in range(30):
@@ -142,9 +146,8 @@ def a_run(truth=True, fixed=True):
         updates.append(
             LocalizationUpdate(
                 fused.stamp_ns,
-                Refusal('too few'),
-                Observation(seen, {}, fused if fixed and k % 3 else Refusal('too few')),
-                FusionUpdate(fused.stamp_ns, refusal=None if k % 3 else Refusal('none')),
+                Observation(seen, {}, partial(chosen, fused if fixed and k % 3 else None)),
+                k % 3,
                 fused,
                 'lost' if k > 25 else 'tracking',
                 '',

@@ -27,8 +27,8 @@ from landmark_nav.evaluation.figures.style import (
 )
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import RunErrors
+from landmark_nav.evaluation.smoothed_run import Smoothed
 from landmark_nav.evaluation.tracks import PoseTrack
-from landmark_nav.localization.smoother import Smoothed
 from landmark_nav.types import FloatArray, LandmarkMap
 
 __all__ = ['body_frame', 'draw_errors', 'draw_trajectory', 'driven']
@@ -134,7 +134,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
 def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     """Show for each image whether it gave a fix, whether fusion used it, whether it was lost."""
     fixed = np.isfinite(run.fixes[:, 0])
-    used = np.array([update.fusion.refusal is None for update in run.updates])
+    used = np.array([update.used > 0 for update in run.updates])
     marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (
         ('triangulated', fixed, FIX),
         ('used by fusion', used, FUSED),

@@ -26,12 +26,12 @@ from landmark_nav.evaluation.report.tables import (
     STATUS,
 )
 from landmark_nav.evaluation.run_report import RunErrors
+from landmark_nav.evaluation.smoothed_run import Smoothed
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.pipeline import LearningResult
-from landmark_nav.localization.pipeline import LocalizationUpdate
-from landmark_nav.localization.smoother import Smoothed
-from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap
+from landmark_nav.localization.localizer import LocalizationUpdate
+from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, Refusal
 
 __all__ = ['Page', 'calibration_page', 'drive_page', 'learning_page', 'panoramas']
 
@@ -276,13 +276,14 @@ def _missed(update: LocalizationUpdate) -> list[int]:
     return [int(k) for k in update.observation.detections.missed]
 
 
-def _used(update: LocalizationUpdate) -> tuple[set[int], str]:
+def _used(update: LocalizationUpdate, landmarks: LandmarkMap) -> tuple[set[int], str]:
     """Ids of the landmarks that corrected the pose, and why the others did not."""
-    fusion, found = update.fusion, set(update.observation.detections.ids.tolist())
-    if fusion.refusal is not None:
-        return set(), str(fusion.refusal)
-    # Of a recording only what was found is known.
-    return set(fusion.accepted_ids.tolist()) or found - set(fusion.rejected), 'outlier'
+    if isinstance(update.taken, Refusal):
+        return set(), str(update.taken)
+    if update.taken is None:
+        # Of a recording only what was found is known.
+        return set(update.observation.detections.ids.tolist()), ''
+    return set(landmarks.ids[update.taken.used].tolist()), 'outlier'
 
 
 def _seen(
@@ -297,7 +298,7 @@ def _seen(
     `outline` are the corners of the patch where the fused pose expects it, pixels.
     """
     observation, found = update.observation, update.observation.detections
-    used, why = _used(update)
+    used, why = _used(update, landmarks)
     reasons = {**dict.fromkeys(_missed(update), 'not found'), **observation.refused}
     entries = [
         {

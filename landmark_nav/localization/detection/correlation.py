@@ -26,7 +26,7 @@ from landmark_nav.localization.detection.expectation import (
     quadratic,
     View,
 )
-from landmark_nav.localization.detection.height import RowModel, RowResiduals
+from landmark_nav.localization.detection.rows import RowModel, RowResiduals
 from landmark_nav.matching import (
     blur_by,
     blur_sigmas,

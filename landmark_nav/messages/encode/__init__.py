@@ -9,7 +9,7 @@ from landmark_nav.messages.encode.cameras import camera_info
 from landmark_nav.messages.encode.detections import detections, triplet
 from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.encode.images import compressed_image, image
-from landmark_nav.messages.encode.joints import joint_delay, joint_state, sweep_trajectory
+from landmark_nav.messages.encode.joints import joint_state, sweep_trajectory
 from landmark_nav.messages.encode.landmarks import landmark_map
 from landmark_nav.messages.encode.markers import landmark_markers, pose_markers, view_markers
 from landmark_nav.messages.encode.panoramas import panorama
@@ -38,7 +38,6 @@ __all__ = [
     'global_pose',
     'header',
     'image',
-    'joint_delay',
     'joint_state',
     'joint_transforms',
     'landmark_map',

@@ -83,7 +83,7 @@ def global_pose(factory: MessageFactory, place: GlobalPose, frame_id: str = 'map
     points['pose'] = place.pose
     points['covariance'] = place.covariance.reshape(-1)
     points['pan_rate'] = place.pan_rate_rad_s
-    points['joint_delay'], points['pan_delay'] = place.joint_delay_s, place.pan_delay_s
+    points['joint_delay'] = place.joint_delay_s
     return pack_cloud(factory, header(factory, place.stamp_ns, frame_id), points)
 
 

@@ -54,7 +54,6 @@ TOPIC_TYPES = {
     'triangulation_localizer/markers': 'visualization_msgs/msg/MarkerArray',
     'triangulation_localizer/debug_image/compressed': 'sensor_msgs/msg/CompressedImage',
     'expectation': 'sensor_msgs/msg/PointCloud2',
-    'joint_delay': 'sensor_msgs/msg/PointCloud2',
     'tf': 'tf2_msgs/msg/TFMessage',
     'tf_static': 'tf2_msgs/msg/TFMessage',
 }

@@ -1,4 +1,4 @@
-"""Odometry between the poses of a smoother: what it says, and how wrong that may be."""
+"""Odometry between given times: what it says, and how wrong that may be."""
 
 from __future__ import annotations
 

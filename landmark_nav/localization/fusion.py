@@ -1,4 +1,4 @@
-"""The state of the joint estimator, fed by odometry, detections and places as they come."""
+"""The state of the estimator, fed by odometry, detections and places as they come."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from landmark_nav.localization.estimator import (
 )
 from landmark_nav.localization.estimator.filter import State
 from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
-from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay, PanMotion
+from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion
 from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
@@ -40,7 +40,7 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['JointFusion']
+__all__ = ['Fusion']
 
 _LOG = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ _NOT_STARTED = Refusal('not initialized', 'give a start pose')
 _WRONG_START = Refusal('the given start is wrong', 'images are not those of that place')
 
 
-class JointFusion:
+class Fusion:
     """
     Pose, calibration and map errors out of whatever comes when; offline and in the node.
 
@@ -73,8 +73,6 @@ class JointFusion:
         Landmarks with their joint covariance.
     calibration : Calibration
         Prior of mount, lens and clocks.
-    window_s : float
-        How late a measurement may come.
 
     """
 
@@ -84,14 +82,12 @@ class JointFusion:
         calibration: Calibration,
         config: EstimatorConfig | None = None,
         odometry: OdometryNoiseConfig | None = None,
-        window_s: float = 2.0,
     ) -> None:
         self._map, self._prior = landmark_map, calibration
         self._config, self._odometry = (
             config or EstimatorConfig(),
             odometry or OdometryNoiseConfig(),
         )
-        self._window_s = window_s
         self._track, self._clock = OdometryTrack(self._odometry), ClockWatch()
         self._line: Timeline | None = None
         # A given start is in doubt until images alone give the pose: the filter from there on if
@@ -125,7 +121,7 @@ class JointFusion:
 
         """
         ends = self._track.stamps_ns
-        recent = ends and (max(ends[0], ends[1] - round(1e9 * self._window_s)), ends[1])
+        recent = ends and (max(ends[0], ends[1] - round(1e9 * self._config.history_s)), ends[1])
         self._place(checked_start(start, recent, now_ns))
         assert self._line is not None, 'it was placed'
         self._anywhere, self._given = copy(self._line.filter), self._line.filter.snapshot
@@ -168,7 +164,7 @@ class JointFusion:
         line, ends, stamp = self._line, self._track.stamps_ns, sample.stamp_ns
         if ends is not None:
             newest = ends[1] if line is None else line.newest_ns
-            window_ns = round(1e9 * self._window_s)
+            window_ns = round(1e9 * self._config.history_s)
             step = self._clock.judge(stamp, ends[1], newest, window_ns)
             seconds = f'{1e-9 * (stamp - ends[1]):.1f} s'
             if step is ClockStep.AHEAD:
@@ -377,7 +373,7 @@ class JointFusion:
         self._anywhere, self._start_odds = None, _GIVEN_RIGHT
 
     def _begin(self, joint: JointFilter) -> None:
-        self._line, self._update = Timeline(joint, self._track, self._window_s), None
+        self._line, self._update = Timeline(joint, self._track, self._config.history_s), None
 
     def _set_back(self, sample: OdometrySample) -> None:
         """Go on from the newest pose by another clock (a bag that starts over)."""

@@ -1,5 +1,5 @@
 """
-Landmarks found where the state of the joint estimator expects them.
+Landmarks found where the state of the estimator expects them, and fixes from their bearings.
 
 The calibrated mount puts the camera; the covariance of pose and mount together sets the search
 windows. So what is not known is searched for, and what was learned narrows the search.
@@ -7,7 +7,9 @@ windows. So what is not known is searched for, and what was learned narrows the 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,17 +17,17 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.localization.detection.blurred import detect_blurred
 from landmark_nav.localization.detection.correlation import DetectionResult
+from landmark_nav.localization.detection.expectation import Expectation as Window
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
 from landmark_nav.localization.frozen_image import FrozenImage
-from landmark_nav.localization.joint_delay import in_time, JointDelay
-from landmark_nav.localization.observation import Observation, ObservationConfig
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.late_joints import in_time
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
 from landmark_nav.localization.relocalization.within_prior import localize_within_prior
-from landmark_nav.localization.triangulation.bearing_buffer import BearingBuffer
-from landmark_nav.localization.triangulation.model import axis_from_base
+from landmark_nav.localization.triangulation import triangulate
+from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.localization.triplet import visible_landmarks
 from landmark_nav.types import (
     CameraFrame,
@@ -37,7 +39,7 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['JointObserver', 'straight']
+__all__ = ['Observation', 'Observer', 'straight']
 
 # Shares of the landmarks looked for that count as most of them, and as hardly any.
 _MOST, _HARDLY_ANY = 0.75, 0.25
@@ -50,11 +52,44 @@ _STEP = 4e-4
 # A search within a wide prior takes a tenth of a second: it is made in each of the first so many
 # images, then, if nothing was found, in every third one.
 _EAGER, _PATIENT = 5, 3
+_HANGS = Refusal('image is the one before', 'though the camera has moved: it hangs')
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """
+    What an image shows.
+
+    Parameters
+    ----------
+    detections : Detections
+        Landmarks that were found.
+    refused : mapping of int to Refusal
+        Why others were not, by landmark id.
+    triangulate : callable
+        Gives `fix` where somebody asks for it.
+    unusable : bool
+        Whether the image was not searched at all.
+    expected : mapping of int to Window
+        Where landmarks were searched, by id.
+
+    """
+
+    detections: Detections
+    refused: Mapping[int, Refusal]
+    triangulate: Callable[[], PoseEstimate | Refusal]
+    unusable: bool = False
+    expected: Mapping[int, Window] = field(default_factory=dict)
+
+    @cached_property
+    def fix(self) -> PoseEstimate | Refusal:
+        """Pose of the base triangulated from the bearings of this image alone."""
+        return self.triangulate()
 
 
 def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     """Return an image with camera and joints as a calibration has them."""
-    frame, _ = in_time(frame, JointDelay(calibration['joint_delay'][0]))
+    frame = in_time(frame, calibration['joint_delay'][0])
     # In steps of a tenth of a pixel, as each camera needs a grid of rays of its own.
     focal, shift = (
         _STEP * round(calibration[name][0] / _STEP) for name in ('focal_scale', 'principal_point')
@@ -73,7 +108,7 @@ def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     )
 
 
-class JointObserver:
+class Observer:
     """
     Finds landmarks in one image after the other.
 
@@ -81,12 +116,12 @@ class JointObserver:
     ----------
     landmark_map : LandmarkMap
         What to look for.
-    config : ObservationConfig
+    calibration : Calibration
+        Prior of mount, lens and clocks.
+    config : LookingConfig
         Of the stages that look at an image.
-    joint : EstimatorConfig
+    step : EstimatorConfig
         By how much camera or base may be turned at once.
-    odometry : OdometryNoiseConfig
-        Noise of the wheels, for fixes from several images.
 
     """
 
@@ -94,26 +129,39 @@ class JointObserver:
         self,
         landmark_map: LandmarkMap,
         calibration: Calibration,
-        config: ObservationConfig,
-        joint: EstimatorConfig,
-        odometry: OdometryNoiseConfig,
+        config: LookingConfig,
+        step: EstimatorConfig,
     ) -> None:
-        self._map, self._config, self._joint = landmark_map, config, joint
+        self._map, self._config, self._step = landmark_map, config, step
+        self._mount = calibration.mount
         self._frozen = FrozenImage()
         self._blur, self._found_most, self._vain = np.zeros(2), False, 0
         self._novelty = np.ones(len(landmark_map.landmarks))
-        self._gatherer = BearingBuffer(
-            landmark_map, calibration.mount, 0.0, odometry, config.triangulation
-        )
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
         self._frozen.add_odometry(sample)
 
     def fix(self, found: Detections, prior: PoseEstimate) -> PoseEstimate | Refusal:
-        """Triangulate from bearings alone; the prior rejects impossible results."""
-        self._gatherer.add(found)
-        return self._gatherer.fix(prior)
+        """Triangulate from the bearings of one image; the prior rejects impossible results."""
+        index = self._map.indices(found.ids)
+        pan_variance = self._mount.pan_sigma_rad**2 + found.pan_sigma_rad**2
+        start = axis_from_base(prior, self._mount)
+        away = self._map.positions[index, :2] - start.pose[:2]
+        # An error of the pan shifts all landmarks across their lines of sight.
+        across = np.column_stack([-away[:, 1], away[:, 0]]).ravel()
+        covariance = self._map.joint_covariance_of(index)
+        fix = triangulate(
+            self._map.positions[index, :2],
+            found.bearing_rad,
+            found.variance_rad2,
+            covariance + pan_variance * np.outer(across, across),
+            start,
+            self._config.triangulation,
+        )
+        if isinstance(fix, Refusal):
+            return fix
+        return base_from_axis(fix.at(found.stamp_ns), self._mount)
 
     def look(self, frame: CameraFrame, expected: Expectation) -> Observation:
         """
@@ -123,14 +171,14 @@ class JointObserver:
         turned. A wide pose is localize_within_prior before: what came of it is `Detections.near`.
         """
         if self._frozen.repeats(frame):
-            return Observation(_nothing(frame.stamp_ns), {}, Refusal('image hangs'), unusable=True)
+            return Observation(_nothing(frame.stamp_ns), {}, lambda: _HANGS, unusable=True)
         config = self._config
         place = self._narrowed(frame, expected)
         if place is not None:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
         visible = self._visible(frame, expected)
         enough, most = config.detection.target_count, config.detection.max_count
-        step = self._joint
+        step = self._step
         turned = expected.stepped(step.step_sigma_m, step.step_sigma_rad, step.step_sigma_s)
         tries = [(expected, enough)] if self._found_most and enough < len(visible) else []
         for state, count in [*tries, (expected, most), (turned, most)]:
@@ -154,15 +202,15 @@ class JointObserver:
         seen = replace(
             seen,
             missed=np.array(sorted(missed), dtype=np.int64),
-            pan_rate_rad_s=frame.pan_rate_rad_s,
             pan_sigma_rad=frame.pan_sigma_rad,
             pan_rad=float(expected.calibration.mount.azimuth_base_rad(frame.pan_rad)),
             points=points.points,
             point_covariance=points.covariance,
             near=None if place is None else place.pose,
         )
-        fix = self.fix(seen, expected)
-        return Observation(seen, dict(result.refused), fix, expected=result.expected)
+        return Observation(
+            seen, result.refused, lambda: self.fix(seen, expected), expected=result.expected
+        )
 
     def _narrowed(self, frame: CameraFrame, expected: Expectation) -> PoseEstimate | None:
         """Find the pose within a wide one; if that fails again and again, try less often."""
@@ -206,7 +254,7 @@ class JointObserver:
         detection = replace(config.detection, vertical_sigma_px=min(_MOST_RISE_PX, float(rise_px)))
         looked_for = most_informative(
             axis_from_base(expected, mount), self._map, visible, config.triplet.bearing_sigma_rad,
-            count, (), self._novelty,
+            count, self._novelty,
         )  # fmt: skip
         result, self._blur = detect_blurred(
             straight(frame, expected.calibration),

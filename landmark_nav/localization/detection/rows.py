@@ -1,4 +1,4 @@
-"""What the rows of matches tell, which triangulation does not use: mistakes, and a lean."""
+"""Rows of matches beside those that were expected: a wrong one is a mistaken match."""
 
 from __future__ import annotations
 
@@ -11,18 +11,10 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'CAMERA_HEIGHT_SIGMA_M',
-    'TILTED_RAD',
-    'CameraTilt',
-    'RowModel',
-    'RowResiduals',
-    'estimate_camera_tilt',
-    'wrong_heights',
-]
+__all__ = ['RowModel', 'RowResiduals', 'wrong_heights']
 
 # The camera hangs so much higher or lower than was measured with a tape.
-CAMERA_HEIGHT_SIGMA_M = 0.01
+_CAMERA_HEIGHT_SIGMA_M = 0.01
 
 # With fewer matches a wrong height cannot be distinguished from a wrong tilt.
 _LEAST_HEIGHTS = 3
@@ -30,13 +22,6 @@ _LEAST_HEIGHTS = 3
 _STEP = 1e-4
 # A match is at a wrong height if it is so many sigmas off, given the others.
 _WRONG = 4.0
-# A tilt or a roll is a knock if it is more than an uneven floor causes.
-TILTED_RAD = 0.005
-# Sigma of a tilt and a roll of which nothing is known.
-_ANY_RAD = 0.1
-# A roll is sure if it is so many sigmas off, of so many matches, if so large a share of all agree,
-# and whichever of them are left out that are so near to each other: posters are exchanged whole.
-_SURE, _LEAST_SURE, _MOST, _NEAR_M = 3.0, 4, 0.6, 0.5
 
 
 class RowModel(NamedTuple):
@@ -102,7 +87,7 @@ class RowModel(NamedTuple):
         by_shared = (by_point @ shared)[:, 0]
         own = (by_point @ points @ by_point.swapaxes(1, 2))[:, 0, 0] - np.sum(by_shared**2, axis=1)
         # Unlike a tilt, a height shifts what is near more than what is far.
-        common = np.column_stack([by_shared, CAMERA_HEIGHT_SIGMA_M * self.by_height])
+        common = np.column_stack([by_shared, _CAMERA_HEIGHT_SIGMA_M * self.by_height])
         by_pose = self.by_pose @ pose_covariance @ self.by_pose.T
         return np.asarray(by_pose + common @ common.T + np.diag(own))
 
@@ -142,15 +127,6 @@ class RowResiduals(NamedTuple):
             covariance[rows, rows] = part.covariance
         return RowResiduals(off_px, by_tilt_roll, covariance, points)
 
-    @property
-    def may_tell_a_roll(self) -> bool:
-        """Whether they are as far apart as a roll that is a knock sets them; quick to tell."""
-        if len(self.off_px) < _LEAST_SURE:
-            return False
-        by_roll = self.by_tilt_roll[:, 1]
-        apart_px = self.off_px.max() - self.off_px.min()
-        return bool(apart_px > TILTED_RAD * (by_roll.max() - by_roll.min()))
-
     def wrong(self, tilt_roll_rad: float) -> npt.NDArray[np.bool_]:
         """Which matches (n,) contradict the others, with this sigma of tilt and roll."""
         by_tilt_roll = tilt_roll_rad * self.by_tilt_roll
@@ -164,57 +140,6 @@ class RowResiduals(NamedTuple):
             self.covariance[np.ix_(keep, keep)],
             self.points[keep],
         )
-
-
-class CameraTilt(NamedTuple):
-    """
-    By how much a camera's tilt is larger, and it leans to its right, than was assumed; radians.
-
-    `matches` is how many tell so, wrong heights left out; `roll_sigma_rad` is the roll's sigma;
-    `sure` tells whether they are most of all, and whether those say so as well that are left
-    without any one thing on a wall.
-    """
-
-    tilt_rad: float = 0.0
-    roll_rad: float = 0.0
-    roll_sigma_rad: float = np.inf
-    matches: int = 0
-    sure: bool = False
-
-    @property
-    def is_roll(self) -> bool:
-        """Whether there surely is a roll, and more than an uneven floor causes."""
-        return self.sure and abs(self.roll_rad) > TILTED_RAD
-
-
-def estimate_camera_tilt(heights: RowResiduals) -> CameraTilt:
-    """Estimate tilt and roll of a camera of which nothing is known, without wrong heights."""
-    fits = ~heights.wrong(_ANY_RAD)
-    count = int(fits.sum())
-    if count < _LEAST_HEIGHTS:
-        return CameraTilt()
-    off_px, by_tilt_roll, covariance, points = heights.chosen(fits)
-    inverse = np.linalg.inv(covariance)
-    weighted = inverse @ by_tilt_roll
-    information, projected = by_tilt_roll.T @ weighted + np.eye(2) / _ANY_RAD**2, off_px @ weighted
-    (tilt, roll), sigma = _solved(information, projected)
-    sure = count >= max(_LEAST_SURE, _MOST * len(fits)) and abs(roll) > _SURE * sigma
-    if sure:
-        near = np.linalg.norm(points[:, None] - points, axis=-1) < _NEAR_M
-        for out in np.unique(near, axis=0):
-            # Least squares without some rows differ from those with all by their rank.
-            less = np.linalg.solve(inverse[np.ix_(out, out)], weighted[out]).T
-            (_, without), doubt = _solved(
-                information - less @ weighted[out], projected - less @ (inverse @ off_px)[out]
-            )
-            sure &= bool(without * np.sign(roll) > _SURE * doubt)
-    return CameraTilt(float(tilt), float(roll), float(sigma), count, sure)
-
-
-def _solved(information: FloatArray, projected: FloatArray) -> tuple[FloatArray, float]:
-    """Tilt and roll (2,) of least squares, and the sigma of the roll."""
-    spread = np.linalg.inv(information)
-    return spread @ projected, float(np.sqrt(spread[1, 1]))
 
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:

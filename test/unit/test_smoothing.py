@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from joint_drives import Drive, driven, NS, simulated
+from drawn_drives import Drive, driven, NS, simulated
 import numpy as np
 import pytest
 

@@ -12,7 +12,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.localization.odometry.noise import twist_motion
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
-__all__ = ['PriorTrack']
+__all__ = ['ExpectedPoses']
 
 _HISTORY = 200
 # So far ahead the speeds tell where to look: an image need not wait for the next odometry.
@@ -22,7 +22,7 @@ _AHEAD_NS = 100_000_000
 _Pose = TypeVar('_Pose', bound=PoseEstimate)
 
 
-class PriorTrack(Generic[_Pose]):
+class ExpectedPoses(Generic[_Pose]):
     """
     The last fused poses, with whatever belongs to them.
 

@@ -8,6 +8,7 @@ from rendered_drives import (
     camera_image,
     drive,
     error_of,
+    expected,
     FRAME_NS,
     LENS,
     MAP,
@@ -18,15 +19,18 @@ from rendered_drives import (
     START_SIGMA,
 )
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.localization.detection import DetectionConfig
-from landmark_nav.localization.fusion import FusionConfig
-from landmark_nav.localization.observation import ObservationConfig, Observer
-from landmark_nav.localization.pipeline import (
+from landmark_nav.localization.estimator import EstimatorConfig
+from landmark_nav.localization.localizer import (
     LocalizationConfig,
     LocalizationUpdate,
     Localizer,
 )
-from landmark_nav.localization.triplet import TripletConfig
+from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.observer import Observer
+from landmark_nav.localization.triplet import CameraState, TripletConfig
+from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -36,7 +40,11 @@ from landmark_nav.types import (
     Triplet,
 )
 
-FIX_WINDOW_S = 3.0
+EXACT = Calibration.exact(MOUNT)
+
+
+def observer(config: LookingConfig | None = None) -> Observer:
+    return Observer(MAP, EXACT, config or LookingConfig(), EstimatorConfig())
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +57,11 @@ class Run:
     fixes: list[tuple[PoseEstimate, FloatArray]]
 
 
-def localize(
-    mode: str, seed: int = 1, seconds: float = 9.0, views: str = 'one', turns: bool = True
-) -> Run:
-    """Drive with the camera turned, if it turns, to what the last image asked for."""
+def localize(seed: int = 1, seconds: float = 9.0) -> Run:
+    """Drive with the camera turned to the triplet that is best after each image."""
     rng = np.random.default_rng(seed)
-    observation = ObservationConfig(triplet=TripletConfig(views=views, fix_window_s=FIX_WINDOW_S))
-    config = LocalizationConfig(observation, FusionConfig(mode=mode))
-    localizer = Localizer(MAP, MOUNT, config)
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
+    camera = ActiveCamera(MAP, MOUNT, TripletConfig())
     localizer.initialize(start_of(rng))
     updates, errors, nees, fixes, pan = [], [], [], [], 0.0
     for step in drive(rng, seconds):
@@ -72,14 +77,15 @@ def localize(
         nees.append(error @ np.linalg.solve(update.fused.covariance, error))
         if isinstance(update.observation.fix, PoseEstimate):
             fixes.append((update.observation.fix, step.pose))
-        if turns and isinstance(update.triplet, Triplet):
-            pan = update.triplet.pan_rad
+        chosen = camera.choose(update.fused, LENS, CameraState(pan)).chosen
+        assert isinstance(chosen, Triplet)
+        pan = chosen.pan_rad
     return Run(updates, np.array(errors), np.array(nees), fixes)
 
 
 @pytest.fixture(scope='module')
 def run() -> Run:
-    return localize('bearings')
+    return localize()
 
 
 def test_a_drive_is_followed(run: Run) -> None:
@@ -88,7 +94,6 @@ def test_a_drive_is_followed(run: Run) -> None:
     assert np.sqrt(np.mean(later[:, 2] ** 2)) < np.radians(0.35)
     assert np.mean(run.nees) / 3.0 < 2.5
     assert {update.status for update in run.updates} == {'tracking'}
-    assert all(isinstance(update.triplet, Triplet) for update in run.updates)
     # The camera is turned so that the three are in the image.
     counts = [len(update.observation.detections) for update in run.updates]
     assert np.mean(counts[1:]) >= 3.0
@@ -96,7 +101,7 @@ def test_a_drive_is_followed(run: Run) -> None:
 
 def test_odometry_alone_is_misled() -> None:
     rng = np.random.default_rng(1)
-    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
     localizer.initialize(start_of(rng))
     for step in drive(rng, 9.0):
         localizer.add_odometry(step.odometry)
@@ -115,47 +120,13 @@ def test_fixes_err_as_their_covariances_say(run: Run) -> None:
     assert np.mean((errors / sigma) ** 2) < 2.5
 
 
-def test_fixes_of_several_views_come_from_what_was_gathered_on_the_way() -> None:
-    run = localize('poses', views='several')
-    assert np.sqrt(np.mean(np.sum(run.errors[8:, :2] ** 2, 1))) < 0.03
-    assert len(run.fixes) > 2
-    for fix, pose in run.fixes:
-        error = error_of(fix, pose)
-        assert error @ np.linalg.solve(fix.covariance, error) < 16.3  # 99.9 %
-    fixes = [update.observation.fix for update in run.updates]
-    reasons = {fix.reason for fix in fixes if isinstance(fix, Refusal)}
-    assert 'the triplet is not complete' in reasons
-
-
-def test_a_fix_waits_no_longer_for_views_that_the_camera_does_not_turn_to() -> None:
-    run = localize('poses', views='several', turns=False)
-    fixed = [isinstance(update.observation.fix, PoseEstimate) for update in run.updates]
-    stamps = 1e-9 * np.array([update.stamp_ns for update in run.updates])
-    waits = np.diff([0.0, *stamps[fixed], stamps[-1]])
-    # A wait begins with the image after a fix, and is over with one.
-    assert np.all(waits <= FIX_WINDOW_S + 2e-9 * FRAME_NS)
-    assert max(waits) > FIX_WINDOW_S
-    for fix, pose in run.fixes:
-        error = error_of(fix, pose)
-        assert error @ np.linalg.solve(fix.covariance, error) < 16.3  # 99.9 %
-
-
-def test_poses_may_correct_the_odometry_instead_of_bearings() -> None:
-    run = localize('poses')
-    later = run.errors[4:]
-    assert np.sqrt(np.mean(np.sum(later[:, :2] ** 2, 1))) < 0.03
-    assert np.mean(run.nees) / 3.0 < 2.5
-    corrected = [update for update in run.updates if update.fusion.refusal is None]
-    assert len(corrected) > len(run.updates) // 2
-
-
 def test_the_fix_comes_from_the_bearings_alone() -> None:
     # Priors that differ lead to one fix: they only say where to look.
     frame = camera_image(START, 0.2)
     found = []
     for shift in ((0.0, 0.0, 0.0), (0.04, -0.03, 0.01), (-0.03, 0.04, -0.012)):
         prior = PoseEstimate(0, START + np.array(shift), np.diag([0.04, 0.04, 0.012]) ** 2)
-        seen = Observer(MAP, MOUNT, ObservationConfig()).look(frame, prior)
+        seen = observer().look(frame, expected(prior))
         assert isinstance(seen.fix, PoseEstimate)
         found.append(seen.fix)
     for fix in found[1:]:
@@ -165,7 +136,7 @@ def test_the_fix_comes_from_the_bearings_alone() -> None:
 
 def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
     prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
-    seen = Observer(MAP, MOUNT, ObservationConfig()).look(camera_image(START, 0.2), prior)
+    seen = observer().look(camera_image(START, 0.2), expected(prior))
     assert not set(seen.detections.ids.tolist()) & set(seen.refused)
     assert len(seen.detections) + len(seen.refused) >= 4
     assert all(refusal.reason for refusal in seen.refused.values())
@@ -173,12 +144,13 @@ def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
 
 def test_where_most_is_found_few_are_looked_for_and_all_once_they_are_not() -> None:
     prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
-    observer = Observer(MAP, MOUNT, ObservationConfig(detection=DetectionConfig(target_count=3)))
+    looks = observer(LookingConfig(detection=DetectionConfig(target_count=3)))
     frame = camera_image(START, 0.2)
     blank = replace(frame, image=np.full_like(frame.image, 90))
 
     def looked_for(k: int, frame: CameraFrame) -> int:
-        seen = observer.look(replace(frame, stamp_ns=k), replace(prior, stamp_ns=k))
+        given = expected(replace(prior, stamp_ns=k))
+        seen = looks.look(replace(frame, stamp_ns=k), given)
         return len(seen.detections) + len(seen.refused)
 
     frames = (frame, frame, blank, blank, frame, frame)
@@ -189,7 +161,7 @@ def test_where_most_is_found_few_are_looked_for_and_all_once_they_are_not() -> N
 
 def test_a_blank_image_gives_no_fix_and_odometry_goes_on() -> None:
     rng = np.random.default_rng(3)
-    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     dark = np.zeros((LENS.height, LENS.width, 3), np.uint8)
     for step in drive(rng, 2.0):
@@ -201,14 +173,14 @@ def test_a_blank_image_gives_no_fix_and_odometry_goes_on() -> None:
         assert isinstance(update.observation.fix, Refusal)
         assert len(update.observation.detections) == 0
         assert update.observation.refused
-        assert update.fusion.refusal is not None
+        assert not update.used
     error = error_of(update.fused, step.pose)
     assert np.abs(error / np.sqrt(np.diag(update.fused.covariance))).max() < 3.0
 
 
 def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
     rng = np.random.default_rng(4)
-    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
     assert localizer.estimate() is None
     dark = np.zeros((LENS.height, LENS.width, 3), np.uint8)
     nothing = localizer.add_frame(CameraFrame(-FRAME_NS, dark, LENS, 0.0))
@@ -234,14 +206,13 @@ def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
 
 
 def test_a_map_without_landmarks_gives_refusals() -> None:
-    localizer = Localizer(LandmarkMap((), walls=ROOM.walls), MOUNT, LocalizationConfig())
+    localizer = Localizer(LandmarkMap((), walls=ROOM.walls), EXACT, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     update = localizer.add_frame(camera_image(START, 0.0))
     assert isinstance(update, LocalizationUpdate)
-    assert isinstance(update.triplet, Refusal)
     assert isinstance(update.observation.fix, Refusal)
 
 
 def test_a_drive_again_gives_the_same() -> None:
-    first, second = (localize('bearings', seed=5, seconds=2.0) for _ in range(2))
+    first, second = (localize(seed=5, seconds=2.0) for _ in range(2))
     np.testing.assert_array_equal(first.errors, second.errors)

@@ -1,42 +1,103 @@
-"""The nodes with the joint estimator in one: for bags, and for use without ROS."""
+"""
+Localization in one: for bags, and for use without ROS.
+
+image and expectation -> observer -> detections; detections and odometry -> fusion -> pose.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.localization.estimator import ImagePoints, ProtectionLevel, Status, Update
-from landmark_nav.localization.fusion import FusionUpdate
-from landmark_nav.localization.joint_delay import JointDelay
-from landmark_nav.localization.joint_fusion import JointFusion
-from landmark_nav.localization.joint_observer import JointObserver, straight
-from landmark_nav.localization.observation import Observation
+from landmark_nav.localization.estimator import (
+    EstimatorConfig,
+    ImagePoints,
+    ProtectionLevel,
+    Status,
+    Update,
+)
+from landmark_nav.localization.fusion import Fusion
+from landmark_nav.localization.late_joints import JointDelay
+from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.observer import Observation, Observer, straight
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
-from landmark_nav.localization.relocalization import Relocalizer, Unseen
+from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
+from landmark_nav.parameters import Config
 from landmark_nav.types import (
     CameraFrame,
     Detections,
+    FloatArray,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
     Refusal,
 )
 
-__all__ = ['JointLocalizer']
+__all__ = ['STATUS', 'LocalizationConfig', 'LocalizationUpdate', 'Localizer']
 
-_NO_TRIPLET = Refusal('no triplet', 'the joint estimator takes what is most informative')
 # States as the rest of the package calls them.
-_STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
-# A detection of less weight than this is an outlier.
-_OUTLIER = 0.1
+STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
 
 
-class JointLocalizer:
+@dataclass(frozen=True)
+class LocalizationConfig(Config):
+    """Parameters of all stages."""
+
+    observation: LookingConfig = field(default_factory=LookingConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+    relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizationUpdate:
     """
-    Same calls as `Localizer`, another estimator.
+    All results of one image.
+
+    Parameters
+    ----------
+    observation : Observation
+        What was seen.
+    used : int
+        How many landmarks corrected the pose.
+    fused : PoseEstimate
+        The estimate at the image's stamp, after the update.
+    status, reason : str
+        After the update: ``tracking``, ``coasting`` or ``lost``, and the reason for the last two.
+    with_landmarks : ndarray, shape (3, 2 n), optional
+        Covariance of `fused` with the positions of all landmarks.
+    search : PoseEstimate or Refusal, optional
+        Result of searching for the place, if that was done.
+    level : ProtectionLevel, optional
+        What the error of `fused` stays within, with 99 %.
+    points : ImagePoints, optional
+        What the estimator was given.
+    taken : Update or Refusal, optional
+        What it made of that, or why it was not used.
+
+    """
+
+    stamp_ns: int
+    observation: Observation
+    used: int
+    fused: PoseEstimate
+    status: str
+    reason: str
+    with_landmarks: FloatArray | None = None
+    search: PoseEstimate | Refusal | None = None
+    level: ProtectionLevel | None = None
+    points: ImagePoints | None = None
+    taken: Update | Refusal | None = None
+
+
+class Localizer:
+    """
+    The nodes of the navigation phase in one.
+
+    Without `initialize`, and while it is lost or no landmark is in sight, it searches for the
+    place: it gathers images until they fit one place only.
 
     Parameters
     ----------
@@ -53,12 +114,8 @@ class JointLocalizer:
         self, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
     ) -> None:
         self._map, self._config = landmark_map, config
-        self._fusion = JointFusion(
-            landmark_map, calibration, config.joint, config.odometry, config.fusion.history_s
-        )
-        self._observer = JointObserver(
-            landmark_map, calibration, config.observation, config.joint, config.odometry
-        )
+        self._fusion = Fusion(landmark_map, calibration, config.estimator, config.odometry)
+        self._observer = Observer(landmark_map, calibration, config.observation, config.estimator)
         self._unseen = Unseen(config.relocalization.unseen_s)
         self._sample: OdometrySample | None = None
         self._relocalizer: Relocalizer | None = self._new_search()
@@ -111,10 +168,19 @@ class JointLocalizer:
     def status(self) -> tuple[str, str]:
         """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
         status, reason = self._fusion.status_at()
-        return _STATUS[status], reason
+        return STATUS[status], reason
 
     def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
-        """Look at an image and correct the pose, or search for the place until one is known."""
+        """
+        Look at an image and correct the pose, or search for the place until one is known.
+
+        Returns
+        -------
+        LocalizationUpdate or PoseEstimate or Refusal
+            An update if a pose was known before; otherwise the pose that was found, or why none
+            was.
+
+        """
         expected = self._fusion.expectation(frame.stamp_ns)
         if expected is None:
             return self._search(frame)
@@ -139,7 +205,7 @@ class JointLocalizer:
         known = np.isin(found.ids, self._map.ids)
         refused = {int(k): Refusal('not in the map') for k in found.ids[~known]}
         found = found.chosen(known)
-        seen = Observation(found, refused, self._observer.fix(found, prior))
+        seen = Observation(found, refused, lambda: self._observer.fix(found, prior))
         return self._updated(seen, self._fusion.points(found))
 
     def _new_search(self) -> Relocalizer:
@@ -171,33 +237,13 @@ class JointLocalizer:
         status, reason = self._fusion.status_at()
         return LocalizationUpdate(
             stamp,
-            _NO_TRIPLET,
             seen,
-            self._fusion_update(stamp, taken),
+            len(taken.used) if isinstance(taken, Update) else 0,
             fused,
-            _STATUS[status],
+            STATUS[status],
             reason,
             self._fusion.with_landmarks(stamp),
             level=self._fusion.level(fused),
             points=points,
-        )
-
-    def _fusion_update(self, stamp_ns: int, taken: Update | Refusal) -> FusionUpdate:
-        if isinstance(taken, Refusal):
-            return FusionUpdate(stamp_ns, refusal=taken)
-        if not len(taken.columns):
-            return FusionUpdate(stamp_ns, refusal=Refusal('nothing seen'))
-        ids, good = self._map.ids[taken.columns], taken.weight > _OUTLIER
-        squares = np.einsum(
-            'mi,mi->m',
-            taken.residual,
-            np.linalg.solve(taken.covariance, taken.residual[..., None])[..., 0],
-        )
-        return FusionUpdate(
-            stamp_ns,
-            ids[good],
-            taken.residual[good, 0],
-            float(squares[good].sum()),
-            int(good.sum()) * taken.residual.shape[1],
-            {int(k): Refusal('outlier') for k in ids[~good]},
+            taken=taken,
         )

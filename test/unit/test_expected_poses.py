@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from landmark_nav.localization.detection.prior import PriorTrack
+from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
 SPEED, RATE = 0.5, 0.8
@@ -19,8 +19,8 @@ def circle(stamp_ns: int) -> np.ndarray:
 
 
 @pytest.fixture
-def track() -> PriorTrack:
-    made = PriorTrack(0.5)
+def track() -> ExpectedPoses:
+    made = ExpectedPoses(0.5)
     for stamp in range(0, 1_000_000_001, 50_000_000):
         pose = circle(stamp)
         made.add(PoseEstimate(stamp, pose, np.eye(3)), OdometrySample(stamp, pose, SPEED, RATE))
@@ -28,20 +28,20 @@ def track() -> PriorTrack:
 
 
 @pytest.mark.parametrize('stamp', [0, 333_000_000, 500_000_000, 1_200_000_000, -300_000_000])
-def test_moved_to_the_stamp_by_its_own_speeds(track: PriorTrack, stamp: int) -> None:
+def test_moved_to_the_stamp_by_its_own_speeds(track: ExpectedPoses, stamp: int) -> None:
     prior = track.at(stamp)
     assert isinstance(prior, PoseEstimate)
     assert prior.stamp_ns == stamp
     np.testing.assert_allclose(prior.pose, circle(stamp), atol=1e-9)
 
 
-def test_too_far_in_time(track: PriorTrack) -> None:
+def test_too_far_in_time(track: ExpectedPoses) -> None:
     refusal = track.at(1_600_000_000)
     assert isinstance(refusal, Refusal)
     assert '+0.60 s' in refusal.detail
 
 
-def test_what_is_recent(track: PriorTrack) -> None:
+def test_what_is_recent(track: ExpectedPoses) -> None:
     newest = track.recent(1_500_000_000)
     assert newest is not None
     assert newest.stamp_ns == 10**9
@@ -50,7 +50,7 @@ def test_what_is_recent(track: PriorTrack) -> None:
     assert track.recent(0) is None
 
 
-def test_a_clock_set_back_begins_anew(track: PriorTrack) -> None:
+def test_a_clock_set_back_begins_anew(track: ExpectedPoses) -> None:
     def fused(stamp: int, x: float) -> None:
         pose = np.array([x, 0.0, 0.0])
         track.add(PoseEstimate(stamp, pose, np.eye(3)), OdometrySample(stamp, pose))
@@ -66,11 +66,11 @@ def test_a_clock_set_back_begins_anew(track: PriorTrack) -> None:
 
 
 def test_nothing_known() -> None:
-    empty = PriorTrack(0.5)
+    empty = ExpectedPoses(0.5)
     assert isinstance(empty.at(0), Refusal)
     assert not empty.reaches(0)
 
 
-def test_how_far_it_reaches(track: PriorTrack) -> None:
+def test_how_far_it_reaches(track: ExpectedPoses) -> None:
     assert track.reaches(1_099_999_999)
     assert not track.reaches(1_100_000_001)
