@@ -130,11 +130,13 @@ class PlaceChain:
     """
     Poses of the base (v, 3) where sweeps were taken, in the frame of the first one.
 
-    `covariance` (3 v, 3 v) is joint: errors of one way go on in all later poses.
+    `covariance` (3 v, 3 v) is joint: errors of one way go on in all later poses. `source` names
+    what measured them.
     """
 
     poses: FloatArray
     covariance: FloatArray
+    source: str = 'odom'
 
 
 @dataclass(frozen=True, eq=False)

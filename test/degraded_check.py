@@ -24,7 +24,16 @@ from as_a_user import as_jpeg, command
 import cv2
 import numpy as np
 import numpy.typing as npt
-from stream_errors import FURTHER, OTHERS, REPORTED, StreamError, SWEEPS, write_drive
+from stream_errors import (
+    FOURTH,
+    FURTHER,
+    OTHERS,
+    REPORTED,
+    StreamError,
+    SWEEPS,
+    THIRD,
+    write_drive,
+)
 
 from landmark_nav.arrays import ImageArray
 from landmark_nav.diagnosis import diagnose
@@ -154,6 +163,8 @@ def table_of_streams(drive: str, robot: str, room: str) -> bool:
         ('reported, of sweeps', str(BAGS / 'learn'), SWEEPS, 1.0),
         ('others', drive, OTHERS, 0.9),
         ('further', drive, FURTHER, 0.9),
+        ('third', drive, THIRD, 0.9),
+        ('fourth', drive, FOURTH, 0.9),
     ):
         print(f'{title:30} named  said')
         hits = 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from io import BytesIO
 import json
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,14 @@ from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.alignment import aligned, aligned_report
 from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
-from landmark_nav.evaluation.html_report import html_report
 from landmark_nav.evaluation.replay import Replay, replay
+from landmark_nav.evaluation.report import (
+    check_report,
+    drive_page,
+    FrameStrip,
+    write_report,
+    write_video,
+)
 from landmark_nav.evaluation.run_report import integrity_report, run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import departures, smooth_run, smoothed_report
 from landmark_nav.evaluation.true_places import check_truth_frame
@@ -45,7 +50,7 @@ _EVENTS = ('camera/image_raw', 'detections', 'odom', 'ground_truth/odom')
 # Half around the earth. A smaller sigma is a slip of the pen.
 _FARTHEST_M, _LEAST_SIGMA = 2e7, 1e-9
 
-_FIGURES = {'Trajectory': 'trajectory.png', 'Errors': 'errors.png'}
+_FIGURES = ('trajectory.png', 'errors.png')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Localize along a recorded drive with the same stages as the nodes, compare '
         'with ground_truth/odom at the stamps of the images, and write what --json, --tum, '
-        '--report and --out ask for.'
+        '--report, --video and --out ask for.'
     )
     parser.add_argument('bag', metavar='BAG', help='bag of a drive')
     add_topic_argument(parser)
@@ -102,7 +107,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--report',
         metavar='F.html',
         type=Path,
-        help='write a page with numbers and images to F.html',
+        help='write a page that plays the drive to F.html',
+    )
+    parser.add_argument(
+        '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4'
     )
     parser.add_argument(
         '--out',
@@ -114,10 +122,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay, measure, draw; nothing is written unless all went well."""
-    if args.report and args.report.suffix.lower() not in ('.html', '.htm'):
-        raise UsageError(f'--report {args.report}: reports are written as .html')
-    figures_in = [args.out / name for name in _FIGURES.values()] if args.out else []
-    check_writable(*figures_in, args.json, args.report, args.tum and args.tum / 'fused.tum')
+    check_report(args.report)
+    if args.video and args.video.suffix.lower() != '.mp4':
+        raise UsageError(f'--video {args.video}: videos are written as .mp4')
+    figures_in = [args.out / name for name in _FIGURES] if args.out else []
+    tum = args.tum and args.tum / 'fused.tum'
+    check_writable(*figures_in, args.json, args.report, args.video, tum)
     landmarks = load_map(args.map)
     calibration = landmarks.calibration_from(load_calibration(args.robot))
     mount = calibration.mount
@@ -141,9 +151,13 @@ def run(args: argparse.Namespace) -> int:
     sigma_s = max(late.pan_sigma_s, config.fusion.delay_sigma_s)
     config = replace(config, fusion=replace(config.fusion, delay_sigma_s=sigma_s))
 
+    strip = FrameStrip()
+
     def localized(joint_delay_s: float, fusion: FusionConfig) -> Replay:
         delays = (joint_delay_s, late.images_s, late.odometry_s)
         events = progress(sensor_events(bag, mount, *delays), 'localizing', total)
+        if (args.report or args.video) and not strip.frames:
+            events = strip.watch(events)
         known = replace(config, fusion=fusion)
         return replay(events, landmarks, mount, known, start, covariance, calibration)
 
@@ -202,24 +216,27 @@ def run(args: argparse.Namespace) -> int:
                 f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
                 'check odometry, joint_states and camera where they seem to be wrong'
             )
-    figures = {caption: BytesIO() for caption in _FIGURES}
-    if args.out or args.report:
-        draw_trajectory(done, landmarks, figures['Trajectory'], smoothed)
-        draw_errors(done, errors, figures['Errors'])
     if args.out:
-        for caption, name in _FIGURES.items():
-            write_atomically(args.out / name, figures[caption].getvalue())
-    if args.report:
-        title = f'{bag.path.name} on {Path(args.map).name}'
-        drawn = {caption: png.getvalue() for caption, png in figures.items()}
-        write_atomically(args.report, html_report(title, report, drawn))
+        trajectory, drawn_errors = figures_in
+        draw_trajectory(done, landmarks, trajectory, smoothed)
+        draw_errors(done, errors, drawn_errors)
+    if args.report or args.video:
+        page = drive_page(
+            f'{bag.path.name} on {Path(args.map).name}', args.command_line,
+            {'bag': bag.path, 'map': args.map, 'robot': args.robot, 'config': args.config}, report,
+            done, errors, landmarks, done.calibration or calibration, strip, smoothed,
+        )  # fmt: skip
+        if args.report:
+            write_report(args.report, page)
+        if args.video:
+            write_video(args.video, page)
     if args.tum:
         write_tum_files(done, args.tum, smoothed)
     if args.json:
         write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     print(run_summary(report))
     if args.out:
-        print(f'{" and ".join(_FIGURES.values())} in {args.out.resolve()}')
+        print(f'{" and ".join(_FIGURES)} in {args.out.resolve()}')
     return 0
 
 

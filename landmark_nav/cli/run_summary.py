@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import wrapped
-from landmark_nav.evaluation.html_report import cell, ESTIMATES, nees_range
+from landmark_nav.evaluation.report.tables import cell, ESTIMATES, nees_range
 
 __all__ = ['error_table', 'run_summary']
 

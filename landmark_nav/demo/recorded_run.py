@@ -18,7 +18,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import Detections, PoseEstimate, Refusal
 
-__all__ = ['RECORDED_TOPICS', 'recorded_run']
+__all__ = ['RECORDED_TOPICS', 'SWEEP_TOPICS', 'recorded_run']
 
 RECORDED_TOPICS = (
     'camera/image_raw/compressed',
@@ -30,6 +30,21 @@ RECORDED_TOPICS = (
     'triangulation/pose',
     'odometry/fused',
     '/diagnostics',
+    'triplet',
+    # For people: what RViz, Foxglove and PlotJuggler show.
+    'landmarks/markers',
+    'odometry_fusion/protection_level',
+    'odometry_fusion/path',
+    'odometry_fusion/odometry_path',
+    'odometry_fusion/markers',
+    'triangulation_localizer/markers',
+    'triangulation_localizer/debug_image/compressed',
+)
+
+# What `landmark-nav learn` takes without a plan.
+SWEEP_TOPICS = (
+    *('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory'),
+    *('odom', 'ground_truth/odom'),
 )
 
 T = TypeVar('T')

@@ -22,7 +22,14 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
 from landmark_nav.types import Detections, FloatArray, LandmarkMap
 
-__all__ = ['RunErrors', 'integrity_report', 'pose_report', 'run_errors', 'run_report']
+__all__ = [
+    'RunErrors',
+    'integrity_report',
+    'pose_report',
+    'run_errors',
+    'run_report',
+    'spells',
+]
 
 SCHEMA = 1
 # A place that is known in fewer of the images is hardly known.
@@ -83,7 +90,7 @@ def run_report(
         },
         'realtime_factor': span_s / run.seconds,
         'result_hash': result_hash(stamps, run.fused, run.fixes),
-        'spells': _spells(run),
+        'spells': spells(run),
         'odometry_noise': {
             'along_m_per_sqrt_m': run.odometry_noise.along_m_per_sqrt_m,
             'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
@@ -168,18 +175,18 @@ def _warning(availability: float) -> str | None:
     )
 
 
-def _spells(run: Replay) -> list[dict[str, Any]]:
+def spells(run: Replay) -> list[dict[str, Any]]:
     """When the state was not tracking, and the reason that it gave first."""
-    spells = []
+    found = []
     for status, group in groupby(run.updates, key=lambda update: update.status):
         updates = list(group)
         if status == 'tracking':
             continue
         first, last = ((updates[k].stamp_ns - run.begin_ns) * 1e-9 for k in (0, -1))
-        spells.append(
+        found.append(
             {'status': status, 'from_s': first, 'to_s': last, 'reason': updates[0].reason}
         )
-    return spells
+    return found
 
 
 def _used(update: LocalizationUpdate, detection_sigma_factor: float) -> Detections:

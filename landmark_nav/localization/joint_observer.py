@@ -161,7 +161,8 @@ class JointObserver:
             point_covariance=points.covariance,
             near=None if place is None else place.pose,
         )
-        return Observation(seen, dict(result.refused), self.fix(seen, expected))
+        fix = self.fix(seen, expected)
+        return Observation(seen, dict(result.refused), fix, expected=result.expected)
 
     def _narrowed(self, frame: CameraFrame, expected: Expectation) -> PoseEstimate | None:
         """Find the pose within a wide one; if that fails again and again, try less often."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import logging
 
 import numpy as np
@@ -13,7 +13,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.aim import AimedDetector
 from landmark_nav.localization.detection.correlation import DetectionResult
-from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
+from landmark_nav.localization.detection.expectation import Expectation, NOT_LOOKED_FOR
 from landmark_nav.localization.detection.height import CameraTilt
 from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.detection.neighbour_consistency import NeighbourConsistency
@@ -86,6 +86,8 @@ class Observation:
         only given where to look, and rejects impossible results.
     unusable : bool
         Whether the image was not searched at all.
+    expected : mapping of int to Expectation
+        Where landmarks were searched, by id.
 
     """
 
@@ -93,6 +95,7 @@ class Observation:
     refused: Mapping[int, Refusal]
     fix: PoseEstimate | Refusal
     unusable: bool = False
+    expected: Mapping[int, Expectation] = field(default_factory=dict)
 
 
 class Observer:
@@ -227,7 +230,8 @@ class Observer:
             pan_track=pan_motion.track,
             pan_delay_s=late.delay_s,
         )
-        return Observation(found, refused, self._fix(found, prior, triplet))
+        fix = self._fix(found, prior, triplet)
+        return Observation(found, refused, fix, expected=result.expected)
 
     def _detected(
         self,

@@ -24,6 +24,7 @@ from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.nodes.live_pose import LivePose
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
@@ -32,7 +33,7 @@ from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
-from landmark_nav.ros.transforms import MapToOdom
+from landmark_nav.ros.transforms import TransformBroadcaster
 from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
 from landmark_nav.types import (
     Detections,
@@ -110,7 +111,8 @@ class OdometryFusionNode(LandmarkNode):
         calibration = load_calibration(self.required('robot_file', self._config.robot_file))
         self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
-        self._transform = MapToOdom(self)
+        self._live = LivePose(self, self._config.map_frame)
+        self._transform = TransformBroadcaster(self)
         self._spread = SpreadCorrection(self._config.correction_time_s)
         config = self._config
         self._filter: PoseFilter | JointFusion
@@ -240,6 +242,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _started(self, start: PoseEstimate, how: str) -> None:
         self._spread.restart()
+        self._live.restart()
         x, y, heading = start.pose
         self.get_logger().info(f'{how} at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
 
@@ -267,7 +270,7 @@ class OdometryFusionNode(LandmarkNode):
             # Only here: a transform must not be published twice for one time.
             pose = self._spread.at(sample.stamp_ns, estimate.pose, sample.pose_odom_base)
             frames = (self._config.map_frame, self._odom_frame)
-            self._transform.send(sample.stamp_ns, pose, frames)
+            self._transform.send(sample.stamp_ns, [encode.planar_transform(*frames, pose)])
 
     def _on_detections(self, message: Any) -> None:
         self._waiting.append(decode.detections(message))
@@ -376,6 +379,13 @@ class OdometryFusionNode(LandmarkNode):
                 level = self._filter.level(estimate).scaled(estimate)
                 self._level.publish(encode.pose(ros_factory, level, self._config.map_frame))
         self._fused.publish(encode.odometry(ros_factory, fused, estimate.covariance, **frames))
+        self._live.show(estimate, sample, lambda: self._protection_level(estimate))
+
+    def _protection_level(self, estimate: PoseEstimate) -> PoseEstimate | None:
+        """Pose of whose covariance one sigma is the protection level."""
+        if not isinstance(self._filter, JointFusion):
+            return None
+        return self._filter.level(estimate).scaled(estimate)
 
 
 def _calibration_values(joint: JointFusion) -> dict[str, str]:

@@ -21,6 +21,7 @@ from landmark_nav.localization.joint_observer import JointObserver, straight
 from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
+from landmark_nav.nodes.live_view import LiveView
 from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.camera_frames import CameraFrames
@@ -97,6 +98,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._mount = self._calibration.mount
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
+        self._live = LiveView(self, self._config.map_frame)
         self._frames = CameraFrames(self, self._mount, self._config.joint_delay_s)
         self._prior = PriorTrack[PoseEstimate](self._config.max_prior_age_s)
         self._expected = PriorTrack[Expectation](self._config.max_prior_age_s)
@@ -220,15 +222,28 @@ class TriangulationLocalizerNode(LandmarkNode):
         if searches and (self._look(message) or self._prior.recent(stamp) is None):
             return
         start = time.monotonic()
-        seen = self._observe(message)
+        seen, frame, prior = self._observe(message)
         self._images_unusable = seen.unusable
         self._search.note(stamp, len(seen.detections))
-        found = replace(seen.detections, joint_delay_s=self._config.joint_delay_s)
+        found = replace(
+            seen.detections,
+            uv_px=frame.camera.in_full_image(seen.detections.uv_px),
+            joint_delay_s=self._config.joint_delay_s,
+        )
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
         if isinstance(seen.fix, PoseEstimate):
             self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
+        self._live.show(
+            frame,
+            prior,
+            seen,
+            self._search.landmarks,
+            self._calibration.mount,
+            self._triplet,
+            message.header.frame_id,
+        )
 
     def _look(self, message: Any) -> bool:
         """Search for the place in an image; whether it was found."""
@@ -249,7 +264,8 @@ class TriangulationLocalizerNode(LandmarkNode):
             observer.turn(*self._search.tilt_roll_rad)
         return True
 
-    def _observe(self, message: Any) -> Observation:
+    def _observe(self, message: Any) -> tuple[Observation, CameraFrame, PoseEstimate]:
+        """What is seen in an image, with all that belongs to it, from the expected pose."""
         stamp = decode.stamp_ns(message.header)
         assert self._observer is not None, 'images come after the map'
         track = self._expected if self._joint else self._prior
@@ -264,8 +280,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         else:
             assert isinstance(prior, Expectation), 'of its own track'
             seen = self._observer.look(frame, prior)
-        uv_px = frame.camera.in_full_image(seen.detections.uv_px)
-        return replace(seen, detections=replace(seen.detections, uv_px=uv_px))
+        return seen, frame, prior
 
     def _complete(
         self, message: Any, also: Callable[[int], bool]

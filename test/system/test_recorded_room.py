@@ -132,7 +132,7 @@ def test_joint_states_that_become_late_are_not_put_right_from_the_start(
 def test_images_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
     for name in ('map/map.png', 'map/panorama_1.png', 'map/panorama_2.png'):
         assert (figures[1] / name).stat().st_size > 10_000
-    assert '<img' in (figures[1] / 'run.html').read_text()
+    assert (figures[1] / 'run.html').stat().st_size > 100_000
 
 
 @pytest.mark.parametrize('turned_deg', [(2.0, 0.0, 0.0), (-1.0, 0.0, 1.5)])
