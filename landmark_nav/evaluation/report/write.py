@@ -10,7 +10,6 @@ import json
 from pathlib import Path
 
 from jinja2 import Environment, Template
-from markupsafe import Markup
 
 from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.report.collect import Page
@@ -49,9 +48,9 @@ def page_html(page: Page) -> str:
     data = json.dumps(page['data'], separators=(',', ':'), allow_nan=False)
     return _template().render(
         page=page,
-        data=Markup(data.replace('<', '\\u003c')),
-        css=Markup(_resource('page.css')),
-        js=Markup(_resource('page.js')),
+        data=data.replace('<', '\\u003c'),
+        css=_resource('page.css'),
+        js=_resource('page.js'),
         made={'date': now, 'landmark_nav': release},
     )
 
