@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from landmark_nav.arrays import FloatArray, ImageArray, IndexArray
 from landmark_nav.errors import LandmarkNavError
@@ -225,6 +225,7 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     """The error that explains how points move from image to image; None where there is none."""
     if not len(matches.pairs) or matches.pairs[-1] + 1 < _LEAST_PAIRS:
         return None
+    given, setup = setup, _nearly(matches, setup)
     none = _score(matches, setup)
     level = replace(matches, tilts_rad=np.zeros_like(matches.tilts_rad))
     moving = np.ptp(matches.tilts_rad) > _LEVEL_RAD
@@ -232,11 +233,35 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
         matches, none = level, without  # of another joint
     found = {name: _best(matches, setup, error, none) for name, error in _ERRORS.items()}
     name = max(found, key=lambda key: found[key][1])
-    value, score = found[name]
-    if score < none + _CERTAIN or abs(value) < _ERRORS[name].matters:
+    score = found[name][1]
+    if score < none + _CERTAIN:
+        return None
+    value, _ = _best(matches, given, _ERRORS[name], -np.inf)
+    if abs(value) < _ERRORS[name].matters:
         return None
     also = tuple(key for key in found if key != name and found[key][1] > score - _ALIKE)
-    return CameraError(name, value, _ERRORS[name].change(setup, value), also)
+    return CameraError(name, value, _ERRORS[name].change(given, value), also)
+
+
+def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:
+    """
+    Return the setup with the best small angles of camera and axis: any mount by hand has such.
+
+    Without them a large error of another kind would explain them in part.
+    """
+
+    def turned(angles: FloatArray) -> CameraSetup:
+        return _mounted(_rolled(setup, float(angles[0])), *angles[1:].tolist())
+
+    small = _ERRORS['roll'].matters
+    found = minimize(
+        lambda angles: -_score(matches, turned(angles)),
+        np.zeros(3),
+        method='Powell',
+        bounds=[(-small, small)] * 3,
+        options={'xtol': 1e-2, 'ftol': 1e-3, 'maxiter': 3},
+    )
+    return turned(found.x)
 
 
 def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> tuple[float, float]:
