@@ -22,7 +22,7 @@ PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation unmeasured \
-	latency papers bad-sweeps degraded faults calibration fuzz config test-oldest test-colcon clean
+	latency papers bad-sweeps degraded faults calibration fuzz config docs docs-images test-oldest test-colcon clean
 
 install: .venv/installed
 
@@ -99,7 +99,7 @@ UNMEASURED ?= 801 802 803
 unmeasured: install
 	$(BIN)/python test/unmeasured_check.py --study --seeds $(UNMEASURED)
 
-# Errors of robot.yaml at driving and at learning, on the study: the joint estimator beside the filter.
+# Errors of robot.yaml at driving and at learning, on the study.
 calibration: install
 	$(BIN)/python test/calibration_check.py
 
@@ -119,6 +119,21 @@ fuzz: install
 # The parameter files say what the code says; run it after changing a parameter.
 config: install
 	for node in $(NODES); do $(BIN)/python -m landmark_nav.nodes.describe $$node > config/$$node.yaml; done
+
+# The site, docs/_build/html: fails on warnings, dead links and what has no description.
+docs: .venv/docs-installed
+	rm -rf docs/_build docs/reference
+	$(BIN)/sphinx-build -q -W --keep-going docs docs/_build/html
+	@echo docs/_build/html/index.html
+
+.venv/docs-installed: .venv/installed
+	rm -rf build
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[docs]'
+	touch $@
+
+# Its figures anew, by the commands of the product; 8 minutes.
+docs-images: install
+	$(BIN)/python docs/make_images.py
 
 test-oldest: .venv-oldest/installed
 	.venv-oldest/bin/pytest -q -n 2 test/unit
@@ -141,4 +156,4 @@ test-colcon: .venv-colcon/installed
 	touch $@
 
 clean:
-	rm -rf .venv .venv-oldest .venv-colcon build dist *.egg-info demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-oldest .venv-colcon build docs/_build docs/reference dist *.egg-info demo .pytest_cache .mypy_cache .ruff_cache .hypothesis

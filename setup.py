@@ -15,6 +15,8 @@ NODES = (
     'room_simulator',
     'bag_player',
 )
+# Whose layouts show the topics of the nodes.
+VIEWERS = ('rviz', 'foxglove', 'plotjuggler')
 
 setup(
     name=PACKAGE,
@@ -25,11 +27,15 @@ setup(
     maintainer_email='maintainers@landmark-nav.example',
     python_requires='>=3.10',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['py.typed']},
+    package_data={
+        PACKAGE: ['py.typed'],
+        f'{PACKAGE}.evaluation.report': ['page.html.j2', 'page.css', 'page.js'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
-        (f'share/{PACKAGE}/config', sorted(glob('config/*'))),
+        (f'share/{PACKAGE}/config', sorted(glob('config/*.*'))),
+        *((f'share/{PACKAGE}/{viewer}', glob(f'config/{viewer}/*')) for viewer in VIEWERS),
         (f'share/{PACKAGE}/launch', sorted(glob(f'{PACKAGE}/launch/*.launch.py'))),
         (f'lib/{PACKAGE}', [f'resource/executables/{name}' for name in NODES]),
     ],
@@ -39,6 +45,7 @@ setup(
         'scipy>=1.11.2',
         'opencv-python-headless>=4.6.0.66',
         'PyYAML>=6.0.1',
+        'jinja2>=3.1.2',
         'rosbags>=0.11.6',
         'mcap>=1.0.0',
         'lz4>=4.0.2',
@@ -60,8 +67,10 @@ setup(
             'ros-trajectory-msgs==5.5.1',
             'ros-visualization-msgs==5.5.1',
         ],
+        # The site in docs/; furo for phones and dark mode.
+        'docs': ['furo>=2025.7', 'myst-parser>=4.0', 'sphinx>=8.1'],
         # Many bags at once, on one machine or several; Parquet is what tables are kept in.
-        'batch': ['distributed>=2024.5', 'jinja2>=3.1', 'pyarrow>=16.0'],
+        'batch': ['distributed>=2024.5', 'pyarrow>=16.0'],
         # Linters are pinned: another version would format and complain differently.
         # evo is what others measure trajectories with: our errors must be the same.
         'dev': [
@@ -71,6 +80,8 @@ setup(
             'pytest>=8.0',
             'pytest-xdist>=3.8',
             'ruff==0.17.5',
+            # Drives Chromium, in which the pages of reports are tested.
+            'selenium>=4.20',
             'types-PyYAML',
             'types-tqdm',
         ],

@@ -130,11 +130,13 @@ class PlaceChain:
     """
     Poses of the base (v, 3) where sweeps were taken, in the frame of the first one.
 
-    `covariance` (3 v, 3 v) is joint: errors of one way go on in all later poses.
+    `covariance` (3 v, 3 v) is joint: errors of one way go on in all later poses. `source` names
+    what measured them.
     """
 
     poses: FloatArray
     covariance: FloatArray
+    source: str = 'odom'
 
 
 @dataclass(frozen=True, eq=False)
@@ -433,9 +435,8 @@ class Detections:
     that should be in view, were looked for and not found. `points` (n, 2) are the places in the
     normalised image, x/z to the right and y/z down, as camera_info has it, `point_covariance`
     (n, 2, 2) theirs; both are empty where only bearings are known. `near` (3,) is the pose that
-    the image itself shows, where hardly any was known before. The pan, its rate, sigma and track
-    are of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``;
-    bearings of a pan `pan_delay_s` later.
+    the image itself shows, where hardly any was known before. The pan and its sigma
+    are of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``.
     """
 
     stamp_ns: int
@@ -445,12 +446,9 @@ class Detections:
     score: FloatArray
     uv_px: FloatArray
     missed: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    pan_rate_rad_s: float = 0.0
     pan_sigma_rad: float = 0.0
     pan_rad: float = 0.0
-    pan_track: PanTrack | None = None
     joint_delay_s: float = 0.0
-    pan_delay_s: float = 0.0
     covariance_px2: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     points: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     point_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))

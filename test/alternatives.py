@@ -29,20 +29,22 @@ import numpy as np
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.true_places import truth_of_bag
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.localization.fusion import FusionConfig, PoseFilter
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
+from landmark_nav.localization.odometry.noise import motion_variances, OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
     LandmarkMap,
     OdometrySample,
-    PoseEstimate,
     Sweep,
 )
 
@@ -63,6 +65,8 @@ MIN_INLIERS = 12
 REPROJECTION_PX = 2.0
 # What such a pose is trusted with in the filter.
 POSE_SIGMA = (0.03, 0.03, np.radians(0.5))
+# Of three numbers, 99.9 %.
+GATE = 16.3
 
 
 class Features(NamedTuple):
@@ -196,32 +200,48 @@ class SiftLocator:
         return np.array([x, y, np.arctan2(base_in_map[1, 0], base_in_map[0, 0])])
 
 
+class GatedPoses:
+    """Extended Kalman filter of three states that takes poses within a chi-square gate."""
+
+    def __init__(self, stamp_ns: int, start: FloatArray) -> None:
+        self.track = OdometryTrack(OdometryNoiseConfig())
+        self._stamp_ns, self._pose = stamp_ns, start
+        self._covariance = np.diag(np.square(START_SIGMA))
+
+    def at(self, stamp_ns: int, measured: FloatArray | None) -> FloatArray:
+        """Pose at a time, corrected by what was measured of it."""
+        motion = self.track.motion(self._stamp_ns, stamp_ns)
+        by_pose, by_motion = se2.compose_jacobians(self._pose, motion.increment)
+        self._stamp_ns, self._pose = stamp_ns, se2.compose(self._pose, motion.increment)
+        noise = np.diag(motion_variances(motion, OdometryNoiseConfig()))
+        spread = by_pose @ self._covariance @ by_pose.T + by_motion @ noise @ by_motion.T
+        if measured is not None:
+            off = pose_errors(measured[None], self._pose[None])[0]
+            gain = np.linalg.solve(spread + np.diag(np.square(POSE_SIGMA)), spread).T
+            if off @ np.linalg.solve(spread + np.diag(np.square(POSE_SIGMA)), off) < GATE:
+                self._pose, spread = self._pose + gain @ off, spread - gain @ spread
+        self._covariance = spread
+        return np.array(self._pose)
+
+
 def sift_runs(
-    events: list[SensorEvent], locator: SiftLocator, mount: PanTiltMount, start: FloatArray
+    events: list[SensorEvent], locator: SiftLocator, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """Poses (n, 3) of SIFT + PnP, of the same in a gated filter, and seconds an image."""
     single, fused = [], []
     took = 0.0
-    gated = PoseFilter(LandmarkMap(()), mount, FusionConfig(mode='poses'))
-    sigma = np.diag(np.square(START_SIGMA))
-    started = False
+    gated: GatedPoses | None = None
     for event in events:
-        if isinstance(event, OdometrySample | CameraFrame) and not started:
-            gated.initialize(PoseEstimate(event.stamp_ns, start, sigma))
-            started = True
-        if isinstance(event, OdometrySample):
-            gated.add_odometry(event)
-        elif isinstance(event, CameraFrame):
+        if isinstance(event, OdometrySample | CameraFrame) and gated is None:
+            gated = GatedPoses(event.stamp_ns, start)
+        if isinstance(event, OdometrySample) and gated is not None:
+            gated.track.add(event)
+        elif isinstance(event, CameraFrame) and gated is not None:
             begin = time.perf_counter()
             pose = locator.locate(event)
             took += time.perf_counter() - begin
-            if pose is not None:
-                covariance = np.diag(np.square(POSE_SIGMA))
-                gated.add_pose(PoseEstimate(event.stamp_ns, pose, covariance))
             single.append(np.full(3, np.nan) if pose is None else pose)
-            estimate = gated.estimate(event.stamp_ns)
-            assert estimate is not None
-            fused.append(estimate.pose)
+            fused.append(gated.at(event.stamp_ns, pose))
     return np.array(single), np.array(fused), took / len(single)
 
 
@@ -270,7 +290,7 @@ def main() -> int:
     done = replay(
         events,
         landmark_map,
-        mount,
+        load_calibration(arguments.robot),
         LocalizationConfig(),
         start,
         np.diag(np.square(START_SIGMA)),
@@ -282,7 +302,7 @@ def main() -> int:
         ('odometry alone', done.odometry.at(done.stamps_ns), 0.0),
     ]
     for name, points in sift_points(arguments.learn, landmark_map, mount).items():
-        single, gated, took_s = sift_runs(events, SiftLocator(points, mount), mount, start)
+        single, gated, took_s = sift_runs(events, SiftLocator(points, mount), start)
         rows += [
             (f'SIFT {name} + PnP', single, took_s),
             ('the same and odometry, gated EKF', gated, took_s),

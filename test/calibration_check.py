@@ -1,12 +1,10 @@
 """
-Errors of `robot.yaml`, at driving alone and at learning too: the joint estimator and the filter.
+Errors of `robot.yaml`, at driving alone and at learning too.
 
 ``python test/calibration_check.py`` learns the study with the right mount and with wrong ones, and
-drives with wrong ones and default sigmas. The joint estimator looks for landmarks and localizes,
-the filter gets the same pixels, as bearings of the mount that it was given. A line gives errors
-of the whole drive and after the first 4 m, the mean NEES with its 95 % interval, and the images
-that are off by over 5 sigma while the state is OK. It exits with 1 if the joint estimator misses
-a goal.
+drives with wrong ones and default sigmas. A line gives errors of the whole drive and after the
+first 4 m, the mean NEES, the images that are off by over 5 sigma while the state is OK, and the
+95 % interval of NEES. It exits with 1 if a goal is missed.
 
 ``--rooms SEED ...`` simulates rooms instead, with a mount, lens and clock that are drawn at
 random, learns them and calibrates by a drive of at most three minutes. A line gives the errors of
@@ -33,29 +31,22 @@ from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.evaluation.calibration_run import calibrate_by_drive
 from landmark_nav.evaluation.metrics import consistency, pose_errors, undetected_failures
 from landmark_nav.evaluation.replay import Replay, replay
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
     LearningConfig,
     panorama_from_sweep,
     PanoramaStages,
 )
-from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.joint_delay import PanMotion
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT
-from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
+from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import (
     CameraFrame,
-    Detections,
     FloatArray,
     LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
 )
 
 STUDY = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'study'
@@ -74,7 +65,7 @@ ERRORS: dict[str, dict[str, float]] = {
     'joints 30 ms late': {'joint_delay': 0.03},
 }
 ERRORS['all together'] = {name: off for error in ERRORS.values() for name, off in error.items()}
-# What the joint estimator should reach, all together and each by itself.
+# What should be reached, all together and each by itself.
 AFTER_M = 4.0
 # Of robots in simulated rooms: 1 cm, 1 degree, 2 cm, 1 %, 30 ms.
 DRAWN_SIGMAS = {
@@ -148,77 +139,6 @@ class Line:
         )
 
 
-def joint_run(
-    events: Sequence[SensorEvent],
-    landmark_map: LandmarkMap,
-    calibration: Calibration,
-    start: FloatArray,
-) -> Replay:
-    """Drive with the joint estimator."""
-    config, known = (
-        LocalizationConfig(estimator='joint'),
-        landmark_map.calibration_from(calibration),
-    )
-    return replay(events, landmark_map, known.mount, config, start, START_COVARIANCE, known)
-
-
-def filter_line(
-    events: Sequence[SensorEvent],
-    run: Replay,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-    start: FloatArray,
-) -> Line:
-    """Figures of the filter on what the joint estimator found."""
-    config = LocalizationConfig()
-    fused = PoseFilter(landmark_map, mount, config.fusion, config.odometry, config.health)
-    found = {update.stamp_ns: update.observation.detections for update in run.updates}
-    poses, covariances, tracking = [], [], []
-    for event in events:
-        if isinstance(event, OdometrySample | CameraFrame) and fused.state is None:
-            fused.initialize(PoseEstimate(event.stamp_ns, start, START_COVARIANCE))
-        if isinstance(event, OdometrySample):
-            fused.add_odometry(event)
-        elif isinstance(event, CameraFrame):
-            prior = fused.estimate(event.stamp_ns)
-            assert prior is not None, 'it was initialized'
-            seen = found[event.stamp_ns]
-            if len(seen):
-                fused.add_detections(as_bearings(seen, event, prior, landmark_map, mount))
-            estimate = fused.estimate(event.stamp_ns)
-            assert estimate is not None, 'it was initialized'
-            poses.append(estimate.pose)
-            covariances.append(estimate.covariance)
-            tracking.append(fused.status[0] == 'tracking')
-    return Line.of(np.array(poses), np.array(covariances), tracking, run, None)
-
-
-def as_bearings(
-    seen: Detections,
-    frame: CameraFrame,
-    prior: PoseEstimate,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-) -> Detections:
-    """Return pixels as the bearings at the pan axis that a mount makes of them."""
-    rotation, center = mount.camera_pose_map(prior.pose, frame.pan_rad, frame.tilt_rad)
-    rays = frame.camera.unproject(seen.uv_px) @ rotation.T
-    azimuth = np.arctan2(rays[:, 1], rays[:, 0])
-    away = landmark_map.positions[landmark_map.indices(seen.ids), :2] - center[:2]
-    toward = np.array([np.cos(azimuth), np.sin(azimuth)]).T
-    at_axis = center[:2] + np.hypot(*away.T)[:, None] * toward
-    at_axis = at_axis - mount.axis_pose_map(prior.pose)[:2]
-    bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - prior.pose[2])
-    pan_motion = PanMotion.of(frame, mount)
-    return replace(
-        seen,
-        bearing_rad=bearing,
-        pan_rad=pan_motion.azimuth_rad,
-        pan_rate_rad_s=pan_motion.rate_rad_s,
-        pan_track=pan_motion.track,
-    )
-
-
 def learned(study: Path, calibration: Calibration, folder: Path) -> LandmarkMap | None:
     """Map of the study learned with a mount; None where `learn` refuses it."""
     folder.mkdir()
@@ -259,7 +179,7 @@ def room_line(seed: int, seconds: float, folder: Path) -> str:
     landmarks = learn_from_panoramas(panoramas, room, LearningConfig()).map
     delayed = sensor_events(Bag(folder / 'drive'), given.mount, -true['joint_delay'][0])
     events = [as_given(e) if isinstance(e, CameraFrame) else e for e in delayed]
-    config = LocalizationConfig(estimator='joint')
+    config = LocalizationConfig()
     drive = calibrate_by_drive(events, landmarks, landmarks.calibration or known, config)
     found = drive.calibration
     off = found.values - true.values
@@ -269,7 +189,7 @@ def room_line(seed: int, seconds: float, folder: Path) -> str:
     rms = []
     exact = dict.fromkeys(NAMES, 1e-05)
     for prior in (found, Calibration(true.values, np.diag([v**2 for v in exact.values()]))):
-        run = replay(events, landmarks, prior.mount, config, start, START_COVARIANCE, prior)
+        run = replay(events, landmarks, prior, config, start, START_COVARIANCE)
         errors = pose_errors(run.fused, run.truth.at(run.stamps_ns))
         rms.append(1e3 * float(np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))))
     lever = f'{1e3 * np.hypot(*off[:2]):5.1f} +- {1e3 * np.hypot(*sigmas[:2]):4.1f} mm'
@@ -320,21 +240,20 @@ def main() -> int:
                 if landmarks is None:
                     lines.append(f'{name:38}{where:9}learn refuses it')
                     continue
-                run = joint_run(events, landmarks, wrong, start)
-                joint = Line.of(
+                known = landmarks.calibration_from(wrong)
+                config = LocalizationConfig()
+                run = replay(events, landmarks, known, config, start, START_COVARIANCE)
+                line = Line.of(
                     run.fused, run.fused_covariances, run.tracking.tolist(), run,
                     run.by_map(landmarks),
                 )  # fmt: skip
-                old = filter_line(events, run, landmarks, wrong.mount, start)
-                reached = joint.meets(GOALS.get(name, GOAL))
+                reached = line.meets(GOALS.get(name, GOAL))
                 good &= reached
                 lines.append(
-                    f'{name:38}{where:9}{joint} {"  " if reached else " *"} |{old} | '
-                    f'{joint.interval[0]:.1f} to {joint.interval[1]:.1f}'
+                    f'{name:38}{where:9}{line} {"  " if reached else " *"} | '
+                    f'{line.interval[0]:.1f} to {line.interval[1]:.1f}'
                 )
-    print(
-        f'{"":47}{"joint: mm":>6}{"deg":>7}  after {AFTER_M:g} m    NEES   >5s  | filter: the same'
-    )
+    print(f'{"":47}{"mm":>6}{"deg":>7}  after {AFTER_M:g} m    NEES   >5s')
     print('\n'.join(lines))
     print('* misses a goal')
     return 0 if good else 1

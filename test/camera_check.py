@@ -19,15 +19,18 @@ from typing import NamedTuple
 from as_a_user import learned_room
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import bearings
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.triplet import CameraState
+from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
-from landmark_nav.simulation.world import RobotWorld
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.maps import load_map
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Triplet
 
@@ -77,12 +80,12 @@ def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) 
     start = landmark_map.panorama_poses[0].pose[:2]
     path = plan_tour(scene, start, 0.42 * seconds + 2.0, rng)
     world = RobotWorld(scene, np.zeros(3), seed)
-    several = _with_views('several')
+    one, several = _with_views('one'), _with_views('several')
     return {
         name: _drive(seed, scene, world.renderer, landmark_map, path, seconds, config, rule)
         for name, config, rule in (
-            ('active, one view', _with_views('one'), _active),
-            ('active, several views', several, _active),
+            ('active, one view', one, _Active(landmark_map, one)),
+            ('active, several views', several, _Active(landmark_map, several)),
             ('fixed pan', _with_views('one'), lambda _update, _time: 0.0),
             ('random triplets', _with_views('one'), _Random(landmark_map, seed)),
         )
@@ -95,9 +98,22 @@ def _with_views(views: str) -> LocalizationConfig:
     return replace(config, observation=replace(config.observation, triplet=triplet))
 
 
-def _active(update: LocalizationUpdate, _time_s: float) -> float | None:
-    chosen = update.triplet
-    return chosen.pan_rad if isinstance(chosen, Triplet) else None
+class _Active:
+    """Looks at the triplet that is best, chosen anew every half second."""
+
+    def __init__(self, landmark_map: LandmarkMap, config: LocalizationConfig) -> None:
+        self._camera = ActiveCamera(landmark_map, DEFAULT_MOUNT, config.observation.triplet)
+        self._pan: float | None = None
+        self._until_s = 0.0
+
+    def __call__(self, update: LocalizationUpdate, time_s: float) -> float | None:
+        self._camera.saw(update.observation.detections)
+        if self._camera.done_here or time_s >= self._until_s:
+            now = CameraState(self._pan)
+            chosen = self._camera.choose(update.fused, DEFAULT_CAMERA, now).chosen
+            self._pan = chosen.pan_rad if isinstance(chosen, Triplet) else self._pan
+            self._until_s = time_s + 0.5
+        return self._pan
 
 
 class _Random:
@@ -135,7 +151,7 @@ def _drive(
     pose = np.array([*path[0], np.arctan2(ahead[1], ahead[0])])
     world = RobotWorld(scene, pose, seed, renderer=renderer)
     driver = PathFollower(path, 0.35)
-    localizer = Localizer(landmark_map, world.mount, config)
+    localizer = Localizer(landmark_map, Calibration.exact(world.mount), config)
     rng = np.random.default_rng([seed, 78])
     sigma = np.array(START_SIGMA)
     start = PoseEstimate(world.stamp_ns, pose + sigma * rng.normal(size=3), np.diag(sigma**2))

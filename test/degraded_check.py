@@ -24,17 +24,27 @@ from as_a_user import as_jpeg, command
 import cv2
 import numpy as np
 import numpy.typing as npt
-from stream_errors import FURTHER, OTHERS, REPORTED, StreamError, SWEEPS, write_drive
+from stream_errors import (
+    FOURTH,
+    FURTHER,
+    OTHERS,
+    REPORTED,
+    StreamError,
+    SWEEPS,
+    THIRD,
+    write_drive,
+)
 
 from landmark_nav.arrays import ImageArray
 from landmark_nav.diagnosis import diagnose
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay, replay
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.response import light_of, values_of
 from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame
 
@@ -120,7 +130,7 @@ def row(name: str, run: Replay) -> tuple[str, int]:
     wrong = int(np.sum((nees > SURE) & tracking))
     away_mm = 1e3 * np.hypot(error[:, 0], error[:, 1])
     heading = np.degrees(np.sqrt(np.mean(error[:, 2] ** 2)))
-    used = np.mean([update.fusion.degrees for update in run.updates])
+    used = np.mean([update.used for update in run.updates])
     return (
         f'{name:26} {np.sqrt(np.mean(away_mm**2)):8.1f} {np.quantile(away_mm, 0.95):7.1f} '
         f'{heading:6.3f} {nees.mean():5.1f} {used:5.1f} {wrong:12d}'
@@ -154,6 +164,8 @@ def table_of_streams(drive: str, robot: str, room: str) -> bool:
         ('reported, of sweeps', str(BAGS / 'learn'), SWEEPS, 1.0),
         ('others', drive, OTHERS, 0.9),
         ('further', drive, FURTHER, 0.9),
+        ('third', drive, THIRD, 0.9),
+        ('fourth', drive, FOURTH, 0.9),
     ):
         print(f'{title:30} named  said')
         hits = 0
@@ -172,8 +184,8 @@ def table_of_streams(drive: str, robot: str, room: str) -> bool:
 
 def table_of_images(drive: str, map_folder: str, robot: str, start: list[float] | None) -> bool:
     """Print what becomes of degraded images; whether there is no undetected failure."""
-    mount, landmark_map = load_robot(robot), load_map(map_folder)
-    events: list[SensorEvent] = list(sensor_events(Bag(drive), mount))
+    calibration, landmark_map = load_calibration(robot), load_map(map_folder)
+    events: list[SensorEvent] = list(sensor_events(Bag(drive), calibration.mount))
     pose = None if start is None else np.array(start)
     sigma = np.diag(START_SIGMA**2)
     print(f'{"images":26}  RMSE mm  p95 mm    deg  NEES  used  undetected')
@@ -184,7 +196,7 @@ def table_of_images(drive: str, map_folder: str, robot: str, start: list[float] 
             replace(e, image=degrade(e.image, rng)) if isinstance(e, CameraFrame) else e
             for e in events
         ]
-        run = replay(degraded, landmark_map, mount, LocalizationConfig(), pose, sigma)
+        run = replay(degraded, landmark_map, calibration, LocalizationConfig(), pose, sigma)
         line, wrong = row(name, run)
         print(line, flush=True)
         undetected += wrong

@@ -36,8 +36,8 @@ from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.detection.appearance import APPEARANCES
-from landmark_nav.localization.observation import ObservationConfig
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     bearing_gradients,
@@ -46,6 +46,7 @@ from landmark_nav.localization.triangulation.model import (
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate
 
@@ -134,12 +135,12 @@ def drive(
     bag_path: str, map_path: str, robot_path: str, config: DetectionConfig, start: str
 ) -> dict[str, float]:
     """Errors of a whole drive, and the median time of an update."""
-    mount, landmarks = load_robot(robot_path), load_map(map_path)
-    localization = LocalizationConfig(observation=ObservationConfig(detection=config))
+    calibration, landmarks = load_calibration(robot_path), load_map(map_path)
+    localization = LocalizationConfig(observation=LookingConfig(detection=config))
     pose = np.array(json.loads(Path(start).read_text(encoding='utf-8'))['pose'])
     covariance = np.diag([0.05, 0.05, 0.035]) ** 2
-    events = sensor_events(Bag(bag_path), mount)
-    run = replay(events, landmarks, mount, localization, pose, covariance)
+    events = sensor_events(Bag(bag_path), calibration.mount)
+    run = replay(events, landmarks, calibration, localization, pose, covariance)
     errors = run_errors(run)
     fused, fixes = error_summary(errors.fused), error_summary(errors.triangulation)
     return {

@@ -24,8 +24,7 @@ from faults import degraded, faults, FOR_GOOD_S
 import numpy as np
 
 from landmark_nav.evaluation.metrics import pose_errors, undetected_failures
-from landmark_nav.localization.joint_localizer import JointLocalizer
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
@@ -83,7 +82,7 @@ class Outcome:
 
 def outcome(
     events: Iterator[Any],
-    localizer: Localizer | JointLocalizer,
+    localizer: Localizer,
     start: FloatArray,
     at_s: float,
     over_s: float,
@@ -118,7 +117,6 @@ def main() -> int:
     parser.add_argument('--start', nargs=3, type=float, required=True)
     parser.add_argument('--at', type=float, default=12.0, help='seconds into the drive (12)')
     parser.add_argument('--only', nargs='+', help='faults whose name holds one of these')
-    parser.add_argument('--joint', action='store_true', help='with the joint estimator')
     args = parser.parse_args()
     logging.getLogger('landmark_nav').setLevel(logging.CRITICAL)
     calibration, landmarks = load_calibration(args.robot), load_map(args.map)
@@ -137,11 +135,7 @@ def main() -> int:
                 for topic, message, log in degraded(bag, name, fault, at_s):
                     written.write(topic, message, log)
             over_s = fault.seconds if fault.topics else 0.0
-            localizer: Localizer | JointLocalizer = Localizer(
-                landmarks, mount, LocalizationConfig()
-            )
-            if args.joint:
-                localizer = JointLocalizer(landmarks, calibration, LocalizationConfig())
+            localizer = Localizer(landmarks, calibration, LocalizationConfig())
             done = outcome(sensor_events(Bag(path), mount), localizer, start, at_s, over_s)
         print(f'{name:44}{done}', flush=True)
         good &= not done.wrong_s > REPORTED_S and np.isfinite(done.back_s)

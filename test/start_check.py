@@ -18,13 +18,13 @@ import numpy as np
 
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization import RelocalizationConfig
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
 from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import CameraFrame, FloatArray, OdometrySample, PoseEstimate
 
 CASES = ((0.0, 0.0), (0.3, 5.0), (0.3, 15.0), (0.5, 10.0), (0.7, 5.0), (1.0, 10.0))
@@ -50,7 +50,8 @@ class Drive:
     """A recorded drive and what it is localized with."""
 
     def __init__(self, bag: str, map_folder: str, robot: str) -> None:
-        self.mount, self.map = load_robot(robot), load_map(map_folder)
+        self.calibration, self.map = load_calibration(robot), load_map(map_folder)
+        self.mount = self.calibration.mount
         events: list[SensorEvent] = list(sensor_events(Bag(bag), self.mount))
         self.truth = PoseTrack.of(
             (e.stamp_ns, e.pose) for e in events if isinstance(e, PoseEstimate)
@@ -72,7 +73,7 @@ class Drive:
                 continue
             true = self.truth.at([event.stamp_ns])[0]
             if localizer is None:
-                localizer = Localizer(self.map, self.mount, config)
+                localizer = Localizer(self.map, self.calibration, config)
                 localizer.initialize(PoseEstimate(event.stamp_ns, true + off, np.diag(sigma**2)))
             if isinstance(event, OdometrySample):
                 localizer.add_odometry(event)

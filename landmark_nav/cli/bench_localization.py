@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.bench_world import CAMERA, Comparison, MOUNT, World
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -18,9 +19,9 @@ from landmark_nav.localization.detection import (
     DetectionConfig,
     DetectionResult,
 )
-from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.observation import ObservationConfig
-from landmark_nav.localization.pipeline import LocalizationConfig, Localizer
+from landmark_nav.localization.fusion import Fusion
+from landmark_nav.localization.localizer import LocalizationConfig, Localizer
+from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
 from landmark_nav.localization.triplet import CameraState, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.geometry import pair_tables
@@ -177,13 +178,13 @@ def _fusion(world: World) -> Comparison:
     ]
 
     def ours() -> None:
-        pose_filter = PoseFilter(learned, MOUNT)
-        pose_filter.add_odometry(samples[0])
-        pose_filter.initialize(world.prior)
+        fusion = Fusion(learned, Calibration.of_mount(MOUNT))
+        fusion.add_odometry(samples[0])
+        fusion.initialize(world.prior)
         for sample in samples[1:]:
-            pose_filter.add_odometry(sample)
+            fusion.add_odometry(sample)
             if sample.stamp_ns % 200_000_000 == 0:
-                pose_filter.add_detections(
+                fusion.add_detections(
                     Detections(
                         sample.stamp_ns, ids, bearings, variances, np.ones(3), np.zeros((3, 2))
                     )
@@ -219,10 +220,10 @@ def _fusion(world: World) -> Comparison:
 
 
 def _update(world: World) -> Comparison:
-    """Choose the triplet, predict, find three patches, triangulate, fuse: 15 images a second."""
-    observation = ObservationConfig(detection=DetectionConfig(max_count=3))
+    """Predict, find three patches, fuse: 15 images a second."""
+    observation = LookingConfig(detection=DetectionConfig(max_count=3))
     config = LocalizationConfig(observation=observation)
-    localizer = Localizer(world.learned.map, MOUNT, config)
+    localizer = Localizer(world.learned.map, Calibration.of_mount(MOUNT), config)
     localizer.add_odometry(OdometrySample(0, np.zeros(3)))
     localizer.initialize(world.prior)
     stamps = iter(range(66_000_000, 10**15, 66_000_000))

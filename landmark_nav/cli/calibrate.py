@@ -27,11 +27,11 @@ from landmark_nav.evaluation.calibration_run import (
     CalibrationDrive,
     trade_offs,
 )
-from landmark_nav.evaluation.figures.residual_figure import draw_residuals
+from landmark_nav.evaluation.report import calibration_page, check_report, write_report
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
@@ -77,17 +77,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     parser.add_argument('--json', metavar='F', type=Path, help='write the table to F')
     parser.add_argument(
-        '--figure',
-        metavar='F.png',
+        '--report',
+        metavar='F.html',
         type=Path,
-        help='draw the residuals of the last drive before and after',
+        help='write a page with the table and the residuals before and after to F.html',
     )
     parser.set_defaults(replaces='robot')
 
 
 def run(args: argparse.Namespace) -> int:
     """Calibrate; nothing is written unless all went well."""
-    check_writable(args.out, args.json, args.figure)
+    check_report(args.report)
+    check_writable(args.out, args.json, args.report)
     check_new(args.overwrite, args.out)
     given = load_calibration(args.robot)
     room = load_room(args.room) if args.room else None
@@ -102,8 +103,6 @@ def run(args: argparse.Namespace) -> int:
             )
     if sweeps and room is None and not (drives and landmarks):
         raise UsageError(f'{sweeps[0].path}: sweeps need --room')
-    if args.figure and not drives:
-        raise UsageError('--figure: there is no drive to draw residuals of')
 
     # A map of the same robot.yaml holds what its sweeps showed: they count once.
     work = _Work(given if sweeps and room else _from_map(landmarks, given), landmarks)
@@ -124,20 +123,26 @@ def run(args: argparse.Namespace) -> int:
             '%s: %s is given as exact (sigma 0), and the drive shows %s beside it: it stays',
             args.robot, name, shown(off, sigma, UNITS[name]),
         )  # fmt: skip
-    report = _report(work, given, broken)
+    report, residuals = _report(work, given, broken), None
     if work.drives:
         last = work.drives[-1]
         _, before = last.again(_as_exact(given))
         _, after = last.again(_as_exact(found))
+        residuals = before, after
         report['residual_px'] = {
-            name: None if np.isnan(residuals.rms_px).any() else residuals.rms_px.tolist()
-            for name, residuals in (('before', before), ('after', after))
+            name: None if np.isnan(one.rms_px).any() else one.rms_px.tolist()
+            for name, one in (('before', before), ('after', after))
         }
-        if args.figure:
-            draw_residuals(before, after, args.figure)
     save_calibration(found, args.out)
     if args.json:
         write_atomically(args.json, json.dumps(report, indent=2) + '\n')
+    if args.report:
+        inputs = {'bags': ', '.join(args.bags), 'robot': args.robot, 'room': args.room}
+        page = calibration_page(
+            f'Calibration of {Path(args.robot).name}', args.command_line,
+            {**inputs, 'map': args.map}, report, residuals,
+        )  # fmt: skip
+        write_report(args.report, page)
     print(_summary(report, args.out))
     return 0
 
@@ -187,7 +192,7 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     events = sensor_events(bag, known.mount, 0.0, late.images_s, late.odometry_s)
     total = bag.counts[bag.require('odom')]
     shown_events = progress(events, 'calibrating', 2 * total)
-    config = LocalizationConfig(estimator='joint')
+    config = LocalizationConfig()
     try:
         drive = calibrate_by_drive(shown_events, landmarks, known, config)
     except LandmarkNavError as error:

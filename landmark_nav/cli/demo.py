@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 import shutil
 
+from landmark_nav.cli.learn import LearningStages, located_sweeps
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.run_summary import error_table
@@ -20,23 +21,26 @@ from landmark_nav.demo.scenario import run_scenario
 from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.demo.verdict import Check, figures, judge
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_panorama, draw_trajectory
-from landmark_nav.evaluation.html_report import html_report
-from landmark_nav.evaluation.run_report import run_errors
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
+from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.atomic_io import check_new, write_atomically
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import Panorama
+from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.types import CameraFrame, Panorama
 
 __all__ = ['add_arguments', 'run']
 
-# What a demo leaves; a folder with other things in it is not touched.
+# What a demo leaves, or left once; a folder with other things in it is not touched.
 _OWN = (
-    *('room.yaml', 'robot.yaml', 'logs', 'map', 'recording', 'demo.json', 'report.html'),
-    *('map.png', 'panorama_1.png', 'panorama_2.png', 'trajectory.png', 'errors.png'),
+    *('room.yaml', 'robot.yaml', 'logs', 'map', 'sweeps', 'recording', 'demo.json'),
+    *('report.html', 'foxglove.json', 'map.png', 'panorama_1.png', 'panorama_2.png'),
+    *('trajectory.png', 'errors.png'),
 )
 
 
@@ -57,6 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='of the room (default 1)',
     )
     parser.add_argument(
+        '--unmeasured',
+        action='store_true',
+        help='give it no plan and no measured papers: walls and poses are found, the scale is '
+        'that of odom; the sweeps are recorded too',
+    )
+    parser.add_argument(
         '--domain-id',
         type=within(int, 0, 232),
         metavar='N',
@@ -71,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
     domain_id = _domain(args.domain_id)
     folder = _emptied(args.out, args.overwrite)
     narrator = Narrator()
-    room = prepare_room(folder, args.seed)
+    room = prepare_room(folder, args.seed, measured=not args.unmeasured)
+    shutil.copyfile(shipped_config('foxglove/landmark_nav.json'), folder / 'foxglove.json')
     commands = node_commands(
         room.robot_file,
         room.room_file,
@@ -94,9 +105,9 @@ def run(args: argparse.Namespace) -> int:
             supervisor.start(name, command)
         with RobotClient(domain_id, watch) as robot:
             run_scenario(robot, room, commands, folder, narrator)
-            panoramas = robot.panoramas
+            swept = robot.panoramas
         unclean = [name for name, status in supervisor.stop().items() if status]
-    return _report(folder, panoramas, unclean, narrator)
+    return _report(folder, args.command_line, swept, unclean, narrator)
 
 
 def _domain(given: int | None) -> int:
@@ -125,26 +136,35 @@ def _emptied(folder: Path, overwrite: bool) -> Path:
 
 
 def _report(
-    folder: Path, panoramas: list[Panorama], unclean: list[str], narrator: Narrator
+    folder: Path, command: str, swept: list[Panorama], unclean: list[str], narrator: Narrator
 ) -> int:
     """Measure the recording, draw it, and judge."""
     narrator.title('Measuring the recording against the ground truth')
     landmarks = load_map(folder / 'map')
-    run = recorded_run(Bag(folder / 'recording'))
-    measured = figures(run, landmarks)
-    room = load_room(folder / 'room.yaml')
+    bag, calibration = Bag(folder / 'recording'), load_calibration(folder / 'robot.yaml')
+    measured, run, errors = figures(recorded_run(bag), landmarks)
+    strip = FrameStrip()
+    # Images that were recorded before the first joint states are none of the run.
+    for event in sensor_events(bag.warning_to(lambda _: None), calibration.mount):
+        if isinstance(event, CameraFrame):
+            strip.add(event)
     # The node gives the map alone; the same stages show what became of every candidate.
-    learned = learn_from_panoramas(panoramas, room, LearningConfig())
-    drawn = {name: folder / f'{name.lower()}.png' for name in ('Trajectory', 'Errors', 'Map')}
-    draw_trajectory(run, landmarks, drawn['Trajectory'])
-    draw_errors(run, run_errors(run), drawn['Errors'])
-    draw_map(landmarks, drawn['Map'], room.papers)
-    for k, view in enumerate(learned.panoramas):
-        path = drawn[f'Panorama {k + 1}'] = folder / f'panorama_{k + 1}.png'
-        draw_panorama(view, learned.candidates[k], learned.outcomes[k], k + 1, path)
-    report_figures = {caption: path.read_bytes() for caption, path in drawn.items()}
-    write_atomically(folder / 'report.html', html_report('Demo', measured, report_figures))
+    inputs = {'recording': bag.path, 'map': folder / 'map'}
+    room = None if landmarks.has_own_frame else load_room(folder / 'room.yaml')
+    if room is None:
+        learned = _learned_again(folder)
+    else:
+        learned = learn_from_panoramas(swept, room, LearningConfig())
+        inputs['room'] = folder / 'room.yaml'
+    page = drive_page(
+        'Demo', command, inputs, measured, run, errors, landmarks, calibration, strip,
+        papers=room.papers if room else (),
+    )  # fmt: skip
+    page['data']['panoramas'] = panoramas(learned)
+    write_report(folder / 'report.html', page)
     write_atomically(folder / 'demo.json', json.dumps(measured, indent=2) + '\n')
+    if measured.get('aligned'):
+        narrator.print_line('errors after one rigid alignment: the map has a frame of its own')
     for line in error_table(measured):
         narrator.print_line(line)
     checks = judge(measured)
@@ -154,8 +174,13 @@ def _report(
     for check in checks:
         narrator.print_line(f'{"ok    " if check.passed else "FAILED"}  {check.text}')
     narrator.print_line(f'{narrator.seconds:.0f} s; all of it is in {folder}:')
-    narrator.print_line(
-        'report.html, and what is in it: demo.json, map.png, trajectory.png, errors.png,'
-    )
-    narrator.print_line('panorama_*.png; map/, recording/ (MCAP), logs/ of the nodes')
+    narrator.print_line('report.html to play it, demo.json, map/, recording/ (MCAP), logs/')
     return 0 if all(check.passed for check in checks) else 1
+
+
+def _learned_again(folder: Path) -> LearningResult:
+    """What `landmark-nav learn` makes of the recorded sweeps."""
+    stages = LearningStages()
+    mount = load_robot(folder / 'robot.yaml')
+    located, _ = located_sweeps(Bag(folder / 'sweeps'), mount, stages, StageLog())
+    return learn_located(located, stages, stages.unmeasured)

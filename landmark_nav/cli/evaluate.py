@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from io import BytesIO
 import json
 from pathlib import Path
 from typing import Any
@@ -19,22 +18,26 @@ from landmark_nav.cli.run_summary import run_summary
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.alignment import aligned, aligned_report
-from landmark_nav.evaluation.camera_offsets import camera_offsets
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
-from landmark_nav.evaluation.html_report import html_report
-from landmark_nav.evaluation.replay import Replay, replay
+from landmark_nav.evaluation.replay import replay
+from landmark_nav.evaluation.report import (
+    check_report,
+    drive_page,
+    FrameStrip,
+    write_report,
+    write_video,
+)
 from landmark_nav.evaluation.run_report import integrity_report, run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import departures, smooth_run, smoothed_report
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.geometry.walls import Room
-from landmark_nav.localization.fusion import FusionConfig
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import LandmarkMap
 
 __all__ = ['add_arguments', 'run']
@@ -45,7 +48,7 @@ _EVENTS = ('camera/image_raw', 'detections', 'odom', 'ground_truth/odom')
 # Half around the earth. A smaller sigma is a slip of the pen.
 _FARTHEST_M, _LEAST_SIGMA = 2e7, 1e-9
 
-_FIGURES = {'Trajectory': 'trajectory.png', 'Errors': 'errors.png'}
+_FIGURES = ('trajectory.png', 'errors.png')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Localize along a recorded drive with the same stages as the nodes, compare '
         'with ground_truth/odom at the stamps of the images, and write what --json, --tum, '
-        '--report and --out ask for.'
+        '--report, --video and --out ask for.'
     )
     parser.add_argument('bag', metavar='BAG', help='bag of a drive')
     add_topic_argument(parser)
@@ -81,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--config',
         metavar='F',
         help='parameters that differ from the defaults: YAML with the sections observation, '
-        'fusion, odometry, health and relocalization, and with choice_period_s',
+        'estimator, odometry and relocalization',
     )
     parser.add_argument(
         '--smooth',
@@ -102,7 +105,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--report',
         metavar='F.html',
         type=Path,
-        help='write a page with numbers and images to F.html',
+        help='write a page that plays the drive to F.html',
+    )
+    parser.add_argument(
+        '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4'
     )
     parser.add_argument(
         '--out',
@@ -114,10 +120,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay, measure, draw; nothing is written unless all went well."""
-    if args.report and args.report.suffix.lower() not in ('.html', '.htm'):
-        raise UsageError(f'--report {args.report}: reports are written as .html')
-    figures_in = [args.out / name for name in _FIGURES.values()] if args.out else []
-    check_writable(*figures_in, args.json, args.report, args.tum and args.tum / 'fused.tum')
+    check_report(args.report)
+    if args.video and args.video.suffix.lower() != '.mp4':
+        raise UsageError(f'--video {args.video}: videos are written as .mp4')
+    figures_in = [args.out / name for name in _FIGURES] if args.out else []
+    tum = args.tum and args.tum / 'fused.tum'
+    check_writable(*figures_in, args.json, args.report, args.video, tum)
     landmarks = load_map(args.map)
     calibration = landmarks.calibration_from(load_calibration(args.robot))
     mount = calibration.mount
@@ -130,7 +138,6 @@ def run(args: argparse.Namespace) -> int:
     config = LocalizationConfig()
     if args.config:
         config = load_config(args.config, config)
-    config = replace(config, estimator=chosen_estimator(config.estimator, args.robot))
 
     # Walls that were found, not measured, say nothing of units.
     measured = landmarks.walls and not landmarks.has_own_frame
@@ -138,39 +145,15 @@ def run(args: argparse.Namespace) -> int:
     refuse_errors(bag, diagnosis)
     late = diagnosis.delays
     # What was measured is not known exactly.
-    sigma_s = max(late.pan_sigma_s, config.fusion.delay_sigma_s)
-    config = replace(config, fusion=replace(config.fusion, delay_sigma_s=sigma_s))
-
-    def localized(joint_delay_s: float, fusion: FusionConfig) -> Replay:
-        delays = (joint_delay_s, late.images_s, late.odometry_s)
-        events = progress(sensor_events(bag, mount, *delays), 'localizing', total)
-        known = replace(config, fusion=fusion)
-        return replay(events, landmarks, mount, known, start, covariance, calibration)
-
-    done = localized(late.joints_s, config.fusion)
-    learned = replace(config, odometry=done.odometry_noise)
-    offsets = camera_offsets(done, landmarks, mount, learned)
-    # The joint estimator takes the delay into account.
-    again = config.estimator == 'filter' and (offsets.delay_matters or late.joints_s != 0.0)
-    offsets = replace(offsets, delay_s=late.joints_s + offsets.delay_s)
-    delay_s = late.joints_s
-    if again:
-        sigma_s = max(offsets.delay_sigma_s, config.fusion.delay_sigma_s)
-        fusion = replace(config.fusion, delay_sigma_s=sigma_s)
-        corrected = localized(offsets.delay_s, fusion)
-        delay_text = (
-            f'{bag.path}: joint_states are stamped {1e3 * offsets.delay_s:.1f} ms late (sigma '
-            f'{1e3 * offsets.delay_sigma_s:.1f} ms)'
-        )
-        if corrected.tracking.sum() >= done.tracking.sum():
-            done, delay_s = corrected, offsets.delay_s
-            bag.warn(
-                f'{delay_text}: taken into account; on the robot set joint_delay_s of '
-                f'triangulation_localizer to {delay_s:.4f}'
-            )
-        else:
-            # Put right all the time, fewer poses are sure.
-            bag.warn(f'{delay_text} in the end, and not all the time: look at their clock')
+    delay_s = calibration['joint_delay'][0] + late.joints_s
+    calibration = calibration.with_values(joint_delay=delay_s)
+    calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
+    events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)
+    events = progress(events, 'localizing', total)
+    strip = FrameStrip()
+    if args.report or args.video:
+        events = strip.watch(events)
+    done = replay(events, landmarks, calibration, config, start, covariance)
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     own_frame = landmarks.has_own_frame and len(done.truth) > 0
@@ -186,15 +169,12 @@ def run(args: argparse.Namespace) -> int:
             f'from {1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
         )
     learned = replace(config, odometry=done.odometry_noise)
-    report = run_report(done, errors, landmarks, mount, learned)
+    report = run_report(done, errors, landmarks, calibration, learned)
     if own_frame:
         report |= aligned_report(rigid, errors, alignment)
-    report['camera'] = {**offsets.report(), 'joint_delay_applied_s': delay_s}
     report['checks'] = [finding.report() for finding in diagnosis.findings]
-    if done.calibration is not None:
-        report['calibration'] = done.calibration.differences(calibration)
-        report['integrity'] = integrity_report(done, errors)
-    smoothed = smooth_run(done, landmarks, mount, learned, calibration) if args.smooth else None
+    report['integrity'] = integrity_report(done, errors)
+    smoothed = smooth_run(done, landmarks, calibration, learned) if args.smooth else None
     if smoothed is not None:
         report['smoothed'] = smoothed_report(done, smoothed)
         if apart := departures(done, smoothed):
@@ -202,24 +182,27 @@ def run(args: argparse.Namespace) -> int:
                 f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
                 'check odometry, joint_states and camera where they seem to be wrong'
             )
-    figures = {caption: BytesIO() for caption in _FIGURES}
-    if args.out or args.report:
-        draw_trajectory(done, landmarks, figures['Trajectory'], smoothed)
-        draw_errors(done, errors, figures['Errors'])
     if args.out:
-        for caption, name in _FIGURES.items():
-            write_atomically(args.out / name, figures[caption].getvalue())
-    if args.report:
-        title = f'{bag.path.name} on {Path(args.map).name}'
-        drawn = {caption: png.getvalue() for caption, png in figures.items()}
-        write_atomically(args.report, html_report(title, report, drawn))
+        trajectory, drawn_errors = figures_in
+        draw_trajectory(done, landmarks, trajectory, smoothed)
+        draw_errors(done, errors, drawn_errors)
+    if args.report or args.video:
+        page = drive_page(
+            f'{bag.path.name} on {Path(args.map).name}', args.command_line,
+            {'bag': bag.path, 'map': args.map, 'robot': args.robot, 'config': args.config}, report,
+            done, errors, landmarks, done.calibration or calibration, strip, smoothed,
+        )  # fmt: skip
+        if args.report:
+            write_report(args.report, page)
+        if args.video:
+            write_video(args.video, page)
     if args.tum:
         write_tum_files(done, args.tum, smoothed)
     if args.json:
         write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     print(run_summary(report))
     if args.out:
-        print(f'{" and ".join(_FIGURES.values())} in {args.out.resolve()}')
+        print(f'{" and ".join(_FIGURES)} in {args.out.resolve()}')
     return 0
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.figures_world import FiguresWorld
+from landmark_nav.cli.learn import LearningStages, located_sweeps
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
@@ -36,6 +37,8 @@ from landmark_nav.learning.pipeline import (
     panorama_from_sweep,
     PanoramaStages,
 )
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.atomic_io import check_writable
 from landmark_nav.storage.bags import Bag, read_sweeps
@@ -66,11 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Without --bag, two sweeps are simulated in a furnished room.'
     )
     parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder to write')
-    parser.add_argument(
-        '--bag', metavar='BAG', help='bag of sweeps of your own; needs --room and --robot'
-    )
+    parser.add_argument('--bag', metavar='BAG', help='bag of sweeps of your own; needs --robot')
     add_topic_argument(parser)
-    parser.add_argument('--room', metavar='F', help='room.yaml: walls and papers')
+    parser.add_argument(
+        '--room', metavar='F', help='room.yaml: walls and papers (default: as learn finds them)'
+    )
     parser.add_argument('--robot', metavar='F', help='robot.yaml: how the camera is mounted')
     parser.add_argument(
         '--map', metavar='MAP', help='a map of your own for Figure 6, which needs nothing else'
@@ -132,8 +135,8 @@ def _attention(features: list[str] | None) -> AttentionConfig:
 
 
 def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConfig) -> _Data:
-    if args.bag and not (args.room and args.robot):
-        raise UsageError('--bag needs --room and --robot, as learn does')
+    if args.bag and not args.robot:
+        raise UsageError('--bag needs --robot, as learn does')
     given = load_map(args.map) if args.map else None
     if given is not None and not args.bag:
         if wanted != {6}:
@@ -142,14 +145,13 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     room = load_room(args.room) if args.room else None
     if args.bag:
-        assert room is not None, 'checked above'
         return _recorded(open_bag(args.bag, args), room, mount, wanted, attention, given)
     return _simulated(FiguresWorld.furnish(args.seed, mount, room), wanted, attention)
 
 
 def _recorded(
     bag: Bag,
-    room: Room,
+    room: Room | None,
     mount: PanTiltMount,
     wanted: set[int],
     attention: AttentionConfig,
@@ -157,8 +159,14 @@ def _recorded(
 ) -> _Data:
     found = read_sweeps(bag, mount)
     sweeps = tuple(progress(found if wanted - _OF_ONE else islice(found, 1), 'sweeps'))
-    data = _learned(sweeps, room, mount, wanted, attention)
-    poses = truth_of_bag(bag).at([sweep.stamp_ns for sweep in sweeps])
+    truth = truth_of_bag(bag)
+    if room is not None:
+        data = _learned(sweeps, room, mount, wanted, attention)
+    else:
+        data = _unmeasured(bag, sweeps, mount, wanted, attention)
+        if not bag.find('sweep/pose'):
+            truth = truth.seen_from(truth.at([sweeps[0].stamp_ns])[0])
+    poses = truth.at([sweep.stamp_ns for sweep in sweeps])
     if data.learned is not None and np.all(np.isfinite(poses)):
         data = replace(data, truth=true_places(data.learned, poses, mount))
     return data if given is None else replace(data, landmarks=given)
@@ -199,6 +207,23 @@ def _learned(
         config = replace(LearningConfig(), attention=attention)
         learned = learn_from_panoramas(panoramas, room, config)
     return _Data(room, sweeps, panoramas, learned, learned.map if learned else None)
+
+
+def _unmeasured(
+    bag: Bag,
+    sweeps: tuple[Sweep, ...],
+    mount: PanTiltMount,
+    wanted: set[int],
+    attention: AttentionConfig,
+) -> _Data:
+    """As `_learned`, where walls and poses are found."""
+    config = replace(LearningStages(), attention=attention)
+    located, _ = located_sweeps(bag, mount, config, StageLog())
+    learned = None
+    if wanted & _LEARNED:
+        learned = learn_located(located, config, config.unmeasured)
+    landmarks = learned.map if learned else None
+    return _Data(located.room, sweeps, located.panoramas, learned, landmarks)
 
 
 def _draw(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 import json
@@ -17,14 +17,15 @@ from typing import Any
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
-from landmark_nav.cli.known_places import known_places, scale_source
+from landmark_nav.cli.known_places import check_scale, known_places
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.cli.progress import progress
 from landmark_nav.diagnosis import diagnose, QUICK
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import learning_report
+from landmark_nav.evaluation.report import check_report, learning_page, write_report
 from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
@@ -53,7 +54,7 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room, room_text
 from landmark_nav.types import Panorama, PlaceChain, Sweep
 
-__all__ = ['LearningStages', 'add_arguments', 'panoramas_of_bag', 'run']
+__all__ = ['LearningStages', 'add_arguments', 'located_sweeps', 'panoramas_of_bag', 'run']
 
 _LOG = logging.getLogger(__name__)
 
@@ -84,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--room',
         metavar='F',
         help='room.yaml: walls and papers (default: walls are found, the scale is that of '
-        'sweep/pose or odom, the frame that of the first sweep)',
+        'sweep/pose, odom, papers and markers, the frame that of the first sweep)',
     )
     parser.add_argument(
         '--walls-out', metavar='F', type=Path, help='write the walls that were found as room.yaml'
@@ -94,6 +95,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--out', required=True, metavar='MAP', type=Path, help='map folder to write'
+    )
+    parser.add_argument(
+        '--paper-size', nargs=2, type=float, metavar=('W', 'H'),
+        help='coloured papers of this size hang upright somewhere: they give the scale (without '
+        '--room; width and height in metres, A4: 0.210 0.297)',
+    )  # fmt: skip
+    parser.add_argument(
+        '--marker-size', type=float, metavar='M',
+        help='ArUco or AprilTag markers of this size, the side of the black square in metres, do',
+    )  # fmt: skip
+    parser.add_argument(
+        '--marker-dictionary', metavar='NAME', help='their dictionary (default: DICT_4X4_50)'
     )
     add_overwrite(parser)
     parser.add_argument(
@@ -106,16 +119,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--json', metavar='F', type=Path, help='write counts, errors and times to F'
     )
+    parser.add_argument(
+        '--report',
+        metavar='F.html',
+        type=Path,
+        help='write a page with the map, the panoramas and all candidates to F.html',
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Learn, draw, write; nothing is written unless all went well."""
     begin = time.perf_counter()
-    check_writable(args.json, args.walls_out)
+    check_report(args.report)
+    check_writable(args.json, args.walls_out, args.report)
     room = load_room(args.room) if args.room else None
     given = load_calibration(args.robot)
     mount = given.mount
-    config = load_config(args.config, LearningStages()) if args.config else LearningStages()
+    config = _config(args)
     bag = open_bag(args.bag, args)
     log = StageLog()
     with log.measure('checks'):
@@ -123,8 +143,8 @@ def run(args: argparse.Namespace) -> int:
     with atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
-            located, frames = _located(bag, mount, config, log)
-            panoramas, room, found = list(located.panoramas), located.room, _found(bag, located)
+            located, frames = located_sweeps(bag, mount, config, log)
+            panoramas, room, found = list(located.panoramas), located.room, located.provenance
         else:
             panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
         shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
@@ -147,12 +167,18 @@ def run(args: argparse.Namespace) -> int:
         check_truth_frame(bag, room.frame_id)
     seconds = time.perf_counter() - begin
     report = learning_report(result, panoramas, frames, truth, mount, log, seconds)
-    if found:
-        report['unmeasured'] = found
+    if located is not None:
+        scales = {share.name: asdict(share) for share in located.poses.scales}
+        report['unmeasured'] = {**found, 'sources': scales}
     if args.walls_out:
         write_atomically(args.walls_out, room_text(room))
     if args.json:
         write_atomically(args.json, json.dumps(report, indent=2) + '\n')
+    if args.report:
+        inputs = {'bag': bag.path, 'room': args.room, 'robot': args.robot, 'config': args.config}
+        title = f'{args.out.name}, learned from {bag.path.name}'
+        page = learning_page(title, args.command_line, inputs, report, result, room.papers)
+        write_report(args.report, page)
     print(_summary(report, result.panoramas, args.out))
     return 0
 
@@ -172,11 +198,11 @@ class _ShownStages(StageLog):
             yield
 
 
-def _located(
+def located_sweeps(
     bag: Bag, mount: PanTiltMount, config: LearningStages, log: StageLog
 ) -> tuple[Located, list[int]]:
-    """Panoramas of a bag, where they were taken and the walls around; frames of each."""
-    scale_source(bag)
+    """Panoramas of a bag with their poses, the walls around; how many frames each has."""
+    check_scale(bag, config.unmeasured.sheets)
     frames: list[int] = []
 
     def sweeps() -> Iterator[Sweep]:
@@ -185,17 +211,33 @@ def _located(
             frames.append(len(sweep.frames))
             yield sweep
 
-    def known(stamped: Sequence[Sweep]) -> PlaceChain:
+    def known(stamped: Sequence[Sweep]) -> list[PlaceChain]:
         return known_places(bag, stamped, config.odometry)
 
     return locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
 
 
-def _found(bag: Bag, located: Located) -> dict[str, str]:
-    """What a map that was learned without a plan says of its frame and scale."""
-    source = scale_source(bag)
-    own = {'frame': 'base_link at the first sweep'} if source == 'odom' else {}
-    return {**own, 'scale': source, 'scale_sigma': f'{located.scale_sigma:.5f}'}
+def _config(args: argparse.Namespace) -> LearningStages:
+    """Parameters of all stages: those of the file, and the sizes given."""
+    config = load_config(args.config, LearningStages()) if args.config else LearningStages()
+    width, height = args.paper_size or (None, None)
+    given = {
+        'paper_width_m': width,
+        'paper_height_m': height,
+        'marker_size_m': args.marker_size,
+        'marker_dictionary': args.marker_dictionary,
+    }
+    sizes = {name: value for name, value in given.items() if value is not None}
+    if sizes and args.room:
+        raise UsageError(
+            '--paper-size and --marker-size give the scale where there is no --room: leave out '
+            'one of them'
+        )
+    try:
+        sheets = replace(config.unmeasured.sheets, **sizes)
+    except LandmarkNavError as error:
+        raise UsageError(str(error)) from error
+    return replace(config, unmeasured=replace(config.unmeasured, sheets=sheets))
 
 
 def panoramas_of_bag(
@@ -260,6 +302,16 @@ def _provenance(args: argparse.Namespace) -> dict[str, str]:
     }
 
 
+def _scale_line(name: str, scale: float, sigma: float, inflation: float, sheets: int) -> str:
+    """What one source says of the scale."""
+    count = f' ({sheets})' if sheets else ''
+    grown = f'; its variance grew by {inflation:.1f} to fit the panoramas' * (inflation > 1.0)
+    return (
+        f'  {name}{count} alone: ways {100.0 * (scale - 1.0):+.2f} %, sigma {100.0 * sigma:.2g} %'
+        f'{grown}'
+    )
+
+
 def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path) -> str:
     """Summarize what was learned, for a person."""
     lines = []
@@ -283,8 +335,9 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
     if found := report.get('unmeasured'):
         lines.append(
             f'no room.yaml: scale from {found["scale"]}, good to '
-            f'{100 * float(found["scale_sigma"]):.1f} %; frame: {found.get("frame", "as given")}'
+            f'{100 * float(found["scale_sigma"]):.2g} %; frame: {found.get("frame", "as given")}'
         )
+        lines.extend(_scale_line(**share) for share in found['sources'].values())
     lines.append(
         f'{report["elected"]} landmarks of {report["candidates"]} candidates '
         f'({report["reconstructed"]} reconstructed): {walls}'

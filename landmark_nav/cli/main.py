@@ -17,6 +17,7 @@ from io import TextIOWrapper
 import logging
 import os
 from pathlib import Path
+import shlex
 import signal
 import sys
 from typing import Any, NoReturn
@@ -100,7 +101,7 @@ COMMANDS = {
 }
 
 # Options that name what is written.
-_OUTPUTS = {'out', 'json', 'report', 'tum', 'figure'}
+_OUTPUTS = {'out', 'json', 'report', 'tum', 'video'}
 
 # Distributions that are not called as the module they hold.
 _DISTRIBUTIONS = {'cv2': 'opencv-python-headless', 'yaml': 'PyYAML'}
@@ -203,6 +204,7 @@ def _run(name: str, arguments: list[str]) -> int:
     except SystemExit as stop:  # argparse has printed its help or what is wrong
         return stop.code if isinstance(stop.code, int) else 2
     assert command is not None, 'argparse requires a known command'
+    args.command_line = shlex.join(['landmark-nav', *arguments])
     _set_up_logging(args.verbosity)
     _check_apart(args)
     with interrupting():

@@ -15,6 +15,7 @@ from landmark_nav.storage.maps import load_map, MAP_DATA, save_map, SCHEMA_VERSI
 from landmark_nav.types import Landmark, LandmarkMap
 from landmark_nav.upkeep.check import problems_of_map
 from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture, wall_changes
+from landmark_nav.upkeep.frames import brought_together, FrameAlignment
 from landmark_nav.upkeep.merge import merge_maps
 
 __all__ = ['add_arguments', 'run']
@@ -44,7 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'diff',
         _diff,
         'Compare two maps of one room: what moved, what changed, what only one of them holds '
-        '(other sweeps choose other landmarks, though nothing went).',
+        '(other sweeps choose other landmarks, though nothing went). Maps with own frames are '
+        'aligned first.',
     )
     diff.add_argument('a', metavar='A', help='map folder, the older one')
     diff.add_argument('b', metavar='B', help='map folder, the newer one')
@@ -85,6 +87,11 @@ def _check(args: argparse.Namespace) -> int:
 
 def _diff(args: argparse.Namespace) -> int:
     a, b = load_map(args.a), load_map(args.b)
+    b, alignment = brought_together(a, b)
+    if alignment is not None:
+        print(describe_alignment(alignment))
+        print(describe_comparison(compare_maps(a, b)))
+        return 0
     walls = {name: moved for name, moved in wall_changes(a, b).items() if moved > 0.0}
     comparison = compare_maps(a, b)
     same, fewer = len(comparison.of(Texture.SAME)), min(len(a.landmarks), len(b.landmarks))
@@ -119,6 +126,17 @@ def _migrate(args: argparse.Namespace) -> int:
         write_map(landmarks, folder)
     print(f'{out}: {len(landmarks.landmarks)} landmarks, schema version {SCHEMA_VERSION}')
     return 0
+
+
+def describe_alignment(alignment: FrameAlignment) -> str:
+    """Say where the frame of map B is in that of A."""
+    x, y, heading = alignment.pose
+    sigma_x, sigma_y, *_, sigma = np.sqrt(np.diag(alignment.covariance))
+    return (
+        f'B is aligned to A by {alignment.support} landmarks: its frame is at ({x:.3f}, {y:.3f}) '
+        f'm, {np.degrees(heading):.2f} deg (sigma {1e3 * np.hypot(sigma_x, sigma_y):.1f} mm); its '
+        f'metre is {alignment.scale:.4f} m of A (sigma {sigma:.4f})'
+    )
 
 
 def describe_comparison(comparison: Comparison) -> str:

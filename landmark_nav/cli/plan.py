@@ -35,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'this error smallest. A PNG of the same name shows the expected accuracy. Furniture is '
         'not in the wall map: take the nearest free place.'
     )
-    parser.add_argument('--room', required=True, metavar='F', help='room.yaml: walls and papers')
+    parser.add_argument(
+        '--room', required=True, metavar='F', help='room.yaml, measured or of learn --walls-out'
+    )
     parser.add_argument(
         '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
     )
@@ -147,8 +149,8 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
         'compared': compared,
     }
     comment = (
-        '# poses of base_link: x, y [m], heading [rad], sigma as the papers give it; means are\n'
-        f'# of localization errors over the floor, more than {CAP_M:g} m counted as that\n'
+        '# poses of base_link: x, y [m], heading [rad], sigma as papers or panoramas give it;\n'
+        f'# means are of localization errors over the floor, each {CAP_M:g} m at most\n'
     )
     return comment + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
 

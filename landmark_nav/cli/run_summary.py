@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import wrapped
-from landmark_nav.evaluation.html_report import cell, ESTIMATES, nees_range
+from landmark_nav.evaluation.report.tables import cell, ESTIMATES, nees_range
 
 __all__ = ['error_table', 'run_summary']
 
 # Stretches without tracking that are listed; the others are in the JSON.
 _MOST_SPELLS = 6
-# A drive whose camera does not turn says nothing of late joint states.
-_DELAY_REPORTED_S = 0.02
 
 
 def run_summary(report: Mapping[str, Any]) -> str:
@@ -49,7 +47,7 @@ def run_summary(report: Mapping[str, Any]) -> str:
         f'{claimed["heading_median_deg"]:.3f} deg in the median, '
         f'{100.0 * claimed["position_p95_m"]:.2f} cm at 95 %',
         *(_consistency(report) if known else []),
-        _camera(report['camera']),
+        _camera(report['calibration']),
         f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
         f'{report["update_ms"]["p95"]:.1f} ms; {report["realtime_factor"]:.1f} times real time',
         f'result {report["result_hash"][:16]}',
@@ -84,14 +82,12 @@ def _consistency(report: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _camera(offsets: Mapping[str, float]) -> str:
-    delay_s, sigma_s = offsets['joint_delay_s'], offsets['joint_delay_sigma_s']
-    delay = f'joint_states {1e3 * abs(delay_s):.1f} ms {"early" if delay_s < 0 else "late"} '
+def _camera(known: Mapping[str, Any]) -> str:
+    delay, yaw = known['joint_delay'], known['axis_yaw']
+    late = f'{1e3 * abs(delay["value"]):.1f} ms {"early" if delay["value"] < 0.0 else "late"}'
     return (
-        'camera: '
-        + (f'{delay}(sigma {1e3 * sigma_s:.1f}), ' if sigma_s < _DELAY_REPORTED_S else '')
-        + f'turned by {offsets["boresight_deg"]:.2f} deg (sigma '
-        f'{offsets["boresight_sigma_deg"]:.2f})'
+        f'camera: joint_states {late} (sigma {1e3 * delay["sigma"]:.1f}), turned by '
+        f'{np.degrees(yaw["value"] - yaw["prior"]):.2f} deg (sigma {np.degrees(yaw["sigma"]):.2f})'
     )
 
 

@@ -31,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Ctrl-C. If one of them ends, all do. They are in the ROS domain of ROS_DOMAIN_ID.'
     )
     parser.add_argument('--robot', type=Path, metavar='F', help='robot.yaml')
-    parser.add_argument('--room', type=Path, metavar='F', help='room.yaml')
+    parser.add_argument(
+        '--room', type=Path, metavar='F', help='room.yaml (default: walls and poses are found)'
+    )
     parser.add_argument(
         '--map',
         type=Path,
@@ -63,10 +65,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Start the nodes and watch them."""
     require_ros('it')
-    if (args.robot is None) != (args.room is None):
-        raise UsageError('give both --robot and --room, or with --sim neither')
-    if args.robot is None and not args.sim:
-        raise UsageError('give --robot and --room, or --sim for a simulated robot')
+    if args.robot is None and (args.room is not None or not args.sim):
+        raise UsageError('give --robot, or --sim alone for a simulated robot')
     with ExitStack() as stack:
         interruption = stack.enter_context(Interruption())
         simulator: dict[str, object] | None = {'seed': args.seed} if args.sim else None
@@ -75,11 +75,12 @@ def run(args: argparse.Namespace) -> int:
             drawn = prepare_room(folder, args.seed)
             robot, room = drawn.robot_file, drawn.room_file
         else:
-            robot, room = args.robot.resolve(), args.room.resolve()
+            robot, room = args.robot.resolve(), args.room and args.room.resolve()
             # A wrong file gives one error here instead of one from every node.
             load_robot(robot)
-            load_room(room)
-            if simulator is not None:
+            if room is not None:
+                load_room(room)
+            if simulator is not None and room is not None:
                 simulator['room_file'] = str(room)
         commands = node_commands(
             robot,
@@ -90,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
             image_transport='compressed' if args.sim else args.image_transport,
             namespace=args.namespace,
         )
-        print(f'ROS domain {chosen_domain() or 0}; robot file {robot}; room file {room}')
+        print(f'ROS domain {chosen_domain() or 0}; robot file {robot}; room file {room or "none"}')
         print('Ctrl-C ends all. In another terminal: landmark-nav status', flush=True)
         nodes = stack.enter_context(Supervisor(None, os.environ))
         for name, command in commands.items():

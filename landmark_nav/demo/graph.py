@@ -27,7 +27,7 @@ def node_command(name: str, namespace: str = '', **parameters: object) -> list[s
 
 def node_commands(
     robot_file: Path,
-    room_file: Path,
+    room_file: Path | None,
     map_folder: Path,
     *,
     simulator: Mapping[str, object] | None = None,
@@ -38,16 +38,17 @@ def node_commands(
     """
     Command line of each node, by its name.
 
-    `simulator` is what the simulated robot is given beside `robot_file`; without it there is none.
+    Without `room_file` walls and poses are found. `simulator` is what the simulated robot is given
+    beside `robot_file`; without it there is none.
     The others are parameters of the nodes.
     """
-    robot, room = str(robot_file), str(room_file)
+    robot, room = str(robot_file), str(room_file or '')
     camera: dict[str, object] = {'robot_file': robot, 'image_transport': image_transport}
-    learner = {'room_file': room, 'map_folder': str(map_folder), 'load_on_start': load_on_start}
+    learner = {'robot_file': robot, 'room_file': room, 'map_folder': str(map_folder)}
     given: dict[str, dict[str, object]] = {
         'sweep_capture': camera,
         'panorama_synthesizer': {'robot_file': robot, 'room_file': room},
-        'landmark_learner': learner,
+        'landmark_learner': {**learner, 'load_on_start': load_on_start},
         'triplet_selector': {'robot_file': robot},
         'triangulation_localizer': camera,
         'odometry_fusion': {'robot_file': robot},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,14 +12,13 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
-from landmark_nav.localization.fusion import FusionUpdate
-from landmark_nav.localization.observation import Observation
-from landmark_nav.localization.pipeline import LocalizationUpdate
+from landmark_nav.localization.localizer import LocalizationUpdate
+from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import Detections, PoseEstimate, Refusal
 
-__all__ = ['RECORDED_TOPICS', 'recorded_run']
+__all__ = ['RECORDED_TOPICS', 'SWEEP_TOPICS', 'recorded_run']
 
 RECORDED_TOPICS = (
     'camera/image_raw/compressed',
@@ -30,6 +30,21 @@ RECORDED_TOPICS = (
     'triangulation/pose',
     'odometry/fused',
     '/diagnostics',
+    'triplet',
+    # For people: what RViz, Foxglove and PlotJuggler show.
+    'landmarks/markers',
+    'odometry_fusion/protection_level',
+    'odometry_fusion/path',
+    'odometry_fusion/odometry_path',
+    'odometry_fusion/markers',
+    'triangulation_localizer/markers',
+    'triangulation_localizer/debug_image/compressed',
+)
+
+# What `landmark-nav learn` takes without a plan.
+SWEEP_TOPICS = (
+    *('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory'),
+    *('odom', 'ground_truth/odom'),
 )
 
 T = TypeVar('T')
@@ -74,9 +89,8 @@ def recorded_run(bag: Bag) -> Replay:
         updates.append(
             LocalizationUpdate(
                 stamp,
-                _NOT_RECORDED,
-                Observation(seen, {}, fixes.get(stamp, _NOT_RECORDED)),
-                FusionUpdate(stamp, refusal=None if len(seen) else Refusal('nothing found')),
+                Observation(seen, {}, partial(_or_refusal, fixes.get(stamp))),
+                len(seen),
                 PoseEstimate(stamp, pose, fused[nearest].covariance),
                 'lost' if is_lost else 'tracking',
                 '',
@@ -110,6 +124,10 @@ def _lost_at(bag: Bag, stamps_ns: Any) -> list[bool]:
                 states.append((stamp, int(status.level) == _ERROR))
     last = np.searchsorted([stamp for stamp, _ in states], stamps_ns, side='right') - 1
     return [states[k][1] for k in last]
+
+
+def _or_refusal(fix: PoseEstimate | None) -> PoseEstimate | Refusal:
+    return fix or _NOT_RECORDED
 
 
 def _nothing(stamp_ns: int) -> Detections:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from landmark_nav.demo.narrator import Narrator
-from landmark_nav.demo.recorded_run import RECORDED_TOPICS
+from landmark_nav.demo.recorded_run import RECORDED_TOPICS, SWEEP_TOPICS
 from landmark_nav.demo.room import DemoRoom
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.simulation.drive_path import PathFollower
 from landmark_nav.types import FloatArray, OdometrySample, Panorama, PoseEstimate
@@ -63,8 +64,10 @@ class Robot(Protocol):
     def start_at(self, estimate: PoseEstimate) -> None:
         """Give the fusion the pose of the robot."""
 
-    def recording(self, path: Path, topics: Sequence[str]) -> AbstractContextManager[None]:
-        """Record topics while in the block."""
+    def recording(
+        self, path: Path, topics: Sequence[str], mount: PanTiltMount | None = None
+    ) -> AbstractContextManager[None]:
+        """Record topics while in the block; given the mount, the robot's transforms as well."""
 
 
 def run_scenario(
@@ -89,11 +92,15 @@ def run_scenario(
     length, width = room.size_m
     narrator.print_line(f'a robot that knows nothing, in a room of {length:.1f} m x {width:.1f} m')
 
-    first = _sweep(robot, room, narrator, 'first')
-    narrator.title('Driving to the second place, by odometry alone')
-    anchor = se2.compose(first.pose, se2.inverse(_odometry(robot)))
-    _follow(robot, room.to_second_place, lambda: se2.compose(anchor, _odometry(robot)), narrator)
-    second = _sweep(robot, room, narrator, 'second')
+    sweeps = robot.recording(folder / 'sweeps', SWEEP_TOPICS)
+    with nullcontext() if room.room_file else sweeps:
+        first = _sweep(robot, room, narrator, 'first')
+        narrator.title('Driving to the second place, by odometry alone')
+        anchor = se2.compose(first.pose, se2.inverse(_odometry(robot)))
+        _follow(
+            robot, room.to_second_place, lambda: se2.compose(anchor, _odometry(robot)), narrator
+        )
+        second = _sweep(robot, room, narrator, 'second')
 
     narrator.title('Learning landmarks from the two panoramas: service learn_landmarks')
     narrator.print_line(
@@ -107,15 +114,19 @@ def run_scenario(
     narrator.print_line(
         'the camera keeps turning to the three landmarks that are expected to give the best fix'
     )
-    with robot.recording(folder / 'recording', RECORDED_TOPICS):
-        robot.start_at(second)
+    with robot.recording(folder / 'recording', RECORDED_TOPICS, room.mount):
+        if room.room_file:  # otherwise it is known since learning
+            robot.start_at(second)
         robot.wait(lambda: robot.fused is not None, 10.0, 'odometry/fused')
         robot.wait(lambda: robot.fixes > 0, 20.0, 'a first triangulated pose')
         _follow(robot, room.tour, lambda: _fused(robot), narrator)
+    narrator.print_line(
+        'recording/ is an MCAP file: Foxglove and Lichtblick show it with the layout foxglove.json'
+    )
 
 
 def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
-    """Take a sweep and wait for its panorama; where the base stands by it."""
+    """Take a sweep and wait for its panorama; pose of the base, zero without papers."""
     narrator.title(f'Taking the {which} sweep: service capture_sweep')
     narrator.print_line(
         'the camera turns step by step, settles and keeps a frame, all the way round'
@@ -136,6 +147,9 @@ def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> Pose
         return min(len(robot.panoramas), learner_has) > before
 
     robot.wait(made, 90.0, 'the panorama')
+    if room.room_file is None:
+        narrator.print_line('where that was is found when it learns')
+        return PoseEstimate(robot.panoramas[-1].stamp_ns, np.zeros(3), np.zeros((3, 3)))
     place = base_from_axis(robot.panoramas[-1].axis, room.mount)
     x, y, heading = place.pose
     sigma_mm = 1e3 * float(np.sqrt(np.trace(place.covariance[:2, :2])))

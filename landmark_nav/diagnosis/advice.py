@@ -6,13 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.diagnosis.causes import Cause, IMAGES, JOINTS, ODOMETRY, Verdict
+from landmark_nav.diagnosis.camera_errors import CameraError
+from landmark_nav.diagnosis.causes import Cause, IMAGES, JOINTS, MOUNT, ODOMETRY, Verdict
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
 from landmark_nav.diagnosis.units import nearness_of_room, unit_of
 from landmark_nav.geometry.walls import Room
 
-__all__ = ['CORRECTED_S', 'cause_findings', 'clock_finding', 'motion_findings']
+__all__ = [
+    'CORRECTED_S',
+    'HEADING_ERROR_RAD',
+    'camera_finding',
+    'cause_findings',
+    'clock_finding',
+    'motion_findings',
+]
 
 # Delays up to this are corrected: over it, what joints did is not known well enough.
 CORRECTED_S = 0.3
@@ -22,7 +30,7 @@ _PAN_OFF, _YAW_OFF = 0.1, 0.3
 _FAR, _NEAR = 1.0 / 40.0, 3.0
 # The parallax of a known room is within this factor of its walls'; 0.3 m of furniture.
 _OF_ROOM = 2.2
-_HEADING_WARN_RAD, _HEADING_ERROR_RAD = np.radians(8.0), np.radians(20.0)
+_HEADING_WARN_RAD, HEADING_ERROR_RAD = np.radians(8.0), np.radians(20.0)
 # Clocks this far apart are not of one kind.
 _WALL_TIME_S = 1e6
 
@@ -84,6 +92,77 @@ def cause_findings(judged: Verdict) -> list[Finding]:
     return [finding]
 
 
+# Of what images show of lens and mount, more is an error: radians, or a share of the focal length.
+_CAMERA_OFF = 0.14
+_ZOOM = 'calibrate the camera at the size and zoom that are published'
+_SQUARE = 'calibrate again: pixels are square, if the driver does not stretch images'
+
+
+def camera_finding(error: CameraError) -> Finding:
+    """The error of lens or mount that explains how points move in the images."""
+    value, camera, mount = error.value, error.setup.camera, error.setup.mount
+    degrees = abs(np.degrees(value))
+    rpy = ', '.join(f'{angle:.3f}' for angle in mount.axis_rpy)
+    share = 100.0 * abs(np.expm1(-value))
+    of_lens = {
+        name: (
+            'camera lens',
+            f'{what} in camera_info is {share:.0f} % too {"short" if value > 0.0 else "long"}',
+            advice,
+        )
+        for name, what, advice in (
+            ('focal length', 'the focal length', _ZOOM),
+            ('fx', 'fx', _SQUARE),
+            ('fy', 'fy', _SQUARE),
+        )
+    }
+    name, text, advice = {
+        **of_lens,
+        'tilt': (
+            'camera tilt',
+            f'looks {degrees:.0f} deg {"higher" if value > 0.0 else "lower"} than mount and tilt '
+            'say',
+            'mend the zero of the tilt, or pan_axis rpy (pitch) in robot.yaml',
+        ),
+        'axis pitch': (
+            'camera mount',
+            f'the pitch of pan_axis is off by {degrees:.0f} deg',
+            f'set pan_axis rpy: [{rpy}] in robot.yaml',
+        ),
+        'axis roll': (
+            'camera mount',
+            f'the roll of pan_axis is off by {degrees:.0f} deg',
+            f'set pan_axis rpy: [{rpy}] in robot.yaml',
+        ),
+        'roll': (
+            'camera roll',
+            f'images are turned by {np.degrees(value):.0f} deg',
+            f'set camera_roll: {mount.camera_roll_rad:.4f} in robot.yaml, or turn them',
+        ),
+        'cx': (
+            'camera lens',
+            f'the principal point is {abs(value) * camera.fx:.0f} px farther '
+            f'{"right" if value > 0.0 else "left"} than cx in camera_info',
+            'calibrate again; images that are cropped need cx of the part that is left',
+        ),
+        'cy': (
+            'camera lens',
+            f'the principal point is {abs(value) * camera.fy:.0f} px farther '
+            f'{"down" if value > 0.0 else "up"} than cy in camera_info',
+            'calibrate again; images that are cropped need cy of the part that is left',
+        ),
+        'distortion': (
+            'camera lens',
+            f'its distortion is not that in camera_info: k1 is off by {abs(value):.2f}',
+            'calibrate the camera that is mounted, and publish d with raw images',
+        ),
+    }[error.name]
+    if error.also:
+        text += f' (or {", ".join(error.also)}: undecided)'
+    level: Level = 'error' if abs(value) > _CAMERA_OFF else 'warning'
+    return Finding(name, level, text, advice, {'value': value})
+
+
 def _short(cause: Cause) -> str:
     what = {'clock': 'clock', 'drift': 'clock', 'step': 'clock', 'scale': 'scale'}.get(
         cause.kind, cause.kind
@@ -130,6 +209,62 @@ def _named(cause: Cause) -> Finding:
             'error',
             'its pose does not turn as the camera does, its twist does',
             'publish the pose that the twist sums up to',
+        )
+    if cause.kind == 'speed':
+        return Finding(
+            'pan unit',
+            'error',
+            'summed up, the pan is what the images turn by: it holds speeds, not angles',
+            'publish angles as position in joint_states',
+        )
+    if cause.kind == 'heading':
+        return Finding(
+            'pan frame',
+            'error',
+            'the pan has the yaw of odom in it: it is an angle against the room',
+            'publish the angle of the joint, against the robot',
+        )
+    if cause.kind == 'bias':
+        return Finding(
+            'odom yaw',
+            'error',
+            f'drifts by {np.degrees(-value):.1f} deg/s against the images',
+            'calibrate the gyro while the robot stands',
+            {'bias_rad_s': -value},
+        )
+    if cause.kind == 'curve':
+        return Finding(
+            'odom yaw',
+            'error',
+            f'curves by {np.degrees(-value):.0f} deg/m against the images',
+            'calibrate the radii of the wheels, on a straight line',
+            {'curve_rad_m': -value},
+        )
+    if cause.kind == 'upside down':
+        return Finding(
+            'camera mount',
+            'error',
+            'the images show the camera the other way up than robot.yaml: upside down, or not',
+            'mend pan_axis rpy (a unit that hangs: [3.1416, 0, 0]) or camera_roll in robot.yaml',
+        )
+    if cause.kind == 'offset':
+        return Finding(
+            'camera mount',
+            'error',
+            f'the optical centre is {abs(value):.2f} m {"ahead" if value > 0.0 else "behind"} '
+            'of where robot.yaml has it',
+            'measure optical_center_offset from the pan axis, in metres',
+            {'offset_m': value},
+        )
+    if stream == MOUNT:
+        sides = {'ahead': ('ahead', 'behind'), 'left': ('to the left', 'to the right')}
+        return Finding(
+            'camera mount',
+            'error',
+            f'the pan axis is {abs(value):.1f} m {sides[cause.kind][value < 0.0]} of where '
+            'robot.yaml has it',
+            'measure pan_axis xyz: metres ahead, to the left and up of base_link',
+            {f'{cause.kind}_m': value},
         )
     return {JOINTS: _pan_scale, ODOMETRY: _yaw_scale, IMAGES: _image_scale}[stream](value)
 
@@ -219,7 +354,7 @@ def _image_scale(seen: float) -> Finding:
         'camera lens',
         'error' if abs(off) > 10.0 else 'warning',
         f'the focal length in camera_info is {abs(off):.0f} % too {side}',
-        'calibrate the camera at the size and zoom that are published',
+        _ZOOM,
         {'scale': seen},
     )
 
@@ -302,15 +437,14 @@ def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
         )
     if size < 6.0 * sigma:
         return found
-    turned = float(np.arctan2(-slopes.sideways.value, slopes.nearness.value))
-    spread = sigma / size
+    turned, spread = slopes.heading_rad
     values = {'heading_rad': turned, 'sigma_rad': spread}
     text = f'looks {abs(np.degrees(turned)):.0f} deg to the {"left" if turned > 0 else "right"}'
     text += f' of where pan and mount say (sigma {np.degrees(spread):.0f} deg)'
     if abs(turned) - 4.0 * spread > np.radians(140.0):
         advice = 'odometry drives backwards, or pan_axis rpy is half a turn off'
         found.append(Finding('camera heading', 'error', text, advice, values))
-    elif abs(turned) - 3.0 * spread > _HEADING_ERROR_RAD:
+    elif abs(turned) - 3.0 * spread > HEADING_ERROR_RAD:
         advice = 'mend pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
         found.append(Finding('camera heading', 'error', text, advice, values))
     elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD:

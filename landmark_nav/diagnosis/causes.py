@@ -8,16 +8,26 @@ compared by their likelihood less what their free parameters cost (Schwarz, Anna
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
 from landmark_nav.arrays import FloatArray
-from landmark_nav.diagnosis.motion import Clock, explained, Fit, fit, linear, Motion, Track
+from landmark_nav.diagnosis.motion import (
+    Clock,
+    driven_again,
+    explained,
+    Fit,
+    fit,
+    FREEDOM,
+    linear,
+    Motion,
+    Track,
+)
 
-__all__ = ['IMAGES', 'JOINTS', 'ODOMETRY', 'Cause', 'Verdict', 'late_odometry', 'verdict']
+__all__ = ['IMAGES', 'JOINTS', 'MOUNT', 'ODOMETRY', 'Cause', 'Verdict', 'late_odometry', 'verdict']
 
 # Likelihoods this near are alike, and this far above none a fault is one.
 _ALIKE, _CERTAIN = 5.0, 12.0
@@ -38,7 +48,14 @@ _LEAST_COVERED = 0.3
 _PAIRS = 160
 _FIRST_NOISE_RAD = 0.01
 
-IMAGES, JOINTS, ODOMETRY = 'images', 'joint_states', 'odom'
+# A step of a robot goes along its heading to this, forwards or backwards.
+_ALONG_RAD, _STEP_S = 0.1, 0.2
+# Usual places of a pan axis in a base and of an optical centre beside its axis.
+_AXIS_M, _OFFSET_M = 0.3, 0.1
+# Values of one parameter are searched for on this grid, as shares of its range, and then between.
+_GRID = np.linspace(-1.0, 1.0, 21)
+
+IMAGES, JOINTS, ODOMETRY, MOUNT = 'images', 'joint_states', 'odom', 'pan_axis'
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +66,11 @@ class Cause:
     Parameters
     ----------
     stream : str
-        Whose fault: ``images``, ``joint_states`` or ``odom``.
+        Whose fault: ``images``, ``joint_states``, ``odom`` or ``pan_axis``.
     kind : str
-        ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint`` or ``twist``.
+        ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed`` and ``heading``
+        (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``, ``left``,
+        ``offset`` and ``upside down`` (of the mount).
     motion : Motion
         Without the fault.
     left : Fit
@@ -118,6 +137,7 @@ def verdict(
         found.append(_cause(JOINTS, 'joint', replace(motion, pan=track), 1, name=name))
     if by_twist is not None:
         found.append(_cause(ODOMETRY, 'twist', replace(motion, odometry=by_twist), 1))
+    found += _others(motion)
     found += _scales(motion)
     found += _clocks(motion, clocks or {})
     best = max(found, key=lambda cause: cause.score)
@@ -169,7 +189,78 @@ def _cause(
 ) -> Cause:
     left = explained(motion)
     score = left.log_likelihood - 0.5 * parameters * np.log(max(len(motion), 2))
+    score += _along(motion)
+    score -= 0.5 * float(np.sum(np.square(motion.axis_xy) / _AXIS_M**2))
+    score -= 0.5 * float(np.sum(np.square(motion.offset_xy) / _OFFSET_M**2))
     return Cause(stream, kind, motion, left, float(score), value, name, offset_s)
+
+
+def _along(motion: Motion) -> float:
+    """
+    Log-likelihood of the path beside the heading, but for a constant.
+
+    A robot drives along its heading, or at one angle to it, forwards and backwards.
+    """
+    if motion.odometry is None:
+        return 0.0
+    begin, end = motion.odometry.seconds[[0, -1]]
+    x, y, yaw = motion.odometry.at(np.linspace(begin, end, max(int((end - begin) / _STEP_S), 2))).T
+    step = np.diff(x + 1j * y)
+    far = np.abs(step) > 0.2 * float(np.quantile(np.abs(step), 0.9))
+    aside = step[far] * np.exp(-0.5j * motion.yaw_scale * (yaw[1:] + yaw[:-1]))[far]
+    doubled = (aside / np.maximum(np.abs(aside), 1e-12)) ** 2
+    off = 0.5 * np.angle(doubled * np.conj(doubled.sum()))
+    return -0.5 * (FREEDOM + 1.0) * float(np.sum(np.log1p((off / _ALONG_RAD) ** 2 / FREEDOM)))
+
+
+def _others(motion: Motion) -> Iterator[Cause]:
+    """What is something else than it should be, and errors of a single number."""
+    pan, odometry = motion.pan, motion.odometry
+    steps = np.diff(pan.seconds, prepend=pan.seconds[0])[:, None]
+    summed = replace(pan, values=np.cumsum(pan.values * steps, axis=0))
+    yield _cause(JOINTS, 'speed', replace(motion, pan=summed), 1)
+    if odometry is None:
+        return
+    yaw = odometry.at(pan.seconds)[:, 2:]
+    yield _cause(JOINTS, 'heading', replace(motion, pan=replace(pan, values=pan.values - yaw)), 1)
+
+    def again(**change: float) -> Motion:
+        return replace(motion, odometry=driven_again(odometry, **change))
+
+    def moved(ahead_m: float, left_m: float) -> Motion:
+        x, y = motion.axis_xy
+        return replace(motion, axis_xy=(x + ahead_m, y + left_m))
+
+    def offset(ahead_m: float) -> Motion:
+        x, y = motion.offset_xy
+        return replace(motion, offset_xy=(x + ahead_m, y))
+
+    # A camera the other way up sees what one sees whose robot turns the other way.
+    hanging = replace(motion, turns_rad=-motion.turns_rad, pan=replace(pan, values=-pan.values))
+    yield _cause(MOUNT, 'upside down', hanging, 1 if motion.hangs else 3)
+    for stream, kind, reach, change in (
+        (ODOMETRY, 'bias', 1.0, lambda value: again(bias_rad_s=value)),
+        (ODOMETRY, 'curve', 3.0, lambda value: again(curve_rad_m=value)),
+        (MOUNT, 'ahead', 2.0, lambda value: moved(value, 0.0)),
+        (MOUNT, 'left', 2.0, lambda value: moved(0.0, value)),
+        (MOUNT, 'offset', 1.0, offset),
+    ):
+        yield _best(stream, kind, change, reach)
+
+
+def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: float) -> Cause:
+    """The likeliest value of an error of a single number within +-`reach`."""
+
+    def badness(value: float) -> float:
+        return -_cause(stream, kind, change(value), 1).score
+
+    grid = reach * _GRID
+    first = float(grid[np.argmin([badness(value) for value in grid])])
+    step = float(grid[1] - grid[0])
+    found = minimize_scalar(
+        badness, bounds=(first - step, first + step), method='bounded', options={'xatol': 1e-3}
+    )
+    return _cause(stream, kind, change(float(found.x)), 1, float(found.x))
 
 
 def _misfit(residuals: FloatArray) -> FloatArray:
@@ -211,13 +302,11 @@ def _scales(motion: Motion) -> Iterator[Cause]:
         else:
             changed = replace(motion, yaw_scale=motion.yaw_scale * scale)
             yield _cause(stream, 'scale', changed, 1, scale)
-            if scale < 0.0 and motion.odometry is not None:
-                # Of a path that was summed up with the reversed yaw, the sides are exchanged too.
-                mirrored = motion.odometry.values * [1.0, -1.0, -1.0]
-                track = Track(motion.odometry.seconds, mirrored)
-                yield _cause(
-                    stream, 'scale', replace(changed, odometry=track, yaw_scale=-scale), 1, scale
-                )
+            if motion.odometry is not None:
+                # Or the path was summed up with that yaw.
+                for value in (scale, float(np.sign(scale))):
+                    track = driven_again(motion.odometry, yaw_scale=value)
+                    yield _cause(stream, 'scale', replace(motion, odometry=track), 1, value)
 
 
 def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:

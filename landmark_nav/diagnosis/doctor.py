@@ -11,10 +11,18 @@ import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.diagnosis.advice import (
+    camera_finding,
     cause_findings,
     clock_finding,
     CORRECTED_S,
+    HEADING_ERROR_RAD,
     motion_findings,
+)
+from landmark_nav.diagnosis.camera_errors import (
+    camera_error,
+    CameraError,
+    CameraSetup,
+    Matches,
 )
 from landmark_nav.diagnosis.causes import IMAGES, JOINTS, late_odometry, ODOMETRY, verdict
 from landmark_nav.diagnosis.findings import Finding
@@ -22,6 +30,7 @@ from landmark_nav.diagnosis.looks import look, Looks
 from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
 from landmark_nav.diagnosis.parts import (
     blank_images,
+    coarse_values,
     repeated_images,
     staying_values,
     strange_images,
@@ -32,13 +41,13 @@ from landmark_nav.diagnosis.stamps import check_stamps, clock_hints, in_step, lo
 from landmark_nav.diagnosis.streams import read_joints, read_stream, Stream, unwrapped
 from landmark_nav.diagnosis.units import check_speed, check_twist
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.message_filter import naming
-from landmark_nav.storage.bags.timelines import logged_joints
+from landmark_nav.storage.bags.timelines import JointHistory, logged_joints
+from landmark_nav.types import JointSample
 
 __all__ = ['QUICK', 'THOROUGH', 'Delays', 'Diagnosis', 'diagnose']
 
@@ -54,11 +63,6 @@ _BY_LOG_S = 0.5
 _CALIBRATED = 1.2
 # Delays are not known better from how images turn.
 _LEAST_SIGMA_S = 1e-3
-# Images on their sides are turned by one of these, and the pan, known to this sigma, is right
-# then; these findings are wrong.
-_SIDEWAYS_RAD = (0.5 * np.pi, -0.5 * np.pi)
-_UPRIGHT = 0.03
-_UNEXPLAINED = ('image motion', 'images motion', 'joint names', 'pan scale', 'pan sign')
 # Twist beside a pose that stays.
 _OF_POSE = 'odom twist'
 # Follow from a path that is mirrored.
@@ -166,29 +170,21 @@ class _Drive:
         self._odometry = read_stream(bag, ODOMETRY, odometry, _odometry) if odometry else None
 
     def diagnosis(self, most_images: int) -> Diagnosis:
-        looks = look(self._bag, self._images, ('camera/camera_info',), self._mount, most_images)
+        infos = ('camera/camera_info',)
+        looks = look(self._bag, self._images, infos, self._mount, most_images)
+        setup: PanTiltMount | CameraSetup = self._mount
+        of_camera = []
+        if error := _camera_error(self._bag, looks, self._mount):
+            # All else is judged without it.
+            setup, of_camera = error.setup, [camera_finding(error)]
+            self._mount = error.setup.mount
+            looks = look(self._bag, self._images, infos, setup, most_images)
         found, delays, healthy = self._judged(looks)
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
-            looks = look(self._bag, self._images, ('camera/camera_info',), self._mount, THOROUGH)
-            found, delays, healthy = self._judged(looks)
-        if not healthy and any(f.name in _UNEXPLAINED and f.level != 'ok' for f in found):
-            found = self._upright(most_images) or found
-        return Diagnosis(tuple(found), delays)
-
-    def _upright(self, most_images: int) -> list[Finding]:
-        """What there is to say if images are on their sides; nothing where they are not."""
-        for turned_rad in _SIDEWAYS_RAD:
-            roll_rad = wrap_one_rad(self._mount.camera_roll_rad + turned_rad)
-            mount = replace(self._mount, camera_roll_rad=roll_rad)
-            looks = look(self._bag, self._images, ('camera/camera_info',), mount, most_images)
-            found, _, _ = self._judged(looks)
-            if any(
-                f.name == 'pan scale' and f.values.get('sigma', np.inf) < _UPRIGHT for f in found
-            ):
-                described = f'images are turned by {np.degrees(turned_rad):.0f} deg'
-                advice = f'set camera_roll: {roll_rad:.4f} in robot.yaml, or turn them'
-                return [*found, Finding('camera roll', 'error', described, advice)]
-        return []
+            looks = look(self._bag, self._images, infos, setup, THOROUGH)
+            found, delays, _ = self._judged(looks)
+        said = {finding.name for finding in of_camera}
+        return Diagnosis((*of_camera, *(f for f in found if f.name not in said)), delays)
 
     def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
         """Findings, delays, and whether joints and odometry explain what the images show."""
@@ -271,13 +267,22 @@ class _Drive:
             if stays.name.startswith(ODOMETRY):
                 found = [f for f in found if not f.name.startswith(_OF_POSE)]
             found.append(stays)
-        path = check_path(streams[1]) if len(streams) > 1 else None
         slopes = linear(motion)
+        path = check_path(streams[1]) if len(streams) > 1 else None
+        if path is not None:
+            mended = replace(motion, odometry=_odometry_track(streams[1], path.mended))
+            fitting = linear(mended)
+            if fitting.fits and not fitting.heading_rad.beyond(
+                HEADING_ERROR_RAD, HEADING_ERROR_RAD
+            ):
+                found, motion, slopes = [path.finding, *found], mended, fitting
+            else:
+                path = None
         if slopes.fits:
             found += motion_findings(motion, slopes, self._room)
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
-                found = [path, *(f for f in found if f.name not in _OF_PATH)]
+                found = [f for f in found if f.name not in _OF_PATH]
             elif looks.view is not None and staying is None and blank_images(looks) is None:
                 strange = strange_images(pairs, looks.view.width_rad)
                 found += [] if strange is None else [strange]
@@ -300,12 +305,17 @@ class _Drive:
             # What follows from a wrong heading is no fault of its own.
             follows = ('odom twist', 'camera heading', 'odom unit')
             found = [finding for finding in found if not finding.name.startswith(follows)]
+        if cause.kind == 'none' and not judged.fits:
+            coarse = [coarse_values(stream) for stream in streams]
+            found = [f for f in coarse if f is not None] or found
         if cause.kind == 'none':
             found += _clocks_by_log(motion, hints, slopes)
         late = cause.value if cause.kind == 'clock' and abs(cause.value) <= CORRECTED_S else 0.0
         by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
         sigma = max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S)
-        pan_sigma_s = sigma if late and cause.stream != ODOMETRY else 0.0
+        pan_sigma_s = sigma if cause.stream != ODOMETRY else 0.0
+        if not late:
+            return found, Delays(), False
         return found, Delays(**{by_stream[cause.stream]: late}, pan_sigma_s=pan_sigma_s), False
 
     def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
@@ -344,17 +354,17 @@ class _Drive:
         good = after > before
         odometry = None
         if len(streams) > 1:
-            values = streams[1].values[:, :3].copy()
-            values[:, 2] = np.unwrap(values[:, 2])
-            odometry = Track.of(streams[1].seconds, values)
+            odometry = _odometry_track(streams[1], streams[1].values)
         return Motion(
             before[good],
             after[good],
             turns[good],
             Track.of(streams[0].seconds, self._mount.pan_sense * _angles(streams[0])),
             odometry,
-            (self._mount.axis_xyz[0], self._mount.axis_xyz[1]),
+            self._mount.axis_xyz[:2],
+            self._mount.optical_center_offset[:2],
             float(self._mount.azimuth_base_rad(0.0)),
+            self._mount.pan_sense * np.cos(self._mount.camera_roll_rad) < 0.0,
         )
 
 
@@ -367,8 +377,14 @@ class _Sweeps:
     def findings(self, most_images: int) -> list[Finding]:
         infos = ('sweep/camera_info', 'camera/camera_info')
         looks = look(self._bag, self._images, infos, self._mount, most_images)
+        of_camera = []
+        if error := _camera_error(self._bag, looks, self._mount):
+            # Learning estimates lens and mount.
+            of_camera = [replace(camera_finding(error), level='warning')]
+            self._mount = error.setup.mount
+            looks = look(self._bag, self._images, infos, error.setup, most_images)
         stream = replace(looks.stream, name='sweep images')
-        found = [*check_stamps(stream), *looks.findings]
+        found = [*of_camera, *check_stamps(stream), *looks.findings]
         motion = self._motion(looks)
         if motion is None or len(motion) < _LEAST_PAIRS:
             return found
@@ -406,6 +422,29 @@ class _Sweeps:
             yield from zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True)
 
 
+def _camera_error(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError | None:
+    """An error of lens or mount that matters, by points that were tracked."""
+    if looks.camera is None or not looks.points:
+        return None
+    try:
+        joints = JointHistory.read(bag, mount)
+    except LandmarkNavError:
+        joints = JointHistory(())  # said elsewhere
+    first = np.array(list(looks.points))
+    stamps = looks.stream.stamps_ns[np.stack([first, first + 1], -1)]
+    angles = [
+        (sample.pan_rad, sample.tilt_rad) if isinstance(sample, JointSample) else (0.0, np.nan)
+        for sample in map(joints.at, stamps.ravel().tolist())
+    ]
+    pans, tilts = np.array(angles).T.reshape(2, -1, 2)
+    known = tilts[np.isfinite(tilts)]
+    tilts[~np.isfinite(tilts)] = np.median(known) if len(known) else 0.0
+    before, after = zip(*looks.points.values(), strict=True)
+    pairs = np.repeat(np.arange(len(before)), [len(points) for points in before])
+    matches = Matches(np.concatenate(before), np.concatenate(after), pairs, pans, tilts)
+    return camera_error(matches, CameraSetup(looks.camera, mount))
+
+
 def _learned(finding: Finding) -> Finding:
     """What learning calibrates itself is no error of a sweep."""
     scale = abs(finding.values.get('scale', np.inf))
@@ -430,6 +469,13 @@ def _odometry(message: Any) -> FloatArray:
     """x, y, yaw, forward speed and yaw rate of a message."""
     sample = decode.odometry(message)
     return np.array([*sample.pose_odom_base, sample.linear_m_s, sample.angular_rad_s])
+
+
+def _odometry_track(stream: Stream, values: FloatArray) -> Track:
+    """Of values (n, k) of a stream of odometry."""
+    poses = values[:, :3].copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Track.of(stream.seconds, poses)
 
 
 def _angles(stream: Stream) -> FloatArray:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from landmark_nav.arrays import IndexArray
+from landmark_nav.arrays import FloatArray, IndexArray
+from landmark_nav.diagnosis.camera_errors import CameraSetup, Corners, corners, matched
 from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.image_motion import Strip, StripView
 from landmark_nav.diagnosis.streams import Stream
@@ -21,6 +22,8 @@ __all__ = ['Looks', 'look']
 
 # Images are compared in runs of so many, spread over the recording.
 _RUN = 12
+# Pairs of images in which points are tracked.
+_TRACKED = 30
 # A lens that sees less or more is mistaken, or cannot be used here.
 _LEAST_FOV_DEG, _MOST_FOV_DEG = 8.0, 200.0
 # Pixels are square to this share.
@@ -44,6 +47,10 @@ class Looks:
         What was seen in the images that were decoded, by their index.
     view : StripView or None
         How; None where no image could be used.
+    camera : CameraModel or None
+        Of the images.
+    points : dict
+        Pixels (m, 2) of points in an image and in the next one, by the index of the first.
 
     """
 
@@ -52,6 +59,8 @@ class Looks:
     findings: tuple[Finding, ...]
     strips: dict[int, Strip]
     view: StripView | None
+    camera: CameraModel | None
+    points: dict[int, tuple[FloatArray, FloatArray]]
 
     def turn(self, first: int, second: int) -> float:
         """Turn of the camera between two images, rad; NaN where it is not known."""
@@ -61,7 +70,11 @@ class Looks:
 
 
 def look(
-    bag: Bag, topic: str, infos: tuple[str, ...], mount: PanTiltMount, most_images: int
+    bag: Bag,
+    topic: str,
+    infos: tuple[str, ...],
+    mounted: PanTiltMount | CameraSetup,
+    most_images: int,
 ) -> Looks:
     """
     Look through images.
@@ -74,8 +87,8 @@ def look(
         Their topic in the bag.
     infos : tuple of str
         Contract's names of the topics that may hold their calibration.
-    mount : PanTiltMount
-        How the camera is mounted.
+    mounted : PanTiltMount or CameraSetup
+        How the camera is mounted; with a lens, that one is taken, and no points are tracked.
     most_images : int
         So many are decoded at most.
 
@@ -90,6 +103,10 @@ def look(
     view: StripView | None = None
     camera: CameraModel | None = None
     cameras: CameraInfos | None = None
+    setup = mounted if isinstance(mounted, CameraSetup) else None
+    tracked = set() if setup else _tracked(chosen)
+    points: dict[int, tuple[FloatArray, FloatArray]] = {}
+    before: Corners | None = None
     unstamped = 0
     for index, entry in enumerate(bag.messages([topic])):
         stamps.append(decode.stamp_ns(entry.message.header))
@@ -103,10 +120,17 @@ def look(
                 cameras = CameraInfos.read(bag, *infos)
             image, seen_by = decode.camera_image(entry.message, cameras.at(stamps[-1]), True)
             if view is None:
-                camera = seen_by
-                view = StripView(camera, mount)
+                camera = setup.camera if setup else seen_by
+                view = StripView(camera, *((setup.mount, setup.tilt_rad) if setup else (mounted,)))
             kinds[f'{_kind(entry)} {image.shape[1]} x {image.shape[0]}'] = None
             strips[index] = view.strip(image)
+            if index in tracked or index - 1 in tracked:
+                now = corners(image)
+                second = before is not None and index - 1 in tracked and index - 1 in strips
+                found = matched(before, now) if before is not None and second else None
+                if found is not None:
+                    points[index - 1] = found
+                before = now
         except LandmarkNavError as error:
             failed.append(str(error).removeprefix(f'{bag.path}: '))
     pairs = [(k, k + 1) for k in strips if k + 1 in strips]
@@ -121,7 +145,14 @@ def look(
         unstamped=unstamped,
     )
     findings = (*_encoding(failed, kinds, len(chosen)), *_lens(camera))
-    return Looks(stream, np.array(pairs, dtype=np.intp).reshape(-1, 2), findings, strips, view)
+    each = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return Looks(stream, each, findings, strips, view, camera, points)
+
+
+def _tracked(chosen: set[int]) -> set[int]:
+    """First images of pairs, spread over the recording."""
+    firsts = [k for k in sorted(chosen) if k + 1 in chosen]
+    return set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
 
 
 def _chosen(count: int, most: int) -> set[int]:

@@ -8,9 +8,10 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.diagnosis.causes import JOINTS, ODOMETRY
 from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.looks import Looks
-from landmark_nav.diagnosis.motion import fit, Motion, Track
+from landmark_nav.diagnosis.motion import fit, Motion, NOISE_RAD, Track
+from landmark_nav.diagnosis.streams import Stream
 
-__all__ = ['blank_images', 'repeated_images', 'staying_values', 'strange_images']
+__all__ = ['blank_images', 'coarse_values', 'repeated_images', 'staying_values', 'strange_images']
 
 # Texture of a strip per pixel, where evened contrast is 1: less is a wall, much less is nothing.
 _BLANK = 0.02
@@ -27,6 +28,8 @@ _STAYS_S, _STAYS_PAIRS = 2.0, 6
 _WORKS_RAD = 0.01
 # What is off by so much is no noise.
 _OFF_RAD, _OFF_SIGMAS = 0.02, 6.0
+# Values are whole multiples of a step to this share of it.
+_WHOLE = 1e-3
 # Images of another camera: of pairs that should share half of what they show, so many do not
 # match, or are off by more than parallax may be.
 _MOST_STRANGE, _SHARED, _STRANGE_RAD = 0.3, 0.5, 0.15
@@ -123,6 +126,22 @@ def staying_values(motion: Motion) -> tuple[Finding, Motion] | None:
             )
             return finding, motion.only(~inside)
     return None
+
+
+def coarse_values(stream: Stream) -> Finding | None:
+    """Pan or yaw in steps that are coarser than what images show; None where it is fine."""
+    name, column = ('pan', 0) if stream.name == JOINTS else ('odom yaw', 2)
+    values = np.unique(np.round(stream.values[:, column], 9))
+    step = float(np.diff(values).min()) if len(values) > 2 else 0.0
+    if step < NOISE_RAD or np.abs(values / step - np.round(values / step)).max() > _WHOLE:
+        return None
+    return Finding(
+        f'{name} resolution',
+        'error',
+        f'comes in steps of {np.degrees(step):.2g} deg',
+        'publish what the encoder measures, as it is: no rounding, no few set points',
+        {'step_rad': step},
+    )
 
 
 def _longest_stay(track: Track) -> tuple[float, float] | None:

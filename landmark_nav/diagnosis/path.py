@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import numpy as np
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.diagnosis.units import steps_of
@@ -18,6 +22,7 @@ _MOST_JUMPS = 5
 # least, and that of one in other axes at most.
 _AGREES, _CONTRADICTS = 0.9, 0.7
 _LEAST_PATH_M, _LEAST_STEPS = 0.5, 8
+_ASIDE_RAD = np.radians(20.0)
 
 
 def check_jumps(stream: Stream) -> Finding | None:
@@ -46,12 +51,20 @@ def check_jumps(stream: Stream) -> Finding | None:
     )
 
 
-def check_path(stream: Stream) -> Finding | None:
+class Path(NamedTuple):
+    """What is wrong with a path, and the values (n, k) of its stream without that."""
+
+    finding: Finding
+    mended: FloatArray
+
+
+def check_path(stream: Stream) -> Path | None:
     """
-    Compare the direction of the path with the yaw, which is right; None where they go together.
+    Compare the direction of the path with the yaw; None where they go together.
 
     A robot that drives along its heading, forwards and backwards, keeps the angle between the two;
-    in a mirrored path it is their sum that stays.
+    in a mirrored path it is their sum that stays. Either the path is turned or mirrored, or the
+    heading is another: whatever explains the images.
     """
     _, values = steps_of(stream)
     moved = np.diff(values[:, 0]) + 1j * np.diff(values[:, 1])
@@ -64,19 +77,39 @@ def check_path(stream: Stream) -> Finding | None:
     heading = np.exp(0.5j * (yaw[1:] + yaw[:-1]))[far]
     own = float(np.abs(np.sum(weight * (direction / heading) ** 2)))
     mirrored = float(np.abs(np.sum(weight * (direction * heading) ** 2)))
+    aside = float(np.angle(np.sum(weight * direction / heading)))  # mostly forwards
+    # A robot may well drive backwards; one that drives straight shows nothing.
+    turned = min(abs(aside), np.pi - abs(aside)) > _ASIDE_RAD
+    if own > _AGREES >= mirrored and turned:
+        finding = Finding(
+            'odom path',
+            'error',
+            f'leads {abs(np.degrees(aside)):.0f} deg aside of the yaw',
+            'publish x ahead, y to the left at yaw 0 (REP-103), not in a frame that is turned',
+            {'aside_rad': aside},
+        )
+        return _mended(stream, finding, lambda place: place * np.exp(-1j * aside))
     if own > _CONTRADICTS or mirrored < _AGREES:
         return None
-    # Mostly forwards: the sum is 0 with y mirrored, half a turn with x, a quarter with both
+    # The sum is 0 with y mirrored, half a turn with x, a quarter with both
     # exchanged.
     sum_of_both = np.sum(weight * direction * heading)
     quarter = round(float(np.angle(sum_of_both)) / (0.5 * np.pi)) % 4
     text = ('y has the wrong sign', 'x and y are exchanged', 'x has the wrong sign')[quarter % 3]
     if quarter == 3:
         text = 'x and y are exchanged, with the wrong sign'
-    return Finding(
+    finding = Finding(
         'odom path',
         'error',
         f'is mirrored: {text} beside the yaw',
         'publish x ahead, y to the left at yaw 0, yaw counter-clockwise (REP-103)',
         {'agrees': own, 'mirrored': mirrored},
     )
+    return _mended(stream, finding, lambda place: 1j**quarter * np.conj(place))
+
+
+def _mended(stream: Stream, finding: Finding, change: Callable[[Any], Any]) -> Path:
+    place = change(stream.values[:, 0] + 1j * stream.values[:, 1])
+    values = stream.values.copy()
+    values[:, 0], values[:, 1] = place.real, place.imag
+    return Path(finding, values)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from landmark_nav.arrays import FloatArray
@@ -18,12 +20,13 @@ _STEP_S = 0.2
 _LEAST_MOTION_M, _LEAST_MOTION_RAD = 0.3, 0.3
 _ALIKE = 1.25
 _USUAL = 0.98
+_ANGLES = {'degrees': 57.2958, 'revolutions': 1.0 / (2.0 * np.pi)}
 _UNITS = {'centimetres': 100.0, 'millimetres': 1000.0, 'inches': 39.37, 'feet': 3.281}
 
 
-def unit_of(factor: float) -> str:
-    """Name of the unit in which lengths are `factor` times those in metres; empty if none."""
-    for name, known in _UNITS.items():
+def unit_of(factor: float, units: Mapping[str, float] = _UNITS) -> str:
+    """Name of the unit in which numbers are `factor` times those of SI; empty if none."""
+    for name, known in units.items():
         if 0.7 * known < factor < known / 0.7:
             return name
     return ''
@@ -86,7 +89,8 @@ def check_twist(stream: Stream) -> list[Finding]:
         if 1.0 / _ALIKE < ratio < _ALIKE:
             found.append(Finding(f'odom twist, {name}', 'ok', text, '', {'ratio': ratio}))
             continue
-        unit = unit_of(size) or unit_of(1.0 / max(size, 1e-9))
+        units = _UNITS if name == 'forward' else _ANGLES
+        unit = unit_of(size, units) or unit_of(1.0 / max(size, 1e-9), units)
         if ratio < 0.0:
             advice = 'pose and twist have opposite signs: publish both by REP-103'
         elif size < 1e-3:

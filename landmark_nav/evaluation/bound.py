@@ -7,27 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.tracks import PoseTrack
-from landmark_nav.geometry import se2
-from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.fusion import PoseFilter
-from landmark_nav.localization.pipeline import LocalizationConfig
-from landmark_nav.types import (
-    Detections,
-    FloatArray,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-)
+from landmark_nav.localization.estimator import ImagePoints, JointFilter
+from landmark_nav.localization.estimator.factors import project
+from landmark_nav.localization.estimator.timeline import move_to
+from landmark_nav.localization.localizer import LocalizationConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate
 
 __all__ = ['posterior_bound']
 
 
 def posterior_bound(
     truth: PoseTrack,
-    detections: Sequence[Detections],
+    images: Sequence[ImagePoints],
     landmark_map: LandmarkMap,
-    mount: PanTiltMount,
+    calibration: Calibration,
     config: LocalizationConfig,
     start: PoseEstimate,
 ) -> FloatArray:
@@ -37,22 +33,21 @@ def posterior_bound(
     For a nonlinear system with Gaussian noise the bound obeys the covariance recursion of the
     extended Kalman filter linearised along the true trajectory (Taylor, IEEE Trans. Automatic
     Control 24(2), 1979; Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5),
-    1998). So a filter is given the truth without noise, with the noise models, the landmarks'
-    joint covariance and the detections of the run; it refines the landmarks, as an optimal
-    estimator would.
+    1998). So the filter is given the truth without noise, with the noise models, the joint
+    covariance of map and calibration, and the landmarks that the run used.
 
     Parameters
     ----------
     truth : PoseTrack
         Base in map.
-    detections : sequence of Detections
-        What was used of each image: landmarks and variances count, bearings do not.
+    images : sequence of ImagePoints
+        What was used of each image: landmarks and covariances count, points do not.
     landmark_map : LandmarkMap
         Positions and joint covariance.
-    mount : PanTiltMount
-        Lever arm of the camera.
+    calibration : Calibration
+        True values, with the covariance of what was known at the start.
     config : LocalizationConfig
-        Noise of the odometry and the pan.
+        Noise of odometry, map and mount.
     start : PoseEstimate
         Its covariance is what was known at the start.
 
@@ -63,55 +58,39 @@ def posterior_bound(
 
     """
     try:
-        return _bound(truth, detections, landmark_map, mount, config, start)
+        return _bound(truth, images, landmark_map, calibration, config, start)
     except np.linalg.LinAlgError:
-        return np.full((len(detections), 3, 3), np.nan)
+        return np.full((len(images), 3, 3), np.nan)
 
 
 def _bound(
     truth: PoseTrack,
-    detections: Sequence[Detections],
+    images: Sequence[ImagePoints],
     landmark_map: LandmarkMap,
-    mount: PanTiltMount,
+    calibration: Calibration,
     config: LocalizationConfig,
     start: PoseEstimate,
 ) -> FloatArray:
-    given = replace(
-        config.fusion,
-        mode='bearings',
-        landmarks='estimate',
-        correlation_length_m=1e9,
-        bearing_probability=1.0,
-        nonlinearity_inflation=0.0,
-    )
-    # Bearings without noise are nothing to learn noise from.
-    odometry = replace(config.odometry, learning_sigma=0.0)
-    ideal = PoseFilter(landmark_map, mount, given, odometry, config.health)
-    bound = np.full((len(detections), 3, 3), np.nan)
+    bound = np.full((len(images), 3, 3), np.nan)
     begin = max(start.stamp_ns, int(truth.stamps_ns[0])) if len(truth) else 0
-    poses = truth.at([begin, *(seen.stamp_ns for seen in detections)])
+    poses = truth.at([begin, *(seen.stamp_ns for seen in images)])
     if np.isnan(poses[0]).any():
         return bound
-    ideal.initialize(PoseEstimate(begin, poses[0], start.covariance))
+    # Points without noise are nothing to learn noise from, and no surprise.
+    noise = replace(config.estimator, tail_freedom=0.0, step_probability=0.0, learning_sigma=0.0)
+    start = PoseEstimate(begin, poses[0], start.covariance)
+    ideal = JointFilter(landmark_map, calibration, start, noise, config.odometry)
+    track = OdometryTrack(config.odometry)
     moved = int(np.searchsorted(truth.stamps_ns, begin))
-    for k, (seen, pose) in enumerate(zip(detections, poses[1:], strict=True)):
+    for k, (seen, pose) in enumerate(zip(images, poses[1:], strict=True)):
         if np.isnan(pose).any() or seen.stamp_ns < begin:
             continue
         while moved < len(truth) and truth.stamps_ns[moved] <= seen.stamp_ns:
-            ideal.add_odometry(OdometrySample(int(truth.stamps_ns[moved]), truth.poses[moved]))
+            track.add(OdometrySample(int(truth.stamps_ns[moved]), truth.poses[moved]))
             moved += 1
-        ideal.add_odometry(OdometrySample(seen.stamp_ns, pose))
-        if len(seen):
-            ideal.add_detections(_without_noise(seen, pose, landmark_map, mount))
-        estimate = ideal.estimate(seen.stamp_ns)
-        assert estimate is not None, 'it was initialized'
-        bound[k] = estimate.covariance
+        track.add(OdometrySample(seen.stamp_ns, pose))
+        move_to(seen.stamp_ns, ideal, track)
+        points = project(ideal.snapshot.mean, landmark_map.positions[seen.columns], seen).points
+        ideal.observe(replace(seen, points=points, near=None))
+        bound[k] = ideal.estimate.covariance
     return bound
-
-
-def _without_noise(
-    seen: Detections, pose: FloatArray, landmark_map: LandmarkMap, mount: PanTiltMount
-) -> Detections:
-    """Give a detection the bearings that the true pose would have shown."""
-    places = landmark_map.positions[landmark_map.indices(seen.ids), :2]
-    return replace(seen, bearing_rad=se2.bearings(mount.axis_pose_map(pose), places))

@@ -11,9 +11,12 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.estimator import ImagePoints, JointFilter
 from landmark_nav.localization.estimator.timeline import Timeline
-from landmark_nav.localization.joint_localizer import JointLocalizer
+from landmark_nav.localization.localizer import (
+    LocalizationConfig,
+    LocalizationUpdate,
+    Localizer,
+)
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
 from landmark_nav.storage.bags import SensorEvent
 from landmark_nav.types import (
     CameraFrame,
@@ -84,7 +87,7 @@ class Residuals:
 @dataclass(frozen=True, eq=False)
 class CalibrationDrive:
     """
-    A drive through the joint estimator.
+    A drive through the estimator.
 
     Parameters
     ----------
@@ -114,9 +117,9 @@ class CalibrationDrive:
         """Use the same detections with another prior; what came of it, and the residuals."""
         config = self._config
         joint = JointFilter(
-            self.landmark_map, calibration, self.start, config.joint, config.odometry
+            self.landmark_map, calibration, self.start, config.estimator, config.odometry
         )
-        line = Timeline(joint, OdometryTrack(config.odometry), config.fusion.history_s)
+        line = Timeline(joint, OdometryTrack(config.odometry), config.estimator.history_s)
         seconds, points, weights = [], [], []
         for measured in self._measured:
             if isinstance(measured, OdometrySample):
@@ -157,7 +160,7 @@ def calibrate_by_drive(
     prior : Calibration
         What is known before.
     config : LocalizationConfig
-        Of the joint estimator.
+        Of the localizer.
     start : PoseEstimate, optional
         Pose at the start; without it the robot finds its own pose.
 
@@ -167,7 +170,7 @@ def calibrate_by_drive(
         No image or odometry, no pose found, or a drive that does not fit the map.
 
     """
-    localizer = JointLocalizer(landmark_map, prior, config)
+    localizer = Localizer(landmark_map, prior, config)
     measured: list[OdometrySample | tuple[ImagePoints, float]] = []
     begin: PoseEstimate | None = None
     images = lost = searched = 0

@@ -14,11 +14,12 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.clock import shifts_by_odometry
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.joint_delay import JointDelay
-from landmark_nav.localization.joint_localizer import JointLocalizer
+from landmark_nav.localization.localizer import (
+    LocalizationConfig,
+    LocalizationUpdate,
+    Localizer,
+)
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import SensorEvent
 from landmark_nav.types import (
     CameraFrame,
@@ -61,12 +62,10 @@ class Replay:
         Noise of the odometry, as learned by the end.
     detection_sigma_factor : float
         Factor on the claimed sigmas of detections, as learned by the end.
-    late : JointDelay
-        Delay of the stamps of the joints, as estimated by the end.
     samples : tuple of OdometrySample
         The odometry as it came, by time.
     calibration : Calibration or None
-        As estimated by the end, where the estimator does.
+        As estimated by the end; None of a recording of the nodes.
 
     """
 
@@ -79,7 +78,6 @@ class Replay:
     seconds: float
     odometry_noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     detection_sigma_factor: float = 1.0
-    late: JointDelay = field(default_factory=JointDelay)
     samples: tuple[OdometrySample, ...] = ()
     calibration: Calibration | None = None
 
@@ -138,11 +136,10 @@ class Replay:
 def replay(
     events: Iterable[SensorEvent],
     landmark_map: LandmarkMap,
-    mount: PanTiltMount,
+    calibration: Calibration,
     config: LocalizationConfig,
     start_pose: FloatArray | None = None,
     start_covariance: FloatArray | None = None,
-    calibration: Calibration | None = None,
 ) -> Replay:
     """
     Localize along a recorded drive.
@@ -152,13 +149,13 @@ def replay(
     events : iterable of SensorEvent
         What was sensed, in the order of its arrival. Ground truth is kept aside, for
         figures alone.
+    calibration : Calibration
+        What is known of mount, lens and clocks before.
     start_pose : ndarray, shape (3,), optional
         Pose of the base in map at the first image or odometry; without it the robot finds its
         own place.
     start_covariance : ndarray, shape (3, 3), optional
         How sure the start is; goes with it.
-    calibration : Calibration, optional
-        Prior of the joint estimator; without it, the mount with default sigmas.
 
     Raises
     ------
@@ -167,12 +164,7 @@ def replay(
         found.
 
     """
-    localizer: Localizer | JointLocalizer
-    if config.estimator == 'joint':
-        prior = calibration or Calibration.of_mount(mount)
-        localizer = JointLocalizer(landmark_map, prior, config)
-    else:
-        localizer = Localizer(landmark_map, mount, config)
+    localizer = Localizer(landmark_map, calibration, config)
     start: PoseEstimate | None = None
     searched: list[int] = []
     refusal = Refusal('nothing seen')
@@ -249,9 +241,8 @@ def replay(
         time.perf_counter() - begin,
         localizer.odometry_noise,
         localizer.detection_sigma_factor,
-        localizer.late,
         tuple(samples),
-        localizer.calibration if isinstance(localizer, JointLocalizer) else None,
+        localizer.calibration,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.bound import posterior_bound
 from landmark_nav.evaluation.metrics import (
     consistency,
@@ -18,11 +19,18 @@ from landmark_nav.evaluation.metrics import (
     undetected_failures,
 )
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
-from landmark_nav.types import Detections, FloatArray, LandmarkMap
+from landmark_nav.localization.estimator import ImagePoints, Update
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate
+from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['RunErrors', 'integrity_report', 'pose_report', 'run_errors', 'run_report']
+__all__ = [
+    'RunErrors',
+    'integrity_report',
+    'pose_report',
+    'run_errors',
+    'run_report',
+    'spells',
+]
 
 SCHEMA = 1
 # A place that is known in fewer of the images is hardly known.
@@ -52,21 +60,22 @@ def run_report(
     run: Replay,
     errors: RunErrors,
     landmark_map: LandmarkMap,
-    mount: PanTiltMount,
+    calibration: Calibration,
     config: LocalizationConfig,
 ) -> dict[str, Any]:
     """
-    Figures of a run, by the keys of the contract.
+    Figures of a run with this prior calibration, by the keys of the contract.
 
     Those that need ground truth are None where the bag has none; ``found`` is None where the start
     was given; ``spells`` are the stretches of images in which the state was coasting or lost;
     ``warning`` says where the figures mean little, and is None where they do.
     """
+    known = calibration if run.calibration is None else run.calibration
     bound = posterior_bound(
         run.truth,
-        [_used(u, run.detection_sigma_factor) for u in run.updates],
+        [_used(update, run.detection_sigma_factor) for update in run.updates],
         landmark_map,
-        mount,
+        replace(calibration, values=known.values),
         config,
         run.start,
     )
@@ -83,7 +92,10 @@ def run_report(
         },
         'realtime_factor': span_s / run.seconds,
         'result_hash': result_hash(stamps, run.fused, run.fixes),
-        'spells': _spells(run),
+        'spells': spells(run),
+        'calibration': None
+        if run.calibration is None
+        else run.calibration.differences(calibration),
         'odometry_noise': {
             'along_m_per_sqrt_m': run.odometry_noise.along_m_per_sqrt_m,
             'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
@@ -168,28 +180,24 @@ def _warning(availability: float) -> str | None:
     )
 
 
-def _spells(run: Replay) -> list[dict[str, Any]]:
+def spells(run: Replay) -> list[dict[str, Any]]:
     """When the state was not tracking, and the reason that it gave first."""
-    spells = []
+    found = []
     for status, group in groupby(run.updates, key=lambda update: update.status):
         updates = list(group)
         if status == 'tracking':
             continue
         first, last = ((updates[k].stamp_ns - run.begin_ns) * 1e-9 for k in (0, -1))
-        spells.append(
+        found.append(
             {'status': status, 'from_s': first, 'to_s': last, 'reason': updates[0].reason}
         )
-    return spells
+    return found
 
 
-def _used(update: LocalizationUpdate, detection_sigma_factor: float) -> Detections:
-    """Return the detections of an image that the filter took; a pose is made of all."""
-    found = update.observation.detections
-    found = replace(found, variance_rad2=detection_sigma_factor**2 * found.variance_rad2)
-    if update.fusion.refusal is not None:
-        keep = np.zeros(len(found), dtype=np.bool_)
-    elif len(update.fusion.accepted_ids):
-        keep = np.isin(found.ids, update.fusion.accepted_ids)
-    else:
-        keep = np.ones(len(found), dtype=np.bool_)
-    return found.chosen(keep)
+def _used(update: LocalizationUpdate, sigma_factor: float) -> ImagePoints:
+    """Return what of an image the estimator used, with noise as it was learned."""
+    seen, taken = update.points, update.taken
+    if seen is None or not isinstance(taken, Update):
+        return ImagePoints.nothing(update.stamp_ns)
+    seen = replace(seen, stamp_ns=update.stamp_ns).chosen(np.isin(seen.columns, taken.used))
+    return replace(seen, covariance=sigma_factor**2 * seen.covariance)

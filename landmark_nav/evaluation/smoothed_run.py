@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,86 +11,71 @@ import numpy.typing as npt
 from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.metrics import consistency, error_summary, pose_errors
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.estimator import ImagePoints, JointFilter
 from landmark_nav.localization.estimator.smoothing import smoothed_poses
-from landmark_nav.localization.joint_delay import seen_in_time
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.localization.pipeline import LocalizationConfig, LocalizationUpdate
-from landmark_nav.localization.smoother import smooth, Smoothed
-from landmark_nav.types import LandmarkMap
+from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['departures', 'smooth_run', 'smoothed_report']
+__all__ = ['Smoothed', 'departures', 'smooth_run', 'smoothed_report']
 
 # Five sigmas of three numbers.
 _FAR = 31.8
 
 
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """
+    Smoothed poses.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (n,)
+        Of the images.
+    poses : ndarray, shape (n, 3)
+        ``base_link`` in map.
+    covariances : ndarray, shape (n, 3, 3)
+        Of x, y, heading, given all measurements.
+
+    """
+
+    stamps_ns: npt.NDArray[np.int64]
+    poses: FloatArray
+    covariances: FloatArray
+
+
 def smooth_run(
-    run: Replay,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-    config: LocalizationConfig,
-    calibration: Calibration | None = None,
+    run: Replay, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
 ) -> Smoothed:
     """
-    Smooth over all detections of a run, those that the filter refused included.
+    Smooth over all images of a run.
 
-    It begins at the filter's poses. Bearings are corrected for the joint delay as it is known at
-    the end of the run. Odometry is not used where the filter was lost, from the last
-    image that it used before.
+    Where the pose was lost, from the last image that was used before on, nothing is known of the
+    motion.
     """
     # Images may have come late.
     order = np.argsort(run.stamps_ns, kind='stable')
     updates = [run.updates[k] for k in order if run.updates[k].stamp_ns >= run.start.stamp_ns]
-    open_, used = np.zeros(len(updates), dtype=np.bool_), 0
+    lost, used = np.zeros(len(updates), dtype=np.bool_), 0
     for k, update in enumerate(updates):
         if update.status == 'lost':
-            open_[used : k + 1] = True
-        elif update.fusion.degrees:
+            lost[used : k + 1] = True
+        elif update.used:
             used = k + 1
-    if config.estimator == 'joint':
-        prior = calibration or Calibration.of_mount(mount)
-        joint = JointFilter(landmark_map, prior, run.start, config.joint, config.odometry)
-        track = OdometryTrack(config.odometry)
-        for sample in run.samples:
-            track.add(sample)
-        return _of_joint(joint, track, updates, open_)
-    return smooth(
-        run.start,
-        run.samples,
-        [seen_in_time(update.observation.detections, run.late) for update in updates],
-        np.array([update.fused.pose for update in updates]),
-        landmark_map,
-        mount,
-        config.fusion,
-        config.odometry,
-        open_,
-    )
-
-
-def _of_joint(
-    joint: JointFilter,
-    track: OdometryTrack,
-    updates: Sequence[LocalizationUpdate],
-    lost: npt.NDArray[np.bool_],
-) -> Smoothed:
-    """Line of the joint estimator; where it was lost, nothing is known of the motion."""
+    track = OdometryTrack(config.odometry)
+    for sample in run.samples:
+        track.add(sample)
     images = []
     for update, unknown in zip(updates, lost, strict=True):
         seen = update.points or ImagePoints.nothing(update.stamp_ns)
         near = update.fused.pose if unknown else seen.near
         images.append(replace(seen, stamp_ns=update.stamp_ns, near=near))
+    joint = JointFilter(landmark_map, calibration, run.start, config.estimator, config.odometry)
     poses = smoothed_poses(joint, track, images, lost)
-    calibration = joint.calibration
     return Smoothed(
         np.array([pose.stamp_ns for pose in poses], dtype=np.int64),
         np.array([pose.pose for pose in poses]),
         np.array([pose.covariance for pose in poses]),
-        joint.landmarks[:, :2],
-        calibration['axis_yaw'][0] - calibration.base.axis_rpy[2],
-        calibration['principal_point'][0],
-        1,
     )
 
 
@@ -127,7 +111,4 @@ def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
             'mean': nees.mean if nees else None,
             'inside_95': nees.inside_95 if nees else None,
         },
-        'boresight_deg': float(np.degrees(smoothed.boresight_rad)),
-        'principal_point_deg': float(np.degrees(smoothed.lens)),
-        'iterations': smoothed.iterations,
     }

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.localization.smoother import Smoothed
+from landmark_nav.evaluation.smoothed_run import Smoothed
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray
 

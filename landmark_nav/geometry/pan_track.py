@@ -50,7 +50,3 @@ class PanTrack:
         moved = np.array(pans) - pan
         rate = float(_WEIGHTS @ (moved * _NODES)) / sigma_s
         return LaggedPan(pan, rate, float(np.sqrt(_WEIGHTS @ (moved - rate * offsets) ** 2)))
-
-    def reaches(self, seconds: float) -> bool:
-        """Whether the pan is known so long after."""
-        return bool(self.seconds[-1] >= seconds)

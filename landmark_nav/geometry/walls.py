@@ -15,8 +15,9 @@ from landmark_nav.errors import LandmarkNavError
 __all__ = ['Paper', 'Room', 'Wall']
 
 
-# A point on a wall is seen past that wall: what hangs on it may be so far off.
-_SLACK_M = 0.08
+# A point on a wall is seen past that wall: what hangs on it may be so far off, and the wall by so
+# many of its standard deviations.
+_SLACK_M, _SLACK_SIGMAS = 0.08, 3.0
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,12 @@ class Room:
         return self._starts.min(axis=0), self._starts.max(axis=0)
 
     @cached_property
+    def slack_m(self) -> FloatArray:
+        """How far from each wall things of it may be, (walls,)."""
+        sigma = np.array([wall.sigma_m or 0.0 for wall in self.walls])
+        return _SLACK_M + _SLACK_SIGMAS * sigma
+
+    @cached_property
     def normals(self) -> FloatArray:
         """Unit normals into the room, (walls, 3)."""
         return np.array([w.normal for w in self.walls])
@@ -196,8 +203,8 @@ class Room:
         delta = np.asarray(points_xy, dtype=np.float64) - np.asarray(origin_xy, dtype=np.float64)
         x, y = delta[..., 0], delta[..., 1]
         reach = np.maximum(np.hypot(x, y), 1e-12)
-        nearest = self._wall_hits(origin_xy, x, y).min(axis=-1) * reach
-        return np.asarray(nearest > reach - _SLACK_M)
+        beyond = (self._wall_hits(origin_xy, x, y) - 1.0) * reach[..., None] + self.slack_m
+        return np.asarray((beyond > 0.0).all(axis=-1))
 
     def contains(self, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether points (..., 2) lie inside the outline (even-odd rule)."""

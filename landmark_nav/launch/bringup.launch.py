@@ -1,7 +1,8 @@
 """
 Everything that learns and localizes, for a robot that publishes its sensors.
 
-``ros2 launch landmark_nav bringup.launch.py robot_file:=robot.yaml room_file:=room.yaml``
+``ros2 launch landmark_nav bringup.launch.py robot_file:=robot.yaml``, and
+``room_file:=room.yaml`` if the room is measured.
 """
 
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -17,7 +19,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 NODES = {
     'sweep_capture': ('robot_file',),
     'panorama_synthesizer': ('robot_file', 'room_file'),
-    'landmark_learner': ('room_file', 'map_folder', 'load_on_start'),
+    'landmark_learner': ('robot_file', 'room_file', 'map_folder', 'load_on_start'),
     'triplet_selector': ('robot_file',),
     'triangulation_localizer': ('robot_file',),
     'odometry_fusion': ('robot_file',),
@@ -26,10 +28,15 @@ NODES = {
 
 def generate_launch_description() -> LaunchDescription:
     """Return the nodes, each with its file in config/ and what is given here."""
-    config = Path(get_package_share_directory('landmark_nav')) / 'config'
+    share = Path(get_package_share_directory('landmark_nav'))
+    config = share / 'config'
     arguments = [
         DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
-        DeclareLaunchArgument('room_file', description='room.yaml: walls and reference area'),
+        DeclareLaunchArgument(
+            'room_file',
+            default_value='',
+            description='room.yaml: walls and reference area; empty: they are found',
+        ),
         DeclareLaunchArgument('map_folder', default_value='map', description='folder of the map'),
         DeclareLaunchArgument(
             'load_on_start', default_value='false', description='load that map at once'
@@ -37,6 +44,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('namespace', default_value='', description='of all nodes'),
         DeclareLaunchArgument(
             'use_sim_time', default_value='false', description='take the time from /clock'
+        ),
+        DeclareLaunchArgument(
+            'rviz', default_value='false', description='show all of it in RViz (package rviz2)'
         ),
     ]
     types = {'load_on_start': bool, 'use_sim_time': bool}
@@ -57,4 +67,15 @@ def generate_launch_description() -> LaunchDescription:
         )
         for name, taken in NODES.items()
     ]
-    return LaunchDescription([*arguments, *nodes])
+    # The layout's topics are relative, so that RViz finds them in its namespace.
+    rviz = Node(
+        package='rviz2',
+        executable='rviz2',
+        namespace=LaunchConfiguration('namespace'),
+        arguments=['-d', str(share / 'rviz' / 'landmark_nav.rviz')],
+        parameters=[
+            {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)}
+        ],
+        condition=IfCondition(LaunchConfiguration('rviz')),
+    )
+    return LaunchDescription([*arguments, *nodes, rviz])

@@ -1,7 +1,8 @@
 """
 The simulated robot with everything that learns and localizes.
 
-``ros2 launch landmark_nav simulation.launch.py robot_file:=robot.yaml room_file:=room.yaml``
+``ros2 launch landmark_nav simulation.launch.py robot_file:=robot.yaml``, and
+``room_file:=room.yaml`` for that room instead of one that a seed draws.
 """
 
 from pathlib import Path
@@ -21,7 +22,11 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument('seed', default_value='1', description='draws the room'),
         DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
-        DeclareLaunchArgument('room_file', description='room.yaml: walls and reference area'),
+        DeclareLaunchArgument(
+            'room_file',
+            default_value='',
+            description='room.yaml: walls and reference area; empty: drawn, and not given',
+        ),
         DeclareLaunchArgument('map_folder', default_value='map', description='folder of the map'),
         DeclareLaunchArgument(
             'load_on_start', default_value='false', description='load that map at once'
@@ -31,6 +36,9 @@ def generate_launch_description() -> LaunchDescription:
             'use_sim_time',
             default_value='false',
             description='take the time from /clock, which the simulator does not publish',
+        ),
+        DeclareLaunchArgument(
+            'rviz', default_value='false', description='show all of it in RViz (package rviz2)'
         ),
     ]
     # launch refuses an include that does not hand on what has no default.
@@ -43,6 +51,7 @@ def generate_launch_description() -> LaunchDescription:
             'load_on_start': LaunchConfiguration('load_on_start'),
             'namespace': LaunchConfiguration('namespace'),
             'use_sim_time': LaunchConfiguration('use_sim_time'),
+            'rviz': LaunchConfiguration('rviz'),
         }.items(),
     )
     types = {'seed': int, 'robot_file': str, 'room_file': str}

@@ -50,7 +50,10 @@ class ElectionConfig(Config):
         0.06, 'how far off its wall a patch may hang, metres', minimum=0, maximum=1
     )
     max_sigma_m: float = parameter(
-        0.03, 'greatest standard deviation of its place along any axis', minimum=1e-4, maximum=1
+        0.03,
+        'greatest standard deviation of its location beside others, along any axis',
+        minimum=1e-4,
+        maximum=1,
     )
     max_depth_sigma_m: float = parameter(
         0.02,
@@ -107,7 +110,7 @@ def elect(
         patch = patches[k]
         others = [s.panorama for s in measurements[k] if s.panorama != patch.source]
         refusal = _refuse(
-            patch, k, adjustment, covariance[k], depth_sigma[k], panoramas[patch.source],
+            patch, k, adjustment, depth_sigma[k], panoramas[patch.source],
             [panoramas[other] for other in others], config,
         )  # fmt: skip
         if refusal is None and any(
@@ -143,7 +146,6 @@ def _refuse(
     patch: WallPatch,
     k: int,
     adjustment: Adjustment,
-    covariance: FloatArray,
     depth_sigma: float,
     panorama: Panorama,
     others: Sequence[Panorama],
@@ -158,7 +160,8 @@ def _refuse(
     # The wall would draw to it whatever stands there.
     if depth_sigma > config.max_depth_sigma_m:
         return Refusal('too little parallax', f'{depth_sigma * 100:.1f} cm sigma of its depth')
-    sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    # What all landmarks of the map share tells none of them from the others.
+    sigma = float(np.sqrt(np.linalg.eigvalsh(adjustment.own_covariance[k])[-1]))
     if sigma > config.max_sigma_m:
         return Refusal('place too uncertain', f'{sigma * 100:.1f} cm')
     ray = panorama.center_map[:2] - adjustment.positions[k, :2]

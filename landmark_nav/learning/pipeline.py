@@ -31,6 +31,7 @@ from landmark_nav.learning.adjustment.wall_fit import (
     wall_warnings,
     WallResidual,
 )
+from landmark_nav.learning.adjustment.wall_prior import moved_walls
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.least_squares import checked_covariance
@@ -141,8 +142,16 @@ def learn_from_panoramas(
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
+    if places is None:
+        places = joint_covariance(panoramas, room, config.reference_area)
     with log.measure('stereo'):
         found = find_again(panoramas, candidates, greys, room, config.stereo)
+        if any(wall.sigma_m for wall in room.walls) and found.patches:
+            free = _adjust(found, panoramas, places, room, _without_walls(config))
+            moved = moved_walls(free, found.walls, room, config.adjustment)
+            if moved is not room:
+                room = moved
+                found = find_again(panoramas, candidates, greys, room, config.stereo)
     outcomes = found.outcomes
     if len(found.patches) < 3:
         raise LandmarkNavError(
@@ -151,8 +160,6 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        if places is None:
-            places = joint_covariance(panoramas, room, config.reference_area)
         adjustment, free, residuals, hidden = _adjusted(found, panoramas, places, room, config)
     uneven = wall_warnings(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
@@ -209,6 +216,27 @@ def learn_from_panoramas(
     )
 
 
+def _without_walls(config: LearningConfig) -> AdjustmentConfig:
+    return replace(
+        config.adjustment,
+        relief_sigma_m=_NO_WALL_M,
+        camera_weight=_AS_EXPECTED,
+        place_weight=_AS_EXPECTED,
+        room_weight=_AS_EXPECTED,
+    )
+
+
+def _adjust(
+    found: Found,
+    panoramas: Sequence[Panorama],
+    places: FloatArray,
+    room: Room,
+    expected: AdjustmentConfig,
+) -> Adjustment:
+    start = np.array([patch.position for patch in found.patches])
+    return adjust(found.measurements, found.walls, start, panoramas, places, room, expected)
+
+
 def _adjusted(
     found: Found,
     panoramas: Sequence[Panorama],
@@ -217,28 +245,17 @@ def _adjusted(
     config: LearningConfig,
 ) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...], str]:
     """Adjust with the walls and without; how far before each wall things lie, and what is odd."""
-    without_walls = replace(
-        config.adjustment,
-        relief_sigma_m=_NO_WALL_M,
-        camera_weight=_AS_EXPECTED,
-        place_weight=_AS_EXPECTED,
-        room_weight=_AS_EXPECTED,
-    )
-
-    def adjusted(found: Found, expected: AdjustmentConfig) -> Adjustment:
-        start = np.array([patch.position for patch in found.patches])
-        return adjust(found.measurements, found.walls, start, panoramas, places, room, expected)
-
+    without_walls = _without_walls(config)
     hidden = check_walls(
-        adjusted(found.anywhere, without_walls),
+        _adjust(found.anywhere, panoramas, places, room, without_walls),
         found.anywhere.walls,
         room,
         config.adjustment,
         config.wall_fit,
     )
     walls = found.walls
-    free = adjusted(found, without_walls)
-    adjustment = adjusted(found, config.adjustment)
+    free = _adjust(found, panoramas, places, room, without_walls)
+    adjustment = _adjust(found, panoramas, places, room, config.adjustment)
     residuals = wall_residuals(adjustment, walls, room, config.adjustment)
     adjustment, free = depth_from_scale(
         adjustment,

@@ -48,8 +48,8 @@ from landmark_nav.learning.reference_area import (
     WRONG_PRIOR,
     WrongMountError,
 )
+from landmark_nav.learning.seen_otherwise import why_seen_otherwise
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.upside_down import why_upside_down
 from landmark_nav.parameters import Config
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import FloatArray, Panorama, PoseEstimate, Sweep
@@ -195,7 +195,7 @@ def _made(
         try:
             check_turn(sweep, mount)
         except LandmarkNavError as error:
-            why = why_upside_down(sweep, room, mount, config.reference_area)
+            why = why_seen_otherwise(sweep, room, mount, config.reference_area)
             raise LandmarkNavError(why or str(error)) from error
         found = calibrate_sweep(sweep, mount, config.calibration)
     with log.measure('panorama'):
@@ -208,7 +208,7 @@ def _made(
         try:
             place = _place(view, found, room, config, prior, used is not prior)
         except LandmarkNavError as error:
-            why = why_upside_down(sweep, room, mount, config.reference_area)
+            why = why_seen_otherwise(sweep, room, mount, config.reference_area)
             faults = papers.faults()
             cause = why or faults.cause or str(error)
             wrong = faults.mount

@@ -1,5 +1,6 @@
 """
-Panoramas without a plan: poses from what they share and from odometry, walls from what they show.
+Panoramas without a plan: poses from what they share, the scale from odometry, poses that are given
+or sheets of a known size, walls from what they show.
 
 The frame of the map is that of the base at the first sweep.
 """
@@ -35,6 +36,7 @@ from landmark_nav.learning.relative_pose import (
     RelativePoses,
 )
 from landmark_nav.learning.relative_pose.epipolar import center
+from landmark_nav.learning.sheets import find_sheets, SheetsConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import (
     panorama_from_sweep,
@@ -44,10 +46,17 @@ from landmark_nav.learning.sweep_pipeline import (
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, PoseEstimate, Sweep
 
-__all__ = ['Located', 'UnmeasuredConfig', 'learn_located', 'locate', 'locate_sweeps']
+__all__ = [
+    'RELATIVE_SIGMA',
+    'Located',
+    'UnmeasuredConfig',
+    'learn_located',
+    'locate',
+    'locate_sweeps',
+]
 
 # How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
-_SEARCH_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
+RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
 # Covariance of a pose that is only given to know how far the walls are.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
@@ -66,6 +75,7 @@ class UnmeasuredConfig(Config):
         minimum=1e-3,
         maximum=1e9,
     )
+    sheets: SheetsConfig = field(default_factory=SheetsConfig)
     relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
     facades: FacadesConfig = field(default_factory=FacadesConfig)
 
@@ -75,8 +85,8 @@ class Located:
     """
     Panoramas with poses, the room found around them, and what their poses share.
 
-    `places` (4 v, 4 v) is the joint covariance of the viewpoints by odometry, were the scale
-    known: the map is right in its own metre, which is off by `scale_sigma`.
+    `places` (4 v, 4 v) is the joint covariance of the viewpoints by the sources of the scale, were
+    the scale known: the map is right in its own metre, which is off by `poses.scale_sigma`.
     """
 
     panoramas: tuple[Panorama, ...]
@@ -85,18 +95,17 @@ class Located:
     poses: RelativePoses
 
     @property
-    def scale_sigma(self) -> float:
-        """Relative standard deviation of the scale, by odometry."""
-        count = len(self.poses.states)
-        chain = self.poses.places.covariance.reshape(count, 3, count, 3)
-        plan = chain[1:, :2, 1:, :2].reshape(2 * count - 2, 2 * count - 2)
-        way = self.poses.states[1:, :2].ravel()
-        return float(1.0 / np.sqrt(way @ np.linalg.solve(plan, way)))
+    def provenance(self) -> dict[str, str]:
+        """What the map says of its frame and scale."""
+        names = [share.name for share in self.poses.scales]
+        own = {} if 'sweep/pose' in names else {'frame': 'base_link at the first sweep'}
+        sigma = f'{self.poses.scale_sigma:.5f}'
+        return {**own, 'scale': ', '.join(names), 'scale_sigma': sigma}
 
 
 def locate(
     panoramas: Sequence[Panorama],
-    places: PlaceChain,
+    known: Sequence[PlaceChain],
     lever: FloatArray,
     config: UnmeasuredConfig,
     log: StageLog | None = None,
@@ -108,8 +117,8 @@ def locate(
     ----------
     panoramas : sequence of Panorama
         Their poses do not matter.
-    places : PlaceChain
-        Poses of the base by odometry: they give the scale.
+    known : sequence of PlaceChain
+        Poses of the base by each source that has them; the first one gives the frame.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame, metres.
     config : UnmeasuredConfig
@@ -120,7 +129,8 @@ def locate(
     Raises
     ------
     LandmarkNavError
-        One panorama, or panoramas that share too little or contradict odometry; no walls.
+        One panorama, panoramas that share too little or contradict what is known, nothing that
+        gives the scale, or no walls.
 
     """
     if len(panoramas) < 2:
@@ -139,7 +149,8 @@ def locate(
             )
             for p in panoramas
         ]
-        poses = relative_poses(features, places, lever, config.relative_pose)
+        sheets = [find_sheets(p, config.sheets) for p in panoramas]
+        poses = relative_poses(features, known, lever, config.relative_pose, sheets)
     with log.measure('facades'):
         sigma = config.relative_pose.direction_sigma_rad
         points = seen_points(poses.states, poses.pairs, lever, sigma)
@@ -151,7 +162,7 @@ def locate(
             p,
             center_map=eye,
             heading_rad=float(state[2]),
-            covariance=np.diag(_SEARCH_SIGMA**2),
+            covariance=np.diag(RELATIVE_SIGMA**2),
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
@@ -161,7 +172,7 @@ def locate(
 
 def locate_sweeps(
     sweeps: Callable[[], Iterator[Sweep]],
-    known: Callable[[Sequence[Sweep]], PlaceChain],
+    known: Callable[[Sequence[Sweep]], Sequence[PlaceChain]],
     mount: PanTiltMount,
     stages: PanoramaStages,
     config: UnmeasuredConfig,
@@ -177,7 +188,8 @@ def locate_sweeps(
     sweeps : callable
         Reads them; always the same ones.
     known : callable
-        What is known of their poses, by sweeps without their frames.
+        What is known of their poses, by sweeps without their frames; nothing if sheets of a known
+        size alone give the scale.
     mount : PanTiltMount
         How the camera is mounted.
     stages, config : PanoramaStages, UnmeasuredConfig
@@ -241,7 +253,7 @@ def _viewpoints(
         jacobian[k, :2, k, 2] = rotation(state[2] + np.pi / 2) @ lever[:2]
         jacobian[k, 3, k, 2] = 1.0
     flat = jacobian.reshape(4 * count, 3 * count)
-    joint = flat @ poses.places.covariance @ flat.T
+    joint = flat @ poses.covariance @ flat.T
     heights = 4 * np.arange(1, count) + 2
     joint[heights, heights] += config.rise_sigma_m**2
     joint += _LEAST_VARIANCE * np.eye(4 * count)

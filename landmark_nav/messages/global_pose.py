@@ -19,11 +19,9 @@ class GlobalPose(PoseEstimate):
 
     It is the pose of the base at the last of them if its joint states are in time; `ids` (m,) are
     the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`, to the
-    left; its delays are
-    those of `Detections`.
+    left; `joint_delay_s` is that of `Detections`.
     """
 
     ids: npt.NDArray[np.int64]
     pan_rate_rad_s: float = 0.0
     joint_delay_s: float = 0.0
-    pan_delay_s: float = 0.0

@@ -11,7 +11,6 @@ __all__ = [
     'DETECTIONS',
     'EXPECTATION',
     'GLOBAL_POSE',
-    'JOINT_DELAY',
     'LANDMARKS',
     'PLANAR',
     'TRIPLET',
@@ -63,9 +62,8 @@ class Layout:
 
 
 # Image coordinates are normalised, as camera_info has it; a covariance of zero says that there are
-# none. The same in all rows are by how much the stamps of the joints were taken to be late, as the
-# node was configured and as was measured beyond that, and the pose that the image itself shows,
-# all zero if it was not sought.
+# none. The same in all rows are by how much the stamps of the joints are taken to be late, as the
+# node was configured, and the pose that the image itself shows, all zero if it was not sought.
 DETECTIONS = Layout(
     'detections',
     np.dtype(
@@ -77,13 +75,12 @@ DETECTIONS = Layout(
             ('u', '<f4'),
             ('v', '<f4'),
             ('joint_delay', '<f8'),
-            ('pan_delay', '<f8'),
             ('point', '<f8', (2,)),
             ('point_covariance', '<f8', (4,)),
             ('near', '<f8', (3,)),
         ]
     ),
-    optional=('joint_delay', 'pan_delay', 'point', 'point_covariance', 'near'),
+    optional=('joint_delay', 'point', 'point_covariance', 'near'),
 )
 
 # One point: camera pose, its covariance, speeds of the base, values and sigmas of the calibration.
@@ -100,8 +97,6 @@ EXPECTATION = Layout(
         ]
     ),
 )
-
-JOINT_DELAY = Layout('joint_delay', np.dtype([('delay', '<f8'), ('sigma', '<f8')]))
 
 # Covariance of the promised fix and the pan to turn to are the same in all three rows.
 TRIPLET = Layout(
@@ -127,7 +122,6 @@ GLOBAL_POSE = Layout(
             ('covariance', '<f8', (9,)),
             ('pan_rate', '<f8'),
             ('joint_delay', '<f8'),
-            ('pan_delay', '<f8'),
         ]
     ),
 )

@@ -6,11 +6,14 @@ from dataclasses import dataclass
 import time
 from typing import Any
 
+import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
+from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.messages import decode, encode
+from landmark_nav.nodes.unmeasured_learner import UnmeasuredLearner, UnmeasuredParameters
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -18,6 +21,7 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import LandmarkMap, Panorama
 
@@ -29,29 +33,42 @@ _SAME_WALL_M = 0.3
 
 
 @dataclass(frozen=True)
-class Parameters(LearningConfig):
+class Parameters(UnmeasuredParameters):
     """Of the node ``landmark_learner``, beside those of the stages."""
 
-    room_file: str = parameter('', 'room.yaml: the walls that carry landmarks')
+    room_file: str = parameter(
+        '', 'room.yaml: the walls that carry landmarks; empty: walls and poses are found'
+    )
+    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
     map_folder: str = parameter('map', 'folder that save_map writes and load_map reads')
     load_on_start: bool = parameter(False, 'load the map as soon as the node starts')
 
 
 class LandmarkLearnerNode(LandmarkNode):
-    """``panorama/*`` to ``landmarks``, by `learning.pipeline.learn_from_panoramas`."""
+    """
+    ``panorama/*`` to ``landmarks``, by `learning.pipeline.learn_from_panoramas`.
+
+    Without ``room_file`` it learns from ``sweep/*`` and ``odom``, by `learning.unmeasured`.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__('landmark_learner', 'learning', **options)
         self._config = self.configure(Parameters)
-        self._room = load_room(self.required('room_file', self._config.room_file))
         self._outputs = [
             self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')
         ]
         self._panoramas: dict[int, Panorama] = {}
         self._map: LandmarkMap | None = None
         self._on_disk = False
-        panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-        listen_together(self, panorama, self._on_panorama)
+        self._room: Room | None = None
+        if self._config.room_file:
+            self._room = load_room(self._config.room_file)
+            panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
+            listen_together(self, panorama, self._on_panorama)
+        else:
+            given = load_calibration(self.required('robot_file', self._config.robot_file))
+            self._unmeasured = UnmeasuredLearner(self, given, self._config)
+            self._start = self.advertise('initialpose')
         # One service at a time, while panoramas go on arriving.
         group = MutuallyExclusiveCallbackGroup()
         self.offer('learn_landmarks', self._learn, group=group)
@@ -64,7 +81,7 @@ class LandmarkLearnerNode(LandmarkNode):
 
     def health(self) -> Health:
         """OK with a map; degraded until then."""
-        values = {'panoramas': len(self._panoramas)}
+        values = {'panoramas': self._count}
         if self._map is None:
             words = f'{self._why_none}: call learn_landmarks or load_map'
             return Health(Level.DEGRADED, words, values)
@@ -75,26 +92,50 @@ class LandmarkLearnerNode(LandmarkNode):
             return Health(Level.DEGRADED, f'{words}; {warning}', values)
         return Health(Level.OK, words, values)
 
+    @property
+    def _count(self) -> int:
+        """Panoramas to learn from."""
+        return len(self._panoramas) if self._room else len(self._unmeasured)
+
     def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
+        assert self._room is not None
+        decode.check_frame(pose.header, self._room.frame_id, 'give both nodes one room_file')
         view = decode.panorama(image, info, pose)
         self._panoramas[view.stamp_ns] = view
         self.get_logger().info(f'panorama {len(self._panoramas)} received')
 
     def _learn(self) -> str:
-        panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]
         start = time.monotonic()
-        result = learn_from_panoramas(panoramas, self._room, self._config)
+        if self._room is None:
+            result = self._unmeasured.learn()
+        else:
+            panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]
+            result = learn_from_panoramas(panoramas, self._room, self._config)
         self._publish(result.map, on_disk=False)
         walls = len({landmark.wall_id for landmark in result.map.landmarks})
         done = (
             f'{len(result.map.landmarks)} landmarks on {walls} walls out of '
-            f'{len(panoramas)} panoramas in {time.monotonic() - start:.1f} s'
+            f'{len(result.panoramas)} panoramas in {time.monotonic() - start:.1f} s'
         )
-        return '; '.join(filter(None, [done, _NOT_SAVED, result.warning]))
+        own = self._start_at(result) if self._room is None else ''
+        return '; '.join(filter(None, [done, own, _NOT_SAVED, result.warning]))
+
+    def _start_at(self, result: LearningResult) -> str:
+        """Give the pose of the robot in a map of its own; where its metres come from."""
+        known = result.map.provenance
+        words = f'metres from {known["scale"]}, good to {100 * float(known["scale_sigma"]):.1f} %'
+        place = self._unmeasured.place_now(result)
+        if place is None:
+            return words
+        self._start.publish(encode.pose(ros_factory, place, result.map.frame_id))
+        x, y, heading = *place.pose[:2], np.degrees(place.pose[2])
+        return f'{words}; the robot is at ({x:.2f}, {y:.2f}) m, {heading:.1f} deg by odom'
 
     def _clear(self) -> str:
-        count = len(self._panoramas)
+        count = self._count
         self._panoramas.clear()
+        if self._room is None:
+            self._unmeasured.clear()
         return f'{count} panoramas forgotten; the map stays'
 
     def _save(self) -> str:
@@ -127,6 +168,8 @@ class LandmarkLearnerNode(LandmarkNode):
     def _why_foreign(self, landmarks: LandmarkMap) -> str:
         """Why a map seems to be of another room than the room file; nothing if it does not."""
         room, files = self._room, f'{self._config.map_folder} and {self._config.room_file}'
+        if room is None:
+            return ''
         if landmarks.frame_id != room.frame_id:
             why = f'{landmarks.frame_id!r} and {room.frame_id!r} are their frames'
         elif landmarks.walls and not room.shares_wall(landmarks.walls, _SAME_WALL_M):
@@ -145,7 +188,8 @@ class LandmarkLearnerNode(LandmarkNode):
 
 def main() -> int:
     """Entry point of the executable."""
-    return run_node(LandmarkLearnerNode, threads=2)
+    # Frames go on arriving while one thread learns and another waits for those of a sweep.
+    return run_node(LandmarkLearnerNode, threads=3)
 
 
 if __name__ == '__main__':

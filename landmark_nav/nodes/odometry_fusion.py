@@ -11,19 +11,14 @@ import numpy as np
 from landmark_nav.calibration import NAMES, UNITS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.estimator import EstimatorConfig, Status
-from landmark_nav.localization.fusion import FusionConfig, FusionUpdate, PoseFilter
-from landmark_nav.localization.fusion.health import HealthConfig
-from landmark_nav.localization.fusion.late_joints import REACH_S
-from landmark_nav.localization.fusion.spread import SpreadCorrection
-from landmark_nav.localization.fusion.start import Found
-from landmark_nav.localization.fusion.state import BORESIGHT, DELAY, LENS
-from landmark_nav.localization.joint_delay import PanMotion
-from landmark_nav.localization.joint_fusion import JointFusion
+from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted
+from landmark_nav.localization.spread import SpreadCorrection
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.nodes.live_pose import LivePose
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
@@ -32,11 +27,10 @@ from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
-from landmark_nav.ros.transforms import MapToOdom
-from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
+from landmark_nav.ros.transforms import TransformBroadcaster
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import (
     Detections,
-    JointSample,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -48,25 +42,9 @@ __all__ = ['OdometryFusionNode', 'Parameters', 'main']
 # A joint delay that is open matters to a camera that turns so far: where it looked may be reported
 # long after its image. So long that is waited for.
 _PAN_RANGE_RAD, _PATIENCE_S = 0.1, 0.4
-_LEVELS = {'tracking': Level.OK, 'coasting': Level.DEGRADED, 'lost': Level.LOST}
-_STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
-# A detection of less weight than this is an outlier.
-_OUTLIER = 0.1
+_LEVELS = {Status.OK: Level.OK, Status.DEGRADED: Level.DEGRADED, Status.LOST: Level.LOST}
 # Sigmas of a value of the calibration from which it is said that robot.yaml is off.
 _BEYOND_DOUBT = 5.0
-
-
-@dataclass(frozen=True)
-class LiveFusionConfig(FusionConfig):
-    """A robot can't be replayed: the delay of its joints is estimated as it drives."""
-
-    delay_sigma_s: float = parameter(
-        0.02,
-        'Sigma of a constant delay of the stamps of the joints behind those of the images, that '
-        'is estimated while the camera turns; 0 takes it as none, s.',
-        minimum=0.0,
-        maximum=1.0,
-    )
 
 
 @dataclass(frozen=True)
@@ -74,13 +52,6 @@ class Parameters(Config):
     """Of the node ``odometry_fusion``."""
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
-    estimator: str = parameter(
-        'auto',
-        'what estimates the pose: the filter of bearings, or the joint estimator of pose, '
-        'calibration and map errors, as of triangulation_localizer; auto takes the second where '
-        'robot.yaml gives sigmas',
-        choices=('auto', 'filter', 'joint'),
-    )
     map_frame: str = parameter('map', 'frame of odometry/fused')
     start_sigma_m: float = parameter(
         0.3, 'position sigma of an initialpose that comes without one, m', minimum=1e-4
@@ -95,14 +66,12 @@ class Parameters(Config):
         minimum=0.0,
         maximum=60.0,
     )
-    fusion: LiveFusionConfig = field(default_factory=LiveFusionConfig)
-    joint: EstimatorConfig = field(default_factory=EstimatorConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
-    health: HealthConfig = field(default_factory=HealthConfig)
 
 
 class OdometryFusionNode(LandmarkNode):
-    """``odom`` and ``detections`` to ``odometry/fused``, by `PoseFilter` or `JointFusion`."""
+    """``odom`` and ``detections`` to ``odometry/fused``, by `Fusion`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('odometry_fusion', 'fusion', **options)
@@ -110,25 +79,13 @@ class OdometryFusionNode(LandmarkNode):
         calibration = load_calibration(self.required('robot_file', self._config.robot_file))
         self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
-        self._transform = MapToOdom(self)
+        self._live = LivePose(self, self._config.map_frame)
+        self._transform = TransformBroadcaster(self)
         self._spread = SpreadCorrection(self._config.correction_time_s)
         config = self._config
-        self._filter: PoseFilter | JointFusion
-        if chosen_estimator(config.estimator, config.robot_file) == 'joint':
-            self._filter = JointFusion(
-                LandmarkMap(()),
-                calibration,
-                config.joint,
-                config.odometry,
-                config.fusion.history_s,
-            )
-            self._expectation = self.advertise('expectation')
-            self._level = self.advertise('odometry_fusion/protection_level')
-        else:
-            self._filter = PoseFilter(
-                LandmarkMap(()), self._mount, config.fusion, config.odometry, config.health
-            )
-            self._joint_delay = self.advertise('joint_delay')
+        self._fusion = Fusion(LandmarkMap(()), calibration, config.estimator, config.odometry)
+        self._expectation = self.advertise('expectation')
+        self._level = self.advertise('odometry_fusion/protection_level')
         self._landmarks = 0
         self._accepted = self._rejected = 0
         self._last: OdometrySample | None = None
@@ -141,27 +98,19 @@ class OdometryFusionNode(LandmarkNode):
         self.listen('odom', self._on_odometry, depth=50)
         self._frames = CameraFrames(self, self._mount)
         self.listen('detections', self._on_detections)
-        # Bearings and the poses made of them are the same information: where poses are used,
-        # bearings show what was seen.
-        if isinstance(self._filter, PoseFilter) and config.fusion.mode == 'poses':
-            self.listen('triangulation/pose', self._on_pose)
         self.listen('initialpose', self._on_initial_pose)
         self.listen('global_localization/pose', self._on_global_pose)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
-        """As the filter judges itself."""
-        now_ns = self._now_ns()
-        # Where odometry stays away nothing moves the filter on, but its time passes.
-        silent_ns = round(1e9 * self._config.health.silent_after_s)
-        silent = self._last is not None and now_ns - self._last.stamp_ns > silent_ns
-        verdict = self._filter.status_at(now_ns if silent else None)
-        status = _STATUS[verdict[0]] if isinstance(verdict[0], Status) else verdict[0]
-        reason = verdict[1]
+        """As the fusion judges itself."""
+        # Where odometry stays away nothing moves the fusion on, but its time passes.
+        status, reason = self._fusion.status_at(self._now_ns() if self._last else None)
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
-        values = counts | {'rejected': self._rejected} | self._latency.values() | self._offsets()
+        values = counts | {'rejected': self._rejected} | self._latency.values()
+        values |= _calibration_values(self._fusion)
         advice = self._delay_advice() + self._mount_advice()
-        return Health(_LEVELS[status], (reason or status) + advice, values)
+        return Health(_LEVELS[status], (reason or 'tracking') + advice, values)
 
     def _now_ns(self) -> int:
         """Time by the clock of the odometry."""
@@ -170,7 +119,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _delay_advice(self) -> str:
         """What would spare finding out how late the stamps of the joints are."""
-        late = self._filter.late
+        late = self._fusion.late
         if not late.matters:
             return ''
         return (
@@ -180,9 +129,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _mount_advice(self) -> str:
         """By what robot.yaml is off, where that is found out beyond doubt."""
-        if not isinstance(self._filter, JointFusion):
-            return ''
-        known, prior = self._filter.calibration, self._filter.prior
+        known, prior = self._fusion.calibration, self._fusion.prior
         off = known.values - prior.values
         far = np.abs(off) > np.maximum(prior.sigmas, _BEYOND_DOUBT * known.sigmas)
         names = [
@@ -192,30 +139,11 @@ class OdometryFusionNode(LandmarkNode):
         ]
         return f'; robot.yaml is off, which is put right: {", ".join(names)}' if names else ''
 
-    def _offsets(self) -> dict[str, str]:
-        """What is known of mount, lens and clocks."""
-        if isinstance(self._filter, JointFusion):
-            return _calibration_values(self._filter)
-        state = self._filter.state
-        if state is None:
-            return {}
-        sigma = np.sqrt(np.diag(state.covariance))
-        named = {
-            'joint_delay_ms': (DELAY, 1e3),
-            'boresight_deg': (BORESIGHT, np.degrees(1.0)),
-            'principal_point_deg': (LENS, np.degrees(1.0)),
-        }
-        return {
-            name: f'{scale * state.mean[place]:.2f} +- {scale * sigma[place]:.2f}'
-            for name, (place, scale) in named.items()
-            if sigma[place] > 0.0
-        }
-
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         """Go on with another map from where the robot is."""
         decode.check_frame(points.header, self._config.map_frame, 'set map_frame to it')
         landmarks = decode.landmark_map(points, atlas)
-        self._filter.change_map(landmarks)
+        self._fusion.change_map(landmarks)
         self._landmarks = len(landmarks.landmarks)
         self.get_logger().info(f'{self._landmarks} landmarks received')
 
@@ -223,7 +151,7 @@ class OdometryFusionNode(LandmarkNode):
         decode.check_frame(message.header, self._config.map_frame, 'give it there')
         start = decode.pose_estimate(message)
         start = with_sigmas(start, self._config.start_sigma_m, self._config.start_sigma_rad)
-        self._filter.initialize(start, self._now_ns())
+        self._fusion.initialize(start, self._now_ns())
         self._started(start, 'start')
         self._start_given_ns = None if self._last is None else self._now_ns()
         self._waiting = deque(one for one in self._waiting if isinstance(one, Detections))
@@ -231,7 +159,7 @@ class OdometryFusionNode(LandmarkNode):
     def _on_global_pose(self, message: Any) -> None:
         decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
         place = decode.global_pose(message)
-        if not self._filter.reaches(place.stamp_ns):
+        if not self._fusion.reaches(place.stamp_ns):
             raise LandmarkNavError('it is of an image from before the odometry that is kept')
         if self._start_given_ns is not None and place.stamp_ns <= self._start_given_ns:
             raise LandmarkNavError('it is of an image from before the given start pose')
@@ -240,6 +168,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _started(self, start: PoseEstimate, how: str) -> None:
         self._spread.restart()
+        self._live.restart()
         x, y, heading = start.pose
         self.get_logger().info(f'{how} at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg')
 
@@ -249,7 +178,7 @@ class OdometryFusionNode(LandmarkNode):
             return
         self._last_message = message
         sample = decode.odometry(message)
-        refusal = self._filter.add_odometry(sample)
+        refusal = self._fusion.add_odometry(sample)
         if isinstance(refusal, Distrusted):
             self.note(str(refusal))
         elif refusal is not None:
@@ -261,13 +190,13 @@ class OdometryFusionNode(LandmarkNode):
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
         self._odom_frame = message.header.frame_id.lstrip('/')
         self._use_waiting()
-        estimate = self._filter.estimate(sample.stamp_ns)
+        estimate = self._fusion.estimate(sample.stamp_ns)
         if estimate is not None:
             self._publish(estimate, sample)
             # Only here: a transform must not be published twice for one time.
             pose = self._spread.at(sample.stamp_ns, estimate.pose, sample.pose_odom_base)
             frames = (self._config.map_frame, self._odom_frame)
-            self._transform.send(sample.stamp_ns, pose, frames)
+            self._transform.send(sample.stamp_ns, [encode.planar_transform(*frames, pose)])
 
     def _on_detections(self, message: Any) -> None:
         self._waiting.append(decode.detections(message))
@@ -284,7 +213,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _waits(self, found: Detections | GlobalPose) -> bool:
         """Whether joint states that may give where the camera looked are still to come."""
-        late = self._filter.late
+        late = self._fusion.late
         settled = late.is_known or self._frames.pan_range_rad < _PAN_RANGE_RAD
         if settled and not late.matters:
             return False
@@ -297,98 +226,61 @@ class OdometryFusionNode(LandmarkNode):
 
     def _use(self, found: Detections) -> None:
         joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
-        if isinstance(self._filter, JointFusion):
-            known = None if isinstance(joints, Refusal) else joints
-            update = self._filter.add_detections(found, known)
-            if isinstance(update, Refusal):
-                self.note(f'detections dropped: {update}')
-            else:
-                good = int((update.weight > _OUTLIER).sum())
-                self._accepted += good
-                self._rejected += len(update.weight) - good
+        known = None if isinstance(joints, Refusal) else joints
+        update = self._fusion.add_detections(found, known)
+        if isinstance(update, Refusal):
+            self.note(f'detections dropped: {update}')
         else:
-            self._use_bearings(self._filter, found, joints)
+            self._accepted += len(update.used)
+            self._rejected += len(update.columns) - len(update.used)
         self._corrected(found.stamp_ns)
-
-    def _use_bearings(
-        self, bearings: PoseFilter, found: Detections, joints: JointSample | Refusal
-    ) -> None:
-        if not isinstance(joints, Refusal):
-            pan_motion = PanMotion.of(joints, self._mount)
-            found = replace(
-                found,
-                pan_rate_rad_s=pan_motion.rate_rad_s,
-                pan_sigma_rad=joints.pan_sigma_rad,
-                pan_track=pan_motion.track,
-                pan_rad=pan_motion.azimuth_rad,
-            )
-        self._count(bearings.add_detections(found))
-        late = bearings.late
-        if late.sigma_s:
-            self._joint_delay.publish(
-                encode.joint_delay(ros_factory, found.stamp_ns, late.delay_s, late.sigma_s)
-            )
 
     def _use_place(self, place: GlobalPose) -> None:
         joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
-        known = None if isinstance(joints, Refusal) else joints
-        if isinstance(self._filter, JointFusion):
-            self._filter.place(place, known, self._now_ns())
-        else:
-            # A track that ends before would say that the pan stood there.
-            pan_motion = None if known is None else PanMotion.of(known, self._mount).track
-            track = pan_motion if pan_motion and pan_motion.reaches(REACH_S) else None
-            found = Found(place.ids, place.pan_rate_rad_s, track, place.pan_delay_s)
-            self._filter.initialize(place, self._now_ns(), found)
+        self._fusion.place(place, None if isinstance(joints, Refusal) else joints, self._now_ns())
         self._started(place, 'found')
-
-    def _on_pose(self, message: Any) -> None:
-        assert isinstance(self._filter, PoseFilter), 'nobody else listens'
-        measured = decode.pose_estimate(message)
-        self._count(self._filter.add_pose(measured))
-        self._corrected(measured.stamp_ns)
 
     def _corrected(self, stamp_ns: int) -> None:
         """Publish at once what an image changed, at the newest time that is known."""
         if self._last is None:
             return
         newest = max(stamp_ns, self._last.stamp_ns)
-        estimate = self._filter.estimate(newest)
+        estimate = self._fusion.estimate(newest)
         if estimate is not None:
             self._publish(estimate, replace(self._last, stamp_ns=newest))
             self._latency.note(self.get_clock().now().nanoseconds - stamp_ns)
 
-    def _count(self, update: FusionUpdate) -> None:
-        self._accepted += len(update.accepted_ids)
-        self._rejected += len(update.rejected)
-
     def _publish(self, estimate: PoseEstimate, sample: OdometrySample) -> None:
         fused = replace(sample, pose_odom_base=estimate.pose)
         frames = {'frame_id': self._config.map_frame, 'child_frame_id': self._mount.base_frame}
-        if isinstance(self._filter, JointFusion):
-            # Before the pose: where somebody has that, the other is known, too.
-            expected = self._filter.expectation(estimate.stamp_ns)
-            if expected is not None:
-                self._expectation.publish(
-                    encode.expectation(ros_factory, expected, sample, self._config.map_frame)
-                )
-            if self._level.get_subscription_count():
-                level = self._filter.level(estimate).scaled(estimate)
-                self._level.publish(encode.pose(ros_factory, level, self._config.map_frame))
+        # Before the pose: where somebody has that, the other is known, too.
+        expected = self._fusion.expectation(estimate.stamp_ns)
+        if expected is not None:
+            self._expectation.publish(
+                encode.expectation(ros_factory, expected, sample, self._config.map_frame)
+            )
+        if self._level.get_subscription_count():
+            level = self._protection_level(estimate)
+            self._level.publish(encode.pose(ros_factory, level, self._config.map_frame))
         self._fused.publish(encode.odometry(ros_factory, fused, estimate.covariance, **frames))
+        self._live.show(estimate, sample, lambda: self._protection_level(estimate))
+
+    def _protection_level(self, estimate: PoseEstimate) -> PoseEstimate:
+        """Pose of whose covariance one sigma is the protection level."""
+        return self._fusion.level(estimate).scaled(estimate)
 
 
-def _calibration_values(joint: JointFusion) -> dict[str, str]:
+def _calibration_values(fusion: Fusion) -> dict[str, str]:
     """Prior, value and sigma of what is not exact, and whether the motion has shown it."""
-    delay_s, sigma_s = joint.calibration['joint_delay']
+    delay_s, sigma_s = fusion.calibration['joint_delay']
     values = {'joint_delay_ms': f'{1e3 * delay_s:.2f} +- {1e3 * sigma_s:.2f}'}
-    for name, of in joint.calibration.differences(joint.prior).items():
-        if joint.prior[name][1] > 0.0:
+    for name, of in fusion.calibration.differences(fusion.prior).items():
+        if fusion.prior[name][1] > 0.0:
             prior, value, sigma = (float(of[key]) for key in ('prior', 'value', 'sigma'))
             known = '' if of['observed'] else ', not observed yet'
             values[f'calibration/{name}'] = (
                 f'{value:.5f} +- {sigma:.5f} {of["unit"]} '
-                f'(prior {prior:.5f} +- {joint.prior[name][1]:.5f}{known})'
+                f'(prior {prior:.5f} +- {fusion.prior[name][1]:.5f}{known})'
             )
     return values
 

@@ -17,8 +17,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.localization.detection.height import CameraTilt
-from landmark_nav.localization.joint_delay import PanMotion
+from landmark_nav.localization.late_joints import PanMotion
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
@@ -105,7 +104,6 @@ class PlaceSearch:
         self._unseen = Unseen(config.unseen_s)
         self._call: _Call | None = None
         self._published_ns = -_FUSED_NS
-        self._lean_rad = (0.0, 0.0)
         self._place = node.advertise('global_localization/pose')
         self._ended = node.ended
         node.offer('relocalize', self._search, group=ReentrantCallbackGroup())
@@ -158,31 +156,20 @@ class PlaceSearch:
         """Take note of how many landmarks an image showed."""
         self._unseen.note(stamp_ns, found)
 
-    @property
-    def tilt_roll_rad(self) -> tuple[float, float]:
-        """Tilt and roll of the camera against its joints, by the last pose, rad."""
-        return self._lean_rad
-
-    def look(
-        self,
-        frame: CameraFrame,
-        camera_tilt: CameraTilt,
-        joint_delay_s: float = 0.0,
-        pan_delay_s: float = 0.0,
-    ) -> PoseEstimate | Refusal:
+    def look(self, frame: CameraFrame, joint_delay_s: float = 0.0) -> PoseEstimate | Refusal:
         """
         Go on with an image; what is known of the place by now.
 
-        `camera_tilt` is what is known of the camera. The image's pan is that of joint states which
-        are stamped so much later: as the node was given, and as was measured beyond that.
+        The image's pan is that of joint states which are stamped so much later, as the node was
+        given.
         """
-        relocalizer, self._lean_rad = self._relocalizer, (0.0, 0.0)
+        relocalizer = self._relocalizer
         if relocalizer is None:
             return Refusal('nobody looks for it any more')
         known = self._odometry
         while known and known[0].stamp_ns <= frame.stamp_ns:
             relocalizer.add_odometry(known.popleft())
-        outcome = relocalizer.add_frame(frame, camera_tilt)
+        outcome = relocalizer.add_frame(frame)
         # That took a while, in which somebody may have given the pose.
         known = self._odometry
         self.consider(known[-1].stamp_ns if known else frame.stamp_ns)
@@ -193,7 +180,7 @@ class PlaceSearch:
             self._relocalizer = self._call = None
             self._published_ns = frame.stamp_ns
             self._unseen.restart()
-            found, self._lean_rad = relocalizer.in_time, relocalizer.tilt_roll_rad
+            found = relocalizer.in_time
             place = GlobalPose(
                 found.stamp_ns,
                 found.pose,
@@ -201,7 +188,6 @@ class PlaceSearch:
                 relocalizer.landmark_ids,
                 PanMotion.of(frame, self.calibration.base).rate_rad_s,
                 joint_delay_s,
-                pan_delay_s,
             )
             self._place.publish(encode.global_pose(ros_factory, place, self._map_frame))
         if call is not None:

@@ -21,6 +21,7 @@ from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import COMMAND_TYPES, listen_for_pan
 from landmark_nav.ros.run import run_node
+from landmark_nav.ros.transforms import TransformBroadcaster
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
@@ -82,6 +83,9 @@ class RoomSimulatorNode(LandmarkNode):
             self.advertise('camera/image_raw/compressed'): compressed,
         }
         self._info = self.advertise('camera/camera_info')
+        self._transforms = TransformBroadcaster(self)
+        camera = encode.camera_transform(self._mount, _OPTICAL_FRAME)
+        self._transforms.send_static(self._world.stamp_ns, [camera])
         self.listen('cmd_vel', self._on_velocity)
         listen_for_pan(self, self._mount, config.command_type, self._world.command_pan)
         self.create_timer(_STEP_S, self._tick, clock=steady_clock())
@@ -132,10 +136,15 @@ class RoomSimulatorNode(LandmarkNode):
         world, mount = self._world, self._mount
         world.advance(_STEP_S)
         self._steps += 1
-        self._joints.publish(encode.joint_state(ros_factory, world.joint_sample(), mount))
+        joints = world.joint_sample()
+        self._joints.publish(encode.joint_state(ros_factory, joints, mount))
+        self._transforms.send(joints.stamp_ns, encode.joint_transforms(mount, joints))
         if self._steps % _STEPS_PER_ODOMETRY == 0:
             odometry = partial(encode.odometry, ros_factory, child_frame_id=mount.base_frame)
-            self._odometry.publish(odometry(world.odometry_sample()))
+            sample = world.odometry_sample()
+            self._odometry.publish(odometry(sample))
+            base = encode.planar_transform('odom', mount.base_frame, sample.pose_odom_base)
+            self._transforms.send(sample.stamp_ns, [base])
             truth = odometry(world.truth_sample(), _EXACT, frame_id='map')
             self._truth.publish(truth)
 

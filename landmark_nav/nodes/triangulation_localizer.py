@@ -5,22 +5,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from math import hypot
 import time
 from typing import Any
 
-import numpy as np
-
 from landmark_nav.errors import LandmarkNavError, one_line
-from landmark_nav.localization.detection.aim import degrees_aside
-from landmark_nav.localization.detection.height import CameraTilt
-from landmark_nav.localization.detection.prior import PriorTrack
 from landmark_nav.localization.estimator import EstimatorConfig
-from landmark_nav.localization.joint_delay import in_time, JointDelay
-from landmark_nav.localization.joint_observer import JointObserver, straight
-from landmark_nav.localization.observation import Observation, ObservationConfig, Observer
+from landmark_nav.localization.expected_poses import ExpectedPoses
+from landmark_nav.localization.late_joints import JointDelay
+from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.observer import Observation, Observer, straight
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
+from landmark_nav.nodes.live_view import LiveView
 from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.camera_frames import CameraFrames
@@ -32,7 +28,7 @@ from landmark_nav.ros.latest_only_worker import LatestOnlyWorker
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.same_stamp import listen_together
-from landmark_nav.storage.robot_files import chosen_estimator, load_calibration
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import (
     CameraFrame,
     Expectation,
@@ -54,16 +50,10 @@ _SILENCE_S = 1.0
 
 
 @dataclass(frozen=True)
-class Parameters(ObservationConfig):
+class Parameters(LookingConfig):
     """Of the node ``triangulation_localizer``, beside those of the stages."""
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
-    estimator: str = parameter(
-        'auto',
-        'whose expectations are used: those of the filter of bearings or of the joint estimator, '
-        'as of odometry_fusion; auto takes the second where robot.yaml gives sigmas',
-        choices=('auto', 'filter', 'joint'),
-    )
     map_frame: str = parameter('map', 'frame of triangulation/pose')
     image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
     joint_delay_s: float = parameter(
@@ -82,7 +72,7 @@ class Parameters(ObservationConfig):
     max_prior_age_s: float = parameter(
         0.5, 'how far odometry/fused may be from an image, s', minimum=0.0
     )
-    joint: EstimatorConfig = field(default_factory=EstimatorConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
     relocalization: PlaceSearchConfig = field(default_factory=PlaceSearchConfig)
 
@@ -97,25 +87,25 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._mount = self._calibration.mount
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
+        self._live = LiveView(self, self._config.map_frame)
         self._frames = CameraFrames(self, self._mount, self._config.joint_delay_s)
-        self._prior = PriorTrack[PoseEstimate](self._config.max_prior_age_s)
-        self._expected = PriorTrack[Expectation](self._config.max_prior_age_s)
+        self._fused = ExpectedPoses[PoseEstimate](self._config.max_prior_age_s)
+        self._expected = ExpectedPoses[Expectation](self._config.max_prior_age_s)
         search = self._config.relocalization
         self._search = PlaceSearch(
             self,
             self._calibration,
             search,
             self._config.map_frame,
-            self._prior.recent,
+            self._fused.recent,
             self._config.odometry,
             self._config,
         )
         self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
-        self._joint = chosen_estimator(self._config.estimator, self._config.robot_file) == 'joint'
-        self._observer: Observer | JointObserver | None = None
+        self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None
-        self._late = JointDelay()
+        self._delay_s = 0.0
         self._source: ImageSource | None = None
         # Joint states and odometry come in while an image is looked at.
         self._images = LatestOnlyWorker(self.guarded('camera/image_raw', self._on_image))
@@ -128,10 +118,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self.listen('odom', self._on_odometry, depth=50)
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
-        if self._joint:
-            self.listen('expectation', self._on_expectation)
-        else:
-            self.listen('joint_delay', self._on_joint_delay)
+        self.listen('expectation', self._on_expectation)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
@@ -155,23 +142,17 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._search.add_odometry(sample)
 
     def _on_fused(self, message: Any) -> None:
-        self._prior.add(decode.pose_estimate(message), decode.odometry(message))
+        self._fused.add(decode.pose_estimate(message), decode.odometry(message))
 
     def _on_triplet(self, message: Any) -> None:
         self._triplet = decode.triplet(message)
-
-    def _on_joint_delay(self, message: Any) -> None:
-        late = JointDelay(*decode.joint_delay(message))
-        # An image does not wait for joint states because of what may be chance.
-        by_chance = JointDelay(0.0, hypot(late.delay_s, late.sigma_s))
-        self._late = late if late.matters else by_chance
 
     def _on_expectation(self, message: Any) -> None:
         expected, speeds = decode.expectation(message, self._mount)
         self._expected.add(expected, speeds)
         self._calibration = self._search.calibration = expected.calibration
         late = JointDelay(*expected.calibration['joint_delay'])
-        self._late = late if late.matters else JointDelay()
+        self._delay_s = late.delay_s if late.matters else 0.0
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         config = self._config
@@ -181,11 +162,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._health = Health(Level.LOST, f'landmarks dropped: {error}')
             raise
         landmarks = decode.landmark_map(points, atlas)
-        self._observer = (
-            JointObserver(landmarks, self._calibration, config, config.joint, config.odometry)
-            if self._joint
-            else Observer(landmarks, self._mount, config, config.odometry)
-        )
+        self._observer = Observer(landmarks, self._calibration, config, config.estimator)
         self._search.use(landmarks)
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no image yet')
@@ -217,62 +194,56 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._search.consider(stamp)
         searches = self._search.active and not self._images_unusable
         # What gave the pose must not give it again.
-        if searches and (self._look(message) or self._prior.recent(stamp) is None):
+        if searches and (self._look(message) or self._fused.recent(stamp) is None):
             return
         start = time.monotonic()
-        seen = self._observe(message)
+        seen, frame, prior = self._observe(message)
         self._images_unusable = seen.unusable
         self._search.note(stamp, len(seen.detections))
-        found = replace(seen.detections, joint_delay_s=self._config.joint_delay_s)
+        found = replace(
+            seen.detections,
+            uv_px=frame.camera.in_full_image(seen.detections.uv_px),
+            joint_delay_s=self._config.joint_delay_s,
+        )
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
-        if isinstance(seen.fix, PoseEstimate):
+        if self._fix.get_subscription_count() and isinstance(seen.fix, PoseEstimate):
             self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
+        self._live.show(
+            frame,
+            prior,
+            seen,
+            self._search.landmarks,
+            self._calibration.mount,
+            self._triplet,
+            message.header.frame_id,
+        )
 
     def _look(self, message: Any) -> bool:
         """Search for the place in an image; whether it was found."""
-        frame, late = self._complete(message, self._search.reaches)
-        observer, camera_tilt = self._observer, CameraTilt()
-        if isinstance(observer, Observer):
-            camera_tilt = observer.camera_tilt
-            frame, _ = in_time(frame, late)
-        else:
-            frame = straight(frame, self._calibration)
-        outcome = self._search.look(frame, camera_tilt, self._config.joint_delay_s, late.delay_s)
+        frame = straight(self._complete(message, self._search.reaches), self._calibration)
+        outcome = self._search.look(frame, self._config.joint_delay_s)
         found = 'pose found, and published on global_localization/pose'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)
-        if isinstance(outcome, Refusal):
-            return False
-        if isinstance(observer, Observer):
-            observer.turn(*self._search.tilt_roll_rad)
-        return True
+        return not isinstance(outcome, Refusal)
 
-    def _observe(self, message: Any) -> Observation:
+    def _observe(self, message: Any) -> tuple[Observation, CameraFrame, PoseEstimate]:
+        """What is seen in an image, with all that belongs to it, from the expected pose."""
         stamp = decode.stamp_ns(message.header)
         assert self._observer is not None, 'images come after the map'
-        track = self._expected if self._joint else self._prior
-        frame, late = self._complete(message, track.reaches)
+        frame = self._complete(message, self._expected.reaches)
         while self._odometry:
             self._observer.add_odometry(self._odometry.popleft())
-        prior = track.at(stamp)
-        if isinstance(prior, Refusal):
-            raise LandmarkNavError(str(prior))
-        if isinstance(self._observer, Observer):
-            seen = self._observer.look(frame, prior, self._triplet, late)
-        else:
-            assert isinstance(prior, Expectation), 'of its own track'
-            seen = self._observer.look(frame, prior)
-        uv_px = frame.camera.in_full_image(seen.detections.uv_px)
-        return replace(seen, detections=replace(seen.detections, uv_px=uv_px))
+        expected = self._expected.at(stamp)
+        if isinstance(expected, Refusal):
+            raise LandmarkNavError(str(expected))
+        return self._observer.look(frame, expected), frame, expected
 
-    def _complete(
-        self, message: Any, also: Callable[[int], bool]
-    ) -> tuple[CameraFrame, JointDelay]:
-        """Image with all that belongs to it, and how late its joint states are."""
-        late = self._late
-        return self._frames.complete(message, self._config.max_wait_s, also, late.delay_s), late
+    def _complete(self, message: Any, also: Callable[[int], bool]) -> CameraFrame:
+        """Image with all that belongs to it."""
+        return self._frames.complete(message, self._config.max_wait_s, also, self._delay_s)
 
     def _age_ns(self, message: Any) -> int:
         """Time since an image was taken."""
@@ -287,22 +258,13 @@ class TriangulationLocalizerNode(LandmarkNode):
             'overtaken': self._images.dropped,
             'stale': self._stale,
         } | self._latency.values()
-        displaced = ''
-        observer = self._observer
-        if isinstance(observer, Observer) and observer.tilt_change_rad:
-            higher = np.degrees(observer.tilt_change_rad)
-            values['camera_higher_deg'] = f'{higher:+.2f}'
-            side = 'above' if higher > 0.0 else 'below'
-            displaced = f'; the camera looks {abs(higher):.2f} deg {side} where its joints say'
-        if isinstance(observer, Observer) and observer.roll_change_rad:
-            displaced += '; the camera is rolled by {:.1f} deg {}'.format(
-                *degrees_aside(observer.roll_change_rad)
-            )
         if self._triplet is not None:
             values['of_the_triplet'] = len(found & set(self._triplet.ids.tolist()))
-        if isinstance(seen.fix, Refusal):
-            return Health(Level.DEGRADED, f'no fix: {seen.fix}{displaced}', values)
-        return Health(Level.OK, f'fix from {len(found)} landmarks{displaced}', values)
+        if seen.unusable:
+            return Health(Level.DEGRADED, str(seen.fix), values)
+        if not found:
+            return Health(Level.DEGRADED, 'no landmark found', values)
+        return Health(Level.OK, f'{len(found)} landmarks found', values)
 
 
 def main() -> int:

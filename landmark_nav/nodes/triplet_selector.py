@@ -111,7 +111,7 @@ class TripletSelectorNode(LandmarkNode):
         self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
 
     def _on_expectation(self, message: Any) -> None:
-        """Look where the joint estimator, if that runs, has the camera."""
+        """Look where the estimator has the camera."""
         self._calibrated = decode.expectation(message, self._mount)[0].calibration.mount
         if self._camera is not None:
             self._camera.mount = self._calibrated

@@ -21,12 +21,12 @@ def left_right_layout(room: Room, count: int, share: float, config: PlanConfig) 
     Places L and R, or L1, R1, L2, R2 for four and more.
 
     They lie left and right of the room's middle for someone who faces the wall with the papers,
-    a pair before the middle and one behind it if there are two.
+    or the longest one, a pair before the middle and one behind it if there are two.
 
     Parameters
     ----------
     room : Room
-        With papers.
+        Walls, and papers if poses come from them.
     count : int
         How many places are planned.
     share : float
@@ -42,8 +42,11 @@ def left_right_layout(room: Room, count: int, share: float, config: PlanConfig) 
     """
     corners = np.array([wall.start for wall in room.walls])
     middle = 0.5 * (room.bounds[0] + room.bounds[1])
-    papers = np.mean([paper.center[:2] for paper in room.papers], axis=0)
-    ahead = room.normals[int(room.nearest_wall(papers)), :2]
+    faced = int(np.argmax([wall.length for wall in room.walls]))
+    if room.papers:
+        papers = np.mean([paper.center[:2] for paper in room.papers], axis=0)
+        faced = int(room.nearest_wall(papers))
+    ahead = room.normals[faced, :2]
     aside = np.array([-ahead[1], ahead[0]])
     width, depth = (np.ptp(corners @ axis) for axis in (aside, ahead))
     rows = [-share, share] if count >= 4 else [0.0]

@@ -3,6 +3,7 @@ Acquisition planning: where to take panoramas so that the robot will know its pl
 
 Livatino and Madsen announce a simulator for this; here the errors are propagated instead, from
 the papers' edges to the panoramas' poses, from there to landmarks, and on to the robot's place.
+Without papers, poses are as exact to each other as panoramas give them.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class Forecast:
     poses_map_base : ndarray, shape (n, 3)
         Where the robot stands.
     pose_covariance : ndarray, shape (n, 3, 3)
-        Of the pan axis' x, y and heading as the papers give them.
+        Of the pan axis' x, y and heading as papers or panoramas give them.
     landmarks : float
         How many are to be expected.
     landmark_sigma_m : float
@@ -123,7 +124,7 @@ def plan_positions(
     Raises
     ------
     LandmarkNavError
-        Fewer than two places, fewer than three papers, or no places from which they are seen.
+        Fewer than two places, one or two papers, or no places from which papers are seen.
 
     """
     _check(room, count)
@@ -138,10 +139,13 @@ def plan_positions(
     poses = np.concatenate([sweep_poses(floor, room, turn) for turn in turns])
     views = look(poses, samples, room, mount, config)
     if len(views) < count:
-        raise LandmarkNavError(
-            f'{len(views)} places on the free floor see {_enough(room)} papers whole, '
-            f'{count} are needed: hang the papers lower, larger or nearer to each other'
+        words = (
+            f'see {_enough(room)} papers whole, {count} are needed: hang the papers lower, larger '
+            'or nearer to each other'
+            if room.papers
+            else f'are there, {count} are needed: give a smaller clearance'
         )
+        raise LandmarkNavError(f'{len(views)} places on the free floor {words}')
     xy = views.pose_map_base[:, :2]
     cells = free_floor(room, config.clearance_m, config.spacing_m, _SEARCH_CELLS)
     cost = Predictor(views, samples, cells, room, config).cost_m
@@ -188,7 +192,7 @@ def forecast(
     Parameters
     ----------
     sets : sequence of ndarray, shape (n, 3)
-        Poses of the base, two or more, all in view of the papers.
+        Poses of the base, two or more, all in view of the papers, if there are any.
     cells : ndarray, shape (c, 2)
         Floor on which to predict.
     room, mount, config : Room, PanTiltMount, PlanConfig
@@ -282,10 +286,10 @@ def _check(room: Room, count: int) -> None:
         raise LandmarkNavError(
             f'positions: {count}: landmarks are learned from two places or more'
         )
-    if len(room.papers) < 3:
+    if 0 < len(room.papers) < LEAST_PAPERS:
         raise LandmarkNavError(
-            f'the room names {len(room.papers)} reference papers: hang three and list them in '
-            'room.yaml, they give the pose of a panorama'
+            f'the room names {len(room.papers)} reference papers: list three in room.yaml, which '
+            'give the pose of a panorama, or none'
         )
 
 

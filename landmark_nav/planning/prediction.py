@@ -142,7 +142,7 @@ class Predictor:
             config.adjustment,
         )
         covariance = own + loading @ np.swapaxes(loading, -1, -2)
-        largest = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
+        largest = np.sqrt(np.linalg.eigvalsh(own)[:, -1])
         by_source = by_source * (largest <= config.election.max_sigma_m)
         seen = np.einsum('ncs,ns->cs', self._observed[places], by_source)
         bearing_sigma = config.triplet.bearing_sigma_rad

@@ -11,6 +11,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area import LEAST_PAPERS, pose_errors
+from landmark_nav.learning.unmeasured import RELATIVE_SIGMA
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.room_grid import WallSamples
 from landmark_nav.types import FloatArray
@@ -43,7 +44,7 @@ class Views:
     eye : ndarray, shape (p, 3)
         The pan axis at the height of the optical centre, in map.
     covariance : ndarray, shape (p, 3, 3)
-        Of the pan axis' x, y and heading by the papers.
+        Of the pan axis' x, y and heading by the papers; without any, by what panoramas share.
     by_papers : ndarray, shape (p, 3, m)
         Of that, what all places have in common, by factors of unit variance.
     azimuth_rad, range_m : ndarray, shape (p, s)
@@ -76,8 +77,9 @@ def eye_height(mount: PanTiltMount) -> float:
 
 
 def ahead_rad(floor_xy: FloatArray, room: Room) -> FloatArray:
-    """Directions (n,) in map from points (n, 2) to the papers' middle."""
-    ahead = np.mean([paper.center[:2] for paper in room.papers], axis=0) - floor_xy
+    """Directions (n,) in map from points (n, 2) to the papers' middle, or to the room's."""
+    hung = [paper.center[:2] for paper in room.papers] or room.bounds
+    ahead = np.mean(hung, axis=0) - floor_xy
     return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
@@ -121,7 +123,8 @@ def look(
     Returns
     -------
     Views
-        Of the places that see enough papers; the others can't be measured and are left out.
+        Of the places that see enough papers, if there are any; the others can't be measured and
+        are left out.
 
     """
     axis = mount.axis_pose_map(poses_map_base)[:, :2]
@@ -129,10 +132,12 @@ def look(
     middle = poses_map_base[:, 2] + _azimuth_base(
         mount, np.array([0.5 * (config.pan_min_rad + config.pan_max_rad)])
     )
-    hung = np.array([paper.center[:2] for paper in room.papers]) - axis[:, None]
-    papers = papers_seen(eye, room, config)
-    papers &= _on_arc(np.arctan2(hung[..., 1], hung[..., 0]), middle, config)
-    measured = papers.sum(axis=1) >= LEAST_PAPERS
+    measured = np.ones(len(eye), dtype=np.bool_)
+    if room.papers:
+        hung = np.array([paper.center[:2] for paper in room.papers]) - axis[:, None]
+        papers = papers_seen(eye, room, config)
+        papers &= _on_arc(np.arctan2(hung[..., 1], hung[..., 0]), middle, config)
+        measured = papers.sum(axis=1) >= LEAST_PAPERS
     eye = eye[measured]
     way = samples.xy - eye[:, None, :2]
     reach = np.maximum(np.linalg.norm(way, axis=-1), 1e-3)
@@ -146,10 +151,15 @@ def look(
     # A part of the turn has not the patches of all of it: they would cover each other.
     proposed = config.candidates / (2.0 * np.pi) * samples.length_m * cosine / reach * share
     proposed[cosine < np.cos(config.election.max_incidence_rad)] = 0.0
+    if room.papers:
+        errors = pose_errors(eye, room, config.reference_area, config.focal_px, papers[measured])
+    else:
+        plan = np.diag(RELATIVE_SIGMA[[0, 1, 3]] ** 2)
+        errors = np.tile(plan, (len(eye), 1, 1)), np.zeros((len(eye), 3, 1))
     return Views(
         poses_map_base[measured],
         eye,
-        *pose_errors(eye, room, config.reference_area, config.focal_px, papers[measured]),
+        *errors,
         azimuth,
         reach,
         share,

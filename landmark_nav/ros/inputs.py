@@ -25,6 +25,8 @@ _ALTERNATION_S = 5.0
 _CLOCK_S, _FASTEST_PLAY = 5.0, 20.0
 # Names that one line lists.
 _LISTED = 3
+# Beside streams, nodes that listen to these can do nothing without them.
+_AWAITED = ('landmarks', 'odometry/fused')
 # Where rclpy listens for the time with `use_sim_time`.
 _CLOCK = '/clock'
 
@@ -50,6 +52,8 @@ class Input:
         Resolved name of the first topic.
     is_stream : bool
         Whether it comes all the time, from sensors.
+    is_awaited : bool
+        Whether a node can do nothing before it is there.
 
     """
 
@@ -58,6 +62,7 @@ class Input:
         self._topics = {node.resolve_topic_name(name): spec for name, spec in topics.items()}
         self.name = next(iter(self._topics))
         self.is_stream = any(spec and spec.qos is SENSOR_DATA for spec in self._topics.values())
+        self.is_awaited = self.is_stream or any(name in _AWAITED for name in topics)
         self._count = self._reported = 0
         self._reported_s = time.monotonic()
         self._arrived_s: float | None = None
@@ -237,6 +242,10 @@ class Inputs:
         streams = [one for one in self if one.is_stream and one.name != _CLOCK]
         waits = [words for one in streams if (words := one.waits())]
         return f'waits for {", ".join(waits)}' if waits else ''
+
+    def awaited(self) -> list[Input]:
+        """Those without which the node can do nothing."""
+        return [one for one in self if one.is_awaited and one.name != _CLOCK]
 
     def values(self) -> dict[str, str]:
         """State of each, by its resolved name."""

@@ -43,6 +43,10 @@ T = TypeVar('T')
 
 _LOG = logging.getLogger(__name__)
 
+# Parameters that name files end so.
+_FILES = ('_file', '_folder', 'bag')
+# What every node of rclpy publishes.
+_OF_RCLPY = ('/rosout', '/parameter_events', '/diagnostics')
 # Different lines that a node logs of its input.
 _MOST_LOGGED = 200
 
@@ -76,6 +80,7 @@ class LandmarkNode(Node):
         self._dropped: Counter[str] = Counter()
         self._last_problem = '', ''
         self.internal_errors = 0
+        self._awaits = False
         super().__init__(name, **options)
         self.ended: Future[None] = Future()
         self.calls_that_wait = 0
@@ -93,6 +98,32 @@ class LandmarkNode(Node):
             self.ended.set_result(None)
         else:
             self.ended.set_exception(failure)
+
+    def announce(self) -> None:
+        """Log that the node is ready: its topics, services and files, and what it waits for."""
+        awaited = [one.name for one in self.inputs.awaited()]
+        own = {*_OF_RCLPY, *map(self.resolve_topic_name, FORMER_NAMES.values())}
+        ends = {
+            'takes': [one.name for one in self.inputs],
+            'gives': [one.topic_name for one in self.publishers],
+            'serves': [one.service_name for one in self.services if '/' not in one.srv_name],
+            'files': [
+                str(parameter.value)
+                for name, parameter in self.get_parameters_by_prefix('').items()
+                if name.endswith(_FILES) and parameter.value
+            ],
+            'waits for': awaited,
+        }
+        said = {what: [name for name in names if name not in own] for what, names in ends.items()}
+        words = [f'{what} {", ".join(names)}' for what, names in said.items() if names]
+        _LOG.info('ready: %s', '; '.join(words))
+        self._awaits = bool(awaited)
+
+    def _note_complete(self) -> None:
+        """Log once that all that the node waited for is there."""
+        if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
+            self._awaits = False
+            _LOG.info('has all that it waited for')
 
     def configure(self, config_class: type[T]) -> T:
         """Declare a dataclass as parameters and return it filled."""
@@ -296,6 +327,7 @@ class LandmarkNode(Node):
             health = self.health()
         except Exception as error:
             health = Health(Level.DEGRADED, self.fault('health', error))
+        self._note_complete()
         problems = self.inputs.problems()
         for words in problems:
             self._warn_once(words)

@@ -14,6 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -23,6 +24,7 @@ from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.service_discovery import ServiceDiscovery
 from landmark_nav.ros.topics import TOPICS, with_depth
 from landmark_nav.storage.bags import BagWriter
+from landmark_nav.storage.bags.robot_transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
 
 __all__ = ['NodeStatus', 'RobotClient']
@@ -206,13 +208,29 @@ class RobotClient:
         self._initial_pose.publish(encode.pose(ros_factory, estimate))
 
     @contextmanager
-    def recording(self, path: Path, topics: Sequence[str]) -> Iterator[None]:
-        """Record public topics, as serialised, while in the block."""
+    def recording(
+        self, path: Path, topics: Sequence[str], mount: PanTiltMount | None = None
+    ) -> Iterator[None]:
+        """
+        Record public topics, as serialised, while in the block.
+
+        Given the mount, the bag holds the transforms of the robot as well.
+        """
+        transforms = None if mount is None else RobotTransforms(mount)
+        # Transforms are made at the end: this thread steers the robot meanwhile.
+        kept: list[tuple[str, bytes, int]] = []
         with BagWriter(path) as bag:
 
             def writer(topic: str) -> Callable[[Any], None]:
                 kind = TOPICS[topic].type_name
-                return lambda data: bag.write_serialized(topic, kind, data, time.time_ns())
+
+                def write(data: bytes) -> None:
+                    now_ns = time.time_ns()
+                    bag.write_serialized(topic, kind, data, now_ns)
+                    if transforms is not None and topic in transforms.topics:
+                        kept.append((topic, data, now_ns))
+
+                return write
 
             subscriptions = [
                 self._node.create_subscription(
@@ -229,6 +247,10 @@ class RobotClient:
             finally:
                 for subscription in subscriptions:
                     self._node.destroy_subscription(subscription)
+            if transforms is not None:
+                for topic, data, stamp_ns in kept:
+                    for name, message in transforms.of(topic, data):
+                        bag.write(name, message, stamp_ns)
 
     def _last_heard(self) -> str:
         """Last reports of the nodes, which often hold the reason."""

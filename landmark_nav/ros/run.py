@@ -53,6 +53,7 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
             node = make_node()
             asked.add_done_callback(lambda _: node.end())
             forward_logs(node.get_logger())
+            node.announce()
             _spin(node, threads, shutdown_guard)
         except LandmarkNavError as error:
             print(f'{name}: {error}', file=sys.stderr)

@@ -17,7 +17,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.topics import MAP_TOPICS, TOPIC_TYPES
 
 __all__ = [
     'LATCHED',
@@ -67,11 +67,12 @@ _PROFILES = (
         'joint_states',
         'odom',
         'ground_truth/odom',
+        'triangulation_localizer/debug_image/compressed',
     ),
     (SWEEP, 'sweep/image', 'sweep/image/compressed', 'sweep/camera_info'),
     (RELIABLE, 'sweep/trajectory', 'sweep/pose', 'pan_tilt/command', 'cmd_vel', 'initialpose'),
     (PANORAMAS, 'panorama/image', 'panorama/camera_info', 'panorama/pose'),
-    (LATCHED, 'landmarks', 'landmarks/atlas', 'landmarks/markers'),
+    (LATCHED, *MAP_TOPICS),
     (
         RELIABLE,
         'triplet',
@@ -80,8 +81,11 @@ _PROFILES = (
         'global_localization/pose',
         'odometry/fused',
         'odometry_fusion/protection_level',
+        'odometry_fusion/path',
+        'odometry_fusion/odometry_path',
+        'odometry_fusion/markers',
+        'triangulation_localizer/markers',
         'expectation',
-        'joint_delay',
     ),
 )
 

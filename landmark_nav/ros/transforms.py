@@ -1,47 +1,44 @@
-"""The one transform this package owns, ``map`` -> ``odom``."""
+"""Transforms on ``/tf`` and ``/tf_static``."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.util import find_spec
+from typing import Any
 
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
-from landmark_nav.messages.encode.headers import header, upright
+from landmark_nav.messages import encode
 from landmark_nav.ros.factory import message_class, ros_factory
-from landmark_nav.types import FloatArray
+from landmark_nav.ros.topics import LATCHED
 
-__all__ = ['MapToOdom']
+__all__ = ['TransformBroadcaster']
 
 
-class MapToOdom:
+class TransformBroadcaster:
     """
-    Broadcasts ``map`` -> ``odom``, if tf2_msgs is installed (the ROS wheels have none).
+    Broadcasts transforms, if tf2_msgs is installed (the ROS wheels have none).
 
-    Who publishes ``odom`` -> ``base_link`` is the robot: a frame has one parent only.
+    A frame has one parent and one broadcaster: fusion sends ``map`` -> ``odom``, the robot, or the
+    simulated one, ``odom`` -> ``base_link`` and what turns on it.
     """
 
     def __init__(self, node: Node) -> None:
-        self._publisher = None
+        self._moving: Publisher[Any] | None = None
+        self._static: Publisher[Any] | None = None
         if find_spec('tf2_msgs') is not None:
-            # The depth that tf2's own broadcaster has.
             kind = message_class('tf2_msgs/msg/TFMessage')
-            self._publisher = node.create_publisher(kind, '/tf', 100)
+            # The depths that tf2's own broadcasters have.
+            self._moving = node.create_publisher(kind, '/tf', 100)
+            self._static = node.create_publisher(kind, '/tf_static', LATCHED)
 
-    def send(self, stamp_ns: int, pose_map_odom: FloatArray, frames: tuple[str, str]) -> None:
-        """Send a transform between these two frames."""
-        if self._publisher is None:
-            return
-        x, y, yaw = pose_map_odom
-        pose = upright(ros_factory, x, y, 0.0, yaw)
-        transform = ros_factory(
-            'geometry_msgs/msg/Transform',
-            translation=ros_factory('geometry_msgs/msg/Vector3', x=float(x), y=float(y)),
-            rotation=pose.orientation,
-        )
-        stamped = ros_factory(
-            'geometry_msgs/msg/TransformStamped',
-            header=header(ros_factory, stamp_ns, frames[0]),
-            child_frame_id=frames[1],
-            transform=transform,
-        )
-        self._publisher.publish(ros_factory('tf2_msgs/msg/TFMessage', transforms=[stamped]))
+    def send(self, stamp_ns: int, moving: Iterable[encode.Transform]) -> None:
+        """Send transforms of a time."""
+        if self._moving is not None:
+            self._moving.publish(encode.transforms(ros_factory, stamp_ns, moving))
+
+    def send_static(self, stamp_ns: int, fixed: Iterable[encode.Transform]) -> None:
+        """Send transforms that hold from now on."""
+        if self._static is not None:
+            self._static.publish(encode.transforms(ros_factory, stamp_ns, fixed))

@@ -15,6 +15,9 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['robot_document', 'room_document', 'scene_document', 'start_document']
 
+# How well the maker of a simulated robot knows where its camera sits: 1 mm, 0.1 degrees.
+_SIGMA_M, _SIGMA_RAD = 0.001, 0.00175
+
 
 def room_document(room: Room) -> str:
     """Text of ``room.yaml``: walls and papers."""
@@ -45,8 +48,15 @@ def robot_document(mount: PanTiltMount) -> str:
         'base_frame': mount.base_frame,
         'pan_joint': mount.pan_joint,
         'tilt_joint': mount.tilt_joint,
-        'pan_axis': {'xyz': list(mount.axis_xyz), 'rpy': list(mount.axis_rpy)},
+        'pan_axis': {
+            'xyz': list(mount.axis_xyz),
+            'rpy': list(mount.axis_rpy),
+            'xyz_sigma': _SIGMA_M,
+            'rpy_sigma': _SIGMA_RAD,
+        },
         'optical_center_offset': list(mount.optical_center_offset),
+        'optical_center_offset_sigma': _SIGMA_M,
+        'camera_roll_sigma': _SIGMA_RAD,
     }
     if mount.camera_roll_rad:
         document['camera_roll'] = float(mount.camera_roll_rad)
@@ -54,7 +64,8 @@ def robot_document(mount: PanTiltMount) -> str:
         document['pan_sigma'] = float(mount.pan_sigma_rad)
     return _yaml(
         'pose of the pan axis in base_link at pan 0 (the camera then looks along +x), and of the\n'
-        '# optical centre from the axis, in metres and radians',
+        '# optical centre from the axis, in metres and radians; sigmas: what the maker of a\n'
+        '# simulated robot knows',
         document,
     )
 

@@ -94,11 +94,11 @@ def _converted(value: Any, old: Any, where: str) -> Any:
 
 
 def shipped_config(name: str) -> Path:
-    """Path of a file of ``config/``: in the source tree, or where it was installed to."""
+    """Path of a file below ``config/``: in the source tree, or where it was installed to."""
     package = Path(__file__).resolve().parents[1]
-    installed = Path('share') / package.name / 'config'
-    places = [package.parent / 'config', Path(sys.prefix) / installed]
-    places += [folder / installed for folder in package.parents]
+    shares = [folder / 'share' / package.name for folder in (Path(sys.prefix), *package.parents)]
+    # The folders of viewers lie beside `config` there.
+    places = [package.parent / 'config', *(share / 'config' for share in shares), *shares]
     for folder in places:
         if (folder / name).is_file():
             return folder / name

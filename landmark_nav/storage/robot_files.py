@@ -17,7 +17,7 @@ from landmark_nav.storage.reading import read_yaml_mapping
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import FloatArray
 
-__all__ = ['chosen_estimator', 'load_calibration', 'save_calibration']
+__all__ = ['load_calibration', 'save_calibration']
 
 # Field with standard deviations -> the quantities that they are of; one number holds for all.
 _SIGMAS = {
@@ -72,20 +72,6 @@ def load_calibration(path: Path | str) -> Calibration:
         return replace(alone, covariance=np.outer(alone.sigmas, alone.sigmas) * together)
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
-
-
-def chosen_estimator(asked: str, path: Path | str) -> str:
-    """
-    Return ``joint`` or ``filter``, where ``auto`` leaves the choice to `robot.yaml`.
-
-    A file that gives sigmas is used with the estimator that takes them into account.
-    """
-    if asked != 'auto':
-        return asked
-    document = read_yaml_mapping(Path(path))
-    axis = document.get('pan_axis')
-    given = {*document, *(axis if isinstance(axis, dict) else ())}
-    return 'joint' if given & {*_SIGMAS} else 'filter'
 
 
 def _correlations(entries: Any) -> FloatArray:

@@ -36,6 +36,8 @@ __all__ = [
 # Walls and papers are measured to a few centimetres, with the papers perhaps on a frame; what is
 # farther off its wall was not measured but mistaken.
 _MAX_OFF_WALL_M = 0.1
+# A wall may be off by so many of its standard deviations.
+_OFF_WALL_SIGMAS = 3.0
 
 # Each wall is compared with each other one.
 _MAX_WALLS, _MAX_PAPERS = 1000, 100
@@ -160,7 +162,7 @@ def _check_on_wall(paper: Paper, room: Room, where: str) -> None:
     aside = room.wall_distances([x, y])
     wall = room.walls[int(np.argmin(aside))]
     off = float(np.hypot(aside.min(), max(-z, z - wall.height, 0.0)))
-    if off > _MAX_OFF_WALL_M:
+    if off > _MAX_OFF_WALL_M + _OFF_WALL_SIGMAS * (wall.sigma_m or 0.0):
         raise LandmarkNavError(
             f'{where} ({paper.color}) is {100.0 * off:.0f} cm from its nearest wall, {wall.id}: '
             'measure paper and wall again'

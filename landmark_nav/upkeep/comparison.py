@@ -155,8 +155,8 @@ def _texture_offset(
     margin = int(np.ceil(_SEARCH * min(b.width_m, b.height_m) / texel)) + 1
     # Both on one grid of `texel`, which is centred on b; a's image is moved by the offset.
     shape = (int(b.height_m / texel), int(b.width_m / texel))
-    image_b = _resampled(b, texel, shape, np.zeros(2))
-    image_a = _resampled(a, texel, shape, offset)
+    image_b = resampled(b, texel, shape, np.zeros(2))
+    image_a = resampled(a, texel, shape, offset)
     rows, columns = (
         _shared(length, texel, size, shift, margin)
         for length, size, shift in zip(shape, (a.height_m, a.width_m), offset[::-1], strict=True)
@@ -183,7 +183,7 @@ def _shared(
     return np.flatnonzero((reach <= 0.5 * size_m) & (place >= margin) & (place < length - margin))
 
 
-def _resampled(
+def resampled(
     k: Landmark, texel_m: float, shape: tuple[int, int], offset: FloatArray
 ) -> npt.NDArray[np.float32]:
     """Patch on a grid of `shape` whose centre lies `offset` (2,) from the patch's."""

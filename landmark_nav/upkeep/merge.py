@@ -8,6 +8,7 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.walls import Room
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap
 from landmark_nav.upkeep.comparison import (
     compare_maps,
@@ -16,10 +17,15 @@ from landmark_nav.upkeep.comparison import (
     Texture,
     wall_changes,
 )
+from landmark_nav.upkeep.frames import brought_together
 
 __all__ = ['merge_maps']
 
 _SAME_WALL_M = 1e-3
+# A patch of an aligned map hangs so far from a wall at most, and is turned by 5 degrees.
+_ON_WALL_M, _SAME_NORMAL = 0.1, np.cos(np.radians(5.0))
+# What the provenance says of a map's own frame.
+_OF_FRAME = ('frame', 'scale', 'scale_sigma')
 _MAX_SIGMAS = 5.0
 # From here on, changed places are more than a poster or two.
 _FEW = 4
@@ -32,16 +38,23 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
     Where the texture is the same that is the one that is known better; where it has changed, the
     newer one; where too little is shared to decide, both. Landmarks of the older map keep their
     ids, added ones get new ids above them. The errors of the two maps are independent, so the
-    factors of one load nothing in the other.
+    factors of one load nothing in the other. A map with a frame of its own is aligned first; its
+    landmarks then are on the walls of the older map.
 
     Raises
     ------
     LandmarkNavError
-        Other frames or walls, a panorama that both were learned from, or maps that contradict
-        each other.
+        Other frames or walls, a panorama that both were learned from, maps that can't be aligned
+        or contradict each other.
 
     """
-    _check_same_room(older, newer)
+    _check_sweeps(older, newer)
+    newer, alignment = brought_together(older, newer)
+    if alignment is None:
+        _check_same_room(older, newer)
+    else:
+        on_walls = (_on_wall_of(older, k) for k in newer.landmarks)
+        newer = replace(newer, landmarks=tuple(k for k in on_walls if k is not None))
     comparison = compare_maps(older, newer)
     _check_agreement(comparison)
     outdated = {pair.a.id for pair in comparison.pairs if not _older_stays(pair)}
@@ -64,7 +77,7 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
         older.frame_id,
         older.walls,
         (*older.panorama_poses, *newer.panorama_poses),
-        {**newer.provenance, **older.provenance, 'merged': '2 maps'},
+        {**_without_frame(newer.provenance), **older.provenance, 'merged': '2 maps'},
         newer.prior,
         _shifted(newer.calibration, factors_older),
     )
@@ -89,12 +102,32 @@ def _check_same_room(a: LandmarkMap, b: LandmarkMap) -> None:
                 f'wall {name} lies {moved:.3f} m apart in the maps: they are of two rooms, or '
                 'the room.yaml was changed between them'
             )
+
+
+def _check_sweeps(a: LandmarkMap, b: LandmarkMap) -> None:
     common = {p.stamp_ns for p in a.panorama_poses} & {p.stamp_ns for p in b.panorama_poses}
     if common:
         raise LandmarkNavError(
             f'both maps were learned from the sweep of {min(common) * 1e-9:.3f} s, so their '
             'errors are not independent: learn one map of all sweeps instead'
         )
+
+
+def _on_wall_of(landmarks: LandmarkMap, k: Landmark) -> Landmark | None:
+    """Landmark on the wall of another map that it is on there; None if there is no such wall."""
+    if not landmarks.walls:
+        return k
+    room = Room(landmarks.walls)
+    off = room.wall_distances(k.position[:2])
+    off[room.normals @ k.normal < _SAME_NORMAL] = np.inf
+    nearest = int(np.argmin(off))
+    if off[nearest] > _ON_WALL_M:
+        return None
+    return replace(k, wall_id=landmarks.walls[nearest].id)
+
+
+def _without_frame(provenance: dict[str, str]) -> dict[str, str]:
+    return {key: value for key, value in provenance.items() if key not in _OF_FRAME}
 
 
 def _shifted(known: Calibration | None, factors: int) -> Calibration | None:

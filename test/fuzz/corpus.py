@@ -158,7 +158,6 @@ def messages(
         'global_localization/pose': encode.global_pose(make, place),
         'odometry/fused': encode.odometry(make, sample, np.eye(3) * 1e-4),
         'expectation': encode.expectation(make, expected, sample),
-        'joint_delay': encode.joint_delay(make, stamp_ns, 0.01, 0.002),
         'pan_tilt/command': encode.sweep_trajectory(make, frames[:1], mount),
         'cmd_vel': make('geometry_msgs/msg/Twist'),
     }

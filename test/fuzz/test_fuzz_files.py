@@ -25,7 +25,7 @@ import yaml
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.pipeline import LearningConfig
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.folder import read_sweep_folder

@@ -57,7 +57,6 @@ def _decoders() -> dict[str, Callable[[Any], Any]]:
         'triplet': decode.triplet,
         'detections': decode.detections,
         'global_localization/pose': decode.global_pose,
-        'joint_delay': decode.joint_delay,
     }
 
 

@@ -41,6 +41,8 @@ NODES: dict[str, tuple[str, dict[str, Any]]] = {
 JOINT = {'robot_file': 'robot', 'estimator': 'joint'}
 CASES = [(name, wanted) for name, (_, wanted) in sorted(NODES.items())]
 CASES += [('odometry_fusion', JOINT), ('triangulation_localizer', JOINT)]
+UNMEASURED = {'robot_file': 'robot', 'late_frames_s': 0.0}
+CASES += [('landmark_learner', UNMEASURED), ('panorama_synthesizer', UNMEASURED)]
 MESSAGES_A_NODE = 20
 
 

@@ -13,12 +13,20 @@ import time
 
 import pytest
 
+from landmark_nav.demo.recorded_run import RECORDED_TOPICS
 from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags.topics import TOPIC_TYPES
 from landmark_nav.storage.maps import load_map
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 NODES = 7
+# The protection level comes of the joint estimator alone.
+SHOWN = {
+    topic: TOPIC_TYPES[topic]
+    for topic in RECORDED_TOPICS
+    if topic not in ('/diagnostics', 'odometry_fusion/protection_level')
+}
 DEMO = [sys.executable, '-m', 'landmark_nav', 'demo', '--out']
 
 
@@ -114,10 +122,27 @@ def test_learns_drives_and_stays_exact(tmp_path: Path, domain_id: int) -> None:
     bag = Bag(folder / 'recording')
     assert bag.complete
     assert bag.counts['/odometry/fused'] > 500
+    assert (folder / 'foxglove.json').is_file()
+    # What the layouts of Foxglove and RViz show, as the nodes publish it.
+    assert {name: bag.types.get(f'/{name}') for name in SHOWN} == SHOWN
+    static, *_ = bag.messages(['/tf_static'])
+    (camera,) = static.message.transforms
+    parents = {camera.child_frame_id: camera.header.frame_id} | {
+        one.child_frame_id: one.header.frame_id
+        for entry in bag.messages(['/tf'])
+        for one in entry.message.transforms
+    }
+    frame = 'camera_optical_frame'
+    while frame in parents:
+        frame = parents.pop(frame)
+    assert frame == 'map'
+    assert not parents
     measured = json.loads((folder / 'demo.json').read_text())
     assert measured['fused']['position_rmse_m'] < measured['odometry']['position_rmse_m']
     assert measured['nees']['interval_95'] is None
-    assert (folder / 'report.html').read_text().count('<img') == 5
-    images = {path.stem for path in folder.glob('*.png')}
-    assert {'map', 'trajectory', 'errors', 'panorama_1', 'panorama_2'} <= images
+    page = (folder / 'report.html').read_text()
+    data = json.loads(page.partition('id="data">')[2].partition('</script>')[0])
+    assert len(data['panoramas']) == 2
+    assert len(data['images']) > 50
+    assert len(page) < 15e6
     assert processes(tmp_path) == {}

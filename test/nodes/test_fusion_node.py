@@ -28,8 +28,8 @@ SURE = np.diag([0.02, 0.02, 0.01]) ** 2
 class Fusion:
     """A node without neighbours, its callbacks and what it publishes, on a clock of its own."""
 
-    def __init__(self, context: Context, robot: str, estimator: str) -> None:
-        given = {'robot_file': robot, 'estimator': estimator}
+    def __init__(self, context: Context, robot: str) -> None:
+        given = {'robot_file': robot}
         self.node: Any = OdometryFusionNode(
             context=context,
             parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
@@ -42,7 +42,7 @@ class Fusion:
         )
         self._odom = self.node.guarded('odom', self.node._on_odometry)
         self._place = self.node.guarded('global_localization/pose', self.node._on_global_pose)
-        self.node._filter.change_map(LandmarkMap(()))
+        self.node._fusion.change_map(LandmarkMap(()))
 
     def odometry(self, k: int, way_m: float | None = None) -> None:
         way = SPEED_M_S * 1e-9 * PERIOD_NS * k if way_m is None else way_m
@@ -61,13 +61,13 @@ class Fusion:
         return str(self.node._checked_health().reason)
 
 
-@pytest.fixture(params=['filter', 'joint'])
-def fusion(domain_id: int, tmp_path: Any, request: pytest.FixtureRequest) -> Iterator[Fusion]:
+@pytest.fixture
+def fusion(domain_id: int, tmp_path: Any) -> Iterator[Fusion]:
     robot = tmp_path / 'robot.yaml'
     robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.1]\n')
     context = Context()
     context.init(domain_id=domain_id)
-    made = Fusion(context, str(robot), request.param)
+    made = Fusion(context, str(robot))
     yield made
     made.node.destroy_node()
     context.try_shutdown()
@@ -111,3 +111,18 @@ def test_a_place_of_before_a_start_that_was_given_is_not_taken(fusion: Fusion) -
     fusion.found(25 * PERIOD_NS, 4.0)
     fusion.odometry(30)
     assert decode.odometry(fusion.published[-1]).pose_odom_base[0] == pytest.approx(4.1, abs=0.01)
+
+
+def test_odometry_that_comes_twice_is_no_news_and_that_of_a_known_stamp_is_dropped(
+    fusion: Fusion,
+) -> None:
+    fusion.start(0, 0.0)
+    fusion.odometry(0)
+    fusion.odometry(1)
+    count = len(fusion.published)
+    fusion.odometry(1)
+    assert len(fusion.published) == count
+    assert 'dropped' not in fusion.reason()
+    fusion.odometry(1, way_m=0.01)
+    assert len(fusion.published) == count
+    assert 'odom dropped' in fusion.reason()

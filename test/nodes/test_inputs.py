@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+import logging
 import time
 from typing import Any
 
@@ -162,6 +163,25 @@ def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
     graph.until(graph.reports('/other publishes it as std_msgs/msg/String'), int)
     other.destroy_node()
     context.try_shutdown()
+
+
+def test_what_is_awaited_is_logged_and_once_that_it_is_there(
+    graph: Graph, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Another test may have sent what the package logs to a node.
+    monkeypatch.setattr(logging.getLogger('landmark_nav'), 'propagate', True)
+    caplog.set_level(logging.INFO, 'landmark_nav')
+    graph.listener.announce()
+    (ready,) = caplog.messages
+    assert '/robot/odom, /robot/joint_states' in ready.rpartition(';')[2]
+    wheels, unit = graph.publisher('w', '/robot/odom'), graph.publisher('u', '/robot/joint_states')
+    graph.until(lambda: bool(graph.listener.odometry), lambda: wheels.publish(odometry(NOW_NS)))
+    graph.health()
+    assert caplog.messages == [ready]
+    graph.until(lambda: bool(graph.listener.joints), lambda: unit.publish(joints(NOW_NS)))
+    graph.health()
+    graph.health()
+    assert len(caplog.messages) == 2
 
 
 def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Graph) -> None:

@@ -53,9 +53,7 @@ def stamped_late(path: Path, arrive_late: bool) -> Path:
 
 
 @pytest.fixture
-def localizing(
-    learned_map: Path, start: Callable[..., None], client: RobotClient, estimator: str
-) -> None:
+def localizing(learned_map: Path, start: Callable[..., None], client: RobotClient) -> None:
     """Nodes that know the map, and not yet the place."""
     robot = str(RECORDED / 'robot.yaml')
     start(
@@ -64,8 +62,8 @@ def localizing(
         map_folder=str(learned_map),
         load_on_start=True,
     )
-    start('triangulation_localizer', robot_file=robot, estimator=estimator)
-    start('odometry_fusion', robot_file=robot, estimator=estimator)
+    start('triangulation_localizer', robot_file=robot)
+    start('odometry_fusion', robot_file=robot)
     client.wait(
         lambda: client.status_of('odometry_fusion').values.get('landmarks', '0') != '0',
         60.0,
@@ -80,9 +78,7 @@ def true_places(drive: Bag) -> PoseTrack:
     )
 
 
-@pytest.mark.parametrize(
-    ('arrive_late', 'estimator'), [(False, 'filter'), (True, 'filter'), (True, 'joint')]
-)
+@pytest.mark.parametrize('arrive_late', [False, True])
 def test_late_joint_states_are_measured_and_images_turned_by_it(
     arrive_late: bool,
     localizing: None,
@@ -136,7 +132,6 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
     assert np.mean(np.array(turning) >= 3) > 0.5
 
 
-@pytest.mark.parametrize('estimator', ['filter', 'joint'])
 def test_a_place_that_is_found_is_not_sure_of_a_heading_that_late_joint_states_turned(
     localizing: None,
     client: RobotClient,

@@ -44,6 +44,9 @@ def test_all_start_and_end_cleanly(
     assert supervisor.stop(number) == dict.fromkeys(NODES, 0)
     logs = {name: (tmp_path / 'logs' / f'{name}.log').read_text() for name in NODES}
     assert [name for name, text in logs.items() if 'Traceback' in text] == []
+    for name, needed in NODES.items():
+        (ready,) = [line for line in logs[name].splitlines() if 'ready: ' in line]
+        assert all(setup_files[key] in ready for key in needed)
 
 
 @pytest.mark.parametrize(

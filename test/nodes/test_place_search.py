@@ -13,8 +13,7 @@ import pytest
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection.height import CameraTilt
-from landmark_nav.localization.detection.prior import PriorTrack
+from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import Relocalizer
@@ -32,8 +31,8 @@ SURE, WIDE = 1e-4 * np.eye(3), np.eye(3)
 
 
 @pytest.fixture
-def prior() -> PriorTrack:
-    return PriorTrack(0.5)
+def prior() -> ExpectedPoses:
+    return ExpectedPoses(0.5)
 
 
 @pytest.fixture
@@ -53,7 +52,7 @@ def ended() -> Future[None]:
 
 @pytest.fixture
 def search(
-    prior: PriorTrack, reported: list[Any], services: dict[str, Any], ended: Future[None]
+    prior: ExpectedPoses, reported: list[Any], services: dict[str, Any], ended: Future[None]
 ) -> PlaceSearch:
     publisher = SimpleNamespace(publish=reported.append)
 
@@ -76,7 +75,7 @@ def search(
     return made
 
 
-def fuse(prior: PriorTrack, stamp_ns: int, covariance: np.ndarray) -> None:
+def fuse(prior: ExpectedPoses, stamp_ns: int, covariance: np.ndarray) -> None:
     pose = PoseEstimate(stamp_ns, np.zeros(3), covariance)
     prior.add(pose, OdometrySample(stamp_ns, np.zeros(3)))
 
@@ -86,7 +85,9 @@ def test_nobody_reported_the_place(search: PlaceSearch) -> None:
     assert search.active
 
 
-def test_a_fused_pose_that_is_late_is_waited_for(search: PlaceSearch, prior: PriorTrack) -> None:
+def test_a_fused_pose_that_is_late_is_waited_for(
+    search: PlaceSearch, prior: ExpectedPoses
+) -> None:
     fuse(prior, 0, SURE)
     search.consider(SECOND)
     assert not search.active
@@ -97,7 +98,7 @@ def test_a_fused_pose_that_is_late_is_waited_for(search: PlaceSearch, prior: Pri
     assert not search.active
 
 
-def test_a_pose_that_is_not_known(search: PlaceSearch, prior: PriorTrack) -> None:
+def test_a_pose_that_is_not_known(search: PlaceSearch, prior: ExpectedPoses) -> None:
     fuse(prior, 0, WIDE)
     search.consider(0)
     assert search.active
@@ -108,7 +109,6 @@ class Finder:
 
     in_time = PoseEstimate(SECOND, np.array([1.0, 2.0, 0.5]), SURE)
     landmark_ids = np.array([3, 7])
-    tilt_roll_rad = (0.035, -0.01)
 
     def __init__(self, meanwhile: Callable[[], None] = lambda: None) -> None:
         self._meanwhile = meanwhile
@@ -116,7 +116,7 @@ class Finder:
     def add_odometry(self, sample: OdometrySample) -> None:
         """Not needed."""
 
-    def add_frame(self, frame: CameraFrame, camera_tilt: CameraTilt) -> PoseEstimate:
+    def add_frame(self, frame: CameraFrame) -> PoseEstimate:
         self._meanwhile()
         return replace(self.in_time, covariance=WIDE)
 
@@ -131,14 +131,13 @@ def test_a_place_is_reported_with_what_it_was_found_from(
 ) -> None:
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND), CameraTilt(), 0.04, -0.01)
+    search.look(frame_at(SECOND), 0.04)
     place = decode.global_pose(reported[0])
     assert place.stamp_ns == SECOND
     np.testing.assert_array_equal(place.pose, Finder.in_time.pose)
     np.testing.assert_array_equal(place.covariance, SURE)
     assert place.ids.tolist() == [3, 7]
-    assert (place.pan_rate_rad_s, place.joint_delay_s, place.pan_delay_s) == (0.7, 0.04, -0.01)
-    assert search.tilt_roll_rad == Finder.tilt_roll_rad
+    assert (place.pan_rate_rad_s, place.joint_delay_s) == (0.7, 0.04)
     # It takes a moment to become the fused pose; if it does not, the search begins anew.
     search.consider(SECOND + SECOND // 2)
     assert not search.active
@@ -151,7 +150,7 @@ def test_a_place_in_a_map_that_is_gone_is_not_reported(
 ) -> None:
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder(lambda: search.use(search.landmarks)))
-    search.look(frame_at(SECOND), CameraTilt())
+    search.look(frame_at(SECOND))
     assert not reported
     assert search.active
 
@@ -171,7 +170,7 @@ def test_a_call_is_answered_with_the_place_it_reported(
     call = services['relocalize']()
     call.send(None)
     search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND), CameraTilt())
+    search.look(frame_at(SECOND))
     assert answer(call) == 'found at (1.00, 2.00) m, 28.6 deg'
     assert len(reported) == 1
 
@@ -183,7 +182,7 @@ def test_a_call_is_not_answered_with_a_place_that_was_not_reported(
     call = services['relocalize']()
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder(lambda: call.send(None)))
-    search.look(frame_at(SECOND), CameraTilt())
+    search.look(frame_at(SECOND))
     with pytest.raises(LandmarkNavError, match='no image came'):
         answer(call)
     assert not reported
@@ -196,7 +195,7 @@ def test_who_calls_while_a_place_is_looked_for_gets_the_same_answer(
     first.send(None)
     search._relocalizer = cast(Relocalizer, Finder())
     second.send(None)
-    search.look(frame_at(SECOND), CameraTilt())
+    search.look(frame_at(SECOND))
     assert answer(first) == answer(second) == 'found at (1.00, 2.00) m, 28.6 deg'
     assert len(reported) == 1
 
@@ -204,7 +203,7 @@ def test_who_calls_while_a_place_is_looked_for_gets_the_same_answer(
 def test_a_call_is_not_ended_by_a_pose_that_was_asked_for_before(
     search: PlaceSearch,
     services: dict[str, Any],
-    prior: PriorTrack,
+    prior: ExpectedPoses,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     call = services['relocalize']()
@@ -232,7 +231,7 @@ def test_who_calls_together_is_refused_together_and_may_call_again(
     with pytest.raises(LandmarkNavError, match='no image came'):
         second.send(None)
     search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND), CameraTilt())
+    search.look(frame_at(SECOND))
     assert answer(third).startswith('found at')
 
 

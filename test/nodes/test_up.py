@@ -120,7 +120,7 @@ def test_without_nodes_the_domain_is_named(environment: dict[str, str]) -> None:
 
 
 @pytest.mark.parametrize(
-    'command', [['up'], ['up', '--robot', 'robot.yaml'], ['drive'], ['call', 'cook']]
+    'command', [['up'], ['up', '--room', 'room.yaml'], ['drive'], ['call', 'cook']]
 )
 def test_wrong_usage(command: list[str], environment: dict[str, str]) -> None:
     assert output(command, environment)[0] == 2

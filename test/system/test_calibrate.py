@@ -47,8 +47,8 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibrat
                 str(folder / 'better.yaml'),
                 '--json',
                 str(folder / 'c.json'),
-                '--figure',
-                str(folder / 'residuals.png'),
+                '--report',
+                str(folder / 'report.html'),
             ]
         )
         == 0
@@ -87,7 +87,7 @@ def test_the_report_states_what_was_shown(
     assert {'axis_z', 'center_z'} <= {
         name for pair in report['trade_offs'] for name in pair['quantities']
     }
-    assert (folder / 'residuals.png').stat().st_size > 1000
+    assert (folder / 'report.html').stat().st_size > 30_000
 
 
 def test_a_file_is_replaced_only_on_demand(

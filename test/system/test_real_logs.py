@@ -8,7 +8,6 @@ the same way. So the limit of its heading is wider.
 
 from __future__ import annotations
 
-from dataclasses import replace
 import heapq
 import json
 from pathlib import Path
@@ -21,11 +20,10 @@ from landmark_nav.cli import convert
 from landmark_nav.cli.main import main
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.run_report import pose_report, run_errors
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.storage.setup_files import load_robot
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config' / 'mrclam.yaml'
 # RMSE and median, m; heading RMSE, deg.
@@ -58,10 +56,9 @@ def test_bearings_keep_commanded_odometry_on_the_floor(shared_data: Path, tmp_pa
     check(json.loads((tmp_path / 'run.json').read_text()), 3)
 
 
-@pytest.mark.parametrize(('robot', 'estimator'), [(1, 'filter'), (2, 'filter'), (3, 'joint')])
+@pytest.mark.parametrize('robot', [1, 2])
 def test_so_do_those_of_other_robots(
     robot: int,
-    estimator: str,
     shared_data: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -76,10 +73,9 @@ def test_so_do_those_of_other_robots(
     run = replay(
         events,
         posts,
-        load_robot(tmp_path / 'log_robot.yaml'),
-        replace(load_config(CONFIG, LocalizationConfig()), estimator=estimator),
+        load_calibration(tmp_path / 'log_robot.yaml'),
+        load_config(CONFIG, LocalizationConfig()),
         np.array(start),
         np.diag([0.05, 0.05, 0.035]) ** 2,
-        load_calibration(tmp_path / 'log_robot.yaml'),
     )
     check(pose_report(run, run_errors(run), posts), robot)

@@ -8,10 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scenes import draw_frame, rectangle_room, textured_room, true_landmark
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.types import (
+    CameraFrame,
+    Expectation,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+)
 
 LENS = CameraModel(
     400, 300, 330.0, 330.0, 200.0, 150.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
@@ -82,6 +90,12 @@ def error_of(estimate: PoseEstimate, pose: FloatArray) -> FloatArray:
     error = estimate.pose - pose
     error[2] = wrap_rad(error[2])
     return np.asarray(error)
+
+
+def expected(prior: PoseEstimate, sigma: float = 1e-4) -> Expectation:
+    """What a filter expects that knows the camera to so many metres and radians."""
+    known = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, sigma))
+    return Expectation(prior.stamp_ns, prior.pose, prior.covariance, known, sigma)
 
 
 def start_of(rng: np.random.Generator) -> PoseEstimate:

@@ -18,18 +18,12 @@ from degraded_drives import (
     Sensed,
     untouched,
 )
-import fusion_drives
 import numpy as np
 import pytest
 from rendered_drives import MAP, START, Step
-from scipy.stats import chi2
 
 from landmark_nav.geometry import se2
-from landmark_nav.localization import observation
-from landmark_nav.localization.fusion import FusionConfig, PoseFilter
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.pipeline import LocalizationConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig
+from landmark_nav.localization import observer
 from landmark_nav.localization.relocalization.verification import Verification
 from landmark_nav.localization.relocalization.within_prior import localize_within_prior
 from landmark_nav.types import CameraFrame, PoseEstimate, Refusal
@@ -43,40 +37,17 @@ def test_without_faults_it_tracks(sensed: list[Sensed]) -> None:
     assert all(m.update.search is None for m in moments)
 
 
-@pytest.mark.parametrize(
-    ('offset', 'mode'),
-    [((0.8, 0.6, 0.0), 'bearings'), ((-0.6, 0.1, 0.8), 'bearings'), ((0.8, 0.6, 0.0), 'poses')],
-)
+@pytest.mark.parametrize('offset', [(0.8, 0.6, 0.0), (-0.6, 0.1, 0.8)])
 def test_a_wrong_start_is_noticed_and_put_right(
-    sensed: list[Sensed], offset: tuple[float, float, float], mode: str
+    sensed: list[Sensed], offset: tuple[float, float, float]
 ) -> None:
-    config = LocalizationConfig(fusion=FusionConfig(mode=mode))
-    moments = list(run(sensed, untouched, start=START + np.array(offset), config=config))
-    lost = next(m for m in moments if m.status == 'lost')
-    assert lost.after_s + FAULT_S <= 2.0
-    assert 'were found' in lost.reason
+    moments = list(run(sensed, untouched, start=START + np.array(offset)))
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
-    # It takes one image more to be sure.
-    assert found.status == 'coasting'
+    assert found.after_s + FAULT_S <= 2.0
+    assert 'tracking' not in {m.status for m in moments if m.after_s < found.after_s}
     assert np.hypot(*found.error[:2]) < 0.05
     assert {m.status for m in moments if found.after_s < m.after_s < 6.0} == {'tracking'}
-    check_consistent([m for m in moments if m.after_s >= lost.after_s])
-
-
-def test_a_wrong_start_is_lost_until_what_is_claimed_holds_the_truth(
-    sensed: list[Sensed],
-) -> None:
-    """No search: landmarks are found within the covariance, once that has grown."""
-    config = LocalizationConfig(relocalization=RelocalizationConfig(when_lost=False))
-    moments = list(run(sensed, untouched, start=START + np.array([0.8, 0.6, 0.0]), config=config))
-    lost = [m for m in moments if m.status == 'lost']
-    assert lost[0].after_s + FAULT_S <= 2.0
-    assert all(m.update.search is None for m in moments)
-    assert np.hypot(*lost[-1].sigma[:2]) > 0.25
-    later = [m for m in moments if lost[-1].after_s + 1.0 < m.after_s < 6.0]
-    assert {m.status for m in later} == {'tracking'}
-    assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
-    check_consistent([m for m in moments if m.after_s >= lost[0].after_s])
+    check_consistent(moments)
 
 
 def test_a_pose_that_expects_nothing_is_put_right_all_the_same(sensed: list[Sensed]) -> None:
@@ -85,13 +56,8 @@ def test_a_pose_that_expects_nothing_is_put_right_all_the_same(sensed: list[Sens
     assert not any(m.update.observation.refused for m in moments[:5])
     reported = next(m for m in moments if m.status != 'tracking')
     assert reported.after_s + FAULT_S <= 2.0
-    assert 'nothing accepted for' in reported.reason
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
     assert found.after_s + FAULT_S <= 6.0
-    # Some landmarks support another place, though not surely.
-    inflated = first([m for m in moments if m.after_s < found.after_s], 'lost', since_s=-FAULT_S)
-    assert 'landmarks support' in inflated.reason
-    assert np.hypot(*inflated.sigma[:2]) > 0.15
     later = [m for m in moments if found.after_s < m.after_s < 6.0]
     assert {m.status for m in later} == {'tracking'}
     assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
@@ -115,8 +81,7 @@ def test_a_kidnapped_robot_finds_its_place(sensed: list[Sensed]) -> None:
         again.append((Step(now.stamp_ns, then.pose, wheels), moved))
 
     moments = list(run([*sensed[:begin], *again], untouched))
-    lost = first(moments, 'lost')
-    assert lost.after_s <= 2.0
+    assert 'tracking' not in {m.status for m in moments if 0.0 <= m.after_s <= 2.0}
     assert moments[-1].status == 'tracking'
     assert np.hypot(*moments[-1].error[:2]) < 0.05
     check_consistent(moments)
@@ -129,9 +94,8 @@ def test_a_covered_lens_is_reported_and_forgotten_when_free(sensed: list[Sensed]
         return step, frame
 
     moments = list(run(sensed, covered))
-    lost = first(moments, 'lost')
-    assert lost.after_s <= 2.0
-    assert 'landmarks that should be in the last' in lost.reason
+    assert 'tracking' not in {m.status for m in moments if 0.0 <= m.after_s <= 3.0}
+    assert first(moments, 'lost').after_s <= 3.0
     hidden = [m for m in moments if 0.0 <= m.after_s < 2.9]
     assert all(np.diff([np.hypot(*m.sigma[:2]) for m in hidden]) > 0.0)
     back = next(m for m in moments if m.after_s > 3.0 and m.status == 'tracking')
@@ -149,7 +113,7 @@ def test_a_map_of_another_room_is_not_believed(
         tried[frame.stamp_ns] = place = localize_within_prior(frame, *arguments)
         return place
 
-    monkeypatch.setattr(observation, 'localize_within_prior', counted)
+    monkeypatch.setattr(observer, 'localize_within_prior', counted)
     rng = np.random.default_rng(0)
     patches = [np.ascontiguousarray(k.patch[::-1, ::-1]) for k in MAP.landmarks]
     landmarks = tuple(
@@ -175,62 +139,3 @@ def test_a_covered_and_an_exchanged_landmark_do_no_harm(sensed: list[Sensed]) ->
     assert 'lost' not in {m.status for m in moments}
     assert np.sqrt(np.mean([np.sum(m.error[:2] ** 2) for m in moments])) < 0.04
     check_consistent(moments)
-
-
-def test_a_minute_without_landmarks_is_reported_and_survived() -> None:
-    """Along walls without landmarks; the claim grows with the error, and ends with a detection."""
-    nees = []
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        noise = OdometryNoiseConfig()
-        true_map = fusion_drives.landmark_map(14, seed=seed)
-        fused = PoseFilter(true_map, fusion_drives.MOUNT)
-        fused.initialize(fusion_drives.start_estimate())
-        for k, moment in enumerate(fusion_drives.drive(1400, rng, noise)):
-            fused.add_odometry(moment.odometry)
-            seconds = k * fusion_drives.PERIOD_NS * 1e-9
-            if k % 4 == 0:
-                places = range(14) if not 5.0 < seconds < 65.0 else ()
-                scatter = rng.normal(0.0, 1e-3, len(places))
-                seen = fusion_drives.detections(
-                    true_map, moment.pose, moment.odometry.stamp_ns, places, 1e-3, scatter
-                )
-                fused.add_detections(seen)
-            if 7.0 < seconds < 65.0:
-                assert fused.status[0] != 'tracking'
-                assert fused.status[1]
-            if seconds == 64.0:
-                estimate = fused.estimate()
-                assert estimate is not None
-                error = fusion_drives.error_of(estimate, moment.pose)
-                nees.append(error @ np.linalg.solve(estimate.covariance, error))
-                assert np.hypot(*np.sqrt(np.diag(estimate.covariance)[:2])) > 0.05
-        assert fused.status == ('tracking', '')
-        back = fusion_drives.error_of(fused.estimate(), moment.pose)
-        assert np.hypot(*back[:2]) < 0.03
-    low, high = chi2.ppf([0.005, 0.995], 3 * len(nees)) / len(nees)
-    assert low < np.mean(nees) < high
-
-
-@pytest.mark.parametrize('count', [5, 2])
-def test_an_image_exchanged_for_a_similar_one_does_not_pull_again_and_again(count: int) -> None:
-    """It is found about there, a little less alike, and off by the same amount each time."""
-    true_map = fusion_drives.landmark_map(14)
-    errors = {}
-    for score in (1.0, 0.89):
-        fused = PoseFilter(true_map, fusion_drives.MOUNT)
-        fused.initialize(fusion_drives.start_estimate())
-        for k, moment in enumerate(fusion_drives.drive(120)):
-            fused.add_odometry(moment.odometry)
-            if k % 4 == 0:
-                stamp = moment.odometry.stamp_ns
-                # Images that show many show what to expect of those that show few.
-                shown = slice(5 - (count if k > 16 else 5), 5)
-                offset = np.array([0.0, 0.0, 0.0, 0.0, 1.4e-3])[shown]
-                places = np.arange(5)[shown]
-                seen = fusion_drives.detections(true_map, moment.pose, stamp, places, 5e-4, offset)
-                scores = np.array([0.998, 0.995, 0.997, 0.996, score])[shown]
-                update = fused.add_detections(replace(seen, score=scores))
-        errors[score] = np.hypot(*fusion_drives.error_of(fused.estimate(), moment.pose)[:2])
-        assert ('less alike' in str(update.rejected)) == (score < 0.9)
-    assert errors[0.89] < 0.2 * errors[1.0]

@@ -11,7 +11,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.attention import AttentionConfig, FEATURES
 from landmark_nav.learning.stereo import StereoConfig
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.config_files import load_config
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
@@ -24,13 +24,13 @@ def load(tmp_path: Path, text: str) -> LocalizationConfig:
 
 
 def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
-    text = 'fusion: {mode: poses}\nobservation:\n  triangulation:\n    max_sigma_m: 1\n'
+    text = 'estimator: {tail_freedom: 4}\nobservation:\n  triangulation:\n    max_sigma_m: 1\n'
     config = load(tmp_path, text)
-    assert config.fusion.mode == 'poses'
+    assert config.estimator.tail_freedom == 4.0
     assert config.observation.triangulation.max_sigma_m == 1.0
     assert isinstance(config.observation.triangulation.max_sigma_m, float)
     assert config.odometry == LocalizationConfig().odometry
-    assert config.fusion.history_s == LocalizationConfig().fusion.history_s
+    assert config.estimator.history_s == LocalizationConfig().estimator.history_s
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_a_former_name_is_taken_with_a_warning(
     assert getattr(getattr(getattr(config, outer), inner), name) == value
 
 
-@pytest.mark.parametrize('text', ['', '# fusion: {mode: poses}\n', 'fusion: {}\n'])
+@pytest.mark.parametrize('text', ['', '# estimator: {history_s: 1}\n', 'estimator: {}\n'])
 def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> None:
     assert load(tmp_path, text) == LocalizationConfig()
 
@@ -65,16 +65,16 @@ def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> No
 @pytest.mark.parametrize(
     ('text', 'complaint'),
     [
-        ('fusio: {}', "no parameter 'fusio': there are"),
-        ('/**: {ros__parameters: {fusion: {}}}', 'is a file for ROS'),
-        ('fusion: {mod: poses}', "fusion: no parameter 'mod'"),
-        ('fusion: {mode: both}', 'fusion: parameter mode .* take one of'),
-        ('fusion: 3', 'fusion: is 3, not a mapping'),
-        ('fusion: {history_s: soon}', "fusion: history_s is 'soon': take a number"),
-        ('fusion: {history_s: true}', 'history_s is True: take a number'),
+        ('fusion: {}', "no parameter 'fusion': there are"),
+        ('/**: {ros__parameters: {estimator: {}}}', 'is a file for ROS'),
+        ('estimator: {tail: 4}', "estimator: no parameter 'tail'"),
+        ('observation: {detection: {appearance: x}}', 'parameter appearance .* take one of'),
+        ('estimator: 3', 'estimator: is 3, not a mapping'),
+        ('estimator: {history_s: soon}', "estimator: history_s is 'soon': take a number"),
+        ('estimator: {history_s: true}', 'history_s is True: take a number'),
         ('odometry: {along_m_per_sqrt_m: -1}', 'along_m_per_sqrt_m of .* is -1'),
         ('odometry: {estimate_odometry_bias: 1}', 'take true or false'),
-        ('health: {lost_after_rejections: 2.5}', 'take a whole number'),
+        ('observation: {detection: {max_count: 2.5}}', 'take a whole number'),
         ('- fusion', 'holds no mapping'),
     ],
 )

@@ -12,7 +12,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from stream_errors import FURTHER, OTHERS, REPORTED, StreamError, SWEEPS, write_drive
+from stream_errors import (
+    FOURTH,
+    FURTHER,
+    OTHERS,
+    REPORTED,
+    StreamError,
+    SWEEPS,
+    THIRD,
+    write_drive,
+)
 
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.main import main
@@ -218,13 +227,14 @@ def test_nearness_of_a_round_room() -> None:
     assert 0.25 < nearness_of_room(Room(tuple(walls))) < 0.45
 
 
-NAMED = {**REPORTED, **OTHERS, **FURTHER}
+NAMED = {**REPORTED, **OTHERS, **FURTHER, **THIRD, **FOURTH}
 SOME = (
     *('odom +5 s, recorded so', 'odom clock 5 % fast', 'yaw reversed'),
     *('odom in cm', 'zeros between joint_states', 'images 100 ms late', 'truth +30 s'),
     *('pan and tilt exchanged', 'focal length 20 % long', 'odom x and y exchanged'),
     *('pan stays from half on', 'each second image repeated', 'images turned by 90 deg'),
-    *('images of two cameras', 'images black from half on'),
+    *('images of two cameras', 'images black from half on', 'pan against the map'),
+    *('odom curves by 0.3 rad/m', 'principal point off by 100 px', 'odom path turned by 90 deg'),
 )
 
 

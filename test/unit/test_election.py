@@ -153,12 +153,6 @@ def test_the_threshold_follows_how_alike_its_own_views_are(
             'place too uncertain',
             '5.0 cm',
         ),
-        # What all share makes a place uncertain as well.
-        (
-            {'shared_loading': np.eye(3)[None] * 0.04},
-            'place too uncertain',
-            '4.0 cm',
-        ),
     ],
 )
 def test_what_is_badly_reconstructed_is_refused(
@@ -169,6 +163,14 @@ def test_what_is_badly_reconstructed_is_refused(
     assert isinstance(outcome, Refusal)
     assert outcome.reason == reason
     assert detail in outcome.detail
+
+
+def test_what_all_landmarks_share_refuses_none(panoramas: list[Panorama]) -> None:
+    patches = [patch_at((6.0, 2.4, 1.2))]
+    shared = np.eye(3)[None] * 0.04
+    (landmark,) = elect_from(panoramas, patches, perfect(patches, shared_loading=shared))
+    assert isinstance(landmark, Landmark)
+    assert np.linalg.eigvalsh(landmark.covariance)[0] >= 0.04**2
 
 
 def test_what_is_seen_along_the_wall_is_refused(panoramas: list[Panorama]) -> None:

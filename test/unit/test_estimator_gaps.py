@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from joint_drives import driven, MOUNT, NS, simulated
+from drawn_drives import driven, MOUNT, NS, simulated
 import numpy as np
 import pytest
 

@@ -8,6 +8,7 @@ from bare_landmarks import bare_landmark
 import numpy as np
 import pytest
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.metrics import error_summary
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.evaluation.run_report import run_errors
@@ -15,7 +16,7 @@ from landmark_nav.evaluation.tum_files import write_tum_files
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.pipeline import LocalizationConfig
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate
 
 BEGIN_NS = 1_763_654_321_000_000_007
@@ -59,7 +60,9 @@ def run() -> Replay:
         reckoned = se2.compose(reckoned, [0.0084, 0.0, 0.0062])
     start = np.array([1.02, 0.01, 3.01])
     covariance = np.diag([0.05, 0.05, 0.03]) ** 2
-    return replay(events, posts(), PanTiltMount(), LocalizationConfig(), start, covariance)
+    return replay(
+        events, posts(), Calibration.exact(PanTiltMount()), LocalizationConfig(), start, covariance
+    )
 
 
 def test_the_files_hold_the_poses_to_the_last_bit(run: Replay, tmp_path: Path) -> None:

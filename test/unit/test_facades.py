@@ -88,6 +88,22 @@ def test_front_of_a_cupboard_stands_in_the_room() -> None:
     assert room.visible(EYES[0, :2], [3.0, 3.9])
 
 
+@pytest.mark.parametrize('seed', [11, 12, 13])
+def test_a_wall_and_the_cupboard_beside_it_are_not_one_facade(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    walls = on_walls(RECTANGLE, rng)[60:]
+    stretch, front = (
+        np.column_stack([rng.uniform(*x, 80), rng.normal(y, 0.01, 80), rng.uniform(0.4, 1.7, 80)])
+        for x, y in (((0.7, 1.3), 0.0), ((4.6, 5.8), 0.3))
+    )
+    facades = find_facades(seen(np.vstack([stretch, walls, front])), CONFIG)
+    along_x = [f for f in facades if f.normal[1] > 0.9]
+    assert len(along_x) == 2
+    for facade in along_x:
+        ends = np.array([facade.start[1], facade.end[1]])
+        assert np.abs(ends - 0.3).max() < 0.02 or np.abs(ends).max() < 0.02
+
+
 def test_too_few_walls_are_no_room() -> None:
     rng = np.random.default_rng(7)
     one = on_walls(RECTANGLE[:2], rng)[:60]

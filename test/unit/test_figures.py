@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from bare_landmarks import bare_landmark
 import cv2
@@ -14,15 +15,14 @@ from landmark_nav.evaluation.figures import (
     draw_trajectory,
     run_figures,
 )
-from landmark_nav.evaluation.figures.labels import places_of_numbers, rows_of_labels
+from landmark_nav.evaluation.figures.labels import free_labels, places_of_numbers, rows_of_labels
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Wall
-from landmark_nav.localization.fusion import FusionUpdate
-from landmark_nav.localization.observation import Observation
-from landmark_nav.localization.pipeline import LocalizationUpdate
+from landmark_nav.localization.localizer import LocalizationUpdate
+from landmark_nav.localization.observer import Observation
 from landmark_nav.types import (
     Candidate,
     Detections,
@@ -83,11 +83,24 @@ def test_numbers_of_neighbours_do_not_lie_on_each_other():
     positions = np.column_stack([along, np.zeros(12)])
     normals = np.tile([0.0, 1.0], (12, 1))
     # Numbers of two digits, and a metre of the room in an inch of the figure.
-    places = places_of_numbers(positions, normals, np.arange(10, 22), 1.0)
+    places, has_room = places_of_numbers(positions, normals, np.arange(10, 22), 1.0)
     assert np.all(places[:, 1] < 0.0)
     apart = np.abs(places[:, None] - places[None])
     clear = (apart[..., 0] > 0.16) | (apart[..., 1] > 0.09) | np.eye(12, dtype=bool)
     assert clear.all()
+    assert 0 < has_room.sum() < 12
+    assert places[has_room, 1].min() > places[~has_room, 1].max()
+
+
+def test_labels_that_are_kept_do_not_overlap_and_those_left_out_lie_on_one_kept():
+    rng = np.random.default_rng(2)
+    corners, sizes = rng.uniform(0.0, 10.0, (60, 2)), rng.uniform(0.5, 1.5, (60, 2))
+    kept = free_labels(corners, sizes)
+    low, high = corners[:, None], corners[:, None] + sizes[:, None]
+    meet = np.all((low < high.swapaxes(0, 1)) & (low.swapaxes(0, 1) < high), axis=2)
+    assert 1 < kept.sum() < 60
+    assert np.array_equal(meet[kept][:, kept], np.eye(kept.sum(), dtype=bool))
+    assert meet[~kept][:, kept].any(axis=1).all()
 
 
 def test_a_row_holds_labels_that_do_not_touch_and_no_row_is_wasted():
@@ -119,6 +132,10 @@ def test_panorama_marks_what_was_elected(tmp_path, column):
     assert share_of(tmp_path / 'refused.png', LANDMARK_BGR) == 0.0
 
 
+def chosen(fix):
+    return fix or Refusal('too few')
+
+
 def a_run(truth=True, fixed=True):
     updates = []
     for k in range(30):
@@ -129,9 +146,8 @@ def a_run(truth=True, fixed=True):
         updates.append(
             LocalizationUpdate(
                 fused.stamp_ns,
-                Refusal('too few'),
-                Observation(seen, {}, fused if fixed and k % 3 else Refusal('too few')),
-                FusionUpdate(fused.stamp_ns, refusal=None if k % 3 else Refusal('none')),
+                Observation(seen, {}, partial(chosen, fused if fixed and k % 3 else None)),
+                k % 3,
                 fused,
                 'lost' if k > 25 else 'tracking',
                 '',

@@ -1,238 +1,396 @@
-"""The filter recovers what is true, and its derivatives are right."""
+"""What the joint estimator makes of odometry, images and places as they come in a node."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
-from filter_runs import EVERY, EXACT, MAP, measurement, run, SIGMA, started
-from fusion_drives import (
-    bearings,
-    detections,
-    drive,
-    error_of,
-    MOUNT,
-    START,
-    start_estimate,
-)
+from drawn_drives import Drive, IMAGE_EVERY, MOUNT, NS, PERIOD_S, simulated
 import numpy as np
 import pytest
+from wire import FACTORY, over_the_wire
 
-from landmark_nav.arrays import FloatArray
-from landmark_nav.localization.fusion import FusionConfig, PoseFilter
-from landmark_nav.localization.fusion.measurement import bearing_model
-from landmark_nav.localization.fusion.noise import LEARNED, NoiseScales
-from landmark_nav.localization.fusion.state import (
-    BORESIGHT,
-    initial_state,
-    looking_again,
-    propagate,
+from landmark_nav.calibration import Calibration
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.geometry.se2 import compose
+from landmark_nav.localization.estimator import ImagePoints, JointFilter, Status
+from landmark_nav.localization.fusion import Fusion
+from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
+from landmark_nav.localization.odometry.noise import Motion
+from landmark_nav.localization.odometry.track import Distrusted
+from landmark_nav.localization.triplet.look_around import is_known
+from landmark_nav.messages import decode, encode
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    JointSample,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
 )
-from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
-from landmark_nav.types import PoseEstimate
+
+Seen = tuple[Detections, JointSample]
 
 
-class TestRecovery:
-    @pytest.mark.parametrize('landmarks', ['consider', 'refine'])
-    def test_noiseless(self, landmarks: str) -> None:
-        mount = replace(MOUNT, pan_sigma_rad=1e-7)
-        fused = started(FusionConfig(landmarks=landmarks), EXACT, [0.03, -0.02, 0.01], mount)
-        for k, moment in enumerate(drive(40)):
-            fused.add_odometry(moment.odometry)
-            if k % EVERY == 0:
-                seen = detections(EXACT, moment.pose, moment.odometry.stamp_ns, range(8), 1e-7)
-                assert fused.add_detections(seen).refusal is None
-        np.testing.assert_allclose(error_of(fused.estimate(), moment.pose), 0.0, atol=1e-6)
-        assert fused.status == ('tracking', '')
-
-    @pytest.mark.parametrize('heading', [np.pi - 0.01, -np.pi + 0.01])
-    def test_across_the_seam_of_headings(self, heading: float) -> None:
-        start = np.array([3.0, 2.0, heading])
-        fused = PoseFilter(MAP, MOUNT)
-        fused.initialize(
-            PoseEstimate(0, start + np.array([0.0, 0.0, 0.02]), np.diag([0.02, 0.02, 0.03]) ** 2)
-        )
-        for k, moment in enumerate(drive(60, start=start)):
-            fused.add_odometry(moment.odometry)
-            if k % EVERY == 0:
-                update = fused.add_detections(measurement(moment, k))
-                assert not update.rejected
-        assert np.abs(error_of(fused.estimate(), moment.pose)).max() < 5e-3
-
-    def test_one_bearing_at_a_time(self) -> None:
-        fused = started(offset=[0.02, 0.02, 0.01])
-        for k, moment in enumerate(drive(80)):
-            fused.add_odometry(moment.odometry)
-            if k % 2 == 0:
-                stamp = moment.odometry.stamp_ns
-                fused.add_detections(detections(MAP, moment.pose, stamp, [k % 10], SIGMA))
-        assert np.abs(error_of(fused.estimate(), moment.pose)).max() < 0.01
-
-    def test_learns_what_is_wrong_with_the_odometry(self) -> None:
-        fused = started(true_map=EXACT)
-        biases = (-0.03, 0.015, 0.02)
-        for k, moment in enumerate(drive(400, biases=biases)):
-            fused.add_odometry(moment.odometry)
-            if k % EVERY == 0:
-                fused.add_detections(measurement(moment, k))
-        state = fused.state
-        assert state is not None
-        spread = np.sqrt(np.diag(state.covariance))[3:6]
-        assert np.all(np.abs(state.mean[3:6] - biases) < 3.0 * spread)
-        assert np.all(spread[:2] < 0.5 * OdometryNoiseConfig().bias_sigmas[:2])
-
-    def test_learns_how_the_camera_sits(self) -> None:
-        fused = started(FusionConfig(boresight_sigma_rad=0.05), EXACT)
-        turned = np.radians(2.0)
-        for k, moment in enumerate(drive(300)):
-            fused.add_odometry(moment.odometry)
-            if k % EVERY == 0:
-                fused.add_detections(measurement(moment, k, turned))
-        state = fused.state
-        assert state is not None
-        assert state.mean[BORESIGHT] == pytest.approx(turned, abs=np.radians(0.5))
-        assert abs(error_of(fused.estimate(), moment.pose)[2]) < np.radians(0.5)
-
-    def test_what_measurements_repeat_is_estimated_where_landmarks_are_refined(self) -> None:
-        as_given = OdometryNoiseConfig(learning_sigma=0.0)
-        fused = PoseFilter(EXACT, MOUNT, FusionConfig(landmarks='refine'), as_given)
-        fused.initialize(PoseEstimate(0, START, 1e-14 * np.eye(3)))
-        moment = next(drive(1))
-        for k in range(20):
-            fused.add_odometry(replace(moment.odometry, stamp_ns=k * 10**8))
-            off = np.array([SIGMA, 0.0, 0.0, 0.0, 0.0])
-            fused.add_detections(detections(EXACT, moment.pose, k * 10**8, range(5), SIGMA, off))
-        assert fused.state is not None
-        # Over the sigma of the share of a detection's error that others repeat.
-        first, *others = fused.state.map_errors.repeated(np.arange(5))
-        assert 0.8 < first < 1.0 / np.sqrt(FusionConfig().correlated_noise_fraction)
-        assert np.abs(others).max() < 0.3 * first
-
-    def test_what_was_seen_of_landmarks_is_forgotten_on_the_way(self) -> None:
-        """Slowly what each is off by itself, soon what detections repeat, not what all share."""
-        fused = started(FusionConfig(landmarks='estimate'), offset=[0.02, -0.01, 0.005])
-        run(fused, 40)
-        before = fused.state
-        assert before is not None
-        after = looking_again(replace(before, way_m=1.0), 0.5, 3.0)
-        factors, kept = MAP.shared_loadings.shape[2], np.exp(-1.0 / np.array([3.0, 0.5]))
-        shares = np.concatenate([np.ones(factors), np.tile(kept[[0, 0, 1]], 10)])
-        np.testing.assert_allclose(
-            after.map_errors.estimate, shares * before.map_errors.estimate, atol=1e-15
-        )
-        np.testing.assert_allclose(after.cross, shares * before.cross, atol=1e-15)
-        assert after.way_m == 0.0
-        assert np.abs(before.map_errors.estimate[factors:]).max() > 1e-3
-
-    def test_a_new_start_forgets_what_was_seen_of_landmarks(self) -> None:
-        fused = started(FusionConfig(landmarks='refine'), offset=[0.02, -0.01, 0.005])
-        moment, _ = run(fused, 40)
-        assert fused.state is not None
-        assert fused.state.map_errors.estimate.any()
-        fused.initialize(PoseEstimate(moment.odometry.stamp_ns, moment.pose, 1e-4 * np.eye(3)))
-        assert not fused.state.map_errors.estimate.any()
-
-    def test_slip_stays_as_large_as_given(self) -> None:
-        config = OdometryNoiseConfig(learning_sigma=0.0)
-        state = initial_state(start_estimate(), MAP, config, 0.0)
-        for k in range(1, 6):
-            motion = Motion(np.array([0.7, 0.0, 0.0]), 1.0)
-            state = propagate(state, k * 10**9, motion, config)
-        slip = BORESIGHT - 1
-        assert np.sqrt(state.covariance[slip, slip]) == pytest.approx(config.slip_sigma)
-
-    def test_beyond_the_odometry_it_may_have_sped_up(self) -> None:
-        fused = started()
-        moment, _ = run(fused, 40)
-        stamp, ahead_s = moment.odometry.stamp_ns, 0.2
-        at, ahead = fused.estimate(stamp), fused.estimate(stamp + round(ahead_s * 1e9))
-        assert at is not None
-        assert ahead is not None
-        along = np.array([np.cos(ahead.pose[2]), np.sin(ahead.pose[2])])
-        grown = along @ (ahead.covariance - at.covariance)[:2, :2] @ along
-        # By half an acceleration times time squared.
-        assert np.sqrt(grown) == pytest.approx(0.5 * 0.5 * ahead_s**2, rel=0.2)
-
-    def test_how_noisy_it_is_is_forgotten_on_the_way(self) -> None:
-        config = OdometryNoiseConfig()
-        learned = NoiseScales(np.full(LEARNED + 1, 0.8), np.zeros((LEARNED + 1,) * 2))
-        shares = [learned.moved(way_m, config).log_scale[0] / 0.8 for way_m in (0.0, 10.0, 1000.0)]
-        assert shares[0] == 1.0
-        assert 0.5 < shares[1] < 0.95
-        assert shares[2] == pytest.approx(0.0, abs=1e-6)
-        fresh = NoiseScales.unknown(config).covariance
-        np.testing.assert_allclose(learned.moved(1000.0, config).covariance, fresh, atol=1e-6)
-
-    def test_what_is_wrong_with_the_odometry_may_change_on_the_way(self) -> None:
-        config = OdometryNoiseConfig()
-        state = initial_state(start_estimate(), MAP, config, 0.0)
-        known = replace(state, covariance=np.zeros_like(state.covariance))
-        moved = propagate(known, 10**9, Motion(np.array([4.0, 0.0, 0.0]), 1.0), config)
-        sigmas = np.sqrt(np.diag(moved.covariance)[3:6])
-        np.testing.assert_allclose(
-            sigmas, 2.0 * config.bias_change_per_sqrt_m * config.bias_sigmas
-        )
+def arriving(drive: Drive, shift_ns: int = 0) -> Iterator[OdometrySample | Seen]:
+    """A drive as messages bring it: odometry, and what was found in images."""
+    pose, stamp = np.zeros(3), shift_ns
+    yield OdometrySample(stamp, pose)
+    for event in drive.events:
+        if isinstance(event, Motion):
+            stamp += round(event.seconds * NS)
+            pose = compose(pose, event.increment)
+            forward, _, turn = (event.increment / event.seconds).tolist()
+            yield OdometrySample(stamp, pose, forward, turn)
+        else:
+            yield seen(event, stamp)
 
 
-class TestJacobians:
-    def test_of_bearings(self) -> None:
-        lever = np.array(MOUNT.axis_xyz[:2])
-        sigmas = OdometryNoiseConfig()
-        state = initial_state(start_estimate(), MAP, sigmas, 0.1)
-        columns = np.array([1, 4, 7])
-        measured = bearings(MAP, START)[columns]
-        # With unit covariances and no noise the products are the Jacobians themselves.
-        errors = replace(state.map_errors, own=np.broadcast_to(np.eye(2), (10, 2, 2)))
-        unit = replace(state, covariance=np.eye(len(state.mean)), map_errors=errors)
-        quiet, repeated = np.zeros(3), np.array([1e-3, 2e-3, 3e-3])
-        model = bearing_model(unit, unit, columns, measured, quiet, repeated, 0.0, lever)
-        step, count = 1e-6, len(errors.estimate)
+def seen(image: ImagePoints, stamp_ns: int) -> Seen:
+    pan, right = image.pan_rad[0] if len(image) else 0.0, image.points[:, 0]
+    found = Detections(
+        stamp_ns,
+        image.columns.astype(np.int64),
+        MOUNT.azimuth_base_rad(pan) - np.arctan(right),
+        np.full(len(image), 2e-4**2),
+        np.ones(len(image)),
+        np.zeros((len(image), 2)),
+        points=image.points,
+        point_covariance=image.covariance,
+    )
+    return found, JointSample(stamp_ns, float(pan), 0.0, image.pan_rate_rad_s)
 
-        def expected(mean: FloatArray, off: FloatArray) -> FloatArray:
-            at = replace(unit, mean=mean, map_errors=replace(errors, estimate=off))
-            model = bearing_model(at, at, columns, measured, quiet, repeated, 0.0, lever)
-            return -model.innovation
 
-        for k in range(len(state.mean)):
-            offset = np.zeros(len(state.mean))
-            offset[k] = step
-            change = expected(state.mean + offset, np.zeros(count))
-            change -= expected(state.mean - offset, np.zeros(count))
-            np.testing.assert_allclose(model.state_covariance[k], change / (2 * step), atol=1e-8)
-        for k in range(count):
-            offset = np.zeros(count)
-            offset[k] = step
-            change = expected(state.mean, offset) - expected(state.mean, -offset)
-            np.testing.assert_allclose(
-                model.considered_covariance[k], change / (2 * step), atol=1e-8
-            )
+def fused(drive: Drive, prior: Calibration | None = None) -> Fusion:
+    fusion = Fusion(drive.landmark_map, prior or drive.prior)
+    fusion.initialize(drive.start)
+    return fusion
 
-    def test_of_motion(self) -> None:
-        quiet = OdometryNoiseConfig(
-            along_m_per_sqrt_m=0.0,
-            across_m_per_sqrt_m=0.0,
-            turn_rad_per_sqrt_m=0.0,
-            turn_rad_per_sqrt_rad=0.0,
-            floor_m_per_sqrt_s=0.0,
-            floor_rad_per_sqrt_s=0.0,
-            bias_change_per_sqrt_m=0.0,
-            slip_sigma=0.0,
-        )
-        motion = Motion(np.array([0.3, 0.05, 0.4]), 0.1)
-        state = initial_state(start_estimate(), MAP, quiet, 0.1)
-        mean = state.mean + np.array(
-            [0.0, 0.0, 0.0, 0.02, 0.1, -0.05, 0.03, 0.01, 0.02, 0.04, 0.06]
-        )
-        n = len(mean)
-        root = np.random.default_rng(0).normal(size=(n, n))
-        state = replace(state, mean=mean, covariance=root @ root.T)
-        moved = propagate(state, 10**8, motion, quiet)
-        jacobian = np.empty((n, n))
-        for k in range(n):
-            offset = np.zeros(n)
-            offset[k] = 1e-6
-            ahead = propagate(replace(state, mean=mean + offset), 10**8, motion, quiet).mean
-            behind = propagate(replace(state, mean=mean - offset), 10**8, motion, quiet).mean
-            jacobian[:, k] = (ahead - behind) / 2e-6
-        np.testing.assert_allclose(
-            moved.covariance, jacobian @ state.covariance @ jacobian.T, atol=1e-6
-        )
+
+def take(fusion: Fusion, what: OdometrySample | Seen) -> object:
+    if isinstance(what, OdometrySample):
+        return fusion.add_odometry(what)
+    return fusion.add_detections(*what)
+
+
+def error(fusion: Fusion, drive: Drive) -> FloatArray:
+    """Of the pose at the last image."""
+    estimate = fusion.estimate(round(len(drive.poses) * IMAGE_EVERY * PERIOD_S * NS))
+    assert estimate is not None
+    off = estimate.pose - drive.poses[-1]
+    off[2] = wrap_rad(off[2])
+    return np.asarray(off)
+
+
+def test_messages_lose_nothing() -> None:
+    drive = simulated(3, seconds=6.0)
+    direct, reported = fused(drive), fused(drive)
+    for what in arriving(drive):
+        take(direct, what)
+        if not isinstance(what, OdometrySample):
+            found = decode.detections(over_the_wire(encode.detections(FACTORY, what[0])))
+            what = found, what[1]
+        take(reported, what)
+    assert reported.estimate().pose == pytest.approx(direct.estimate().pose, abs=1e-12)  # type: ignore[union-attr]
+    assert np.abs(error(direct, drive)[:2]).max() < 0.02
+    stamp = round(6.0 * NS)
+    expected, sample = direct.expectation(stamp), OdometrySample(stamp, np.zeros(3), 0.3, -0.2)
+    assert expected is not None
+    read, speeds = decode.expectation(
+        over_the_wire(encode.expectation(FACTORY, expected, sample)), MOUNT
+    )
+    assert read.pose == pytest.approx(expected.pose)
+    assert read.covariance == pytest.approx(expected.covariance)
+    assert read.calibration.values == pytest.approx(expected.calibration.values)
+    assert read.calibration.sigmas == pytest.approx(expected.calibration.sigmas)
+    assert read.tilt_sigma_rad == pytest.approx(expected.tilt_sigma_rad)
+    assert (speeds.linear_m_s, speeds.angular_rad_s) == (0.3, -0.2)
+
+
+def test_a_clock_that_was_set_back_goes_on_from_the_last_pose() -> None:
+    drive = simulated(3, seconds=8.0)
+    fusion, shift = fused(drive), 100 * NS
+    fusion.initialize(replace(drive.start, stamp_ns=shift))
+    arrivals = list(arriving(drive, shift))
+    half = len(arrivals) // 2
+    for what in arrivals[:half]:
+        take(fusion, what)
+    before = fusion.estimate()
+    refusals = [take(fusion, what) for what in list(arriving(drive))[half:]]
+    assert before is not None
+    distrusted = [r for r in refusals if isinstance(r, Distrusted)]
+    assert len(distrusted) == 1
+    assert not any(isinstance(r, Refusal) for r in refusals if not isinstance(r, Distrusted))
+    assert np.abs(error(fusion, drive)[:2]).max() < 0.03
+    assert fusion.status_at()[0] is not Status.LOST
+
+
+def test_one_sample_far_ahead_is_held_back_and_a_pause_is_not() -> None:
+    drive = simulated(3, seconds=2.0)
+    fusion = fused(drive)
+    for what in arriving(drive):
+        take(fusion, what)
+    known = fusion.estimate()
+    assert isinstance(fusion.add_odometry(OdometrySample(60 * NS, np.ones(3))), Ahead)
+    assert isinstance(fusion.add_odometry(OdometrySample(200 * NS, np.ones(3))), Ahead)
+    after = fusion.estimate()
+    assert known is not None
+    assert after is not None
+    assert after.stamp_ns == known.stamp_ns
+    assert not isinstance(
+        fusion.add_odometry(OdometrySample(200 * NS + NS // 20, np.ones(3))), Ahead
+    )
+
+
+@pytest.mark.parametrize(
+    ('stamps_s', 'steps'),
+    [
+        ([0.1, 0.05, 0.2], ['NONE', 'NONE', 'NONE']),
+        ([0.1, -9.0], ['NONE', 'BACK']),
+        ([30.0, 0.1], ['AHEAD', 'NONE']),
+        ([30.0, 30.1], ['AHEAD', 'NONE']),
+        ([-0.9, -0.8, -0.7, -0.6, -0.5], ['NONE'] * 4 + ['BACK']),
+        ([-0.5, -0.6, -0.7, -0.8, -0.9], ['NONE'] * 5),
+    ],
+)
+def test_stamps_state_whether_a_clock_was_set(stamps_s: list[float], steps: list[str]) -> None:
+    watch, newest = ClockWatch(), 100 * NS
+    for seconds, step in zip(stamps_s, steps, strict=True):
+        stamp = 100 * NS + round(seconds * NS)
+        verdict = watch.judge(stamp, newest, newest, 2 * NS)
+        assert verdict is ClockStep[step]
+        newest = max(newest, stamp) if verdict is ClockStep.NONE else newest
+
+
+def test_minutes_without_images_cost_no_more_than_a_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drive = simulated(3, seconds=2.0)
+    fusion = fused(drive)
+    for k in range(3000):
+        fusion.add_odometry(OdometrySample(k * NS // 10, np.array([1e-3 * k, 0.0, 0.0]), 0.01))
+    moves: list[int] = []
+    move = JointFilter.move
+    monkeypatch.setattr(
+        JointFilter, 'move', lambda self, stamp, by: (moves.append(stamp), move(self, stamp, by))
+    )
+    estimate = fusion.estimate()
+    assert estimate is not None
+    assert len(moves) < 40
+    assert estimate.pose[0] - drive.start.pose[0] == pytest.approx(3.0, abs=0.2)
+    assert fusion.status_at()[0] is not Status.OK
+
+
+def test_a_kidnapped_robot_states_that_it_does_not_know_where_it_is() -> None:
+    drive, rng = simulated(11, seconds=24.0), np.random.default_rng(0)
+    fusion, images = fused(drive), 0
+    for what in arriving(drive):
+        if not isinstance(what, OdometrySample):
+            images += 1
+            if images > 60:
+                points = rng.uniform(-0.4, 0.4, what[0].points.shape)
+                what = replace(what[0], points=points), what[1]
+        take(fusion, what)
+        estimate = fusion.estimate()
+        assert estimate is not None
+        assert is_known(estimate) is (fusion.status_at()[0] is not Status.LOST)
+    assert fusion.status_at()[0] is Status.LOST
+    level = fusion.level(estimate)
+    assert level.position_m > 2.0
+    expected = fusion.expectation(estimate.stamp_ns)
+    assert expected is not None
+    # It goes on looking where it was: if that shows again, it knows.
+    assert np.trace(expected.covariance[:2, :2]) < 0.1
+    fusion.place(replace(estimate, covariance=1e-4 * np.eye(3)))
+    assert fusion.status_at()[0] is not Status.LOST
+
+
+def test_a_wrong_start_teaches_nothing() -> None:
+    drive = simulated(4, seconds=20.0, prior=Calibration.of_mount(MOUNT))
+    fusion, right = fused(drive), fused(drive)
+    images = 0
+    for what in arriving(drive):
+        take(right, what)
+        take(fusion, what)
+        images += not isinstance(what, OdometrySample)
+        now = right.estimate()
+        assert now is not None
+        if images == 40 and not isinstance(what, OdometrySample):
+            aside = np.array([0.8, 0.6, 0.0])
+            wrong = replace(now, pose=now.pose + aside, covariance=1e-4 * np.eye(3))
+            fusion.initialize(wrong)
+        if images > 40 and fusion.status_at()[0] is Status.LOST:
+            fusion.place(replace(now, covariance=1e-4 * np.eye(3)))
+    status, _ = fusion.status_at()
+    assert status is not Status.LOST
+    off = fusion.calibration.values - drive.true.values
+    assert (np.abs(off) < 5.0 * fusion.calibration.sigmas).all()
+    assert np.abs(error(fusion, drive)[:2]).max() < 0.03
+
+
+@pytest.mark.parametrize('seed', [4, 5, 7, 8])
+def test_a_wrong_start_is_not_taken_for_a_wrong_mount(seed: int) -> None:
+    drive = simulated(seed, seconds=16.0, prior=Calibration.of_mount(MOUNT))
+    fusion = fused(drive)
+    off = drive.start.pose + np.array([0.8, 0.6, 0.0])
+    fusion.initialize(replace(drive.start, pose=off, covariance=1e-4 * np.eye(3)))
+    lost = False
+    for what in arriving(drive):
+        take(fusion, what)
+        lost |= fusion.status_at()[0] is Status.LOST
+    assert lost
+
+
+@pytest.mark.parametrize('aside_m', [0.0, 0.1, 1.0])
+def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m: float) -> None:
+    drive = simulated(6, seconds=4.0, prior=Calibration.of_mount(MOUNT))
+    fusion = fused(drive)
+    off = drive.poses[0] + [aside_m, 0.0, 0.0]
+    fusion.initialize(PoseEstimate(0, off, np.diag(np.square([0.05, 0.05, 0.035]))))
+    given = fusion.calibration
+    for what in arriving(drive):
+        take(fusion, what)
+    wrong = aside_m > 0.5
+    assert (fusion.status_at()[0] is Status.LOST) is wrong
+    learned = not np.array_equal(fusion.calibration.values, given.values)
+    assert learned is not wrong
+    fusion.place(drive.start)
+    assert fusion.status_at()[0] is not Status.LOST
+
+
+def test_another_map_leaves_the_pose_and_what_was_learned() -> None:
+    drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
+    fusion, arrivals = fused(drive), list(arriving(drive))
+    for what in arrivals[:150]:
+        take(fusion, what)
+    before, learned = fusion.estimate(), fusion.calibration
+    fusion.change_map(LandmarkMap(drive.landmark_map.landmarks[::2]))
+    after = fusion.estimate()
+    assert before is not None
+    assert after is not None
+    assert after.pose == pytest.approx(before.pose)
+    assert after.covariance == pytest.approx(before.covariance)
+    assert fusion.calibration.sigmas == pytest.approx(learned.sigmas)
+    for what in arrivals[150:]:
+        take(fusion, what)
+    assert np.abs(error(fusion, drive)[:2]).max() < 0.05
+
+
+@pytest.mark.parametrize('without', ['joints', 'points'])
+def test_bearings_count_where_joints_or_points_are_missing(without: str) -> None:
+    drive = simulated(5, seconds=12.0)
+    fusion = fused(drive)
+    for what in arriving(drive):
+        if isinstance(what, OdometrySample):
+            take(fusion, what)
+        elif without == 'joints':
+            assert not isinstance(fusion.add_detections(what[0]), Refusal)
+        else:
+            bare = replace(what[0], points=np.empty((0, 2)), point_covariance=np.empty((0, 2, 2)))
+            assert not isinstance(fusion.add_detections(bare, what[1]), Refusal)
+    assert np.abs(error(fusion, drive)[:2]).max() < 0.05
+    assert fusion.status_at()[0] is Status.OK
+
+
+def test_what_can_not_be_used_does_no_harm() -> None:
+    drive = simulated(5, seconds=4.0)
+    fusion, clean = fused(drive), fused(drive)
+    for what in arriving(drive):
+        take(clean, what)
+        if isinstance(what, OdometrySample):
+            take(fusion, what)
+            continue
+        found, joints = what
+        unknown = replace(found, ids=found.ids + 1000, missed=np.array([4000]))
+        fusion.add_detections(unknown, joints)
+        fusion.add_detections(replace(found, points=np.full_like(found.points, np.nan)), joints)
+        fusion.add_detections(found, replace(joints, pan_rad=np.nan))
+        far = replace(found, stamp_ns=found.stamp_ns + 1000 * NS)
+        assert isinstance(fusion.add_detections(far, joints), Refusal)
+        take(fusion, what)
+    assert isinstance(fusion.add_odometry(OdometrySample(5 * NS, np.full(3, np.nan))), Refusal)
+    found_pose, expected = fusion.estimate(), clean.estimate()
+    assert found_pose is not None
+    assert expected is not None
+    assert found_pose.pose == pytest.approx(expected.pose, abs=1e-9)
+
+
+def test_a_start_that_is_no_pose_is_refused_and_changes_nothing() -> None:
+    drive = simulated(5, seconds=2.0)
+    fusion = fused(drive)
+    before = fusion.estimate()
+    for wrong in (
+        replace(drive.start, pose=np.array([np.nan, 0.0, 0.0])),
+        replace(drive.start, covariance=-np.eye(3)),
+    ):
+        with pytest.raises(LandmarkNavError):
+            fusion.initialize(wrong)
+        with pytest.raises(LandmarkNavError):
+            fusion.place(wrong)
+    after = fusion.estimate()
+    assert before is not None
+    assert after is not None
+    assert after.pose == pytest.approx(before.pose)
+
+
+def test_a_place_of_before_the_odometry_is_out_of_reach() -> None:
+    fusion = Fusion(LandmarkMap(()), Calibration.exact(MOUNT))
+    assert fusion.reaches(0)
+    for k in range(40):
+        fusion.add_odometry(OdometrySample(20 * NS + k * NS // 20, np.zeros(3)))
+    assert not fusion.reaches(19 * NS)
+    assert fusion.reaches(20 * NS)
+    fusion.place(PoseEstimate(20 * NS, np.zeros(3), 1e-6 * np.eye(3)))
+    estimate = fusion.estimate()
+    assert estimate is not None
+    assert np.trace(estimate.covariance) < 1e-2
+
+
+def test_a_place_found_in_a_swing_is_not_sure_of_its_heading() -> None:
+    pans = PanTrack(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 1.0]))
+    start = PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
+    prior = Calibration.of_mount(MOUNT, {'axis_yaw': 1e-4})
+    sigmas = []
+    for joints in (JointSample(0, 0.0), JointSample(0, 0.0, 0.0, 1.0, pan_track=pans)):
+        fusion = Fusion(LandmarkMap(()), prior)
+        fusion.place(start, joints)
+        estimate, expected = fusion.estimate(), fusion.expectation(0)
+        assert estimate is not None
+        assert expected is not None
+        sigmas.append(np.sqrt(estimate.covariance[2, 2]))
+    assert sigmas[0] < 0.005
+    # Half a turn a second of 0.2 s: two sigmas.
+    assert sigmas[1] == pytest.approx(0.1, rel=0.1)
+
+
+def test_the_level_is_read_off_the_covariance() -> None:
+    drive = simulated(5, seconds=6.0)
+    fusion = fused(drive)
+    for what in arriving(drive):
+        take(fusion, what)
+    estimate = fusion.estimate()
+    assert estimate is not None
+    level = fusion.level(estimate)
+    scaled = level.scaled(estimate).covariance
+    assert np.sqrt(np.linalg.eigvalsh(scaled[:2, :2])[-1]) == pytest.approx(level.position_m)
+    assert np.sqrt(scaled[2, 2]) == pytest.approx(level.heading_rad)
+    assert np.linalg.eigvalsh(scaled).min() > 0.0
+
+
+def test_silence_is_reported() -> None:
+    drive = simulated(5, seconds=3.0)
+    fusion = Fusion(drive.landmark_map, drive.prior)
+    assert fusion.status_at()[0] is Status.LOST
+    assert fusion.estimate() is None
+    assert fusion.expectation(0) is None
+    fusion.initialize(drive.start)
+    assert 'no odometry' in fusion.status_at(2 * NS)[1]
+    for what in arriving(drive):
+        take(fusion, what)
+    assert 'no odometry' not in fusion.status_at(round(3.5 * NS))[1]
+    status, reason = fusion.status_at(5 * NS)
+    assert status is not Status.OK
+    assert 'no odometry for' in reason

@@ -58,16 +58,6 @@ def test_landmarks_whose_place_is_uncertain_are_passed_over(worse: int) -> None:
     assert worse not in most_informative(AXIS, LandmarkMap(landmarks), EVERY, SIGMA, 12)
 
 
-def test_what_is_wanted_comes_first() -> None:
-    best = most_informative(AXIS, LANDMARKS, EVERY, SIGMA, 4)
-    wanted = np.setdiff1d(EVERY, best)[:3]
-    chosen = most_informative(AXIS, LANDMARKS, EVERY, SIGMA, 4, wanted)
-    assert set(wanted) < set(chosen)
-    assert len(chosen) == 4
-    # What is not in view can't be had.
-    assert set(most_informative(AXIS, LANDMARKS, EVERY[:6], SIGMA, 4, [9])) <= set(EVERY[:6])
-
-
 def test_what_was_looked_for_before_gives_way_to_what_gives_about_as_much() -> None:
     novelty = np.ones(len(EVERY))
     looked_for: set[int] = set()

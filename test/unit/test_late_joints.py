@@ -5,22 +5,22 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from degraded_drives import check_consistent, FAULT_S, first, pan_rad, run, Sensed
+from degraded_drives import check_consistent, FAULT_S, first, KNOWN, pan_rad, run, Sensed
 import numpy as np
 import pytest
 from rendered_drives import camera_image, MAP, MOUNT, START, START_SIGMA, Step
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.frozen_image import FrozenImage
-from landmark_nav.localization.joint_delay import in_time, JointDelay, seen_in_time
-from landmark_nav.localization.pipeline import (
+from landmark_nav.localization.late_joints import in_time
+from landmark_nav.localization.localizer import (
     LocalizationConfig,
     LocalizationUpdate,
     Localizer,
 )
 from landmark_nav.types import (
     CameraFrame,
-    Detections,
     FloatArray,
     OdometrySample,
     PoseEstimate,
@@ -83,27 +83,23 @@ def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_gives_the_same(
                 ),
             ),
         )
-        for moment in run(given, change, mount=mount)
+        for moment in run(given, change, calibration=Calibration.of_mount(mount))
     ]
     half = len(same) // 2
     np.testing.assert_allclose(same[half:], same[:half], atol=1e-3)
 
 
-def test_joint_states_that_are_late_for_good_are_reported_measured_and_put_right(
-    sensed: list[Sensed],
-) -> None:
+def test_joint_states_that_are_late_for_good_are_put_right(sensed: list[Sensed]) -> None:
     moments = list(run(sensed, stamped_late))
-    given = next(m for m in moments if m.after_s >= 0.0 and m.status != 'tracking')
-    assert given.after_s <= 2.0
-    assert 'joint_states are late' in first(moments, 'coasting').reason
     check_consistent(moments)
+    assert max(m.nees for m in moments) < 25.0
     later = [m for m in moments if 3.0 < m.after_s < 6.0]
-    assert sum(m.status == 'tracking' for m in later) > 0.5 * len(later)
-    assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
+    assert {m.status for m in later} == {'tracking'}
+    assert max(np.hypot(*m.error[:2]) for m in later) < 0.03
 
 
 def test_how_late_they_are_is_known_after_a_few_images(sensed: list[Sensed]) -> None:
-    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer = Localizer(MAP, KNOWN, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     for step, frame in sensed:
         localizer.add_odometry(step.odometry)
@@ -118,7 +114,7 @@ def test_how_late_they_are_is_known_after_a_few_images(sensed: list[Sensed]) -> 
 
 @pytest.mark.parametrize('seconds', [1.5, 2.0, 3.0, 4.0])
 def test_a_delay_that_is_over_is_taken_back(sensed: list[Sensed], seconds: float) -> None:
-    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer = Localizer(MAP, KNOWN, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     delays = []
     for step, frame in sensed:
@@ -131,7 +127,7 @@ def test_a_delay_that_is_over_is_taken_back(sensed: list[Sensed], seconds: float
     assert max(delays) > 0.15
     # The joints show nothing of longer ones.
     assert np.abs(delays).max() < 0.4
-    assert abs(delays[-1]) < 0.02
+    assert abs(delays[-1]) < max(0.02, 4.0 * localizer.late.sigma_s)
 
 
 def test_joint_states_that_freeze_are_never_believed_for_long(sensed: list[Sensed]) -> None:
@@ -158,9 +154,8 @@ def test_images_that_freeze_are_reported_and_not_used(sensed: list[Sensed]) -> N
     moments = list(run(sensed, frozen))
     coasting = first(moments, 'coasting')
     assert coasting.after_s <= 2.0
-    assert 'image is the one before' in coasting.reason
     hidden = [m for m in moments if 0.5 < m.after_s < 2.5]
-    assert not any(m.update.fusion.degrees for m in hidden)
+    assert not any(m.update.used for m in hidden)
     assert {m.status for m in moments if 3.0 < m.after_s < 6.0} == {'tracking'}
     check_consistent(moments)
 
@@ -184,7 +179,7 @@ def test_an_image_may_stay_the_same_while_nothing_moves(sensed: list[Sensed]) ->
 
 def test_a_camera_without_noise_that_stands_goes_on() -> None:
     """As in a simulator; the first image corrects a start that was a little off."""
-    localizer = Localizer(MAP, MOUNT, LocalizationConfig())
+    localizer = Localizer(MAP, KNOWN, LocalizationConfig())
     covariance = np.diag(np.square([0.05, 0.05, 0.035]))
     localizer.initialize(PoseEstimate(0, START + np.array([0.03, -0.02, 0.01]), covariance))
     for k in range(12):
@@ -193,41 +188,20 @@ def test_a_camera_without_noise_that_stands_goes_on() -> None:
         update = localizer.add_frame(replace(camera_image(START, 0.0), stamp_ns=stamp_ns))
         assert isinstance(update, LocalizationUpdate)
         assert update.status == 'tracking'
-        assert update.fusion.degrees >= 3
+        assert update.used >= 3
 
 
-def test_the_lag_of_a_pan_is_exact_where_it_speeds_up() -> None:
+def test_an_image_gets_the_pan_of_its_true_time(sensed: list[Sensed]) -> None:
+    _, frame = next(pair for pair in sensed if pair[1] is not None)
+    assert frame is not None
     about = np.linspace(-0.4, 0.4, 81)
-    track = PanTrack(about, about**3)
-    lag = JointDelay(0.2).lag(0.0, track)
-    assert lag.shift_rad == pytest.approx(0.008)
-    assert lag.rate_rad_s == pytest.approx(0.12, rel=0.01)
-    # What is open says so: the slope within it, and what that leaves out.
-    wide = JointDelay(0.2, 0.1).lag(0.0, track)
-    assert wide.rate_rad_s == pytest.approx((0.3**3 - 0.1**3) / 0.2)
-    assert wide.bend_rad == pytest.approx(0.5 * (0.3**3 + 0.1**3) - 0.2**3)
+    turning = replace(frame, pan_track=PanTrack(about, about**3))
+    assert in_time(turning, 0.2).pan_rad - frame.pan_rad == pytest.approx(0.008)
 
 
 def test_without_a_track_the_pan_goes_on_at_its_rate(sensed: list[Sensed]) -> None:
     _, frame = next(pair for pair in sensed if pair[1] is not None)
     assert frame is not None
     frame = replace(frame, pan_rate_rad_s=0.5, pan_track=None)
-    same, sigma = in_time(frame, JointDelay())
-    assert same is frame
-    assert sigma == frame.pan_sigma_rad
-    later, sigma = in_time(frame, JointDelay(0.1, 0.02))
-    assert later.pan_rad - frame.pan_rad == pytest.approx(0.05)
-    assert sigma == pytest.approx(0.01)
-
-
-def test_what_was_thought_meanwhile_is_taken_back_from_bearings() -> None:
-    about = np.linspace(-0.4, 0.4, 81)
-    track = PanTrack(about, about**2)
-    ids, nothing = np.arange(2), np.zeros(2)
-    given = np.array([0.3, 0.7])
-    seen = Detections(
-        0, ids, given + 0.01, nothing, nothing, np.zeros((2, 2)), pan_track=track, pan_delay_s=0.1
-    )
-    in_the_end = seen_in_time(seen, JointDelay(0.2))
-    np.testing.assert_allclose(in_the_end.bearing_rad, given + 0.04)
-    np.testing.assert_allclose(seen_in_time(in_the_end, JointDelay()).bearing_rad, given)
+    assert in_time(frame, 0.0).pan_rad == frame.pan_rad
+    assert in_time(frame, 0.1).pan_rad - frame.pan_rad == pytest.approx(0.05)

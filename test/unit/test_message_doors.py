@@ -17,15 +17,13 @@ from landmark_nav.messages.layouts import (
     DETECTIONS,
     EXPECTATION,
     GLOBAL_POSE,
-    JOINT_DELAY,
     LANDMARKS,
     TRIPLET,
 )
 from landmark_nav.types import JointSample, OdometrySample, PoseEstimate
 
 LAYOUTS = {
-    layout.topic: layout
-    for layout in (DETECTIONS, EXPECTATION, GLOBAL_POSE, JOINT_DELAY, LANDMARKS, TRIPLET)
+    layout.topic: layout for layout in (DETECTIONS, EXPECTATION, GLOBAL_POSE, LANDMARKS, TRIPLET)
 }
 HEAD = encode.header(FACTORY, STAMP, 'map')
 INTEGERS, FLOATS = ('i1', 'u1', 'i2', 'u2', 'i4', 'u4'), ('f4', 'f8')
@@ -137,14 +135,11 @@ NO_COVARIANCE = [*([value] * 9 for value in NOT_NUMBERS), SKEW, BEYOND_ONE, NEGA
 @pytest.mark.parametrize(
     ('decoder', 'layout', 'points', 'name', 'wrong'),
     [
-        (decode.joint_delay, JOINT_DELAY, 1, 'delay', [*NOT_NUMBERS, 60.0]),
-        (decode.joint_delay, JOINT_DELAY, 1, 'sigma', [*NOT_NUMBERS, -1.0]),
         (decode.detections, DETECTIONS, 3, 'bearing', [*NOT_NUMBERS, 1e7]),
         (decode.detections, DETECTIONS, 3, 'bearing_variance', [*NOT_NUMBERS, -1.0, 0.0]),
         (decode.detections, DETECTIONS, 3, 'score', [np.nan, np.inf]),
         (decode.detections, DETECTIONS, 3, 'u', [np.nan, np.inf]),
         (decode.detections, DETECTIONS, 3, 'joint_delay', [*NOT_NUMBERS, 60.0]),
-        (decode.detections, DETECTIONS, 3, 'pan_delay', [*NOT_NUMBERS, -60.0]),
         (decode.detections, DETECTIONS, 3, 'point', [[v, 0.0] for v in NOT_NUMBERS]),
         (decode.detections, DETECTIONS, 3, 'point_covariance', [[1.0, 2.0, 2.0, 1.0]]),
         (decode.detections, DETECTIONS, 3, 'near', [[v, 0.0, 0.0] for v in NOT_NUMBERS]),

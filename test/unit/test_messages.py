@@ -20,7 +20,6 @@ from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.messages.layouts import (
     DETECTIONS,
     GLOBAL_POSE,
-    JOINT_DELAY,
     Layout,
     TRIPLET,
 )
@@ -158,7 +157,6 @@ def test_detections_come_back(deliver, count):
         rng.random((count, 2)) * 500,
         np.array([50, 60])[: count // 2],
         joint_delay_s=0.04,
-        pan_delay_s=-0.01,
     )
     again = decode.detections(deliver(encode.detections(FACTORY, found)))
     np.testing.assert_array_equal(again.missed, found.missed)
@@ -168,7 +166,7 @@ def test_detections_come_back(deliver, count):
     np.testing.assert_allclose(again.uv_px, found.uv_px, rtol=1e-6)
     assert again.stamp_ns == STAMP
     if count:
-        assert (again.joint_delay_s, again.pan_delay_s) == (0.04, -0.01)
+        assert again.joint_delay_s == 0.04
 
 
 def test_detections_of_older_recordings_know_of_no_delay():
@@ -178,16 +176,15 @@ def test_detections_of_older_recordings_know_of_no_delay():
     msg = pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'base_link'), older)
     again = decode.detections(msg)
     assert len(again) == 3
-    assert (again.joint_delay_s, again.pan_delay_s) == (0.0, 0.0)
+    assert again.joint_delay_s == 0.0
 
 
-@pytest.mark.parametrize('delay', ['joint_delay', 'pan_delay'])
 @pytest.mark.parametrize('value', [np.nan, -np.inf])
 @pytest.mark.parametrize('seen', [0, 3])
-def test_detections_with_a_delay_that_is_no_number_are_refused(delay, value, seen):
+def test_detections_with_a_delay_that_is_no_number_are_refused(value, seen):
     points = np.zeros(4, dtype=DETECTIONS.fields)
     points['id'] = range(4)
-    points[delay] = value
+    points['joint_delay'] = value
     points['bearing'][seen:] = points['bearing_variance'][seen:] = np.nan
     msg = pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'base_link'), points)
     with pytest.raises(LandmarkNavError, match=r'detections delay at .* not a number'):
@@ -195,30 +192,17 @@ def test_detections_with_a_delay_that_is_no_number_are_refused(delay, value, see
 
 
 @both
-def test_joint_delay_comes_back(deliver):
-    msg = deliver(encode.joint_delay(FACTORY, STAMP, 0.2, 0.001))
-    assert decode.joint_delay(msg) == (0.2, 0.001)
-    twice = np.zeros(2, dtype=JOINT_DELAY.fields)
-    head = encode.header(FACTORY, STAMP, '')
-    with pytest.raises(LandmarkNavError, match='2 points'):
-        decode.joint_delay(pack_cloud(FACTORY, head, twice))
-    twice['sigma'] = np.nan
-    with pytest.raises(LandmarkNavError, match='not a number'):
-        decode.joint_delay(pack_cloud(FACTORY, head, twice[:1]))
-
-
-@both
 def test_found_place_comes_back(deliver):
     rng = np.random.default_rng(3)
     pose, root = rng.normal(size=3), rng.normal(size=(3, 3))
     covariance = root @ root.T
-    place = GlobalPose(STAMP, pose, covariance, np.array([4, 8, 15]), 0.7, 0.04, -0.01)
+    place = GlobalPose(STAMP, pose, covariance, np.array([4, 8, 15]), 0.7, 0.04)
     again = decode.global_pose(deliver(encode.global_pose(FACTORY, place)))
     assert again.stamp_ns == STAMP
     np.testing.assert_array_equal(again.pose, pose)
     np.testing.assert_array_equal(again.covariance, covariance)
     np.testing.assert_array_equal(again.ids, place.ids)
-    assert (again.pan_rate_rad_s, again.joint_delay_s, again.pan_delay_s) == (0.7, 0.04, -0.01)
+    assert (again.pan_rate_rad_s, again.joint_delay_s) == (0.7, 0.04)
 
 
 def test_found_place_without_landmarks_or_numbers_is_refused():

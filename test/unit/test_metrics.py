@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.evaluation.bound import posterior_bound
 from landmark_nav.evaluation.metrics import (
     consistency,
@@ -18,10 +19,10 @@ from landmark_nav.evaluation.metrics import (
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.fusion import FusionConfig
+from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.pipeline import LocalizationConfig
-from landmark_nav.types import Detections, LandmarkMap, PoseEstimate
+from landmark_nav.types import LandmarkMap, PoseEstimate
 
 SECOND = 1_000_000_000
 
@@ -197,31 +198,30 @@ def silent_odometry():
     )
 
 
-def detection(stamp, variance):
+def image(stamp, variance, mount, pose):
     count = len(PLACES)
-    return Detections(
-        stamp,
-        10 * np.arange(count),
-        np.full(count, 99.0),  # what was measured must not matter
-        np.full(count, variance),
-        np.ones(count),
-        np.zeros((count, 2)),
+    bearings = se2.bearings(mount.axis_pose_map(pose), PLACES)
+    return ImagePoints.of_bearings(
+        stamp, np.arange(count), bearings, np.full(count, variance), mount
     )
 
 
 def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
-    fusion = FusionConfig(correlated_noise_fraction=0.0)
-    config = LocalizationConfig(fusion=fusion, odometry=silent_odometry())
+    config = LocalizationConfig(
+        estimator=EstimatorConfig(correlation_length_m=1e9, floor_tilt_sigma_rad=0.0),
+        odometry=silent_odometry(),
+    )
     pose = np.array([0.3, -0.2, 0.5])
     truth = PoseTrack.of([(k * SECOND // 10, pose) for k in range(times * 10)])
     prior = np.diag([0.1**2, 0.2**2, 0.1**2])
-    detections = [detection(k * SECOND, 1e-6) for k in range(times)]
     mount = PanTiltMount(axis_xyz=(lever, 0.0, 1.0), pan_sigma_rad=0.0)
+    images = [image(k * SECOND, 1e-6, mount, pose) for k in range(times)]
+    exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
     start = PoseEstimate(0, pose + 0.1, prior)
     return (
         pose,
         prior,
-        posterior_bound(truth, detections, landmarks(covariance, loading), mount, config, start),
+        posterior_bound(truth, images, landmarks(covariance, loading), exact, config, start),
     )
 
 
@@ -251,7 +251,7 @@ def test_bound_is_unknown_without_truth():
     start = PoseEstimate(0, np.zeros(3), np.eye(3))
     world = landmarks(1e-6 * np.eye(3), np.zeros((3, 1)))
     for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
-        bound = posterior_bound(
-            truth, [detection(SECOND, 1e-6)], world, PanTiltMount(), config, start
-        )
+        mount = PanTiltMount()
+        known, seen = Calibration.of_mount(mount), image(SECOND, 1e-6, mount, np.zeros(3))
+        bound = posterior_bound(truth, [seen], world, known, config, start)
         assert np.isnan(bound).all()

@@ -28,6 +28,15 @@ POSTS = np.array(
 )
 CODES = [63, 81, 7, 70, 45, 27, 18]
 
+EXACT = """
+pan_axis: {xyz: [0, 0, 0], xyz_sigma: 0.0001, rpy_sigma: 0.0001}
+optical_center_offset_sigma: 0.0001
+camera_roll_sigma: 0.0001
+focal_scale_sigma: 0.0001
+joint_delay_sigma: 0.0001
+pan_sigma: 0.003
+"""
+
 
 @pytest.fixture(scope='module')
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -96,10 +105,10 @@ def test_evaluated_smoothed_and_exported(
 ) -> None:
     start = json.loads(converted.with_name('run_start.json').read_text())['pose']
     config = tmp_path / 'config.yaml'
-    config.write_text('fusion: {boresight_sigma_rad: 0.01}\n')
+    config.write_text('estimator: {learning_sigma: 0.0}\n')
     arguments = ['evaluate', str(converted), '--map', f'{converted}_map', '--robot']
     robot = tmp_path / 'robot.yaml'
-    robot.write_text('pan_axis: {xyz: [0, 0, 0]}\npan_sigma: 0.003\n')
+    robot.write_text(EXACT)
     arguments += [str(robot), '--start', *map(str, start), '--smooth']
     arguments += ['--config', str(config), '--tum', str(tmp_path / 'tum')]
     arguments += ['--report', str(tmp_path / 'run.html')]

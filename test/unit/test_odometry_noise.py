@@ -69,7 +69,6 @@ class TestTrack:
         assert {o.reason for o in outcomes[2:] if o is not None} == {'odometry has frozen'}
         assert None not in outcomes[2:]
         assert track.stamps_ns == (0, 10**9)
-        assert track.still_since_ns is None
         np.testing.assert_allclose(
             track.motion(0, 12 * 10**8).increment, whole.motion(0, 12 * 10**8).increment
         )
@@ -92,11 +91,9 @@ class TestTrack:
     def test_time_for_which_it_stands(self) -> None:
         """On the way until 1 s, then still until 1.5 s, and on the way again."""
         track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
-        assert track.still_since_ns is None
         for k in range(1, 11):
             spot = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.0, angular_rad_s=0.0)
             assert track.add(spot) is None
-            assert track.still_since_ns == 10**9
 
         def still(begin_s: float, end_s: float) -> float:
             motion = track.motion(round(1e9 * begin_s), round(1e9 * end_s))
@@ -111,7 +108,6 @@ class TestTrack:
         # Nothing is known of what comes after the time that a twist predicts.
         assert still(1.4, 3.0) == pytest.approx(0.1 + HORIZON_S)
         track.add(sample(1.55))
-        assert track.still_since_ns is None
         assert still(1.4, 1.6) == pytest.approx(0.1)
         assert still(0.0, 9.0) == pytest.approx(0.5)
 

@@ -25,10 +25,18 @@ def stream_of(values: FloatArray) -> Stream:
     return Stream('odom', 'odom', stamps, stamps, values)
 
 
-@pytest.mark.parametrize('side_rad', [0.0, 0.5 * np.pi, np.pi, 3.0 * np.sin(1.7 * TIMES)])
+@pytest.mark.parametrize('side_rad', [0.0, np.pi, 3.0 * np.sin(1.7 * TIMES)])
 def test_a_path_in_its_own_axes_passes(side_rad: FloatArray | float) -> None:
-    # Backwards, sideways, and as robots do that drive to all sides.
+    # Backwards, and as robots do that drive to all sides.
     assert check_path(stream_of(driven(side_rad))) is None
+
+
+@pytest.mark.parametrize('side_rad', [0.5 * np.pi, -0.8])
+def test_a_path_that_is_turned_is_named_and_turned_back(side_rad: float) -> None:
+    found = check_path(stream_of(driven(side_rad)))
+    assert found is not None
+    assert found.finding.values['aside_rad'] == pytest.approx(side_rad, abs=0.01)
+    assert found.mended == pytest.approx(driven(), abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +52,8 @@ def test_a_mirrored_path_is_named(axes: list[list[int]], reported: str) -> None:
     values[:, :2] = values[:, :2] @ np.array(axes)
     found = check_path(stream_of(values))
     assert found is not None
-    assert reported in found.measured
+    assert reported in found.finding.measured
+    assert found.mended == pytest.approx(driven())
 
 
 def test_a_straight_path_states_nothing() -> None:

@@ -22,6 +22,7 @@ MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
 # its requirements.
 DISTRIBUTIONS = {
     'python3-argcomplete': 'argcomplete',
+    'python3-jinja2': 'jinja2',
     'python3-matplotlib': 'matplotlib',
     'python3-numpy': 'numpy',
     'python3-opencv': 'opencv-python-headless',
@@ -149,7 +150,9 @@ def test_every_node_can_be_found_by_ros2_run(setup_arguments: dict[str, Any]) ->
 def test_config_and_launch_files_are_installed(setup_arguments: dict[str, Any]) -> None:
     data_files = dict(setup_arguments['data_files'])
     assert data_files['share/ament_index/resource_index/packages'] == ['resource/landmark_nav']
-    for folder, pattern in (('config', 'config/*'), ('launch', 'landmark_nav/launch/*.py')):
+    viewers = [(path.name, f'config/{path.name}/*') for path in (REPOSITORY / 'config').glob('*/')]
+    installed = [('config', 'config/*.*'), ('launch', 'landmark_nav/launch/*.py'), *viewers]
+    for folder, pattern in installed:
         there = {str(path.relative_to(REPOSITORY)) for path in REPOSITORY.glob(pattern)}
         assert set(data_files[f'share/landmark_nav/{folder}']) == there
 

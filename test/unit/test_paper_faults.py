@@ -39,7 +39,8 @@ def outlines_of(paper: Paper, pose: FloatArray, rng: np.random.Generator) -> Pap
     distance = (center[0] - pose[0]) / np.cos(middle)
     tangent = [(center[2] + up * 0.5 * paper.height - EYE_M) / distance for up in (-1.0, 1.0)]
     seen = np.array([[*azimuth, *tangent]]) + SIGMA_RAD * rng.standard_normal((1, 4))
-    return PaperOutlines(seen[:, :2], seen[:, 2:], np.full((1, 4), SIGMA_RAD), np.zeros(1))
+    sigma, none = np.full((1, 4), SIGMA_RAD), np.zeros((1, 4))
+    return PaperOutlines(seen[:, :2], seen[:, 2:], sigma, none, np.zeros(1))
 
 
 def views_of(papers: tuple[Paper, ...], seed: int = 0) -> list[PaperView]:
@@ -125,7 +126,7 @@ def test_a_room_in_feet_is_named() -> None:
 def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours() -> None:
     # Two faults: green is covered, blue and red hang on each other's places.
     papers = (replace(EAST[0], color='blue'), replace(EAST[2], color='red'))
-    none = PaperOutlines(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0))
+    none = PaperOutlines(*(np.zeros((0, n)) for n in (2, 2, 4, 4)), np.zeros(0))
     views = [PaperView({'green': none, **view.outlines}, EYE_M) for view in views_of(papers)]
     found = paper_faults(views, ROOM, CONFIG)
     assert not found.fits
@@ -144,7 +145,7 @@ def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> N
 
 def test_two_papers_or_nothing_seen_give_no_fault() -> None:
     assert judged(EAST, replace(ROOM, papers=EAST[:2])).fits
-    none = PaperOutlines(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0))
+    none = PaperOutlines(*(np.zeros((0, n)) for n in (2, 2, 4, 4)), np.zeros(0))
     assert paper_faults([PaperView({p.color: none for p in EAST}, EYE_M)], ROOM, CONFIG).fits
 
 

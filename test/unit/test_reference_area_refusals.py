@@ -18,7 +18,7 @@ from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
 from landmark_nav.learning.reference_area.refusals import size_warning
-from landmark_nav.learning.upside_down import why_upside_down
+from landmark_nav.learning.seen_otherwise import why_seen_otherwise
 from landmark_nav.types import FloatArray, Sweep
 
 
@@ -143,8 +143,8 @@ def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m:
 def test_a_camera_that_is_given_as_hung_upside_down_and_does_not_is_reported() -> None:
     room, given = rectangle_room(papers=EAST), replace(MOUNT, camera_roll_rad=np.pi)
     sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
-    reported = str(why_upside_down(sweep, room, given, ReferenceAreaConfig()))
-    assert reported.endswith('set camera_roll: 0')
+    reported = str(why_seen_otherwise(sweep, room, given, ReferenceAreaConfig()))
+    assert 'set camera_roll: 0,' in reported
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_a_camera_that_is_given_as_hung_upside_down_and_does_not_is_reported() -
 def test_what_hangs_upside_down_is_reported(mount: PanTiltMount, remedy: str | None) -> None:
     room = rectangle_room(papers=EAST)
     sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]), mount=mount)
-    given = why_upside_down(sweep, room, MOUNT, ReferenceAreaConfig())
+    given = why_seen_otherwise(sweep, room, MOUNT, ReferenceAreaConfig())
     assert given is None if remedy is None else re.search(remedy, str(given))
 
 

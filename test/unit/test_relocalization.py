@@ -24,7 +24,6 @@ from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization import (
     RelocalizationConfig,
     Relocalizer,
-    UncertainPose,
 )
 from landmark_nav.localization.relocalization.candidate_detections import (
     CandidateDetections,
@@ -256,9 +255,8 @@ def test_what_is_seen_must_gives_the_place_well(limit: dict[str, float], words: 
         relocalizer.add_odometry(OdometrySample(frame.stamp_ns, np.zeros(3)))
         outcome = relocalizer.add_frame(frame)
         assert isinstance(outcome, Refusal)
-    assert isinstance(outcome, UncertainPose)
+    assert outcome.reason == 'too little seen'
     assert words in outcome.detail
-    assert np.hypot(*(outcome.place.pose - pose)[:2]) < 0.1
 
 
 @pytest.mark.parametrize(('max_sigma_m', 'found'), [(0.02, True), (0.012, False)])
@@ -276,7 +274,7 @@ def test_no_single_landmark_decides(max_sigma_m: float, found: bool) -> None:
     if found:
         assert_right(outcome, pose)
     else:
-        assert isinstance(outcome, UncertainPose)
+        assert isinstance(outcome, Refusal)
         assert f'landmark {lone} decides' in outcome.detail
 
 
@@ -297,9 +295,7 @@ def test_what_odometry_may_have_erred_by_is_left_open() -> None:
 @pytest.mark.parametrize(
     ('tilt_rad', 'roll_rad'), [(0.035, 0.0), (-0.035, 0.0), (0.0, 0.035), (0.015, -0.02)]
 )
-def test_a_camera_that_was_displaced_finds_its_place_and_how_it_looks(
-    tilt_rad: float, roll_rad: float
-) -> None:
+def test_a_camera_that_was_displaced_finds_its_place(tilt_rad: float, roll_rad: float) -> None:
     pose = (2.4, 1.9, 0.4)
     # The joints, as drawn, are those of a camera that looks higher than they say.
     displaced = [
@@ -319,4 +315,3 @@ def test_a_camera_that_was_displaced_finds_its_place_and_how_it_looks(
         if isinstance(outcome, PoseEstimate):
             break
     assert_right(outcome, pose)
-    np.testing.assert_allclose(relocalizer.tilt_roll_rad, (tilt_rad, roll_rad), atol=2e-3)

@@ -25,11 +25,9 @@ from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints, Jo
 from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.localization.smoother import smooth
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.three import triangulate_three
 from landmark_nav.types import (
-    Detections,
     FloatArray,
     LandmarkMap,
     OdometrySample,
@@ -86,50 +84,15 @@ def test_all_subsets_together_are_within_nine_centimetres(
     assert np.median(error) <= 0.09
 
 
-def refined(beacons: FloatArray, seen: FloatArray) -> FloatArray:
-    """Beacons (4, 2) as the smoother has them after bearings (n, 4) from n unknown places."""
-    corners = LandmarkMap(
-        tuple(
-            bare_landmark(k, np.array([*b, 0.0]), 0.1**2 * np.eye(3))
-            for k, b in enumerate(beacons)
-        )
-    )
-    detections = [
-        Detections(
-            (k + 1) * 10**11, np.arange(4), row, np.full(4, 1e-4), np.ones(4), np.zeros((4, 2))
-        )
-        for k, row in enumerate(seen)
-    ]
-    anywhere = PoseEstimate(0, np.array([3.0, 3.0, 0.0]), 9.0 * np.eye(3))
-    initial = np.median(subset_poses(beacons, seen), axis=1)
-    return smooth(anywhere, [], detections, initial, corners, PanTiltMount()).landmarks
-
-
-def test_beacons_are_put_right_by_what_is_seen_of_them(
+def test_the_estimator_finds_places_and_beacons(
     beacons: FloatArray, readings: tuple[FloatArray, FloatArray]
 ) -> None:
     """
     Nine places have nine bearings too many: errors that repeat can be known without the truth.
 
-    What changes from one reading to the next, a robot that stands takes the median of.
+    Where the robot is carried to, it does not know. What changes from one reading to the next, a
+    robot that stands takes the median of.
     """
-    places, bearings = readings
-    resting, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
-    errors = [
-        np.linalg.norm(subset_poses(corners, seen)[..., :2] - place[:, None], axis=-1)
-        for corners in (beacons[:, :2], refined(beacons[:, :2], resting))
-        for seen, place in ((bearings, places), (resting, true))
-    ]
-    each, at_rest, each_refined, refined_at_rest = map(np.median, errors)
-    assert at_rest > 0.11
-    assert each_refined < 0.098 < 0.8 * each
-    assert refined_at_rest <= 0.09
-
-
-def test_the_joint_estimator_finds_places_and_beacons(
-    beacons: FloatArray, readings: tuple[FloatArray, FloatArray]
-) -> None:
-    """As above, by the joint estimator; where the robot is carried to, it does not know."""
     places, bearings = readings
     resting, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
     corners = LandmarkMap(

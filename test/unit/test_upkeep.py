@@ -11,11 +11,13 @@ import pytest
 from landmark_nav.cli.main import main
 from landmark_nav.cli.maps import describe_comparison
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import save_map
 from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
 from landmark_nav.upkeep.check import problems_of_map
 from landmark_nav.upkeep.comparison import compare_maps, Texture
+from landmark_nav.upkeep.frames import align_frames, FrameAlignment, in_frame_of
 from landmark_nav.upkeep.merge import merge_maps
 
 WALLS = (
@@ -220,3 +222,60 @@ def test_maps_of_two_rooms_are_distinguished_in_one_sentence(tmp_path):
     a, b, c = paths
     assert main(['map', 'diff', a, b]) == 1
     assert main(['map', 'diff', a, c]) == 0
+
+
+POSE, RISE_M, SCALE = np.array([1.5, -2.0, 2.1]), -0.033, 1.03
+
+
+def in_own_frame(learned: LandmarkMap) -> LandmarkMap:
+    """The same map as if it had been learned without a plan: in another frame and metre."""
+    moved = in_frame_of(FrameAlignment(POSE, RISE_M, SCALE, 1e-16 * np.eye(5), 0), learned)
+    own = {'frame': 'base_link at the first sweep', 'scale': 'odom', 'scale_sigma': '0.02'}
+    return replace(moved, provenance=own)
+
+
+def test_frames_and_metres_of_maps_are_found_by_their_landmarks():
+    rng = np.random.default_rng(7)
+    errors = rng.normal(0.0, SIGMA_M, (2, 5, 2))
+    shifts = rng.uniform(-0.04, 0.04, (5, 2))
+    a = make_map(
+        *(
+            landmark(k, p, error_m=e)
+            for k, (p, e) in enumerate(zip(PLACES, errors[0], strict=True))
+        )
+    )
+    b = make_map(
+        *(
+            landmark(k, np.add(p, shift), error_m=e)
+            for k, (p, shift, e) in enumerate(zip(PLACES, shifts, errors[1], strict=True))
+        ),
+        stamp_ns=2,
+    )
+    found = align_frames(a, in_own_frame(b))
+    back = se2.inverse(POSE)
+    expected = np.array([*back[:2] / SCALE, back[2]])
+    x, y, turn = found.pose - expected
+    rise, growth = found.rise_m + RISE_M / SCALE, np.log(found.scale * SCALE)
+    off = np.array([x, y, rise, turn, growth])
+    assert off @ np.linalg.solve(found.covariance, off) < 20.5  # chi square of 5, 0.1 %
+    assert np.hypot(x, y) < 0.03
+    assert abs(growth) < 0.005
+    merged = merge_maps(a, in_own_frame(b))
+    assert 5 <= len(merged.landmarks) <= 10
+    assert np.abs(merged.positions[:, 1]).max() < 0.03
+    assert not problems_of_map(merged)
+    # What an alignment is off by, all landmarks that came by it share.
+    for k in merged.landmarks:
+        own = k.covariance - k.shared_loading @ k.shared_loading.T
+        assert np.linalg.eigvalsh(own)[0] > -1e-12
+
+
+def test_maps_that_can_not_be_aligned_are_refused():
+    here = make_map(*(landmark(k, p) for k, p in enumerate(PLACES)))
+    foreign = make_map(*(landmark(k, p, paper=9) for k, p in enumerate(PLACES)), stamp_ns=2)
+    with pytest.raises(LandmarkNavError, match='are they of one room'):
+        align_frames(here, in_own_frame(foreign))
+    # The same posters hang a second time, two metres on.
+    again = [landmark(5 + k, p, error_m=(-2.0, 0.0)) for k, p in enumerate(PLACES)]
+    with pytest.raises(LandmarkNavError, match='textures repeat'):
+        align_frames(replace(here, landmarks=(*here.landmarks, *again)), in_own_frame(here))

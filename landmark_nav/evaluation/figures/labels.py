@@ -9,7 +9,13 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray
 
-__all__ = ['keep_in_view', 'metres_per_inch', 'places_of_numbers', 'rows_of_labels']
+__all__ = [
+    'free_labels',
+    'keep_in_view',
+    'metres_per_inch',
+    'places_of_numbers',
+    'rows_of_labels',
+]
 
 # Inches that a digit of 7 points takes, the gap between two numbers and between the first and the
 # wall, and a row of them.
@@ -17,6 +23,8 @@ _DIGIT_IN = 0.065
 _GAP_IN = 0.04
 _WALL_IN = 0.09
 _ROW_IN = 0.105
+# Rows farther from the wall no longer show which landmark a number belongs to.
+_MOST_ROWS = 2
 
 
 def rows_of_labels(centers: npt.ArrayLike, widths: npt.ArrayLike) -> npt.NDArray[np.intp]:
@@ -39,11 +47,30 @@ def rows_of_labels(centers: npt.ArrayLike, widths: npt.ArrayLike) -> npt.NDArray
     return rows
 
 
+def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """
+    Which labels (n,) lie on none of those before that are kept.
+
+    Parameters
+    ----------
+    corners, sizes : array_like, shape (n, 2)
+        Least x and y of each label, its width and height, in one unit.
+
+    """
+    low = np.asarray(corners, float).reshape(-1, 2)
+    high = low + np.asarray(sizes, float).reshape(-1, 2)
+    kept = np.zeros(len(low), dtype=np.bool_)
+    for k in range(len(low)):
+        meets = np.all((low[k] < high[kept]) & (low[kept] < high[k]), axis=1)
+        kept[k] = not meets.any()
+    return kept
+
+
 def places_of_numbers(
     positions: FloatArray, normals: FloatArray, numbers: npt.NDArray[np.int64], scale: float
-) -> FloatArray:
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """
-    Places (n, 2) of numbers of 7 points outside the walls, in rows.
+    Places (n, 2) of numbers of 7 points outside the walls, in rows; which (n,) have room there.
 
     Parameters
     ----------
@@ -60,14 +87,16 @@ def places_of_numbers(
     written = np.array([_DIGIT_IN * len(str(number)) + _GAP_IN for number in numbers])
     size = scale * np.stack([written, np.full(len(numbers), _ROW_IN)], -1)
     width, depth = (np.sum(np.abs(way) * size, axis=1) for way in (along, normals))
-    places = np.empty_like(positions)
+    places, has_room = np.empty_like(positions), np.zeros(len(positions), dtype=np.bool_)
     for normal in np.unique(np.round(normals, 1), axis=0):
         wall = np.flatnonzero(np.all(np.round(normals, 1) == normal, axis=1))
         on_wall = np.sum(positions[wall] * along[wall], axis=1)
-        away = 0.5 + rows_of_labels(on_wall, width[wall])
+        rows = rows_of_labels(on_wall, width[wall])
+        has_room[wall] = rows < _MOST_ROWS
+        away = 0.5 + rows
         away = scale * _WALL_IN + away * depth[wall].max()
         places[wall] = positions[wall] - away[:, None] * normals[wall]
-    return places
+    return places, has_room
 
 
 def metres_per_inch(figure: Figure, axes: Axes) -> float:

@@ -54,7 +54,13 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     )
     plain(axes)
     handles = [
-        Line2D([], [], color=LANDMARK, marker='o', label='landmark, its normal and number'),
+        Line2D(
+            [],
+            [],
+            color=LANDMARK,
+            marker='o',
+            label='landmark, its normal, its number where there is room',
+        ),
         Line2D(
             [],
             [],
@@ -89,7 +95,7 @@ def number_landmarks(
     figure: Figure, axes: Axes, landmarks: LandmarkMap, shown: npt.ArrayLike = True
 ) -> None:
     """
-    Write numbers outside the walls, and make room for them there.
+    Write numbers outside the walls, where they do not crowd, and make room for them there.
 
     The last to be drawn in a figure, whose layout must stand. `shown` (n,) says which.
     """
@@ -98,9 +104,10 @@ def number_landmarks(
         return
     scale = metres_per_inch(figure, axes)
     ids = landmarks.ids[which]
-    places = places_of_numbers(
+    places, has_room = places_of_numbers(
         landmarks.positions[which, :2], landmarks.normals[which, :2], ids, scale
     )
+    places, ids = places[has_room], ids[has_room]
     keep_in_view(axes, places, 0.15 * scale)
     for number, (x, y) in zip(ids, places, strict=True):
         text = axes.text(

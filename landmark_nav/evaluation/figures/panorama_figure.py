@@ -12,6 +12,7 @@ from matplotlib.backend_bases import RendererBase
 from matplotlib.patches import Rectangle
 import numpy as np
 
+from landmark_nav.evaluation.figures.labels import free_labels
 from landmark_nav.evaluation.figures.style import CANDIDATE, DPI, LANDMARK, new_figure, save
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
@@ -19,6 +20,10 @@ __all__ = ['draw_panorama']
 
 # Around the image: left, bottom, right, top, inches.
 _MARGINS_IN = (0.7, 0.6, 0.2, 0.4)
+# Width of a digit of a label, of its border, and its height, pixels.
+_DIGIT_PX, _BORDER_PX, _LABEL_PX = 0.09 * DPI, 0.06 * DPI, 0.19 * DPI
+# Of a label above its patch.
+_ABOVE_PX = 3.0
 
 
 def draw_panorama(
@@ -28,7 +33,11 @@ def draw_panorama(
     number: int,
     path: Path,
 ) -> None:
-    """Draw a panorama with its candidates thin and its elected landmarks bold, with their ids."""
+    """
+    Draw a panorama with its candidates thin and its elected landmarks bold, with their ids.
+
+    An id that would lie on one before is left out.
+    """
     rows, columns = panorama.image.shape[:2]
     # Pixel for pixel: nothing has to be resampled.
     left, bottom, right, top = _MARGINS_IN
@@ -38,15 +47,15 @@ def draw_panorama(
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
     figure.add_artist(_PanoramaArtist(panorama, left * DPI, bottom * DPI))
     axes.patch.set_visible(False)
-    elected = 0
-    for candidate, outcome in zip(candidates, outcomes, strict=True):
-        elected += isinstance(outcome, Landmark)
-        label = str(outcome.id) if isinstance(outcome, Landmark) else ''
+    elected = sum(isinstance(outcome, Landmark) for outcome in outcomes)
+    for candidate, outcome, label in zip(
+        candidates, outcomes, _labels(candidates, outcomes), strict=True
+    ):
         # What lies across the seam is drawn at both of its ends.
         for turn in (-columns, 0, columns):
             column = candidate.column + turn
             if -candidate.width_px < column < columns + candidate.width_px:
-                _frame(axes, candidate, column, label)
+                _frame(axes, candidate, column, isinstance(outcome, Landmark), label)
     azimuths = np.arange(-165, 181, 15)
     axes.set_xticks(panorama.cylinder.column_of(np.radians(azimuths)), [f'{a}' for a in azimuths])
     tangents = np.arange(-8, 9, 2) / 10
@@ -59,7 +68,7 @@ def draw_panorama(
     axes.set_ylabel('tangent of elevation')
     axes.set_title(
         f'Panorama {number}: {len(candidates)} candidates (thin), '
-        f'{elected} of them elected (bold, with id)'
+        f'{elected} of them elected (bold, with id where there is room)'
     )
     save(figure, path, tight=False)
 
@@ -80,7 +89,20 @@ class _PanoramaArtist(Artist):
         renderer.draw_image(context, *self._corner, np.flipud(self._rgba))
 
 
-def _frame(axes: Axes, candidate: Candidate, column: float, label: str) -> None:
+def _labels(candidates: Sequence[Candidate], outcomes: Sequence[Landmark | Refusal]) -> list[str]:
+    """Ids of the elected ones that lie on none before; others are empty."""
+    elected = {k: str(one.id) for k, one in enumerate(outcomes) if isinstance(one, Landmark)}
+    sizes, corners = np.empty((2, len(elected), 2))
+    for row, (k, word) in enumerate(elected.items()):
+        candidate, width = candidates[k], _BORDER_PX + _DIGIT_PX * len(word)
+        top = candidate.row - 0.5 * candidate.height_px - _ABOVE_PX - _LABEL_PX
+        sizes[row], corners[row] = (width, _LABEL_PX), (candidate.column - 0.5 * width, top)
+    free = free_labels(corners, sizes)
+    kept = {k: word for (k, word), is_free in zip(elected.items(), free, strict=True) if is_free}
+    return [kept.get(k, '') for k in range(len(candidates))]
+
+
+def _frame(axes: Axes, candidate: Candidate, column: float, is_elected: bool, label: str) -> None:
     """Outline of a candidate; bold and labelled if it was elected."""
     corner = (
         column - 0.5 * candidate.width_px,
@@ -92,14 +114,14 @@ def _frame(axes: Axes, candidate: Candidate, column: float, label: str) -> None:
             candidate.width_px,
             candidate.height_px,
             fill=False,
-            edgecolor=LANDMARK if label else CANDIDATE,
-            linewidth=2.2 if label else 0.9,
+            edgecolor=LANDMARK if is_elected else CANDIDATE,
+            linewidth=2.2 if is_elected else 0.9,
         )
     )
     if label:
         axes.text(
             column,
-            corner[1] - 3.0,
+            corner[1] - _ABOVE_PX,
             label,
             ha='center',
             va='bottom',

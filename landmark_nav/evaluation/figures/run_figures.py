@@ -27,11 +27,11 @@ from landmark_nav.evaluation.figures.style import (
 )
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import RunErrors
+from landmark_nav.evaluation.smoothed_run import Smoothed
 from landmark_nav.evaluation.tracks import PoseTrack
-from landmark_nav.localization.smoother import Smoothed
 from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['draw_errors', 'draw_trajectory']
+__all__ = ['body_frame', 'draw_errors', 'draw_trajectory', 'driven']
 
 
 def draw_trajectory(
@@ -48,27 +48,27 @@ def draw_trajectory(
     if len(run.truth):
         axes.plot(*run.truth.poses[:, :2].T, color=TRUTH, linewidth=3.0, label='truth', zorder=4)
     axes.plot(
-        *_driven(run, run.stamps_ns, run.fused),
+        *driven(run, run.stamps_ns, run.fused),
         color=FUSED,
         linewidth=1.4,
         label='fused',
         zorder=5,
     )
     if smoothed is not None:
-        line = _driven(run, smoothed.stamps_ns, smoothed.poses)
+        line = driven(run, smoothed.stamps_ns, smoothed.poses)
         axes.plot(*line, color=SMOOTHED, linewidth=1.0, label='smoothed', zorder=5)
     axes.plot(*run.start.pose[:2], 'o', color=TRUTH, markersize=7, label='start', zorder=6)
     axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
     keep_in_view(axes, np.concatenate([run.odometry.poses[:, :2], run.fused[:, :2]]), 0.2)
-    driven = run.odometry.at(run.stamps_ns)[:, :2]
-    way_m = float(np.nansum(np.hypot(*np.diff(driven, axis=0).T)))
+    way = run.odometry.at(run.stamps_ns)[:, :2]
+    way_m = float(np.nansum(np.hypot(*np.diff(way, axis=0).T)))
     axes.set_title(f'A drive of {way_m:.1f} m in {1e-9 * np.ptp(run.stamps_ns):.0f} s')
     plain(axes)
     legend_beside(axes, 'below', 7)
     save(figure, path)
 
 
-def _driven(run: Replay, stamps_ns: IntArray, poses: FloatArray) -> FloatArray:
+def driven(run: Replay, stamps_ns: IntArray, poses: FloatArray) -> FloatArray:
     """Line (2, n) through poses; images may be far apart, and odometry leads on between them."""
     known = PoseTrack.of(zip(stamps_ns.tolist(), poses, strict=True))
     return np.asarray(run.odometry.carry(known).poses[:, :2].T)
@@ -84,7 +84,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
     figure = new_figure(10.0, 7.6)
     rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
     seconds = 1e-9 * (run.stamps_ns - run.begin_ns).astype(np.float64)
-    turned = _body_frame(run)
+    turned = body_frame(run)
     fused = np.einsum('nij,nj->ni', turned, errors.fused)
     covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
@@ -134,7 +134,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
 def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     """Show for each image whether it gave a fix, whether fusion used it, whether it was lost."""
     fixed = np.isfinite(run.fixes[:, 0])
-    used = np.array([update.fusion.refusal is None for update in run.updates])
+    used = np.array([update.used > 0 for update in run.updates])
     marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (
         ('triangulated', fixed, FIX),
         ('used by fusion', used, FUSED),
@@ -147,7 +147,7 @@ def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     plain(axes)
 
 
-def _body_frame(run: Replay) -> FloatArray:
+def body_frame(run: Replay) -> FloatArray:
     """Rotations (n, 3, 3) of errors in map into along, across and heading."""
     heading = run.fused[:, 2]
     turned = np.zeros((len(heading), 3, 3))

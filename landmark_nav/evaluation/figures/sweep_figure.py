@@ -12,7 +12,7 @@ from landmark_nav.evaluation.figures.strips import caption
 from landmark_nav.evaluation.figures.style import FUSED, new_figure, plain, save
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.geometry.walls import Room
+from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.types import FloatArray, Panorama, Sweep
 
 __all__ = ['draw_sweeps']
@@ -38,7 +38,7 @@ def draw_sweeps(
         name = _NAMES[k] if len(panoramas) <= 2 else f'{k + 1}'
         _draw_panorama_part(rows[2 * k], panorama, room, f'{name}: {_place(panorama)}')
         _draw_counts(rows[2 * k + 1], panorama, counts[k])
-    text = _text(sweeps, panoramas, counts)
+    text = _text(sweeps, panoramas, counts, room.papers)
     caption(figure, text, 14.0)
     save(figure, path)
     return text
@@ -127,8 +127,14 @@ def _place(panorama: Panorama) -> str:
 
 
 def _text(
-    sweeps: Sequence[Sweep], panoramas: Sequence[Panorama], counts: Sequence[FloatArray]
+    sweeps: Sequence[Sweep],
+    panoramas: Sequence[Panorama],
+    counts: Sequence[FloatArray],
+    papers: Sequence[Paper],
 ) -> str:
+    poses = 'What they share gives their poses to each other.'
+    if papers:
+        poses = 'The papers of the reference area give the position of the camera.'
     frame = sweeps[0].frames[0]
     pans = np.sort([f.pan_rad for f in sweeps[0].frames])
     step = float(np.median(np.diff(pans)))
@@ -140,6 +146,5 @@ def _text(
         f'{frame.camera.width} x {frame.camera.height} px, one each {np.degrees(step):.2f}°. Two '
         f'neighbouring frames overlap by {1.0 - step / (left - right):.0%}; a column is shown by '
         f'{np.median(counts[0]):.0f} frames in the median, by {counts[0].max():.0f} at most; the '
-        'median of those that look straightest at it is kept. The three papers of the reference '
-        'area give the position of the camera.'
+        f'median of those that look straightest at it is kept. {poses}'
     )

@@ -84,6 +84,7 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
 def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
     """Facades, those joined that are stretches of one."""
     facades = [refit(members, config) for members in found]
+    bound = _INLIER_SIGMAS * config.relief_m
     k = 0
     while k < len(facades):
         for j in range(k + 1, len(facades)):
@@ -91,8 +92,10 @@ def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
                 continue
             both = SeenPoints.joined([found[k], found[j]])
             whole = refit(both, config)
-            ends = np.array([p for f in (facades[k], facades[j]) for p in (f.start, f.end)])
-            if np.abs((ends - whole.start) @ whole.normal).max() < _TAKEN_M:
+            ends = np.array([(f.start, f.end) for f in (facades[k], facades[j])])
+            off = (ends - whole.start) @ whole.normal
+            # A cupboard's front and the wall beside it make a line, too, but one that is turned.
+            if max(np.abs(off).max(), np.abs(np.diff(off)).max()) < bound:
                 found[k], facades[k] = both, whole
                 del found[j], facades[j]
                 break

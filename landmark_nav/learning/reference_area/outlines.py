@@ -39,12 +39,15 @@ class PaperOutlines:
 
     `azimuth_rad` (n, 2) of their right and left edges in the base frame, right first, unwrapped;
     `tangent` (n, 2) of the elevation of their bottoms and tops at the middle azimuth; `sigma`
-    (n, 4) of right, left, bottom, top; `misfit` (n,) of their hues in squared standard deviations.
+    (n, 4) of right, left, bottom, top; `by_response` (n, 4) how far all edges lie farther outwards
+    if the camera's response is off by its standard deviation; `misfit` (n,) of their hues in
+    squared standard deviations.
     """
 
     azimuth_rad: FloatArray
     tangent: FloatArray
     sigma: FloatArray
+    by_response: FloatArray
     misfit: FloatArray
 
     def __len__(self) -> int:
@@ -75,15 +78,15 @@ def outline_blobs(view: CylinderImage, color: str, blobs: PaperBlobs) -> PaperOu
         outline = _outline(view, hue, box)
         if outline is not None:
             rows.append((*outline, float(misfit)))
-    table = np.array(rows).reshape(-1, 9)
+    table = np.array(rows).reshape(-1, 13)
     table = table[_distinct(table)]
-    return PaperOutlines(table[:, :2], table[:, 2:4], table[:, 4:8], table[:, 8])
+    return PaperOutlines(table[:, :2], table[:, 2:4], table[:, 4:8], table[:, 8:12], table[:, 12])
 
 
 def _outline(view: CylinderImage, hue: FloatArray, box: FloatArray) -> tuple[float, ...] | None:
-    """Right, left, bottom, top (azimuths, tangents) and their sigmas; None without four edges."""
+    """Right, left, bottom, top (azimuths, tangents), sigmas, response; None without four edges."""
     cylinder = view.cylinder
-    sigma = np.zeros(4)
+    sigma = by_gamma = np.zeros(4)
     for reach in _REACH_PX:
         image, start = _part(view, box, reach + 6.0)
         right, left = cylinder.cx - cylinder.fx * box[:2] - start[0]
@@ -107,28 +110,30 @@ def _outline(view: CylinderImage, hue: FloatArray, box: FloatArray) -> tuple[flo
         inner = min(reach, max(5.0, 1.2 * min(half_x, half_y)))
         found = locate_edges(image, middle + offsets, outwards, hue, inner, _GAMMA, np.inf)
         own = np.hypot(found.sigma_px, _GAMMA_SIGMA * np.abs(found.by_gamma))
-        shift, sigma = _lines(found.offset_px, own)
+        shift, sigma, by_gamma = _lines(found.offset_px, own, found.by_gamma)
         if not np.isfinite(shift).all():
             return None
         # Columns grow clockwise, rows downwards.
         box = box + np.array([-1.0, 1.0, -1.0, 1.0]) * shift / [
             cylinder.fx, cylinder.fx, cylinder.fy, cylinder.fy
         ]  # fmt: skip
-    return (*box.tolist(), *(sigma / cylinder.fx).tolist())
+    by_response = _GAMMA_SIGMA * by_gamma
+    return (*box.tolist(), *(np.concatenate([sigma, by_response]) / cylinder.fx).tolist())
 
 
-def _lines(offset_px: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _lines(
+    offset_px: FloatArray, sigma_px: FloatArray, by_gamma: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
-    Middles (4,) of the lines through what was found of four edges in turn, and their sigmas.
+    Middles (4,) of lines through what was found of four edges in turn, sigmas, slopes by gamma.
 
     By colour (row 0) or, if that shows less, by brightness; NaN where there is no clear line.
     """
     along = np.tile(np.linspace(-1.0, 1.0, _PARTS), 4).reshape(4, _PARTS)
-    middle, sigma = np.full(4, np.nan), np.full(4, np.nan)
+    middle, sigma, slope = (np.full(4, np.nan) for _ in range(3))
     for edge in range(4):
-        for offsets, own in zip(
-            offset_px.reshape(2, 4, _PARTS)[:, edge],
-            sigma_px.reshape(2, 4, _PARTS)[:, edge],
+        for offsets, own, slopes in zip(
+            *(v.reshape(2, 4, _PARTS)[:, edge] for v in (offset_px, sigma_px, by_gamma)),
             strict=True,
         ):
             good = np.isfinite(offsets)
@@ -142,8 +147,9 @@ def _lines(offset_px: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, Flo
             middle[edge] = line[0]
             scatter = np.hypot(spread, np.mean(own[good])) / np.sqrt(good.sum())
             sigma[edge] = np.hypot(_EDGE_SIGMA_PX, scatter)
+            slope[edge] = slopes[good].mean()
             break
-    return middle, sigma
+    return middle, sigma, slope
 
 
 def _part(view: CylinderImage, box: FloatArray, margin_px: float) -> tuple[ImageArray, FloatArray]:
@@ -160,9 +166,9 @@ def _part(view: CylinderImage, box: FloatArray, margin_px: float) -> tuple[Image
 
 
 def _distinct(table: FloatArray) -> list[int]:
-    """Rows of outlines (n, 9) of which no two are of one sheet."""
+    """Rows of outlines (n, 13) of which no two are of one sheet."""
     kept: list[int] = []
-    for k in np.argsort(table[:, 8], kind='stable').tolist():
+    for k in np.argsort(table[:, 12], kind='stable').tolist():
         if all(np.abs(table[k, :4] - table[j, :4]).max() > 0.01 for j in kept):
             kept.append(k)
     return kept

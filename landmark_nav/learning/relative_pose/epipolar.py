@@ -7,7 +7,7 @@ Two rays to one point and the way between the panoramas lie in one plane: ``b . 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.rotation import rot_z
-from landmark_nav.learning.least_squares import levenberg_marquardt, root_of
+from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt, root_of
 from landmark_nav.types import FloatArray
 
 __all__ = ['STATE', 'EpipolarFit', 'RayPairs', 'fit_poses', 'misses']
@@ -45,16 +45,11 @@ class RayPairs:
 
 @dataclass(frozen=True, eq=False)
 class EpipolarFit:
-    """
-    States (v, 6) of sweeps and their information (6 v, 6 v); what agrees of each set of matches.
-
-    `prior_cost` is the squared misfit of what was known of poses before.
-    """
+    """States (v, 6) of sweeps, their covariance (6 v, 6 v), what agrees of each set of matches."""
 
     states: FloatArray
-    information: FloatArray
+    covariance: FloatArray
     agrees: tuple[BoolArray, ...]
-    prior_cost: float
 
 
 def turned(state: FloatArray, rays: FloatArray) -> FloatArray:
@@ -127,6 +122,7 @@ def fit_poses(
     sigma_rad: float,
     prior: FloatArray,
     prior_covariance: FloatArray,
+    others: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None,
 ) -> EpipolarFit:
     """
     Fit the states of sweeps to matches, some of them false, and to what is known before.
@@ -145,6 +141,9 @@ def fit_poses(
         Standard deviation of the direction of a ray.
     prior, prior_covariance : ndarray, shape (v, 6), (6 v, 6 v)
         What is known of the states before.
+    others : callable, optional
+        Other measurements: misses (m,) in standard deviations at states (v, 6), and their
+        derivatives (m, 6 v).
 
     """
     views = len(start)
@@ -165,6 +164,10 @@ def fit_poses(
         def linearize(flat: FloatArray) -> tuple[FloatArray, FloatArray]:
             at = flat.reshape(views, STATE)
             rows, slopes = [off_prior(at)], [whiten]
+            if others is not None:
+                off, jacobian = others(at)
+                rows.append(off)
+                slopes.append(jacobian)
             for p, weight in zip(pairs, weights, strict=True):  # noqa: B023
                 off, jacobian, _ = misses(at, p, lever, sigma_rad)
                 slope = np.zeros((len(off), views, STATE))
@@ -179,5 +182,4 @@ def fit_poses(
     for p in pairs:
         off, _, before = misses(states, p, lever, sigma_rad)
         agrees.append(before & (np.abs(off) < _AGREES))
-    prior_off = off_prior(states)
-    return EpipolarFit(states, information, tuple(agrees), float(prior_off @ prior_off))
+    return EpipolarFit(states, covariance_of(information), tuple(agrees))

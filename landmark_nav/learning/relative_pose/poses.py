@@ -1,5 +1,5 @@
 """
-Poses of all sweeps: their shape from the panoramas, their scale from what was known before.
+Poses of all sweeps: their shape from the panoramas, their scale from what is known beside.
 
 Pairs of panoramas give headings and directions; from these, along the best pairs, all are placed,
 and then fitted to all matches at once.
@@ -7,16 +7,14 @@ and then fitted to all matches at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.special import chdtri
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import relative
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import (
@@ -28,19 +26,34 @@ from landmark_nav.learning.relative_pose.epipolar import (
 )
 from landmark_nav.learning.relative_pose.features import alike, Features
 from landmark_nav.learning.relative_pose.matches import matches_along
-from landmark_nav.learning.relative_pose.two_views import hypotheses, turn_support, TwoViews
+from landmark_nav.learning.relative_pose.scale import (
+    PlaceSource,
+    scale_sigma,
+    ScaleShare,
+    SheetSource,
+    Source,
+    stacked,
+)
+from landmark_nav.learning.relative_pose.sheet_tracks import FINE, ROUGH, sheet_tracks
+from landmark_nav.learning.relative_pose.two_views import (
+    hypotheses,
+    turn_support,
+    two_views_of,
+    TwoViews,
+)
+from landmark_nav.learning.sheets.view import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
 __all__ = ['RelativePoses', 'relative_poses']
 
-# Each sweep is compared with so many of those nearest to it.
+# Each sweep is compared with so many of those nearest to it, if that is known.
 _NEIGHBOURS = 4
-# Chance that known poses miss what the panoramas say by more; their variances then grow, up to
-# this factor, beyond which they are refused.
-_CHANCE, _MOST_INFLATED = 1e-4, 30.0
 # Matches that a turn alone explains, as a share of those that a way does, where there is no way.
 _NO_WAY = 0.8
+# Of x, y, heading (m, m, rad): the first sweep is the frame, nothing is known of the others.
 _FIXED_SIGMA = 1e-6
+_UNKNOWN_SIGMA = (10.0, 10.0, 3.0)
+_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,50 +65,60 @@ class RelativePoses:
     ----------
     states : ndarray, shape (v, 6)
         x, y, heading of the base, height above the first (m), tilt about x and y of the base.
-    places : PlaceChain
-        What was known of them before, with the covariance that fits the panoramas.
+    covariance : ndarray, shape (3 v, 3 v)
+        Of x, y, heading by the sources of the scale alone, without what panoramas show.
     pairs : tuple of RayPairs
         Matches that agree.
-    inflation : float
-        Factor by which that covariance had to grow, at least 1.
     tilt_information : ndarray, shape (v, 2, 2)
         Of the tilt of each sweep.
+    scales : tuple of ScaleShare
+        What each source says of the scale.
+    scale_sigma : float
+        Relative standard deviation of the scale by all of them.
 
     """
 
     states: FloatArray
-    places: PlaceChain
+    covariance: FloatArray
     pairs: tuple[RayPairs, ...]
-    inflation: float
     tilt_information: FloatArray
+    scales: tuple[ScaleShare, ...]
+    scale_sigma: float
 
 
 def relative_poses(
-    features: Sequence[Features], places: PlaceChain, lever: FloatArray, config: RelativePoseConfig
+    features: Sequence[Features],
+    known: Sequence[PlaceChain],
+    lever: FloatArray,
+    config: RelativePoseConfig,
+    sheets: Sequence[Sequence[SheetView]] = (),
 ) -> RelativePoses:
     """
-    Find the poses of sweeps from what their panoramas show, and what is known before.
+    Find the poses of sweeps from what their panoramas show, and the scale from all that gives it.
 
     Parameters
     ----------
     features : sequence of Features
         Of the panorama of each sweep.
-    places : PlaceChain
-        Poses of the base that are known before, with their scale.
+    known : sequence of PlaceChain
+        Poses of the base that are known before, by each source; the first one gives the frame.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame, metres.
     config : RelativePoseConfig
         What counts.
+    sheets : sequence of sequence of SheetView
+        What may be a sheet of a known size, of each sweep.
 
     Raises
     ------
     LandmarkNavError
-        Panoramas that share too little, no way between them, or poses known before that
-        contradict them.
+        Panoramas that share too little, no way between them, nothing that gives the scale, or
+        sources that contradict panoramas or each other.
 
     """
+    count = len(features)
     found: dict[tuple[int, int], TwoViews] = {}
-    for i, j in _neighbours(places.poses):
+    for i, j in _neighbours(known[0].poses) if known else combinations(range(count), 2):
         matches = alike(features[i], features[j], config.max_ratio)
         pairs = RayPairs(i, j, features[i].rays[matches[:, 0]], features[j].rays[matches[:, 1]])
         ranked = hypotheses(pairs, config)
@@ -108,17 +131,23 @@ def relative_poses(
             )
         if _stands_out(ranked, config):
             found[i, j] = ranked[0]
-    start = _placed(found, places, lever)
-    fit, inflation, pairs_along = _fitted(start, found, features, places, lever, config)
-    count = len(fit.states)
-    covariance = covariance_of(fit.information).reshape(count, STATE, count, STATE)
+    lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
+    if known:
+        eyes = [_viewpoint(pose, lever) for pose in known[0].poses]
+        lengths = {(i, j): float(np.hypot(*(eyes[j] - eyes[i]))) for i, j in found}
+    first = known[0].poses[0] if known else np.zeros(3)
+    start = _placed(count, found, lengths, first, lever)
+    fit, sources, pairs_along = _fitted(start, found, features, known, sheets, lever, config)
+    shares = tuple(source.share(fit.states, lever) for source in sources)
+    covariance = fit.covariance.reshape(count, STATE, count, STATE)
     tilts = np.array([covariance_of(covariance[k, 4:, k, 4:]) for k in range(count)])
     return RelativePoses(
         fit.states,
-        PlaceChain(places.poses, inflation * places.covariance),
+        _known_covariance(fit.states, sources, config),
         tuple(p.chosen(which) for p, which in zip(pairs_along, fit.agrees, strict=True)),
-        inflation,
         tilts,
+        shares,
+        scale_sigma(shares),
     )
 
 
@@ -138,12 +167,15 @@ def _stands_out(ranked: Sequence[TwoViews], config: RelativePoseConfig) -> bool:
 
 
 def _placed(
-    found: dict[tuple[int, int], TwoViews], places: PlaceChain, lever: FloatArray
+    count: int,
+    found: Mapping[tuple[int, int], TwoViews],
+    lengths: Mapping[tuple[int, int], float],
+    first: FloatArray,
+    lever: FloatArray,
 ) -> FloatArray:
-    """States (v, 6) along the pairs with most support, as far apart as was known before."""
-    count = len(places.poses)
+    """States (v, 6) along the pairs with most support, as far apart as `lengths` says."""
     states = np.zeros((count, STATE))
-    states[0, :3] = places.poses[0]
+    states[0, :3] = first
     placed = {0}
     while len(placed) < count:
         ways = [e for e in found if (e[0] in placed) != (e[1] in placed)]
@@ -153,18 +185,24 @@ def _placed(
                 f'the panorama of sweep {alone + 1} shares too little with the others: take '
                 'sweeps 1 to 2 m apart that see the same textured walls'
             )
+        ways = [e for e in ways if e in lengths]
+        if not ways:
+            alone = next(k for k in range(count) if k not in placed)
+            raise LandmarkNavError(
+                f'nothing gives the scale: sweep {alone + 1} shows no sheet of the size given '
+                'that another sweep shows, too: hang sheets that both see, or record odom'
+            )
         i, j = max(ways, key=lambda e: found[e].support)
         pose, forward = found[i, j], i in placed
-        known, new = (i, j) if forward else (j, i)
+        near, new = (i, j) if forward else (j, i)
         turn = pose.heading_rad if forward else -pose.heading_rad
-        heading = states[known, 2] + turn
+        heading = states[near, 2] + turn
         course = pose.direction_rad + (states[i, 2] if forward else heading)
         course += 0.0 if forward else np.pi
-        ends = [_viewpoint(places.poses[k], lever) for k in (known, new)]
-        eye = center(states[known], lever)[:2]
-        eye = eye + np.hypot(*(ends[1] - ends[0])) * np.array([np.cos(course), np.sin(course)])
+        eye = center(states[near], lever)[:2]
+        eye = eye + lengths[i, j] * np.array([np.cos(course), np.sin(course)])
         states[new, 2] = wrap_rad(heading)
-        states[new, :2] = eye - center(np.array([0, 0, heading, 0, 0, 0.0]), lever)[:2]
+        states[new, :2] = eye - _viewpoint(np.array([0.0, 0.0, heading]), lever)
         placed.add(new)
     return states
 
@@ -175,62 +213,46 @@ def _viewpoint(pose: FloatArray, lever: FloatArray) -> FloatArray:
 
 def _fitted(
     start: FloatArray,
-    found: dict[tuple[int, int], TwoViews],
+    found: Mapping[tuple[int, int], TwoViews],
     features: Sequence[Features],
-    places: PlaceChain,
+    known: Sequence[PlaceChain],
+    sheets: Sequence[Sequence[SheetView]],
     lever: FloatArray,
     config: RelativePoseConfig,
-) -> tuple[EpipolarFit, float, list[RayPairs]]:
-    """Fit to all matches; the factor on what was known; the matches."""
-    count = len(start)
-    prior = np.zeros((count, STATE))
-    prior[:, :3] = places.poses
-    inflation, states = 1.0, start
-    for _ in range(3):
+) -> tuple[EpipolarFit, list[Source], list[RayPairs]]:
+    """Fit to all matches and sources of the scale; these sources and matches."""
+    prior = np.zeros_like(start)
+    prior[0, :3] = start[0, :3]
+    covariance, states = _prior_covariance(len(start), config), start
+    places = [PlaceSource(chain) for chain in known]
+    for number in range(_ROUNDS):
+        poses = {pair: two_views_of(states, *pair, lever) for pair in found}
+        tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []
+        sources: list[Source] = [*places, *SheetSource.of_kinds(tracks, lever)]
         pairs = [matches_along(i, j, states, features, lever, config) for i, j in sorted(found)]
-        covariance = _prior_covariance(inflation * places.covariance, config)
-        fit = fit_poses(states, pairs, lever, config.direction_sigma_rad, prior, covariance)
+        fit = fit_poses(
+            states, pairs, lever, config.direction_sigma_rad, prior, covariance, stacked(sources)
+        )
         states = fit.states
-        freedom = 3 * (count - 1)
-        misfit = _misfit(fit.states, places)
-        inflation = misfit / freedom if misfit > chdtri(freedom, _CHANCE) else 1.0
-        if inflation > _MOST_INFLATED:
-            raise LandmarkNavError(_contradiction(fit.states, places))
-    return fit, inflation, pairs
+        for source in places:
+            source.inflate(states, lever)
+    return fit, sources, pairs
 
 
-def _misfit(states: FloatArray, places: PlaceChain) -> float:
-    """Squared misfit of what was known of poses before, without their scale."""
-    off = states[1:, :3] - places.poses[1:]
-    off[:, 2] = wrap_rad(off[:, 2])
-    return float(off.ravel() @ np.linalg.solve(places.covariance[3:, 3:], off.ravel()))
-
-
-def _contradiction(states: FloatArray, places: PlaceChain) -> str:
-    """Say between which sweeps poses known before and panoramas disagree most."""
-    turns = []
-    for k in range(len(states) - 1):
-        seen = relative(states[k, :3], states[k + 1, :3])
-        known = relative(places.poses[k], places.poses[k + 1])
-        course = np.arctan2(seen[1], seen[0]) - np.arctan2(known[1], known[0])
-        turns.append(np.degrees(wrap_rad(np.array([seen[2] - known[2], course]))))
-    worst = int(np.argmax([np.abs(t).max() for t in turns]))
-    heading, course = turns[worst]
-    return (
-        f'odometry and panoramas disagree from sweep {worst + 1} to {worst + 2}: by '
-        f'{heading:+.1f} deg in heading, {course:+.1f} deg in direction: mend odom, or drive '
-        'again without slipping'
-    )
-
-
-def _prior_covariance(places: FloatArray, config: RelativePoseConfig) -> FloatArray:
-    """Covariance (6 v, 6 v) of states before there are matches."""
-    count = len(places) // 3
+def _prior_covariance(count: int, config: RelativePoseConfig) -> FloatArray:
+    """Covariance (6 v, 6 v) of states before anything is measured."""
     rise, tilt = config.rise_sigma_m, config.tilt_sigma_rad
-    rest = block_diag(*[np.diag([rise**2, tilt**2, tilt**2])] * count)
-    rest[0, 0] = _FIXED_SIGMA**2
-    joint = np.zeros((count, STATE, count, STATE))
-    joint[:, :3, :, :3] = places.reshape(count, 3, count, 3)
-    joint[:, 3:, :, 3:] = rest.reshape(count, 3, count, 3)
-    joint[0, range(3), 0, range(3)] += _FIXED_SIGMA**2
-    return joint.reshape(count * STATE, count * STATE)
+    sigma = np.tile([*_UNKNOWN_SIGMA, rise, tilt, tilt], (count, 1))
+    sigma[0, :4] = _FIXED_SIGMA
+    return np.diag(sigma.ravel() ** 2)
+
+
+def _known_covariance(
+    states: FloatArray, sources: Sequence[Source], config: RelativePoseConfig
+) -> FloatArray:
+    """Covariance (3 v, 3 v) of x, y, heading by the sources alone."""
+    count = len(states)
+    _, jacobian = stacked(sources)(states)
+    information = jacobian.T @ jacobian + np.linalg.inv(_prior_covariance(count, config))
+    joint = covariance_of(information).reshape(count, STATE, count, STATE)
+    return np.asarray(joint[:, :3, :, :3].reshape(3 * count, 3 * count))

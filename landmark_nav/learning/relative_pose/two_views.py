@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.geometry.se2 import rotation
 from landmark_nav.learning.relative_pose.config import RelativePoseConfig
-from landmark_nav.learning.relative_pose.epipolar import fit_poses, RayPairs, STATE
+from landmark_nav.learning.relative_pose.epipolar import center, fit_poses, RayPairs, STATE
 from landmark_nav.types import FloatArray
 
-__all__ = ['TwoViews', 'hypotheses', 'turn_support']
+__all__ = ['TwoViews', 'hypotheses', 'turn_support', 'two_views_of']
 
 # Grid of headings and directions that is tried, and how far off a match then may be.
 _GRID, _TOLERANCE = 120, 0.02
@@ -42,6 +44,15 @@ class TwoViews:
     direction_rad: float
     tilt_rad: FloatArray
     support: int
+
+
+def two_views_of(states: FloatArray, one: int, other: int, lever: FloatArray) -> TwoViews:
+    """Relative pose of two of the states (v, 6) of sweeps; `lever` (3,) is as in `center`."""
+    here, there = states[one], states[other]
+    way = (center(there, lever) - center(here, lever)) @ rot_z(here[2])
+    heading = there[2] - here[2]
+    tilt = there[4:] - rotation(-heading) @ here[4:]
+    return TwoViews(float(heading), float(np.arctan2(way[1], way[0])), tilt, 0)
 
 
 def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:

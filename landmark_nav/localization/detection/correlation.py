@@ -26,7 +26,7 @@ from landmark_nav.localization.detection.expectation import (
     quadratic,
     View,
 )
-from landmark_nav.localization.detection.height import RowModel, RowResiduals
+from landmark_nav.localization.detection.rows import RowModel, RowResiduals
 from landmark_nav.matching import (
     blur_by,
     blur_sigmas,
@@ -61,7 +61,8 @@ class DetectionResult:
 
     `rays` (n, 3) to the landmarks found are in the optical frame; `blur_px2` (n, 2) is the
     variance by which the image is more blurred at each than those it was learned from. `heights`
-    are of all that was found, also where it is refused for its height.
+    are of all that was found, also where it is refused for its height. `expected` says where each
+    was searched, by id.
     """
 
     detections: Detections
@@ -69,6 +70,7 @@ class DetectionResult:
     rays: FloatArray
     blur_px2: FloatArray
     heights: RowResiduals
+    expected: Mapping[int, Expectation]
 
 
 def detect_landmarks(
@@ -141,6 +143,7 @@ def detect_landmarks(
         rays[:, 0],
         blur_px2 + np.array([f.match.blur_px2 for f in found]).reshape(-1, 2),
         heights,
+        {landmark.id: place for landmark, place in zip(looked, places, strict=True)},
     )
 
 

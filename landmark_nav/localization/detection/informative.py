@@ -17,7 +17,6 @@ def most_informative(
     index: npt.NDArray[np.intp],
     bearing_sigma: float,
     count: int,
-    wanted: npt.ArrayLike = (),
     novelty: FloatArray | None = None,
 ) -> npt.NDArray[np.intp]:
     """
@@ -37,8 +36,6 @@ def most_informative(
         Expected measurement sigma, radians.
     count : int
         How many to choose.
-    wanted : array_like of int
-        Places in the map that come first.
     novelty : ndarray, shape (landmarks of the map,), optional
         Factor on the gain of each landmark: seen again, it repeats the error of the map.
 
@@ -56,12 +53,12 @@ def most_informative(
     rows = np.column_stack([gradient, np.full(len(index), -1.0)]) / np.sqrt(variance)[:, None]
     covariance: FloatArray = axis.covariance
     gain = np.sum(rows @ covariance * rows, -1)
-    first = np.where((index[:, None] == np.asarray(wanted)).any(axis=1), np.inf, 0.0)
+    left = np.ones(len(index), dtype=np.bool_)
     news = np.ones(len(index)) if novelty is None else novelty[index]
     for _ in range(count):
-        best = int(np.argmax(news * gain + first))
-        first[best] = -np.inf
+        best = int(np.argmax(np.where(left, news * gain, -np.inf)))
+        left[best] = False
         spread = covariance @ rows[best] / np.sqrt(1.0 + gain[best])
         covariance = covariance - np.outer(spread, spread)
         gain -= (rows @ spread) ** 2
-    return np.asarray(index[first == -np.inf], dtype=np.intp)
+    return np.asarray(index[~left], dtype=np.intp)

@@ -18,21 +18,18 @@ class EstimatorConfig(Config):
         'Sigma by which an uneven floor tilts the base, rad.',
         minimum=0.0,
         maximum=0.1,
-        formerly='lean_sigma_rad',
     )
     floor_tilt_length_m: float = parameter(
         0.5,
         'Way over which the floor changes, m.',
         minimum=0.001,
         maximum=1000.0,
-        formerly='lean_length_m',
     )
     correlation_length_m: float = parameter(
         10.0,
         'Way over which the error of a landmark changes with the viewpoint, m.',
         minimum=0.1,
         maximum=1e9,
-        formerly='map_memory_m',
     )
     tail_freedom: float = parameter(
         2.0,
@@ -61,6 +58,9 @@ class EstimatorConfig(Config):
     )
     step_sigma_m: float = parameter(
         0.02, 'Sigma of such a motion of the base, m.', minimum=0.0, maximum=10.0
+    )
+    history_s: float = parameter(
+        2.0, 'How late a measurement may come, s.', minimum=0.0, maximum=60.0
     )
     learning_sigma: float = parameter(
         1.0,

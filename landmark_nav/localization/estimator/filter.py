@@ -72,6 +72,8 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 # A turn of the camera or base explains two landmarks whatever they show: more must agree on it,
 # with at least this weight.
 _WITNESSES, _INLIER = 3, 0.3
+# A detection of less weight than this is an outlier.
+_OUTLIER = 0.1
 # An image is a surprise if it is less likely than this.
 _SURPRISE = 1e-3
 # Sigmas of a pose of which nothing is known, metres and radians.
@@ -136,6 +138,11 @@ class Update(NamedTuple):
     stepped: bool
     separation: FloatArray
     without: FloatArray
+
+    @property
+    def used(self) -> IndexArray:
+        """Landmarks of the image that are no outliers."""
+        return self.columns[self.weight > _OUTLIER]
 
 
 class JointFilter:

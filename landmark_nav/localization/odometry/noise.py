@@ -123,13 +123,6 @@ class OdometryNoiseConfig(Config):
     slip_length_m: float = parameter(
         0.3, 'Way over which side slip changes, m.', minimum=0.001, maximum=1000.0
     )
-    learning_sigma: float = parameter(
-        1.0,
-        'How far noise may differ from these parameters, and that of detections from what they '
-        'claim: sigma of the logarithm of a factor on its variance. 0 takes both as they are.',
-        minimum=0.0,
-        maximum=5.0,
-    )
     max_speed_m_s: float = parameter(
         3.0, 'Odometry that moves faster has jumped, m/s.', minimum=0.01, maximum=100.0
     )
@@ -141,11 +134,11 @@ class OdometryNoiseConfig(Config):
     )
 
     def scaled(self, way: float, turns: float, slip: float) -> OdometryNoiseConfig:
-        """Return a copy with scaled sigmas of way, turns and side slip, not to be learned."""
+        """Return a copy with scaled sigmas of way, turns and side slip."""
         sigmas = {name: min(1.0, way * getattr(self, name)) for name in _OF_WAY}
         sigmas['turn_rad_per_sqrt_rad'] = min(1.0, turns * self.turn_rad_per_sqrt_rad)
         sigmas['slip_sigma'] = min(1.0, slip * self.slip_sigma)
-        return replace(self, **sigmas, learning_sigma=0.0)
+        return replace(self, **sigmas)
 
     @cached_property
     def bias_sigmas(self) -> FloatArray:

@@ -76,11 +76,6 @@ class OdometryTrack:
         """First and last time; None while empty."""
         return (self._stamps[0], self._stamps[-1]) if self._stamps else None
 
-    @property
-    def still_since_ns(self) -> int | None:
-        """Since when the pose has stayed the same at the end of the track; None if it has not."""
-        return self._still_since_ns
-
     def add(self, sample: OdometrySample) -> Refusal | None:
         """
         Append a sample.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
-from landmark_nav.localization.relocalization.search import UncertainPose
 from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 
-__all__ = ['RelocalizationConfig', 'Relocalizer', 'UncertainPose', 'Unseen']
+__all__ = ['RelocalizationConfig', 'Relocalizer', 'Unseen']

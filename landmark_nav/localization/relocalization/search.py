@@ -8,7 +8,7 @@ landmarks that should be seen from there are looked for -> the place, if it is u
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,11 +24,10 @@ from landmark_nav.localization.relocalization.verification import (
     Verification,
     verify,
 )
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, RefusalCode
+from landmark_nav.types import FloatArray, LandmarkMap, Refusal, RefusalCode
 
 __all__ = [
     'CANDIDATES',
-    'UncertainPose',
     'best_place',
     'locate',
     'nothing_recognised',
@@ -48,13 +47,6 @@ _LEAST_LANDMARKS = 4
 _MOST_WITHOUT = 2.0
 # The landmarks found must span this angle.
 _MIN_SPREAD_RAD = 0.6
-
-
-@dataclass(frozen=True)
-class UncertainPose(Refusal):
-    """A likely place, for which there is too little evidence to start from it."""
-
-    place: PoseEstimate = field(kw_only=True)
 
 
 def locate(
@@ -182,34 +174,26 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
         return best
     found, where = len(best.ids), _where(best)
     if found < config.min_landmarks:
-        words = 'too little seen', f'{found} landmarks support {where}'
-        return (
-            Refusal(*words)
-            if found < _LEAST_LANDMARKS
-            else UncertainPose(*words, place=best.estimate)
-        )
+        return Refusal('too little seen', f'{found} landmarks support {where}')
     spread = _span(best.bearing_rad)
     if spread < _MIN_SPREAD_RAD:
-        return UncertainPose(
+        return Refusal(
             'too little seen',
             f'all {found} landmarks lie within {np.degrees(spread):.0f} deg: look around',
-            place=best.estimate,
         )
     sigma = float(np.sqrt(np.trace(best.estimate.covariance[:2, :2])))
     sigma_turn = float(np.sqrt(best.estimate.covariance[2, 2]))
     if sigma > config.max_sigma_m or sigma_turn > config.max_sigma_rad:
-        return UncertainPose(
+        return Refusal(
             'too little seen',
             f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
-            place=best.estimate,
         )
     decides = int(np.argmax(best.sigma_without_m))
     if not best.sigma_without_m[decides] <= _MOST_WITHOUT * config.max_sigma_m:
-        return UncertainPose(
+        return Refusal(
             'too little seen',
             f'at {where} landmark {best.ids[decides]} decides, without it sigma is '
             f'{best.sigma_without_m[decides]:.3f} m: look around',
-            place=best.estimate,
         )
     return best
 

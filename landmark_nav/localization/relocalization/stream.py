@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection.height import CameraTilt
-from landmark_nav.localization.joint_delay import DELAY_BOUND_S
+from landmark_nav.localization.late_joints import DELAY_BOUND_S
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
@@ -53,11 +52,10 @@ _CLOCK_STEP_NS = 2 * 10**9
 _VAIN = 2
 # Share of way and turn that wheels may be wrong by.
 _SLIP = 0.04
-_UPRIGHT = CameraTilt()
 
 
 class _Keyframe(NamedTuple):
-    """An image as it came, with its viewing direction and what may be seen in it, levelled."""
+    """An image as it came, with its viewing direction and what may be seen in it."""
 
     frame: CameraFrame
     direction: FloatArray
@@ -115,7 +113,6 @@ class Relocalizer:
         self._outcome = Refusal('nothing seen yet', 'no image came')
         self._landmark_ids = np.empty(0, dtype=np.int64)
         self._in_time: PoseEstimate | None = None
-        self._lean_rad = (0.0, 0.0)
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Move on."""
@@ -130,9 +127,7 @@ class Relocalizer:
         oldest_ns = sample.stamp_ns - _CLOCK_STEP_NS
         self._track.trim(min([oldest_ns, *(kept.frame.stamp_ns for kept in self._kept[:1])]))
 
-    def add_frame(
-        self, frame: CameraFrame, camera_tilt: CameraTilt = _UPRIGHT
-    ) -> PoseEstimate | Refusal:
+    def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """
         Look at an image.
 
@@ -140,8 +135,6 @@ class Relocalizer:
         ----------
         frame : CameraFrame
             Image with its joint angles.
-        camera_tilt : CameraTilt
-            What is known by now of the camera, in this image and in those before.
 
         Returns
         -------
@@ -173,7 +166,7 @@ class Relocalizer:
             [*(keyframe.frame for keyframe in self._kept), frame][recent],
             np.vstack([poses, np.zeros(3)])[recent],
             np.vstack([variances, np.zeros(3)])[recent],
-        ).levelled(camera_tilt)
+        )
         detections = find_candidate_detections(carried.frames[-1], self._map, self._mount)
         self._kept = [*self._kept, _Keyframe(frame, direction, detections)][recent]
         seen = [keyframe.detections for keyframe in self._kept]
@@ -195,7 +188,6 @@ class Relocalizer:
         )
         others = max(delay_variances.mean() - delay_variances[-1], 0.0)
         self._landmark_ids, self._in_time = outcome.ids, self._turned(outcome.estimate, others)
-        self._lean_rad = outcome.tilt_rad, outcome.roll_rad
         return self._turned(self._in_time, delay_variances[-1])
 
     @property
@@ -209,15 +201,10 @@ class Relocalizer:
         """Ids of the landmarks from which the last place was found."""
         return self._landmark_ids
 
-    @property
-    def tilt_roll_rad(self) -> tuple[float, float]:
-        """Tilt and roll of the camera against its joints, by the last pose, rad."""
-        return self._lean_rad
-
     def _tilted(
         self, frames: Sequence[CameraFrame], tilt_sigma_rad: float
     ) -> list[CandidateDetections]:
-        """Detections in the kept images, levelled, of a camera whose tilt and roll may be off."""
+        """Detections in the kept images of a camera whose tilt and roll may be off."""
         for k, (keyframe, frame) in enumerate(zip(self._kept, frames, strict=True)):
             if keyframe.tilted is None:
                 seen = find_candidate_detections(

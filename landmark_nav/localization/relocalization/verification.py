@@ -12,12 +12,9 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.blurred import detect_blurred
-from landmark_nav.localization.detection.height import (
-    CameraTilt,
-    estimate_camera_tilt,
-    RowResiduals,
-)
+from landmark_nav.localization.detection.rows import RowResiduals
 from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.relocalization.camera_tilt import CameraTilt, estimate_camera_tilt
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.localization.triplet.visibility import visible_landmarks
@@ -67,15 +64,12 @@ class Verification:
     """
     A verified hypothesis.
 
-    The camera is tilted up by `tilt_rad`, and rolled to its right by `roll_rad`. `ids` (n,) are
-    the landmarks found, `bearing_rad` (n,) their bearings at the estimated pose, `sigma_without_m`
-    (n,) the sigma of the pan axis (root of the trace) without each of them. `expected` is how many
-    should have been found.
+    `ids` (n,) are the landmarks found, `bearing_rad` (n,) their bearings at the estimated pose,
+    `sigma_without_m` (n,) the sigma of the pan axis (root of the trace) without each of them.
+    `expected` is how many should have been found.
     """
 
     estimate: PoseEstimate
-    tilt_rad: float
-    roll_rad: float
     ids: npt.NDArray[np.int64]
     bearing_rad: FloatArray
     sigma_without_m: FloatArray
@@ -120,7 +114,6 @@ def verify(
         How far tilt and roll of the camera may be off; a small roll is found without.
 
     """
-    unlevelled = carried
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
     if tilt_sigma_rad:
         prior = replace(estimate, covariance=np.diag(np.square(_SIGMAS[0])))
@@ -150,11 +143,8 @@ def verify(
     bearing = se2.bearings(fix.pose, landmark_map.positions[landmark, :2])
     without = np.array([fix.solution.covariance_without(seen == one) for one in landmark])
     sigma = np.sqrt(without[:, 0, 0] + without[:, 1, 1])
-    first, last = unlevelled.frames[0], carried.frames[0]
     return Verification(
         estimate,
-        last.tilt_rad - first.tilt_rad,
-        last.roll_rad - first.roll_rad,
         landmark_map.ids[landmark],
         bearing,
         sigma,

@@ -55,14 +55,12 @@ class TripletConfig(Config):
     )
     views: str = parameter(
         'one',
-        'Whether one view must hold a triplet, or several, one after the other; the same in '
-        'triplet_selector and triangulation_localizer.',
+        'Whether one view must hold a triplet, or several, one after the other.',
         choices=('one', 'several'),
     )
     fix_window_s: float = parameter(
         5.0,
-        'How long several views may take, and a detection counts towards a fix; also the same in '
-        'both, s.',
+        'How long several views may take, s.',
         minimum=0.1,
         maximum=60.0,
         formerly='gather_s',

@@ -16,7 +16,6 @@ from landmark_nav.messages.decode.headers import (
 )
 from landmark_nav.messages.decode.images import BitDepth, camera_image, image
 from landmark_nav.messages.decode.joints import (
-    joint_delay,
     joint_sample,
     JointNames,
     lone_tilt,
@@ -40,7 +39,6 @@ __all__ = [
     'global_pose',
     'image',
     'is_unstamped',
-    'joint_delay',
     'joint_sample',
     'landmark_map',
     'lone_tilt',

@@ -38,8 +38,7 @@ def detections(msg: Any) -> Detections:
 
     """
     points, stamp = unpack_cloud(msg, DETECTIONS), stamp_ns(msg.header)
-    delays = points[['joint_delay', 'pan_delay']][0].tolist() if len(points) else (0.0, 0.0)
-    configured, measured = seconds(delays, 'detections delay', stamp)
+    (delay,) = seconds(points['joint_delay'][:1].tolist() or [0.0], 'detections delay', stamp)
     # Other sensors may see a landmark twice at a time.
     landmark_ids(points['id'], 'detections', unique=False)
     missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
@@ -57,8 +56,7 @@ def detections(msg: Any) -> Detections:
         finite(found['score'], 'detections score', stamp),
         finite(np.stack([found['u'], found['v']], -1), 'detections pixel', stamp),
         points['id'][missed],
-        joint_delay_s=configured,
-        pan_delay_s=measured,
+        joint_delay_s=delay,
         points=places if of_image else places[:0],
         point_covariance=spread if of_image else spread[:0],
         near=near if near.any() else None,

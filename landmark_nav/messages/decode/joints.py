@@ -8,14 +8,11 @@ from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages.clouds import unpack_cloud
-from landmark_nav.messages.decode.headers import duration_ns, finite, seconds, stamp_ns
-from landmark_nav.messages.layouts import JOINT_DELAY
+from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
 from landmark_nav.types import JointSample
 
 __all__ = [
     'JointNames',
-    'joint_delay',
     'joint_sample',
     'lone_tilt',
     'matching_name',
@@ -168,24 +165,6 @@ def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
         )
         for point in msg.points
     )
-
-
-def joint_delay(msg: Any) -> tuple[float, float]:
-    """
-    By how much the joints' stamps are late, and its sigma, out of ``joint_delay``; s.
-
-    Raises
-    ------
-    LandmarkNavError
-        Fields are missing or of another kind, not one point, or values that are not numbers.
-
-    """
-    points, stamp = unpack_cloud(msg, JOINT_DELAY), stamp_ns(msg.header)
-    if len(points) != 1:
-        raise LandmarkNavError(f'joint_delay has {len(points)} points, not 1')
-    delay, sigma = seconds(points[0].tolist(), 'joint delay', stamp)
-    finite(sigma, 'sigma of the joint delay', stamp, least=0.0)
-    return delay, sigma
 
 
 def _sample(

@@ -104,9 +104,7 @@ def global_pose(msg: Any) -> GlobalPose:
         covariances(first['covariance'], 'global_localization/pose covariance', stamp, 3)[0],
         landmark_ids(points['id'], 'global_localization/pose'),
         float(finite(first['pan_rate'], 'global_localization/pose pan rate', stamp, _FASTEST)),
-        *seconds(
-            [first['joint_delay'], first['pan_delay']], 'global_localization/pose delay', stamp
-        ),
+        *seconds([first['joint_delay']], 'global_localization/pose delay', stamp),
     )
 
 

@@ -9,25 +9,47 @@ from landmark_nav.messages.encode.cameras import camera_info
 from landmark_nav.messages.encode.detections import detections, triplet
 from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.encode.images import compressed_image, image
-from landmark_nav.messages.encode.joints import joint_delay, joint_state, sweep_trajectory
+from landmark_nav.messages.encode.joints import joint_state, sweep_trajectory
 from landmark_nav.messages.encode.landmarks import landmark_map
+from landmark_nav.messages.encode.markers import landmark_markers, pose_markers, view_markers
 from landmark_nav.messages.encode.panoramas import panorama
-from landmark_nav.messages.encode.poses import expectation, global_pose, odometry, pose
+from landmark_nav.messages.encode.poses import (
+    expectation,
+    global_pose,
+    odometry,
+    pose,
+    pose_stamped,
+)
+from landmark_nav.messages.encode.transforms import (
+    camera_transform,
+    joint_transforms,
+    planar_transform,
+    Transform,
+    transforms,
+)
 
 __all__ = [
+    'Transform',
     'camera_info',
+    'camera_transform',
     'compressed_image',
     'detections',
     'expectation',
     'global_pose',
     'header',
     'image',
-    'joint_delay',
     'joint_state',
+    'joint_transforms',
     'landmark_map',
+    'landmark_markers',
     'odometry',
     'panorama',
+    'planar_transform',
     'pose',
+    'pose_markers',
+    'pose_stamped',
     'sweep_trajectory',
+    'transforms',
     'triplet',
+    'view_markers',
 ]

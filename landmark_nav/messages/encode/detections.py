@@ -35,7 +35,7 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
         seen['point_covariance'] = found.point_covariance.reshape(-1, 4)
     if found.near is not None:
         points['near'] = found.near
-    points['joint_delay'], points['pan_delay'] = found.joint_delay_s, found.pan_delay_s
+    points['joint_delay'] = found.joint_delay_s
     dense = not len(found.missed)
     return pack_cloud(factory, header(factory, found.stamp_ns, frame_id), points, dense)
 

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.messages.encode.headers import duration, header
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.layouts import JOINT_DELAY
 from landmark_nav.types import JointSample
 
-__all__ = ['joint_delay', 'joint_state', 'sweep_trajectory']
+__all__ = ['joint_state', 'sweep_trajectory']
 
 
 def joint_state(factory: MessageFactory, sample: JointSample, mount: PanTiltMount) -> Any:
@@ -45,9 +43,3 @@ def sweep_trajectory(
             for sample in samples
         ],
     )
-
-
-def joint_delay(factory: MessageFactory, stamp_ns: int, delay_s: float, sigma_s: float) -> Any:
-    """Build the PointCloud2 of ``joint_delay``, one point, out of what was known at a time."""
-    point = np.array([(delay_s, sigma_s)], dtype=JOINT_DELAY.fields)
-    return pack_cloud(factory, header(factory, stamp_ns, ''), point)

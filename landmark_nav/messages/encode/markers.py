@@ -1,41 +1,202 @@
-"""The landmark map as RViz and Foxglove draw it."""
+"""Map, robot and view as RViz and Foxglove draw them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages.encode.headers import header, upright, vector
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.types import Landmark, LandmarkMap
+from landmark_nav.types import (
+    Detections,
+    FloatArray,
+    Landmark,
+    LandmarkMap,
+    PoseEstimate,
+    Triplet,
+)
 
-__all__ = ['landmark_markers']
+__all__ = ['landmark_markers', 'pose_markers', 'view_markers']
 
 # visualization_msgs/Marker constants.
-_CUBE, _SPHERE, _LINE_LIST, _TEXT = 1, 2, 5, 9
+_ARROW, _CUBE, _SPHERE, _LINE_STRIP, _LINE_LIST, _TEXT = 0, 1, 2, 4, 5, 9
 _DELETE_ALL = 3
 
-_PLATE_RGBA = (0.10, 0.55, 0.35, 0.9)
-_UNCERTAINTY_RGBA = (0.95, 0.60, 0.10, 0.4)
-_TEXT_RGBA = (1.0, 1.0, 1.0, 1.0)
-_WALL_RGBA = (0.55, 0.55, 0.60, 1.0)
+_Rgba = tuple[float, float, float, float]
+# As in the figures: landmarks green, the fused pose blue, odometry and its like orange.
+_LANDMARK: _Rgba = (0.10, 0.62, 0.45, 0.9)
+_UNCERTAINTY: _Rgba = (0.95, 0.60, 0.10, 0.4)
+_TEXT_RGBA: _Rgba = (1.0, 1.0, 1.0, 1.0)
+_WALL: _Rgba = (0.55, 0.55, 0.60, 1.0)
+_FUSED: _Rgba = (0.15, 0.50, 0.90, 1.0)
+_LEVEL: _Rgba = (0.90, 0.35, 0.10, 1.0)
+_TRIPLET: _Rgba = (0.95, 0.85, 0.20, 1.0)
+_FOUND: _Rgba = (0.20, 0.85, 0.45, 0.9)
+_VIEW: _Rgba = (0.60, 0.75, 0.95, 0.9)
+
+_NORMAL_M = 0.18
+_SWEEP_M = 0.45
+_ROBOT_M = 0.40
+# Half the field of view is drawn with so many steps, and reaches so far.
+_VIEW_STEPS, _VIEW_M = 16, 1.5
+_AROUND = np.linspace(0.0, 2.0 * np.pi, 49)
 
 
 def landmark_markers(factory: MessageFactory, landmarks: LandmarkMap, stamp_ns: int) -> Any:
-    """Build the visualization_msgs/MarkerArray of a map; it replaces the one before."""
-    stamp = header(factory, stamp_ns, landmarks.frame_id)
-    markers = [factory('visualization_msgs/msg/Marker', header=stamp, action=_DELETE_ALL)]
+    """
+    Build the visualization_msgs/MarkerArray of a map; it replaces the one before.
+
+    Namespaces: ``walls``, ``landmarks`` (the patch on its wall), ``normals``, ``uncertainty``
+    (three sigma), ``numbers`` and ``sweeps`` (where panoramas were taken, and where the base
+    looked).
+    """
+    drawing = _Drawing(factory, stamp_ns, landmarks.frame_id)
     if landmarks.walls:
-        markers.append(_walls(factory, stamp, landmarks.walls))
+        drawing.add('walls', _LINE_LIST, points=_wall_edges(landmarks.walls), rgba=_WALL)
+    if landmarks.landmarks:
+        tips = landmarks.positions + _NORMAL_M * landmarks.normals
+        normals = np.stack([landmarks.positions, tips], 1).reshape(-1, 3)
+        drawing.add('normals', _LINE_LIST, points=normals, rgba=_LANDMARK, width_m=0.01)
     for landmark in landmarks.landmarks:
-        markers.extend(_landmark(factory, stamp, landmark))
-    return factory('visualization_msgs/msg/MarkerArray', markers=markers)
+        _add_landmark(drawing, landmark)
+    for number, place in enumerate(landmarks.panorama_poses, 1):
+        x, y, heading = place.pose
+        drawing.add(
+            'sweeps', _ARROW, number, (x, y, 0.0, heading), (_SWEEP_M, 0.05, 0.05), rgba=_FUSED
+        )
+        drawing.add(
+            'sweeps',
+            _TEXT,
+            -number,
+            (x, y, 0.2, 0.0),
+            (0.0, 0.0, 0.15),
+            rgba=_TEXT_RGBA,
+            text=f'sweep {number}',
+        )
+    return drawing.message
 
 
-def _landmark(factory: MessageFactory, stamp: Any, landmark: Landmark) -> list[Any]:
-    """Return the plate on the wall, its 3-sigma ellipsoid, its number."""
+def pose_markers(
+    factory: MessageFactory,
+    estimate: PoseEstimate,
+    level: PoseEstimate | None = None,
+    frame_id: str = 'map',
+) -> Any:
+    """
+    Build the MarkerArray of a pose: the robot, three sigma, and the protection level.
+
+    `level` is a pose of whose covariance one sigma is the level, as
+    ``odometry_fusion/protection_level`` has it.
+    """
+    drawing = _Drawing(factory, estimate.stamp_ns, frame_id)
+    x, y, heading = estimate.pose
+    drawing.add('robot', _ARROW, 0, (x, y, 0.0, heading), (_ROBOT_M, 0.08, 0.08), rgba=_FUSED)
+    ellipses = [('three_sigma', estimate, 3.0, _FUSED)]
+    if level is not None:
+        ellipses.append(('protection_level', level, 1.0, _LEVEL))
+    for namespace, pose, sigmas, rgba in ellipses:
+        variances, axes = np.linalg.eigh(pose.covariance[:2, :2])
+        scaled = sigmas * np.sqrt(np.maximum(variances, 0.0)) * axes
+        outline = pose.pose[:2] + np.stack([np.cos(_AROUND), np.sin(_AROUND)], 1) @ scaled.T
+        drawing.add(namespace, _LINE_STRIP, points=outline, rgba=rgba, width_m=0.01)
+    return drawing.message
+
+
+def view_markers(
+    factory: MessageFactory,
+    pose: PoseEstimate,
+    landmarks: LandmarkMap,
+    mount: PanTiltMount,
+    camera: CameraModel,
+    pan_rad: float,
+    found: Detections,
+    triplet: Triplet | None,
+    frame_id: str = 'map',
+) -> Any:
+    """
+    Build the MarkerArray of what the camera sees from a pose of the base.
+
+    Namespaces: ``field_of_view``; ``triplet``, lines from the pan axis to the chosen landmarks;
+    ``bearings``, measured ones of the landmarks found, drawn as long as the landmarks are away:
+    where they end beside a landmark, pose or map is off.
+    """
+    drawing = _Drawing(factory, pose.stamp_ns, frame_id)
+    axis, height = mount.axis_pose_map(pose.pose), mount.axis_xyz[2]
+    looks = float(pose.pose[2] + mount.azimuth_base_rad(pan_rad))
+    half = camera.half_fov_rad
+    rim = looks + np.linspace(-half, half, _VIEW_STEPS)
+    arc = axis[:2] + _VIEW_M * np.stack([np.cos(rim), np.sin(rim)], 1)
+    fan = np.concatenate([axis[None, :2], arc, axis[None, :2]])
+    drawing.add('field_of_view', _LINE_STRIP, points=_lifted(fan, height), rgba=_VIEW)
+    start = np.array([*axis[:2], height])
+    if triplet is not None:
+        chosen = triplet.ids[np.isin(triplet.ids, landmarks.ids)]
+        ends = landmarks.positions[landmarks.indices(chosen)]
+        drawing.add('triplet', _LINE_LIST, points=_rays(start, ends), rgba=_TRIPLET, width_m=0.03)
+    # The map may have been replaced since the image was looked at.
+    found = found.chosen(np.isin(found.ids, landmarks.ids))
+    if len(found):
+        places = landmarks.positions[landmarks.indices(found.ids)]
+        reach = np.hypot(*(places[:, :2] - axis[:2]).T)
+        azimuth = pose.pose[2] + found.bearing_rad
+        ends = axis[:2] + reach[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
+        rays = _rays(start, np.column_stack([ends, places[:, 2]]))
+        drawing.add('bearings', _LINE_LIST, points=rays, rgba=_FOUND, width_m=0.012)
+    return drawing.message
+
+
+class _Drawing:
+    """Markers of one stamp and frame, which replace those before."""
+
+    def __init__(self, factory: MessageFactory, stamp_ns: int, frame_id: str) -> None:
+        self._factory = factory
+        self._header = header(factory, stamp_ns, frame_id)
+        clear = factory('visualization_msgs/msg/Marker', header=self._header, action=_DELETE_ALL)
+        self._markers = [clear]
+
+    @property
+    def message(self) -> Any:
+        """The visualization_msgs/MarkerArray."""
+        return self._factory('visualization_msgs/msg/MarkerArray', markers=self._markers)
+
+    def add(
+        self,
+        namespace: str,
+        kind: int,
+        number: int = 0,
+        x_y_z_yaw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+        scale_m: tuple[float, float, float] | None = None,
+        *,
+        rgba: _Rgba,
+        width_m: float = 0.02,
+        points: npt.ArrayLike = (),
+        text: str = '',
+    ) -> None:
+        """Add one; lines through `points` (n, 2) or (n, 3) have a width, others a scale."""
+        factory = self._factory
+        red, green, blue, alpha = rgba
+        marker = factory(
+            'visualization_msgs/msg/Marker',
+            header=self._header,
+            ns=namespace,
+            id=number,
+            type=kind,
+            pose=upright(factory, *x_y_z_yaw),
+            scale=vector(factory, 'Vector3', *(scale_m or (width_m, 0.0, 0.0))),
+            color=factory('std_msgs/msg/ColorRGBA', r=red, g=green, b=blue, a=alpha),
+            points=[vector(factory, 'Point', *point) for point in np.asarray(points).tolist()],
+            text=text,
+        )
+        self._markers.append(marker)
+
+
+def _add_landmark(drawing: _Drawing, landmark: Landmark) -> None:
+    """Add the plate on the wall, its 3-sigma ellipsoid, its number."""
     yaw = np.arctan2(landmark.normal[1], landmark.normal[0])
     x, y, z = landmark.position
     variances, axes = np.linalg.eigh(landmark.covariance[:2, :2])
@@ -43,59 +204,37 @@ def _landmark(factory: MessageFactory, stamp: Any, landmark: Landmark) -> list[A
     three_sigma = 6.0 * np.sqrt(np.maximum([*variances[::-1], landmark.covariance[2, 2]], 1e-8))
     plate = (0.01, landmark.width_m, landmark.height_m)
     above = z + 0.5 * landmark.height_m + 0.08
-
-    def marker(namespace: str, kind: int, pose: Any, scale: Any, rgba: Any, text: str = '') -> Any:
-        return factory(
-            'visualization_msgs/msg/Marker',
-            header=stamp,
-            ns=namespace,
-            id=landmark.id,
-            type=kind,
-            pose=pose,
-            scale=vector(factory, 'Vector3', *scale),
-            color=_color(factory, rgba),
-            text=text,
-        )
-
-    return [
-        marker('landmarks', _CUBE, upright(factory, x, y, z, yaw), plate, _PLATE_RGBA),
-        marker(
-            'uncertainty',
-            _SPHERE,
-            upright(factory, x, y, z, major),
-            three_sigma,
-            _UNCERTAINTY_RGBA,
-        ),
-        marker(
-            'numbers',
-            _TEXT,
-            upright(factory, x, y, above, 0.0),
-            (0.0, 0.0, 0.12),
-            _TEXT_RGBA,
-            str(landmark.id),
-        ),
-    ]
+    number = landmark.id
+    drawing.add('landmarks', _CUBE, number, (x, y, z, yaw), plate, rgba=_LANDMARK)
+    drawing.add(
+        'uncertainty', _SPHERE, number, (x, y, z, major), tuple(three_sigma), rgba=_UNCERTAINTY
+    )
+    drawing.add(
+        'numbers',
+        _TEXT,
+        number,
+        (x, y, above, 0.0),
+        (0.0, 0.0, 0.12),
+        rgba=_TEXT_RGBA,
+        text=str(number),
+    )
 
 
-def _walls(factory: MessageFactory, stamp: Any, walls: tuple[Wall, ...]) -> Any:
-    """Return the edges of all walls as lines."""
-    ends = []
+def _wall_edges(walls: Iterable[Wall]) -> list[tuple[float, float, float]]:
+    """Ends of the edges of all walls, two by two."""
+    ends: list[tuple[float, float, float]] = []
     for wall in walls:
         low = [(*wall.start, 0.0), (*wall.end, 0.0)]
         high = [(*wall.start, wall.height), (*wall.end, wall.height)]
         ends.extend([*low, *high, low[0], high[0]])
-    return factory(
-        'visualization_msgs/msg/Marker',
-        header=stamp,
-        ns='walls',
-        type=_LINE_LIST,
-        pose=upright(factory, 0.0, 0.0, 0.0, 0.0),
-        scale=vector(factory, 'Vector3', 0.02, 0.0),
-        color=_color(factory, _WALL_RGBA),
-        points=[vector(factory, 'Point', *end) for end in ends],
-    )
+    return ends
 
 
-def _color(factory: MessageFactory, rgba: tuple[float, float, float, float]) -> Any:
-    red, green, blue, alpha = rgba
-    return factory('std_msgs/msg/ColorRGBA', r=red, g=green, b=blue, a=alpha)
+def _rays(start: FloatArray, ends: FloatArray) -> FloatArray:
+    """Ends of lines from `start` (3,) to `ends` (n, 3), two by two, (2 n, 3)."""
+    return np.stack([np.broadcast_to(start, ends.shape), ends], 1).reshape(-1, 3)
+
+
+def _lifted(points: FloatArray, height: float) -> FloatArray:
+    """Points (n, 2) of a plan at a height, (n, 3)."""
+    return np.column_stack([points, np.full(len(points), height)])

@@ -11,6 +11,7 @@ from landmark_nav.messages.encode.headers import (
     header,
     pose_with_covariance,
     UNKNOWN_VARIANCE,
+    upright,
     vector,
 )
 from landmark_nav.messages.factory import MessageFactory
@@ -18,7 +19,7 @@ from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.messages.layouts import EXPECTATION, GLOBAL_POSE, PLANAR
 from landmark_nav.types import Expectation, FloatArray, OdometrySample, PoseEstimate
 
-__all__ = ['expectation', 'global_pose', 'odometry', 'pose']
+__all__ = ['expectation', 'global_pose', 'odometry', 'pose', 'pose_stamped']
 
 _UNKNOWN: FloatArray = UNKNOWN_VARIANCE * np.eye(3)
 
@@ -82,7 +83,7 @@ def global_pose(factory: MessageFactory, place: GlobalPose, frame_id: str = 'map
     points['pose'] = place.pose
     points['covariance'] = place.covariance.reshape(-1)
     points['pan_rate'] = place.pan_rate_rad_s
-    points['joint_delay'], points['pan_delay'] = place.joint_delay_s, place.pan_delay_s
+    points['joint_delay'] = place.joint_delay_s
     return pack_cloud(factory, header(factory, place.stamp_ns, frame_id), points)
 
 
@@ -104,3 +105,15 @@ def expectation(
     )
     points = np.array([point], dtype=EXPECTATION.fields)
     return pack_cloud(factory, header(factory, expected.stamp_ns, frame_id), points)
+
+
+def pose_stamped(
+    factory: MessageFactory, stamp_ns: int, pose_map: FloatArray, frame_id: str = 'map'
+) -> Any:
+    """Build a geometry_msgs/PoseStamped of a planar pose (3,)."""
+    x, y, yaw = pose_map
+    return factory(
+        'geometry_msgs/msg/PoseStamped',
+        header=header(factory, stamp_ns, frame_id),
+        pose=upright(factory, x, y, 0.0, yaw),
+    )

@@ -6,7 +6,17 @@ from collections.abc import Iterable, Mapping
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['TOPIC_TYPES', 'find_topic', 'listed', 'relative_name', 'remedy_of_missing']
+__all__ = [
+    'MAP_TOPICS',
+    'TOPIC_TYPES',
+    'find_topic',
+    'listed',
+    'relative_name',
+    'remedy_of_missing',
+]
+
+# Latched: who comes later still gets the last one.
+MAP_TOPICS = ('landmarks', 'landmarks/atlas', 'landmarks/markers')
 
 # A line for people has room for so many names.
 _MOST_NAMES = 5
@@ -38,8 +48,12 @@ TOPIC_TYPES = {
     'global_localization/pose': 'sensor_msgs/msg/PointCloud2',
     'odometry/fused': 'nav_msgs/msg/Odometry',
     'odometry_fusion/protection_level': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+    'odometry_fusion/path': 'nav_msgs/msg/Path',
+    'odometry_fusion/odometry_path': 'nav_msgs/msg/Path',
+    'odometry_fusion/markers': 'visualization_msgs/msg/MarkerArray',
+    'triangulation_localizer/markers': 'visualization_msgs/msg/MarkerArray',
+    'triangulation_localizer/debug_image/compressed': 'sensor_msgs/msg/CompressedImage',
     'expectation': 'sensor_msgs/msg/PointCloud2',
-    'joint_delay': 'sensor_msgs/msg/PointCloud2',
     'tf': 'tf2_msgs/msg/TFMessage',
     'tf_static': 'tf2_msgs/msg/TFMessage',
 }

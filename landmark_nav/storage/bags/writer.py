@@ -9,12 +9,36 @@ import shutil
 from types import TracebackType
 from typing import Any
 
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.factory import default_typestore
+from landmark_nav.storage.bags.topics import MAP_TOPICS
 
 __all__ = ['BagWriter']
+
+# `ros2 bag play` latches these again: it publishes each topic as it was offered.
+_LATCHED_TOPICS = {f'/{topic}' for topic in (*MAP_TOPICS, 'tf_static')}
+_NEVER = QosTime(9223372036, 854775807)
+_LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _NEVER,
+    _NEVER,
+    QosLiveliness.AUTOMATIC,
+    _NEVER,
+    False,
+)
 
 
 class BagWriter:
@@ -123,7 +147,10 @@ class BagWriter:
         topic = '/' + topic.lstrip('/')
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
-                topic, type_name, typestore=self._store
+                topic,
+                type_name,
+                typestore=self._store,
+                offered_qos_profiles=[_LATCHED] if topic in _LATCHED_TOPICS else [],
             )
         with self._named():
             self._writer.write(self._connections[topic], stamp_ns, data)

@@ -1,0 +1,322 @@
+"""
+Pages of the reference out of the code: topics, services, parameters, commands, calibration.
+
+``python docs/generate_reference.py FOLDER`` writes them; `conf.py` does so at each build. A topic,
+service or parameter without a description raises an error.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from contextlib import redirect_stdout
+import dataclasses
+from importlib import import_module
+import io
+import os
+from pathlib import Path
+import sys
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest.mock import patch
+
+from landmark_nav.demo.room import prepare_room
+
+NODES = (
+    'sweep_capture',
+    'panorama_synthesizer',
+    'landmark_learner',
+    'triplet_selector',
+    'triangulation_localizer',
+    'odometry_fusion',
+    'room_simulator',
+    'bag_player',
+)
+
+# Nodes subscribe to images while they use them.
+_WHILE_NEEDED = {
+    topic: ['sweep_capture', 'triangulation_localizer']
+    for topic in ('camera/image_raw', 'camera/image_raw/compressed')
+}
+
+TOPICS = {
+    'camera/image_raw': 'image of the camera, raw or rectified ([encodings](../images.md))',
+    'camera/image_raw/compressed': 'the same as JPEG or PNG; goes before raw where both are there',
+    'camera/camera_info': 'its calibration',
+    'joint_states': 'pan and tilt, stamped when they were measured',
+    'odom': 'motion that the wheels report, with speeds or without',
+    'ground_truth/odom': 'true pose in `map`, for figures alone',
+    'pan_tilt/command': 'where the camera is to look; the type is the parameter `command.type`',
+    'sweep/image': 'frames that a sweep keeps',
+    'sweep/image/compressed': 'the same, if the camera publishes compressed images',
+    'sweep/camera_info': 'calibration of these frames',
+    'sweep/trajectory': 'end of a sweep: stamp, pan and tilt of each frame that was kept',
+    'sweep/pose': '`base_link` in `map` at the sweep, if it is known from elsewhere',
+    'panorama/image': 'cylindrical image of a sweep',
+    'panorama/camera_info': '`distortion_model: cylindrical`; `k`: fx px/rad, fy px per unit '
+    'tangent, cx the column of azimuth 0 in `base_link`, cy the row of the horizon',
+    'panorama/pose': 'pose of its optical centre in `map`',
+    'landmarks': 'the map: one point a landmark, with normal, size, covariance',
+    'landmarks/atlas': 'the patches of all landmarks in one image',
+    'landmarks/markers': 'the same for RViz and Foxglove',
+    'triplet': 'the three landmarks to look at, each with its expected bearing and sigma',
+    'detections': 'landmarks found and missed in an image, with bearing, variance, pixel, score',
+    'triangulation/pose': 'fix: the pose of one image by itself',
+    'global_localization/pose': 'pose found without a prior',
+    'expectation': 'pose and calibration as they are known: where landmarks are looked for',
+    'joint_delay': 'by how much `joint_states` is late',
+    'cmd_vel': 'speed of the simulated robot',
+    'initialpose': 'start that a person gives (RViz: 2D Pose Estimate)',
+    'odometry/fused': 'pose of `base_link` in `map`, with covariance: the result',
+    'odometry_fusion/protection_level': 'that pose with a covariance of which **one** sigma holds '
+    'the error with 99 %',
+    'odometry_fusion/path': 'way of the fused pose, at most 5 Hz',
+    'odometry_fusion/odometry_path': 'way by odometry alone, at most 5 Hz',
+    'triangulation_localizer/debug_image/compressed': 'image with expected windows and matches, '
+    'while somebody subscribes',
+    'triangulation_localizer/markers': 'field of view, rays to the triplet and to what is found',
+    'odometry_fusion/markers': 'robot, covariance and protection level for RViz and Foxglove',
+    'triplet_selector/triplet_scores': 'triplets with their [reason](../architecture.md#codes)',
+    'triplet_selector/landmark_visibility': 'landmarks with their '
+    '[reason](../architecture.md#codes)',
+    'tf': '`map` → `odom`, where tf2_msgs is installed',
+    'tf_static': 'fixed frames of the robot',
+    'diagnostics': 'OK, degraded or lost, with the reason, once a second',
+}
+
+SERVICES = {
+    'capture_sweep': 'takes a sweep; a second call interrupts it, the next one goes on',
+    'learn_landmarks': 'makes a map out of the panoramas so far',
+    'save_map': 'writes the map to `map_folder`',
+    'load_map': 'reads it from there',
+    'clear_panoramas': 'forgets the panoramas',
+    'relocalize': 'finds the pose without a prior, for at most `relocalization.search_s`',
+    'calibrate': 'improves `robot.yaml` by what the drive has shown',
+}
+
+
+def write_reference(folder: Path) -> list[Path]:
+    """
+    Write the pages; ROS is initialised and shut down meanwhile.
+
+    Raises
+    ------
+    KeyError
+        A topic or a service has no description in this file.
+
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as drawn:
+        room = prepare_room(Path(drawn), seed=1)
+        files = {'robot_file': str(room.robot_file), 'room_file': str(room.room_file)}
+        publishers, subscribers, services, kinds = _ends_of_nodes(files)
+    pages = {
+        'topics': _topics(publishers, subscribers, kinds),
+        'services': _services(services),
+        'parameters': _parameters(),
+        'commands': _commands(),
+        'calibration': _calibration(),
+    }
+    for name, lines in pages.items():
+        (folder / f'{name}.md').write_text('\n'.join(lines) + '\n', encoding='utf-8')
+    return [folder / f'{name}.md' for name in pages]
+
+
+def _ends_of_nodes(
+    files: dict[str, str],
+) -> tuple[dict[str, list[str]], dict[str, list[str]], dict[str, str], Any]:
+    """Nodes that publish, subscribe to and serve each name; type and QoS of each topic."""
+    import rclpy
+
+    from landmark_nav.ros.renamed_topics import FORMER_NAMES
+
+    publishers, subscribers = defaultdict(list), defaultdict(list, _WHILE_NEEDED)
+    services: dict[str, str] = {}
+    kinds: dict[str, Any] = {}
+    # Only this process sees these nodes.
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'OFF'
+    rclpy.init(args=[])
+    try:
+        # That of the bag player depends on its bag.
+        for name in NODES[:-1]:
+            node = _started(name, files)
+            former = {node.resolve_topic_name(topic) for topic in FORMER_NAMES.values()}
+            for found, ends in ((publishers, node.publishers), (subscribers, node.subscriptions)):
+                for end in ends:
+                    topic = end.topic_name.lstrip('/')
+                    if end.topic_name in former or topic in ('rosout', 'parameter_events'):
+                        continue
+                    found[topic].append(name)
+                    kinds[topic] = end.msg_type, end.qos_profile
+            for service in node.services:
+                if '/' not in (offered := service.srv_name.lstrip('/')):
+                    services[offered] = name
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    return publishers, subscribers, services, kinds
+
+
+def _started(name: str, files: dict[str, str]) -> Any:
+    """Node of this name, with the files that it needs; it is never spun."""
+    from rclpy.parameter import Parameter
+
+    from landmark_nav.ros.node import LandmarkNode
+
+    module = import_module(f'landmark_nav.nodes.{name}')
+    (kind,) = (
+        value
+        for value in vars(module).values()
+        if isinstance(value, type)
+        and issubclass(value, LandmarkNode)
+        and value is not LandmarkNode
+    )
+    known = {field.name for field in dataclasses.fields(module.Parameters)}
+    given = [Parameter(key, value=value) for key, value in files.items() if key in known]
+    return kind(parameter_overrides=given)
+
+
+def _topics(
+    publishers: dict[str, list[str]], subscribers: dict[str, list[str]], kinds: Any
+) -> Iterator[str]:
+    yield from (
+        '# Topics',
+        '',
+        'Names are relative: a namespace or a remapping moves them. QoS: the depth of the queue, '
+        '`reliable` or `best effort`; `latched` is transient local. `qos_overrides` changes the '
+        'reliability of each. Where no node is named, the robot, a person or any other program is '
+        'meant; `bag_player` publishes what its bag holds, and `/clock`.',
+        '',
+        '| topic | type | from | to | QoS | |',
+        '|---|---|---|---|---|---|',
+    )
+    for topic in sorted({*publishers, *subscribers}):
+        kind, qos = kinds[topic]
+        latched = ', latched' if qos.durability.name == 'TRANSIENT_LOCAL' else ''
+        reliability = qos.reliability.name.lower().replace('_', ' ')
+        package = kind.__module__.partition('.')[0]
+        yield _row(
+            f'`{topic}`',
+            f'{package}/{kind.__name__}',
+            _names(publishers[topic]),
+            _names(subscribers[topic]),
+            f'{reliability}, {qos.depth}{latched}',
+            TOPICS[topic],
+        )
+
+
+def _services(services: dict[str, str]) -> Iterator[str]:
+    yield from (
+        '# Services',
+        '',
+        'All are `std_srvs/srv/Trigger`. One that can not be carried out answers `success: false` '
+        'with a `message` that says why and what to do. `landmark-nav call SERVICE` calls them '
+        'without `ros2`.',
+        '',
+        '| service | node | |',
+        '|---|---|---|',
+    )
+    for service, node in services.items():
+        yield _row(f'`{service}`', f'`{node}`', SERVICES[service])
+
+
+def _parameters() -> Iterator[str]:
+    yield from (
+        '# Parameters',
+        '',
+        'Of the nodes: `--ros-args -p NAME:=VALUE`, or a file for `--params-file`; those that are '
+        'installed in `share/landmark_nav/config` hold the defaults. Sections (names with a dot) '
+        'are taken by `--config` of `landmark-nav learn` and `evaluate` as well, without '
+        '`ros__parameters`. All are read once, when a node starts.',
+    )
+    for node in NODES:
+        parameters = import_module(f'landmark_nav.nodes.{node}').Parameters()
+        yield from ('', f'## {node}', '', '| parameter | default | range | |', '|---|---|---|---|')
+        for name, field, value in _leaves(parameters):
+            description = field.metadata['description'].rstrip('.')
+            yield _row(f'`{name}`', f'`{_shown(value)}`', _range(field.metadata), description)
+
+
+def _leaves(config: Any, prefix: str = '') -> Iterator[tuple[str, Any, Any]]:
+    """Name, field and default of each parameter; a section's after those beside it."""
+    fields = [(field, getattr(config, field.name)) for field in dataclasses.fields(config)]
+    for field, value in sorted(fields, key=lambda pair: dataclasses.is_dataclass(pair[1])):
+        if dataclasses.is_dataclass(value):
+            yield from _leaves(value, f'{prefix}{field.name}.')
+        else:
+            yield prefix + field.name, field, value
+
+
+def _shown(value: Any) -> str:
+    return f'{value:g}' if isinstance(value, float) else str(value).lower() or "''"
+
+
+def _range(metadata: Any) -> str:
+    low, high = metadata['minimum'], metadata['maximum']
+    if metadata['choices']:
+        return ', '.join(f'`{choice}`' for choice in metadata['choices'])
+    if low is not None and high is not None:
+        return f'{low:g} to {high:g}'
+    return f'≥ {low:g}' if low is not None else f'≤ {high:g}' if high is not None else ''
+
+
+def _commands() -> Iterator[str]:
+    from landmark_nav.cli.main import COMMANDS
+
+    yield from ('# Commands', '', 'What `landmark-nav COMMAND --help` prints.')
+    for name, (module, summary, *_) in COMMANDS.items():
+        yield from ('', f'## {name}', '', f'{summary[0].upper()}{summary[1:]}.', '')
+        yield from ('```text', _help(name), '```')
+        for action in _subcommands(module):
+            yield from ('', f'### {name} {action}', '', '```text', _help(name, action), '```')
+
+
+def _calibration() -> Iterator[str]:
+    from landmark_nav.calibration import Calibration, NAMES, UNITS
+    from landmark_nav.geometry.camera import PanTiltMount
+    from landmark_nav.storage.robot_files import _SIGMAS
+
+    fields = {name: field for field, names in _SIGMAS.items() for name in names}
+    yield from (
+        '# Calibration',
+        '',
+        'What sweeps, adjustment and drive estimate ([estimator](../estimator.md)), the field of '
+        '[robot.yaml](../files.md#robot-file) that gives the standard deviation of each quantity, '
+        'and the one that holds where the file has none.',
+        '',
+        '| quantity | unit | field | default |',
+        '|---|---|---|---|',
+    )
+    defaults = Calibration.of_mount(PanTiltMount()).sigmas
+    for name, sigma in zip(NAMES, defaults, strict=True):
+        yield _row(f'`{name}`', UNITS[name], f'`{fields[name]}`', f'{sigma:g}')
+
+
+def _help(*command: str) -> str:
+    from landmark_nav.cli.main import main
+
+    with patch.dict(os.environ, COLUMNS='99', NO_COLOR='1'), redirect_stdout(io.StringIO()) as out:
+        main([*command, '--help'])
+    return out.getvalue().strip()
+
+
+def _subcommands(module: str) -> Iterable[str]:
+    """Actions of a command, such as ``show`` of ``map``."""
+    parser = argparse.ArgumentParser()
+    import_module(f'landmark_nav.cli.{module}').add_arguments(parser)
+    kinds = (action for action in parser._actions if isinstance(action.choices, dict))
+    return [name for action in kinds for name in action.choices]
+
+
+def _names(nodes: list[str]) -> str:
+    return ', '.join(f'`{node}`' for node in dict.fromkeys(nodes))
+
+
+def _row(*cells: str) -> str:
+    return '| ' + ' | '.join(cell.replace('|', r'\|') for cell in cells) + ' |'
+
+
+if __name__ == '__main__':
+    for page in write_reference(Path(sys.argv[1])):
+        print(page)

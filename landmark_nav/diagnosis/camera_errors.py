@@ -1,0 +1,325 @@
+"""
+Errors of lens and mount that the images alone show.
+
+A camera on a level floor turns about the vertical, whatever pan and wheels say. Points that are
+seen in one image and the next then keep their slope, but for the parallax of a planar motion:
+
+    azimuth after - azimuth before = -turn + nearness (right sin azimuth - ahead cos azimuth) ...
+
+with a turn and a planar displacement of each pair of images of its own. An error of the lens or of
+the mount breaks this in a manner of its own. Each is taken out by itself, with the value that fits
+best, and compared by likelihood, as the causes of `causes.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+from landmark_nav.arrays import FloatArray, ImageArray, IndexArray
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+
+__all__ = [
+    'CameraError',
+    'CameraSetup',
+    'Corners',
+    'Matches',
+    'camera_error',
+    'corners',
+    'matched',
+]
+
+# Corners are looked for in images of this width, and so many.
+_WIDTH, _MOST_CORNERS = 320, 400
+# Matches farther from the homography of most, pixels, are mistaken or very near.
+_APART_PX, _LEAST_MATCHES = 6.0, 12
+_FREEDOM, _ITERATIONS = 3.0, 8
+_LEAST_SIGMA_RAD = 2e-4
+# Matches of one pair share what their depths do: as many as these are independent.
+_INDEPENDENT = 4
+_MOST_MATCHES, _SPACING_PX, _TRACKED_PX = 50, 12.0, 20.0
+_SPARSE = 8
+_LEAST_PAIRS = 10
+# A tilt that moves by less stands.
+_LEVEL_RAD = 0.02
+# Likelihoods this near are alike, and this far above none an error is one.
+_ALIKE, _CERTAIN = 5.0, 12.0
+
+
+class Corners(NamedTuple):
+    """A grey image, its corners (n, 2) and their descriptors (n, 32)."""
+
+    image: ImageArray
+    pixels: FloatArray
+    described: npt.NDArray[np.uint8]
+
+
+def corners(image: ImageArray) -> Corners:
+    """Corners of a grey image (height, width) (Rublee et al., ORB, ICCV 2011)."""
+    share = min(1.0, _WIDTH / image.shape[1])
+    small = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    finder: Any = cv2.ORB_create(_MOST_CORNERS, fastThreshold=8)  # type: ignore[attr-defined]
+    keypoints, described = finder.detectAndCompute(small, None)
+    if described is None:
+        return Corners(image, np.empty((0, 2)), np.empty((0, 32), np.uint8))
+    scale = np.array(image.shape[1::-1]) / small.shape[1::-1]
+    pixels = (np.array([k.pt for k in keypoints]) + 0.5) * scale - 0.5
+    return Corners(image, pixels, np.asarray(described, np.uint8))
+
+
+def matched(first: Corners, second: Corners) -> tuple[FloatArray, FloatArray] | None:
+    """
+    Pixels (m, 2) of points in two images; None where they are few.
+
+    Descriptors find the homography, which needs no calibration; from there each point is tracked
+    (Bouguet, Pyramidal implementation of the Lucas Kanade feature tracker, 2000).
+    """
+    if min(len(first.pixels), len(second.pixels)) < _LEAST_MATCHES:
+        return None
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
+        first.described, second.described
+    )
+    if len(pairs) < _LEAST_MATCHES:
+        return None
+    one = first.pixels[[pair.queryIdx for pair in pairs]]
+    two = second.pixels[[pair.trainIdx for pair in pairs]]
+    homography, near = cv2.findHomography(one, two, cv2.RANSAC, _APART_PX)
+    if homography is None or near.sum() < max(_LEAST_MATCHES, len(pairs) // 4):
+        return None
+    points = cv2.goodFeaturesToTrack(first.image, _MOST_MATCHES, 0.01, _SPACING_PX)
+    if points is None:
+        return None
+    begin = cv2.perspectiveTransform(points, homography).astype(np.float32)
+    found, tracked, _ = cv2.calcOpticalFlowPyrLK(
+        first.image,
+        second.image,
+        points,
+        begin.copy(),
+        winSize=(15, 15),
+        maxLevel=1,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    near_px = np.linalg.norm(found - begin, axis=2).ravel() < _TRACKED_PX
+    kept = (tracked.ravel() > 0) & near_px
+    if kept.sum() < _LEAST_MATCHES:
+        return None
+    return points[kept, 0].astype(np.float64), found[kept, 0].astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """
+    Points in pairs of images.
+
+    Parameters
+    ----------
+    before_px, after_px : ndarray, shape (m, 2)
+        Where a point is in the first and second image of its pair.
+    pairs : ndarray of int, shape (m,)
+        Index of the pair, ascending from 0.
+    pans_rad, tilts_rad : ndarray, shape (pairs, 2)
+        Joints at both images.
+
+    """
+
+    before_px: FloatArray
+    after_px: FloatArray
+    pairs: IndexArray
+    pans_rad: FloatArray
+    tilts_rad: FloatArray
+
+
+@dataclass(frozen=True)
+class CameraSetup:
+    """A lens and how it is mounted; `tilt_rad` is added to the tilt of the joints."""
+
+    camera: CameraModel
+    mount: PanTiltMount
+    tilt_rad: float = 0.0
+
+    def rays_base(self, pixels: FloatArray, pans: FloatArray, tilts: FloatArray) -> FloatArray:
+        """Rays (m, 3) in ``base_link`` of pixels (m, 2), at joints (m,)."""
+        rotation, _ = self.mount.camera_pose_base(pans, tilts + self.tilt_rad)
+        return np.asarray(np.einsum('nij,nj->ni', rotation, self.camera.unproject(pixels)))
+
+
+def _mounted(setup: CameraSetup, roll: float = 0.0, pitch: float = 0.0) -> CameraSetup:
+    first, second, third = setup.mount.axis_rpy
+    return replace(
+        setup, mount=replace(setup.mount, axis_rpy=(first + roll, second + pitch, third))
+    )
+
+
+def _rolled(setup: CameraSetup, value: float) -> CameraSetup:
+    roll = float(wrap_rad(setup.mount.camera_roll_rad + value))
+    return replace(setup, mount=replace(setup.mount, camera_roll_rad=roll))
+
+
+def _lens(setup: CameraSetup, **change: Any) -> CameraSetup:
+    return replace(setup, camera=replace(setup.camera, **change))
+
+
+def _bent(setup: CameraSetup, value: float) -> CameraSetup:
+    first, *rest = setup.camera.coefficients.tolist()
+    return replace(setup, camera=replace(setup.camera, distortion=(first + value, *rest)))
+
+
+# A search begins at the best of these shares of the reach, if one is better than nothing.
+_TRIED = (-0.5, -0.1, 0.1, 0.5)
+
+
+@dataclass(frozen=True)
+class _Error:
+    """
+    A number of lens or mount: what adds to it, where a search begins, how far it goes.
+
+    What is off by less than `matters` is within what localization and learning estimate.
+    """
+
+    change: Callable[[CameraSetup, float], CameraSetup]
+    reach: float
+    matters: float = 0.05
+    starts: tuple[float, ...] = (0.0,)
+
+
+_QUARTER = 0.5 * np.pi
+_ERRORS = {
+    'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), 1.0),
+    'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), 1.0),
+    'axis roll': _Error(lambda s, v: _mounted(s, roll=v), 1.0),
+    'roll': _Error(_rolled, 0.6, starts=(0.0, _QUARTER, -_QUARTER, np.pi)),
+    'focal length': _Error(
+        lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v), fy=s.camera.fy * np.exp(v)), 0.7
+    ),
+    'fx': _Error(lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v)), 0.7),
+    'fy': _Error(lambda s, v: _lens(s, fy=s.camera.fy * np.exp(v)), 0.7),
+    'cx': _Error(lambda s, v: _lens(s, cx=s.camera.cx + v * s.camera.fx), 0.4),
+    'cy': _Error(lambda s, v: _lens(s, cy=s.camera.cy + v * s.camera.fy), 0.4),
+    'distortion': _Error(_bent, 0.4),
+}
+
+
+@dataclass(frozen=True)
+class CameraError:
+    """
+    An error of lens or mount: its name, and what has to be added to the given value.
+
+    `also` names others that explain as much; `setup` is without it.
+    """
+
+    name: str
+    value: float
+    setup: CameraSetup
+    also: tuple[str, ...]
+
+
+def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
+    """The error that explains how points move from image to image; None where there is none."""
+    if not len(matches.pairs) or matches.pairs[-1] + 1 < _LEAST_PAIRS:
+        return None
+    none = _score(matches, setup)
+    level = replace(matches, tilts_rad=np.zeros_like(matches.tilts_rad))
+    moving = np.ptp(matches.tilts_rad) > _LEVEL_RAD
+    if moving and (without := _score(level, setup)) > none + _CERTAIN:
+        matches, none = level, without  # of another joint
+    found = {name: _best(matches, setup, error, none) for name, error in _ERRORS.items()}
+    name = max(found, key=lambda key: found[key][1])
+    value, score = found[name]
+    if score < none + _CERTAIN or abs(value) < _ERRORS[name].matters:
+        return None
+    also = tuple(key for key in found if key != name and found[key][1] > score - _ALIKE)
+    return CameraError(name, value, _ERRORS[name].change(setup, value), also)
+
+
+def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> tuple[float, float]:
+    """The likeliest value, and its score; `none` is that of 0."""
+
+    def badness(value: float) -> float:
+        try:
+            return -_score(matches, error.change(setup, value))
+        except LandmarkNavError:
+            return np.inf  # no lens
+
+    tried = [s + d * error.reach for s in error.starts for d in _TRIED]
+    scores = [badness(value) for value in tried]
+    first = tried[int(np.argmin(scores))]
+    if min(scores) > -none:
+        return 0.0, none
+    found = minimize_scalar(
+        badness,
+        bounds=(first - 0.5 * error.reach, first + 0.5 * error.reach),
+        method='bounded',
+        options={'xatol': 1e-3, 'maxiter': 15},
+    )
+    pairs = matches.pairs[-1] + 1
+    return float(found.x), -float(found.fun) - 0.5 * np.log(_INDEPENDENT * pairs)
+
+
+def _score(matches: Matches, setup: CameraSetup) -> float:
+    """Log-likelihood of points with a turn and a displacement of each pair of its own."""
+    k = matches.pairs
+    both = []
+    for n, pixels in enumerate((matches.before_px, matches.after_px)):
+        rays = setup.rays_base(pixels, matches.pans_rad[k, n], matches.tilts_rad[k, n])
+        both.append(
+            (np.arctan2(rays[:, 1], rays[:, 0]), rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]))
+        )
+    (azimuth, slope), (azimuth_after, slope_after) = both
+    s, c = np.sin(azimuth), np.cos(azimuth)
+    one, zero = np.ones_like(s), np.zeros_like(s)
+    # Rows of azimuth, then of elevation: turn, displacement ahead and to the left.
+    level = 1.0 / (1.0 + slope**2)
+    columns = np.stack(
+        [
+            np.stack([one, s, -c], -1),
+            np.stack([zero, slope * c * level, slope * s * level], -1),
+        ],
+        1,
+    )
+    # The turn of a pair may be any: its middle is taken off before angles wrap.
+    turn = np.angle(_sums(np.exp(1j * (azimuth_after - azimuth)), k))
+    moved = np.stack(
+        [wrap_rad(azimuth_after - azimuth - turn[k]), (slope_after - slope) * level], -1
+    )
+    # Depths disturb azimuths more than elevations.
+    residuals = moved
+    sigma = np.maximum(np.median(np.abs(moved), axis=0), _LEAST_SIGMA_RAD)
+    for _ in range(_ITERATIONS):
+        weights = (_FREEDOM + 1.0) / (_FREEDOM + (residuals / sigma) ** 2)
+        weighted = (weights / sigma**2)[..., None] * columns
+        information = _sums(np.einsum('nri,nrj->nij', weighted, columns), k)
+        trace = np.trace(information, axis1=1, axis2=2)
+        information += (1e-6 * trace[:, None, None] + 1e-12) * np.eye(3)
+        right = _sums(np.einsum('nri,nr->ni', weighted, moved), k)
+        local = np.linalg.solve(information, right[..., None])[..., 0]
+        residuals = moved - np.einsum('nri,ni->nr', columns, local[k])
+        sigma = np.maximum(np.sqrt(np.mean(weights * residuals**2, axis=0)), _LEAST_SIGMA_RAD)
+    each = -np.log(sigma) - 0.5 * (_FREEDOM + 1.0) * np.log1p((residuals / sigma) ** 2 / _FREEDOM)
+    # What was measured are pixels, whatever angle a lens gives them.
+    in_pixels = each.sum(1).mean() + _log_angle_per_px(matches, setup)
+    return float(0.5 * _INDEPENDENT * (k[-1] + 1) * in_pixels)
+
+
+def _log_angle_per_px(matches: Matches, setup: CameraSetup) -> float:
+    """Mean logarithm of the solid angle of a pixel."""
+    at = matches.after_px[::_SPARSE]
+    middle, right, down = (
+        ray / np.linalg.norm(ray, axis=1, keepdims=True)
+        for ray in (setup.camera.unproject(at + step) for step in ([0, 0], [1, 0], [0, 1]))
+    )
+    area = np.linalg.norm(np.cross(right - middle, down - middle), axis=1)
+    return float(np.mean(np.log(np.maximum(area, 1e-12))))
+
+
+def _sums(values: FloatArray, pair: IndexArray) -> FloatArray:
+    """Sums (pairs, ...) of values (m, ...) over the rows of each pair, which ascend."""
+    begins = np.flatnonzero(np.diff(pair, prepend=-1))
+    return np.asarray(np.add.reduceat(values, begins, axis=0))

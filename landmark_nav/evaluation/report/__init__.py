@@ -1,0 +1,24 @@
+"""A run on one page that can be played, in a single HTML file; and as a video."""
+
+from landmark_nav.evaluation.report.collect import (
+    calibration_page,
+    drive_page,
+    learning_page,
+    Page,
+    panoramas,
+)
+from landmark_nav.evaluation.report.frames import FrameStrip
+from landmark_nav.evaluation.report.video import write_video
+from landmark_nav.evaluation.report.write import check_report, write_report
+
+__all__ = [
+    'FrameStrip',
+    'Page',
+    'calibration_page',
+    'check_report',
+    'drive_page',
+    'learning_page',
+    'panoramas',
+    'write_report',
+    'write_video',
+]

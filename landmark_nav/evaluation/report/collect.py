@@ -1,0 +1,424 @@
+"""What a page shows, as plain values out of a run: arrays rounded, no pose without its unit."""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any, TypedDict
+
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.calibration import Calibration
+from landmark_nav.evaluation.calibration_run import Residuals
+from landmark_nav.evaluation.figures.run_figures import body_frame, driven
+from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.evaluation.replay import Replay
+from landmark_nav.evaluation.report.frames import FrameStrip, jpeg
+from landmark_nav.evaluation.report.tables import (
+    calibration_tables,
+    calibration_verdict,
+    drive_tables,
+    drive_verdict,
+    learning_tables,
+    learning_verdict,
+    STATUS,
+)
+from landmark_nav.evaluation.run_report import RunErrors
+from landmark_nav.evaluation.smoothed_run import Smoothed
+from landmark_nav.geometry.paper_colors import paper_bgr
+from landmark_nav.geometry.walls import Paper
+from landmark_nav.learning.pipeline import LearningResult
+from landmark_nav.localization.localizer import LocalizationUpdate
+from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, Refusal
+
+__all__ = ['Page', 'calibration_page', 'drive_page', 'learning_page', 'panoramas']
+
+# More moments than a minute of video are thinned.
+_MOST_MOMENTS = 2000
+# Lines of the plan hold so many points at most.
+_MOST_POINTS = 2000
+_PATCH_PX, _PANORAMA_PX, _QUALITY = 96, 2400, 75
+# Bands of a start given to decimetres, or of a robot that is lost, run off the axes.
+_SHOWN_SHARE = 98.0
+# Residuals beyond this quantile run off the axes; outliers of less weight are left out.
+_REACH, _LEAST_WEIGHT = 0.99, 0.1
+
+
+class Page(TypedDict):
+    """A page: its verdicts, what was run on what, tables, and the data that its script draws."""
+
+    title: str
+    verdicts: list[dict[str, str]]
+    command: str
+    inputs: dict[str, str]
+    tables: list[dict[str, Any]]
+    charts_title: str
+    data: dict[str, Any]
+
+
+def drive_page(
+    title: str,
+    command: str,
+    inputs: Mapping[str, object],
+    report: Mapping[str, Any],
+    run: Replay,
+    errors: RunErrors,
+    landmarks: LandmarkMap,
+    calibration: Calibration,
+    strip: FrameStrip,
+    smoothed: Smoothed | None = None,
+    papers: Iterable[Paper] = (),
+) -> Page:
+    """
+    Page of a drive.
+
+    Parameters
+    ----------
+    inputs : mapping of str to object
+        What was read, by its name.
+    report : mapping
+        As `landmark_nav.evaluation.run_report` makes it, with ``spells``.
+    calibration : Calibration
+        By which landmarks are projected into the images.
+    strip : FrameStrip
+        Images of the drive.
+
+    """
+    chosen = _moments(run)
+    drive = _drive(run, chosen, landmarks, calibration, strip, smoothed)
+    found = Counter(int(k) for u in run.updates for k in u.observation.detections.ids)
+    expected = found + Counter(k for u in run.updates for k in _missed(u))
+    data = {
+        'map': _map(landmarks, papers, found, expected),
+        'run': drive,
+        'images': [_base64(copied) for _, copied in sorted(strip.jpegs.items())],
+        'charts': _charts(run, errors, chosen),
+    }
+    return Page(
+        title=title,
+        verdicts=[drive_verdict(report)],
+        command=command,
+        inputs=_texts(inputs),
+        tables=drive_tables(report),
+        charts_title='Errors' if len(run.truth) else 'Claimed errors',
+        data=data,
+    )
+
+
+def learning_page(
+    title: str,
+    command: str,
+    inputs: Mapping[str, object],
+    report: Mapping[str, Any],
+    result: LearningResult,
+    papers: Iterable[Paper] = (),
+) -> Page:
+    """Page of a map that was learned; `report` as `learning_report` makes it."""
+    return Page(
+        title=title,
+        verdicts=[learning_verdict(report, result.warning)],
+        command=command,
+        inputs=_texts(inputs),
+        tables=learning_tables(report),
+        charts_title='',
+        data={'map': _map(result.map, papers), 'panoramas': panoramas(result)},
+    )
+
+
+def calibration_page(
+    title: str,
+    command: str,
+    inputs: Mapping[str, object],
+    report: Mapping[str, Any],
+    residuals: tuple[Residuals, Residuals] | None,
+) -> Page:
+    """Page of a calibration; `residuals` are those of the last drive before and after it."""
+    return Page(
+        title=title,
+        verdicts=[calibration_verdict(report)],
+        command=command,
+        inputs=_texts(inputs),
+        tables=calibration_tables(report),
+        charts_title='Landmarks in images, measured minus predicted',
+        data={'charts': _residual_charts(*residuals) if residuals else []},
+    )
+
+
+def _texts(inputs: Mapping[str, object]) -> dict[str, str]:
+    return {name: str(value) for name, value in inputs.items() if value is not None}
+
+
+def _numbers(values: npt.ArrayLike, digits: int) -> Any:
+    """Nested lists, rounded; None for what is not finite."""
+    array = np.asarray(values, dtype=np.float64)
+    known = np.isfinite(array)
+    rounded = np.round(np.where(known, array, 0.0), digits)
+    plain = rounded.astype(object)
+    plain[~known] = None
+    return plain.tolist()
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode('ascii')
+
+
+def _ellipse(covariance: FloatArray) -> Any:
+    """Variances and covariance [mm^2] of x and y, (..., 3), of covariances (..., m, m)."""
+    parts = [covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]]
+    return _numbers(1e6 * np.stack(parts, -1), 4)
+
+
+def _map(
+    landmarks: LandmarkMap,
+    papers: Iterable[Paper],
+    found: Mapping[int, int] | None = None,
+    expected: Mapping[int, int] | None = None,
+) -> dict[str, Any]:
+    """Walls, papers, landmarks and sweeps; `found` and `expected` count images by landmark."""
+    return {
+        'walls': [{'id': w.id, 'ends': _numbers([w.start, w.end], 4)} for w in landmarks.walls],
+        'papers': [
+            {'rgb': [round(c) for c in paper_bgr(p.color)[::-1]], 'at': _numbers(p.center[:2], 4)}
+            for p in papers
+        ],
+        'landmarks': [
+            {
+                'id': k.id,
+                'at': _numbers(k.position, 4),
+                'normal': _numbers(k.normal[:2], 4),
+                'size': _numbers([k.width_m, k.height_m], 3),
+                'ellipse': _ellipse(k.covariance),
+                'sigma_mm': _numbers(1e3 * np.sqrt(np.diag(k.covariance)), 2),
+                'threshold': round(float(k.threshold), 3),
+                'wall': k.wall_id,
+                'patch': _base64(jpeg(k.patch, _PATCH_PX, _QUALITY)) if k.patch.size else '',
+                'found': None if found is None else found.get(k.id, 0),
+                'expected': None if expected is None else expected.get(k.id, 0),
+            }
+            for k in landmarks.landmarks
+        ],
+        'sweeps': [
+            {'pose': _numbers(p.pose, 4), 'ellipse': _ellipse(p.covariance)}
+            for p in landmarks.panorama_poses
+        ],
+    }
+
+
+def _moments(run: Replay) -> npt.NDArray[np.intp]:
+    """Places of the updates that are shown, by time; where the state changes all are."""
+    order = np.argsort(run.stamps_ns, kind='stable')
+    every = -(-len(order) // _MOST_MOMENTS)
+    status = np.array([run.updates[k].status for k in order])
+    shown = np.arange(len(order)) % every == 0
+    shown[1:] |= status[1:] != status[:-1]
+    return np.asarray(order[shown])
+
+
+def _drive(
+    run: Replay,
+    chosen: npt.NDArray[np.intp],
+    landmarks: LandmarkMap,
+    calibration: Calibration,
+    strip: FrameStrip,
+    smoothed: Smoothed | None,
+) -> dict[str, Any]:
+    """What the player shows, one entry a moment."""
+    updates = [run.updates[k] for k in chosen]
+    stamps = run.stamps_ns[chosen]
+    mount = calibration.mount
+    frames = [strip.frames.get(int(stamp)) for stamp in stamps]
+    azimuths = [
+        np.nan if frame is None else float(mount.azimuth_base_rad(frame.pan_rad))
+        for frame in frames
+    ]
+    camera = next((frame.camera for frame in frames if frame is not None), None)
+    # The copy that was last before each moment, and the moment that it is of.
+    kept = np.array(sorted(strip.jpegs), dtype=np.int64)
+    image = np.searchsorted(kept, stamps, 'right') - 1
+    levels = [(np.nan, np.nan) if u.level is None else tuple(u.level) for u in updates]
+    reasons = [update.reason for update in updates]
+    known = list(dict.fromkeys(reasons))
+    lines = {'odometry': run.odometry.poses[:, :2], 'truth': run.truth.poses[:, :2]}
+    if smoothed is not None:
+        lines['smoothed'] = driven(run, smoothed.stamps_ns, smoothed.poses).T
+    lines['fused'] = driven(run, run.stamps_ns, run.fused).T
+    return {
+        't': _numbers(1e-9 * (stamps - run.begin_ns), 3),
+        'pose': _numbers(run.fused[chosen], 4),
+        'ellipse': _ellipse(run.fused_covariances[chosen]),
+        'heading_sigma': _numbers(np.sqrt(run.fused_covariances[chosen, 2, 2]), 5),
+        'level': _numbers(levels, 4),
+        'truth': _numbers(run.truth.at(stamps), 4),
+        'fix': _numbers(run.fixes[chosen, :2], 4),
+        'status': [STATUS.get(update.status, update.status) for update in updates],
+        'reason': [known.index(reason) for reason in reasons],
+        'reasons': known,
+        'camera': _numbers(azimuths, 4),
+        'half_view': None if camera is None else round(camera.half_fov_rad, 4),
+        'image_size': None if camera is None else [camera.width, camera.height],
+        'image': image.tolist(),
+        'image_moment': np.searchsorted(stamps, kept).clip(0, len(stamps) - 1).tolist(),
+        'axis': _numbers(mount.axis_xyz[:2], 4),
+        'seen': [
+            _seen(update, frame, landmarks, calibration)
+            for update, frame in zip(updates, frames, strict=True)
+        ],
+        'lines': {
+            name: _numbers(line[:: -(-len(line) // _MOST_POINTS) or 1], 3)
+            for name, line in lines.items()
+        },
+    }
+
+
+def _missed(update: LocalizationUpdate) -> list[int]:
+    return [int(k) for k in update.observation.detections.missed]
+
+
+def _used(update: LocalizationUpdate, landmarks: LandmarkMap) -> tuple[set[int], str]:
+    """Ids of the landmarks that corrected the pose, and why the others did not."""
+    if isinstance(update.taken, Refusal):
+        return set(), str(update.taken)
+    if update.taken is None:
+        # Of a recording only what was found is known.
+        return set(update.observation.detections.ids.tolist()), ''
+    return set(landmarks.ids[update.taken.used].tolist()), 'outlier'
+
+
+def _seen(
+    update: LocalizationUpdate,
+    frame: CameraFrame | None,
+    landmarks: LandmarkMap,
+    calibration: Calibration,
+) -> list[dict[str, Any]]:
+    """
+    Landmarks of one image: found and used, found and not used, or looked for in vain.
+
+    `outline` are the corners of the patch where the fused pose expects it, pixels.
+    """
+    observation, found = update.observation, update.observation.detections
+    used, why = _used(update, landmarks)
+    reasons = {**dict.fromkeys(_missed(update), 'not found'), **observation.refused}
+    entries = [
+        {
+            'id': int(k),
+            'bearing': round(float(bearing), 4),
+            'score': round(float(score), 3),
+            'uv': _numbers(uv, 1),
+            'used': k in used,
+            'reason': '' if k in used else why,
+        }
+        for k, bearing, score, uv in zip(
+            found.ids.tolist(), found.bearing_rad, found.score, found.uv_px, strict=True
+        )
+    ]
+    listed = {entry['id'] for entry in entries}
+    entries += [{'id': int(k), 'reason': str(r)} for k, r in reasons.items() if k not in listed]
+    if frame is None or not entries:
+        return entries
+    mapped = set(landmarks.ids.tolist())
+    inside = [entry for entry in entries if entry['id'] in mapped]
+    corners = landmarks.corners[landmarks.indices(np.array([e['id'] for e in inside], np.int64))]
+    rotation, center = calibration.mount.camera_pose_map(
+        update.fused.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad
+    )
+    pixels = calibration.camera(frame.camera).project((corners - center) @ rotation)
+    for entry, outline in zip(inside, pixels, strict=True):
+        if np.isfinite(outline).all() and frame.camera.contains(outline).any():
+            entry['outline'] = _numbers(outline, 1)
+    return entries
+
+
+def _charts(run: Replay, errors: RunErrors, chosen: npt.NDArray[np.intp]) -> list[dict[str, Any]]:
+    """
+    Errors ahead, to the left and in heading, +-3 sigma and protection levels.
+
+    Without ground truth triangulated poses are compared with the fused ones.
+    """
+    turned, known = body_frame(run), len(run.truth) > 0
+    fused = np.einsum('nij,nj->ni', turned, errors.fused)
+    off = errors.triangulation if known else pose_errors(run.fixes, run.fused)
+    fixes = np.einsum('nij,nj->ni', turned, off)
+    covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
+    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    levels = np.array([(np.nan,) * 2 if u.level is None else tuple(u.level) for u in run.updates])
+    seconds = _numbers(1e-9 * (run.stamps_ns[chosen] - run.begin_ns), 3)
+    charts = []
+    for k, (name, unit, factor) in enumerate(
+        (('ahead', 'cm', 100.0), ('left', 'cm', 100.0), ('heading', 'deg', 180.0 / np.pi))
+    ):
+        band, level = 3.0 * factor * sigmas[:, k], factor * levels[:, max(k - 1, 0)]
+        sure = ~run.lost
+        widest = np.percentile(band[sure], _SHOWN_SHARE) if sure.any() else np.nan
+        shown = np.append(np.abs(factor * fused[:, k]), widest)
+        limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
+        series = [
+            ('±3 sigma', 'band', 'fused', band),
+            ('protection level', 'level', 'level', level),
+            ('triangulated' if known else 'triangulated minus fused', 'dots', 'fix',
+             factor * fixes[:, k]),
+            ('fused', 'line', 'fused', factor * fused[:, k]),
+        ]  # fmt: skip
+        charts.append(
+            {
+                'label': f'{name} [{unit}]',
+                'limit': round(limit, 4),
+                't': seconds,
+                'series': [
+                    {'name': name, 'kind': kind, 'color': color, 'y': _numbers(y[chosen], 4)}
+                    for name, kind, color, y in series
+                    if np.isfinite(y).any()
+                ],
+            }
+        )
+    return charts
+
+
+def _residual_charts(before: Residuals, after: Residuals) -> list[dict[str, Any]]:
+    charts = []
+    for k, where in enumerate(('to the right', 'down')):
+        every = np.concatenate([before.points_px[:, k], after.points_px[:, k], [1.0]])
+        series = []
+        for found, color, name in ((before, 'odometry', 'before'), (after, 'fused', 'after')):
+            kept = found.weights > _LEAST_WEIGHT
+            series.append(
+                {
+                    'name': name,
+                    'kind': 'dots',
+                    'color': color,
+                    't': _numbers(found.seconds[kept], 3),
+                    'y': _numbers(found.points_px[kept, k], 2),
+                }
+            )
+        limit = 1.2 * float(np.quantile(np.abs(every), _REACH))
+        rms = f'RMS {before.rms_px[k]:.2f} before, {after.rms_px[k]:.2f} after'
+        label = f'residual {where} [px], {rms}'
+        charts.append({'label': label, 'limit': limit, 't': [], 'series': series})
+    return charts
+
+
+def panoramas(result: LearningResult) -> list[dict[str, Any]]:
+    """Panoramas with what became of every candidate in them, pixels of the panorama."""
+    shown = []
+    for view, candidates, outcomes in zip(
+        result.panoramas, result.candidates, result.outcomes, strict=True
+    ):
+        rows, columns = view.image.shape[:2]
+        shown.append(
+            {
+                'image': _base64(jpeg(view.image, _PANORAMA_PX, _QUALITY)),
+                'size': [columns, rows],
+                'elected': sum(isinstance(outcome, Landmark) for outcome in outcomes),
+                'candidates': [
+                    {
+                        'at': _numbers([c.column, c.row, c.width_px, c.height_px], 1),
+                        'saliency': round(c.saliency, 3),
+                        'id': outcome.id if isinstance(outcome, Landmark) else None,
+                        'reason': '' if isinstance(outcome, Landmark) else str(outcome),
+                    }
+                    for c, outcome in zip(candidates, outcomes, strict=True)
+                ],
+            }
+        )
+    return shown

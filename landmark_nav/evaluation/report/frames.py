@@ -1,0 +1,60 @@
+"""The images of a drive, small and few enough for a page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from landmark_nav.image_codec import encode_image
+from landmark_nav.storage.bags import SensorEvent
+from landmark_nav.types import CameraFrame
+
+__all__ = ['FrameStrip', 'jpeg']
+
+# Base64 makes four bytes of three: a page of 15 MB, with 4 MB for all the rest.
+_BUDGET_BYTES = 8_000_000
+_WIDTH_PX = 480
+_QUALITY = 60
+
+
+class FrameStrip:
+    """
+    Small JPEG copies of images, evenly thinned to `budget_bytes`, however long the drive is.
+
+    `frames` holds all frames without their pixels, `jpegs` the copies that were kept; both by
+    stamp in nanoseconds.
+    """
+
+    def __init__(self, budget_bytes: int = _BUDGET_BYTES) -> None:
+        self.frames: dict[int, CameraFrame] = {}
+        self.jpegs: dict[int, bytes] = {}
+        self._budget, self._bytes, self._stride = budget_bytes, 0, 1
+
+    def watch(self, events: Iterable[SensorEvent]) -> Iterator[SensorEvent]:
+        """Pass events on, and keep copies of their images."""
+        for event in events:
+            if isinstance(event, CameraFrame):
+                self.add(event)
+            yield event
+
+    def add(self, frame: CameraFrame) -> None:
+        """Keep a copy of an image if it is its turn."""
+        if len(self.frames) % self._stride == 0:
+            self.jpegs[frame.stamp_ns] = copied = jpeg(frame.image, _WIDTH_PX, _QUALITY)
+            self._bytes += len(copied)
+        self.frames[frame.stamp_ns] = replace(frame, image=np.empty((0, 0), np.uint8))
+        while self._bytes > self._budget and len(self.jpegs) > 1:
+            self.jpegs = dict(list(self.jpegs.items())[::2])
+            self._stride *= 2
+            self._bytes = sum(map(len, self.jpegs.values()))
+
+
+def jpeg(image: np.ndarray, most_px: int, quality: int) -> bytes:
+    """Bytes of an image, grey or BGR, at most `most_px` wide."""
+    scale = min(1.0, most_px / image.shape[1])
+    if scale < 1.0:
+        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return encode_image(image, '.jpg', (cv2.IMWRITE_JPEG_QUALITY, quality)).tobytes()

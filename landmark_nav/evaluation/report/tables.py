@@ -1,0 +1,287 @@
+"""Verdicts and tables of a page: figures with their units, each explained."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = [
+    'ESTIMATES',
+    'STATUS',
+    'calibration_tables',
+    'calibration_verdict',
+    'cell',
+    'drive_tables',
+    'drive_verdict',
+    'learning_tables',
+    'learning_verdict',
+    'nees_range',
+]
+
+ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
+# States of localization as the glossary calls them.
+STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
+
+Table = dict[str, Any]
+Row = dict[str, Any]
+
+_WHOSE = {
+    'fused': 'Of odometry and all images so far: what odometry_fusion publishes.',
+    'triangulation': 'Each image for itself, from three bearings or more.',
+    'odometry': 'Wheels alone, from the start on.',
+    'smoothed': 'With all of the recording at hand.',
+}
+_ERRORS = (
+    ('position RMSE [cm]', 'position_rmse_m', 100.0, 2,
+     'Root of the mean squared distance between estimated and true position.'),
+    ('position median [cm]', 'position_median_m', 100.0, 2,
+     'Half of the images are off by less.'),
+    ('position 95 % [cm]', 'position_p95_m', 100.0, 2, '95 % of the images are off by less.'),
+    ('position maximum [cm]', 'position_max_m', 100.0, 2, 'The worst image.'),
+    ('heading RMSE [deg]', 'heading_rmse_deg', 1.0, 3,
+     'Root of the mean squared error of the heading.'),
+    ('heading 95 % [deg]', 'heading_p95_deg', 1.0, 3, '95 % of the images are off by less.'),
+)  # fmt: skip
+
+
+def cell(value: float | None, factor: float, digits: int) -> str:
+    """Write a figure in another unit, or a dash where there is none."""
+    return '-' if value is None else f'{factor * value:.{digits}f}'
+
+
+def nees_range(interval: Sequence[float] | None) -> str:
+    """Give the bounds between which the mean NEES is consistent, if that is known."""
+    return f', {interval[0]:.2f} to {interval[1]:.2f} is consistent' if interval else ''
+
+
+def _row(name: str, *cells: object, why: str = '', **more: object) -> Row:
+    return {'cells': [name, *map(str, cells)], 'why': why, **more}
+
+
+def _table(
+    title: str,
+    head: Iterable[str],
+    rows: Iterable[Row],
+    note: str = '',
+    whys: Mapping[str, str] | None = None,
+) -> Table:
+    """Rows below their head; `whys` explain columns."""
+    table = {'title': title, 'head': list(head), 'rows': list(rows), 'note': note}
+    return {**table, 'whys': whys or {}}
+
+
+def _verdict(level: str, parts: Iterable[str]) -> dict[str, str]:
+    text = '; '.join(filter(None, parts))
+    return {'level': level, 'text': text if text.endswith('?') else f'{text}.'}
+
+
+def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
+    """How good a drive was, whether its covariance is consistent, and when it was lost."""
+    fused, claimed, mean = report['fused'], report['claimed'], report['nees']['mean']
+    interval, wrong = report['nees']['interval_95'], report['silently_wrong']
+    level = 'good'
+    if fused['position_rmse_m'] is None:
+        level = 'open'
+        good = (
+            'No ground truth, so errors are unknown: the estimate claims a sigma of '
+            f'{cell(claimed["position_median_m"], 100.0, 2)} cm and '
+            f'{cell(claimed["heading_median_deg"], 1.0, 2)}° in the median'
+        )
+    else:
+        good = (
+            f'Position RMSE {cell(fused["position_rmse_m"], 100.0, 2)} cm, 95 % within '
+            f'{cell(fused["position_p95_m"], 100.0, 2)} cm; heading RMSE '
+            f'{cell(fused["heading_rmse_deg"], 1.0, 2)}°'
+        )
+    consistent = ''
+    if mean is not None:
+        consistent = f'NEES {mean:.2f}, where 3 is ideal'
+        if interval:
+            small, large = mean > interval[1], mean < interval[0]
+            word = 'too small' if small else 'too large' if large else 'consistent'
+            consistent = f'covariance {word} (NEES {mean:.2f}{nees_range(interval)})'
+            level = 'warning' if small else level
+    spells = [s for s in report['spells'] if s['status'] == 'lost']
+    if spells:
+        level = 'warning'
+        when = ', '.join(f'{s["from_s"]:.1f} to {s["to_s"]:.1f} s' for s in spells[:3])
+        lost = f'lost {when}' + (f' and {len(spells) - 3} times more' if len(spells) > 3 else '')
+    else:
+        lost = 'never lost'
+    degraded = sum(s['status'] == 'coasting' for s in report['spells'])
+    undetected = f'{wrong} images are over 5 sigma off and not reported' if wrong else ''
+    if wrong or report.get('warning'):
+        level = 'bad'
+    parts = (good, consistent, lost, f'times degraded: {degraded}' if degraded else '')
+    return _verdict(level, (*parts, undetected, report.get('warning') or ''))
+
+
+def drive_tables(report: Mapping[str, Any]) -> list[Table]:
+    """Errors, figures of merit, times without tracking, calibration and checks of a drive."""
+    names = [name for name in ESTIMATES if name in report]
+    note = 'Errors are absolute in map, never aligned, at the stamps of the images.'
+    if report.get('aligned'):
+        note = (
+            'The map has a frame of its own: errors are those after one rigid transformation; '
+            f'its metre is {report["scale"]:.4f} m long.'
+        )
+    tables = [_table('Figures of merit', ('figure', 'value'), _merits(report))]
+    if report['fused']['position_rmse_m'] is not None:
+        rows = (
+            _row(label, *(cell(report[n][key], factor, digits) for n in names), why=why)
+            for label, key, factor, digits, why in _ERRORS
+        )
+        tables.insert(0, _table('Errors', ('error', *names), rows, note, _WHOSE))
+    if spells := report['spells']:
+        rows = (
+            _row(STATUS.get(s['status'], s['status']), f'{s["from_s"]:.1f}', f'{s["to_s"]:.1f}',
+                 s['reason'], time_s=s['from_s'])
+            for s in spells
+        )  # fmt: skip
+        tables.append(
+            _table('Times that are not OK', ('state', 'from [s]', 'to [s]', 'reason'), rows)
+        )
+    if calibration := report.get('calibration'):
+        tables.append(_calibration_table(calibration))
+    if checks := [c for c in report.get('checks', ()) if c['level'] != 'ok']:
+        rows = (_row(c['name'], c['level'], c['measured'], c['advice']) for c in checks)
+        tables.append(_table('Checks', ('what', 'level', 'measured', 'advice'), rows))
+    return tables
+
+
+def _merits(report: Mapping[str, Any]) -> Iterable[Row]:
+    nees, claimed = report['nees'], report['claimed']
+    yield _row('images', report['frames'], why='Images of the drive that were looked at.')
+    yield _row('fixes', report['fixes'],
+               why='Images, or views together, that gave a triangulated pose.')  # fmt: skip
+    yield _row('availability', cell(report['availability'], 1.0, 3),
+               why='Share of the images whose fused state is not lost.')  # fmt: skip
+    yield _row('landmarks in the map', report['landmarks'], why='What could be looked for.')
+    yield _row('claimed sigma, median [cm]', cell(claimed['position_median_m'], 100.0, 2),
+               why='What the estimate says of its own error, by its covariance.')  # fmt: skip
+    yield _row(
+        'NEES, mean', cell(nees['mean'], 1.0, 2) + nees_range(nees['interval_95']),
+        why='Normalised estimation error squared: errors over what the covariance claims. 3 is '
+        'ideal for x, y and heading; larger means that the covariance is too small.',
+    )  # fmt: skip
+    yield _row('NEES within 95 % [%]', cell(nees['inside_95'], 100.0, 1),
+               why='Share of the images inside the 95 % region of their covariance.')  # fmt: skip
+    yield _row(
+        'undetected failures', cell(report['silently_wrong'], 1.0, 0),
+        why='Images that are off by more than five sigma while the state is OK. None is right.',
+    )  # fmt: skip
+    if integrity := report.get('integrity'):
+        yield _row(
+            'inside the protection level [%]', cell(integrity['coverage_99'], 100.0, 1),
+            why='Share of the images whose error stays within the level that should hold 99 %.',
+        )  # fmt: skip
+        yield _row(
+            'protection level over error', cell(integrity['level_over_error_median'], 1.0, 1),
+            why='Median of the level over the error: how wide the level is for its safety.',
+        )  # fmt: skip
+    if 'crlb_ratio' not in report:
+        return
+    found, times = report['found'], report['update_ms']
+    yield _row(
+        'RMSE over Cramér-Rao bound', cell(report['crlb_ratio'], 1.0, 2),
+        why='The bound is the least error that any unbiased estimator reaches with these '
+        'measurements: 1 is the best there is.',
+    )  # fmt: skip
+    yield _row('place', 'given' if found is None else f'found after {found["after_s"]:.1f} s',
+               why='Whether the start was given, or found from images alone.')  # fmt: skip
+    yield _row('update [ms]', f'{times["median"]:.1f}, 95 % within {times["p95"]:.1f}',
+               why='Computing time of one image.')  # fmt: skip
+    yield _row('times real time', cell(report['realtime_factor'], 1.0, 1),
+               why='How much faster than the recording all of it was computed.')  # fmt: skip
+    yield _row('result hash', report['result_hash'][:16],
+               why='The same for the same bag and map, run after run.')  # fmt: skip
+
+
+def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:
+    """How many landmarks, on which walls, and how well the sweeps' poses are known."""
+    walls = report['landmarks_per_wall']
+    worst_m = max(float(np.hypot(*sweep['sigma'][:2])) for sweep in report['sweeps'])
+    errors = [sweep['error_position_m'] for sweep in report['sweeps'] if 'error' in sweep]
+    parts = (
+        f'{report["elected"]} landmarks on {len(walls)} walls ('
+        + ', '.join(f'{wall} {count}' for wall, count in walls.items())
+        + f') learned from {len(report["sweeps"])} sweeps',
+        f'poses of the sweeps known to {1e3 * worst_m:.1f} mm (sigma)'
+        + (f', off by at most {1e3 * max(errors):.1f} mm' if errors else ''),
+        warning,
+    )
+    return _verdict('warning' if warning else 'good', parts)
+
+
+def learning_tables(report: Mapping[str, Any]) -> list[Table]:
+    """Sweeps, refusals and stages of learning."""
+    sweeps = (
+        _row(
+            f'sweep {number}', sweep['frames'],
+            *(f'{value:.3f}' for value in sweep['pose'][:2]),
+            f'{np.degrees(sweep["pose"][2]):.2f}',
+            f'{1e3 * np.hypot(*sweep["sigma"][:2]):.1f}',
+            cell(sweep.get('error_position_m'), 1e3, 1), sweep['candidates'], sweep['elected'],
+        )
+        for number, sweep in enumerate(report['sweeps'], 1)
+    )  # fmt: skip
+    head = ('sweep', 'frames', 'x [m]', 'y [m]', 'heading [deg]', 'sigma [mm]', 'error [mm]')
+    refused = [*report['refused'].items(), *report['ambiguous'].items()]
+    stages = (
+        _row(name.replace('_', ' '), f'{s["seconds"]:.1f}', f'{s["peak_memory_mb"]:.0f}')
+        for name, s in report['stages'].items()
+    )
+    return [
+        _table('Sweeps', (*head, 'candidates', 'elected'), sweeps),
+        _table('Not landmarks', ('reason', 'candidates'), (_row(k, n) for k, n in refused)),
+        _table('Stages', ('stage', 'seconds', 'peak memory [MB]'), stages),
+    ]
+
+
+def _calibration_table(table: Mapping[str, Mapping[str, Any]]) -> Table:
+    """The mount, lens and clocks as given and as estimated, in the units of people."""
+    rows = []
+    for name, row in table.items():
+        factor, unit = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms')}.get(
+            row['unit'], (1e2, '%')
+        )
+        values = (f'{factor * row[key]:.3f}' for key in ('prior', 'value', 'sigma'))
+        rows.append(_row(name, *values, unit, 'yes' if row['observed'] else 'no'))
+    head = ('quantity', 'prior', 'estimate', 'sigma', 'unit', 'observed')
+    note = 'Observed: the recording shows it; its sigma fell by 30 % or more.'
+    return _table('Calibration', head, rows, note)
+
+
+def calibration_tables(report: Mapping[str, Any]) -> list[Table]:
+    """The calibration, and what to record for what the recording does not show."""
+    wanted = [_row(', '.join(one['quantities']), one['motion']) for one in report['unobserved']]
+    more = [_table('Not observed', ('quantities', 'record'), wanted)] if wanted else []
+    return [_calibration_table(report['calibration']), *more]
+
+
+def calibration_verdict(report: Mapping[str, Any]) -> dict[str, str]:
+    """What was observed, what differs from before, and what contradicts it."""
+    table = report['calibration']
+    observed = sum(row['observed'] for row in table.values())
+    off = {
+        name: row['difference_sigmas']
+        for name, row in table.items()
+        if row['difference_sigmas'] is not None and abs(row['difference_sigmas']) > 3.0
+    }
+    residual = report.get('residual_px') or {}
+    before, after = residual.get('before'), residual.get('after')
+    parts = (
+        f'{observed} of {len(table)} quantities observed (sweeps: {report["sweeps"]}, drives: '
+        f'{report["drives"]})',
+        'over 3 prior sigmas off: ' + ', '.join(off) if off else 'none is over 3 prior sigmas off',
+        f'residuals in images {np.hypot(*before):.2f} px before, {np.hypot(*after):.2f} px after'
+        if before and after
+        else '',
+        f'lost in {report["lost"]} of {report["images"]} images' if report['lost'] else '',
+        'given as exact, and contradicted: ' + ', '.join(report['contradicted'])
+        if report['contradicted']
+        else '',
+    )
+    return _verdict('warning' if off or report['contradicted'] else 'good', parts)

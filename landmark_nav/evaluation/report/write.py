@@ -1,0 +1,65 @@
+"""The page as a file: a template, its style and its script in one, which needs no other file."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+import json
+from pathlib import Path
+
+from jinja2 import Environment, Template
+
+from landmark_nav.errors import UsageError
+from landmark_nav.evaluation.report.collect import Page
+from landmark_nav.storage.atomic_io import write_atomically
+
+__all__ = ['check_report', 'page_html', 'write_report']
+
+
+def check_report(path: Path | None) -> None:
+    """Refuse a name that browsers would not open as a page."""
+    if path and path.suffix.lower() not in ('.html', '.htm'):
+        raise UsageError(f'--report {path}: reports are written as .html')
+
+
+def write_report(path: Path, page: Page) -> None:
+    """
+    Write a page.
+
+    Raises
+    ------
+    LandmarkNavError
+        It cannot be written.
+
+    """
+    write_atomically(path, page_html(page))
+
+
+def page_html(page: Page) -> str:
+    """Return the page; what it shows is text to the browser, wherever it came from."""
+    try:
+        release = version('landmark_nav')
+    except PackageNotFoundError:
+        release = 'not installed'
+    now = datetime.now().astimezone().strftime('%Y-%m-%d %H:%M %z')
+    # In a script nothing but `<` could end it.
+    data = json.dumps(page['data'], separators=(',', ':'), allow_nan=False)
+    return _template().render(
+        page=page,
+        data=data.replace('<', '\\u003c'),
+        css=_resource('page.css'),
+        js=_resource('page.js'),
+        made={'date': now, 'landmark_nav': release},
+    )
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(_resource('page.html.j2'))
+
+
+def _resource(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding='utf-8')

@@ -1,0 +1,204 @@
+"""
+What gives poses their scale: poses that are given, odometry, sheets of a known size.
+
+Each source is rows of the one adjustment; what it says of the scale is read off these rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+import logging
+
+import numpy as np
+from scipy.special import chdtri
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import relative
+from landmark_nav.learning.least_squares import root_of
+from landmark_nav.learning.relative_pose.epipolar import center, STATE
+from landmark_nav.learning.relative_pose.sheet_tracks import sheet_misses, SheetTrack
+from landmark_nav.types import FloatArray, PlaceChain
+
+__all__ = ['PlaceSource', 'ScaleShare', 'SheetSource', 'Source', 'scale_sigma', 'stacked']
+
+_LOG = logging.getLogger(__name__)
+
+# Chance that given poses miss the shape that the panoramas show by more; their variances then
+# grow, up to this factor, beyond which they are refused.
+_CHANCE, _MOST_INFLATED = 1e-4, 30.0
+# Scales that differ by more standard deviations contradict each other; between the two, one of
+# them is likely wrong, and which one is not known.
+_DOUBTFUL_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
+
+Rows = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class ScaleShare:
+    """
+    What one source says of the scale.
+
+    Ways are `scale` times as long by it alone as by all sources together, good to `sigma`.
+    `inflation` is the factor by which its variances had to grow, `sheets` how many it has.
+    """
+
+    name: str
+    scale: float
+    sigma: float
+    inflation: float = 1.0
+    sheets: int = 0
+
+
+@dataclass(eq=False)
+class PlaceSource:
+    """Poses of the base that are known before, with their errors."""
+
+    places: PlaceChain
+    inflation: float = field(default=1.0, init=False)
+
+    def __post_init__(self) -> None:
+        """Whiten all poses but the first, which is the frame."""
+        self._whiten = np.linalg.inv(root_of(self.places.covariance[3:, 3:]))
+
+    @property
+    def name(self) -> str:
+        """What measured them."""
+        return self.places.source
+
+    def rows(self, states: FloatArray) -> Rows:
+        """Misses (m,) in standard deviations and their derivatives (m, 6 v)."""
+        count = len(states)
+        off = states[1:, :3] - self.places.poses[1:]
+        off[:, 2] = wrap_rad(off[:, 2])
+        whiten = self._whiten / np.sqrt(self.inflation)
+        jacobian = np.zeros((len(whiten), count, STATE))
+        jacobian[:, 1:, :3] = whiten.reshape(-1, count - 1, 3)
+        return whiten @ off.ravel(), jacobian.reshape(-1, count * STATE)
+
+    def share(self, states: FloatArray, lever: FloatArray) -> ScaleShare:
+        """What it says of the scale."""
+        scale, sigma = _scale_by(self.rows(states), states, lever)
+        return ScaleShare(self.name, scale, sigma, self.inflation)
+
+    def inflate(self, states: FloatArray, lever: FloatArray) -> None:
+        """
+        Let variances grow by the misfit, but for that of the scale, where it is significant.
+
+        Raises
+        ------
+        LandmarkNavError
+            Poses beyond all reason.
+
+        """
+        self.inflation = 1.0
+        rows = self.rows(states)
+        scale, sigma = _scale_by(rows, states, lever)
+        misfit = float(rows[0] @ rows[0]) - ((scale - 1.0) / sigma) ** 2
+        freedom = len(rows[0]) - 1
+        if misfit > chdtri(freedom, _CHANCE):
+            self.inflation = misfit / freedom
+        if self.inflation > _MOST_INFLATED:
+            raise LandmarkNavError(self._contradiction(states))
+
+    def _contradiction(self, states: FloatArray) -> str:
+        """Say between which sweeps they and the panoramas disagree most."""
+        turns = []
+        for k in range(len(states) - 1):
+            seen = relative(states[k, :3], states[k + 1, :3])
+            known = relative(self.places.poses[k], self.places.poses[k + 1])
+            course = np.arctan2(seen[1], seen[0]) - np.arctan2(known[1], known[0])
+            turns.append(np.degrees(wrap_rad(np.array([seen[2] - known[2], course]))))
+        worst = int(np.argmax([np.abs(t).max() for t in turns]))
+        heading, course = turns[worst]
+        return (
+            f'{self.name} and panoramas disagree from sweep {worst + 1} to {worst + 2}: by '
+            f'{heading:+.1f} deg in heading, {course:+.1f} deg in direction: mend {self.name}, or '
+            'drive again without slipping'
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SheetSource:
+    """Sheets of one kind, which share errors: of their size, of how the camera shows edges."""
+
+    name: str
+    tracks: Sequence[SheetTrack]
+    lever: FloatArray
+
+    @classmethod
+    def of_kinds(cls, tracks: Sequence[SheetTrack], lever: FloatArray) -> list[SheetSource]:
+        """One for each kind of sheets."""
+        kinds = sorted({track.kind for track in tracks})
+        return [cls(kind, [t for t in tracks if t.kind == kind], lever) for kind in kinds]
+
+    def rows(self, states: FloatArray) -> Rows:
+        """As of `PlaceSource`; shared errors, each with a row for its prior, are eliminated."""
+        found = [sheet_misses(states, track, self.lever) for track in self.tracks]
+        off, jacobian, shared = (np.concatenate(part) for part in zip(*found, strict=True))
+        count = shared.shape[1]
+        basis, _ = np.linalg.qr(np.vstack([shared, np.eye(count)]))
+        rows = np.column_stack([off, jacobian.reshape(len(off), -1)])
+        rows = np.vstack([rows, np.zeros((count, rows.shape[1]))])
+        rows -= basis @ (basis.T @ rows)
+        return rows[:, 0], rows[:, 1:]
+
+    def share(self, states: FloatArray, lever: FloatArray) -> ScaleShare:
+        """What they say of the scale."""
+        scale, sigma = _scale_by(self.rows(states), states, lever)
+        return ScaleShare(self.name, scale, sigma, sheets=len(self.tracks))
+
+
+Source = PlaceSource | SheetSource
+
+
+def _scale_by(rows: Rows, states: FloatArray, lever: FloatArray) -> tuple[float, float]:
+    """Factor on all ways that fits some rows best, were the shape exact, and its sigma."""
+    off, jacobian = rows
+    eyes = np.array([center(state, lever) for state in states])
+    growth = np.zeros_like(states)
+    growth[:, [0, 1, 3]] = eyes - eyes[0]
+    slope = jacobian @ growth.ravel()
+    information = float(slope @ slope)
+    return 1.0 - float(slope @ off) / information, information**-0.5
+
+
+def stacked(sources: Sequence[Source]) -> Callable[[FloatArray], Rows]:
+    """Rows of all sources."""
+
+    def rows(states: FloatArray) -> Rows:
+        parts = [source.rows(states) for source in sources]
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    return rows
+
+
+def scale_sigma(shares: Sequence[ScaleShare]) -> float:
+    """
+    Relative standard deviation of the scale by all sources; as large as their disagreement.
+
+    Raises
+    ------
+    LandmarkNavError
+        Two contradict each other.
+
+    """
+    sigma = float(sum(share.sigma**-2 for share in shares) ** -0.5)
+    for one, other in combinations(shares, 2):
+        apart = abs(one.scale - other.scale)
+        sigmas = apart / np.hypot(one.sigma, other.sigma)
+        if sigmas < _DOUBTFUL_SIGMAS:
+            continue
+        longer, shorter = sorted((one, other), key=lambda share: -share.scale)
+        text = (
+            f'by {longer.name} the sweeps are {100.0 * (longer.scale / shorter.scale - 1.0):.1f} '
+            f'% farther apart than by {shorter.name} ({sigmas:.1f} sigma): check the sizes given, '
+            'and whether the wheels slipped'
+        )
+        if sigmas > _MOST_SIGMAS:
+            raise LandmarkNavError(f'{text}; leave out what is wrong')
+        _LOG.warning('%s', text)
+        sigma = max(sigma, apart)
+    return sigma

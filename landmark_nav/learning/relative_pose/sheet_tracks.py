@@ -1,0 +1,242 @@
+"""
+Sheets of a known size that several panoramas show: points that are measured in all directions.
+
+Which view shows which sheet is not known, nor whether it is one. Two views of one sheet give the
+length of the way between the viewpoints; the length that most sheets agree on is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.learning.relative_pose.epipolar import center, STATE, turned
+from landmark_nav.learning.relative_pose.two_views import TwoViews
+from landmark_nav.learning.sheets.view import SheetView
+from landmark_nav.types import FloatArray
+
+__all__ = ['FINE', 'ROUGH', 'SheetTrack', 'sheet_misses', 'sheet_tracks']
+
+# How well relative poses are known that are found but not yet fitted, and then, rad: two views of
+# one sheet miss each other by it, times their distance.
+ROUGH, FINE = 0.006, 0.0015
+# Chance that two views of a sheet miss each other by more; lengths that differ by fewer standard
+# deviations are one, and less certain ones are no use.
+_CHANCE, _SAME_SIGMAS, _MOST_SIGMA = 1e-3, 3.0, 0.1
+
+
+# View and number of a sheet in it, twice: both are one sheet.
+_Link = tuple[tuple[int, int], tuple[int, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class SheetTrack:
+    """
+    One sheet in `views` (m,).
+
+    `positions` (m, 3), `covariance` (m, 3, 3) and `shared` (m, 3, q) are as in `SheetView`.
+    """
+
+    kind: str
+    name: str
+    views: tuple[int, ...]
+    positions: FloatArray
+    covariance: FloatArray
+    shared: FloatArray
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Sheet `one` of the first view as `other` of the second; the way between is so long."""
+
+    one: int
+    other: int
+    length_m: float
+    sigma_m: float
+
+
+def sheet_tracks(
+    sheets: Sequence[Sequence[SheetView]],
+    found: Mapping[tuple[int, int], TwoViews],
+    pose_sigma_rad: float,
+) -> tuple[list[SheetTrack], dict[tuple[int, int], float]]:
+    """
+    Find which views show the same sheets.
+
+    Parameters
+    ----------
+    sheets : sequence of sequence of SheetView
+        What may be a sheet, of each view.
+    found : mapping
+        Relative poses of pairs of views.
+    pose_sigma_rad : float
+        How well these are known.
+
+    Returns
+    -------
+    tracks : list of SheetTrack
+    lengths : dict
+        Way between the viewpoints of pairs that share sheets, metres.
+
+    Raises
+    ------
+    LandmarkNavError
+        As many sheets agree on another length.
+
+    """
+    links: list[_Link] = []
+    lengths = {}
+    for (i, j), pose in found.items():
+        agreed = _agreed(sheets[i], sheets[j], pose, pose_sigma_rad, (i, j))
+        if agreed:
+            links += [((i, pair.one), (j, pair.other)) for pair in agreed]
+            weight = np.array([pair.sigma_m**-2 for pair in agreed])
+            lengths[i, j] = float(np.average([p.length_m for p in agreed], weights=weight))
+    tracks = []
+    for group in _groups(links):
+        views = tuple(view for view, _ in group)
+        if len(set(views)) < len(views):
+            continue  # two sheets that one view shows apart
+        seen = [sheets[view][k] for view, k in group]
+        measured = (
+            np.array([getattr(s, what) for s in seen])
+            for what in ('position', 'covariance', 'shared')
+        )
+        tracks.append(SheetTrack(seen[0].kind, seen[0].name, views, *measured))
+    return tracks, lengths
+
+
+def _agreed(
+    one: Sequence[SheetView],
+    other: Sequence[SheetView],
+    pose: TwoViews,
+    pose_sigma_rad: float,
+    views: tuple[int, int],
+) -> list[_Pair]:
+    """Pairs of views of one sheet each that agree on the length of the way, most certain first."""
+    pairs = [
+        pair
+        for a, first in enumerate(one)
+        for b, second in enumerate(other)
+        if (first.kind, first.name) == (second.kind, second.name)
+        and (pair := _way(a, b, first, second, pose, pose_sigma_rad)) is not None
+    ]
+    if not pairs:
+        return []
+    groups = [_distinct([p for p in pairs if _same(p, about)]) for about in pairs]
+    best = max(groups, key=lambda group: (len(group), -min(p.sigma_m for p in group)))
+    rest = [p for p in pairs if p not in best and not any(_same(p, q) for q in best)]
+    rival = max((_distinct([p for p in rest if _same(p, q)]) for q in rest), key=len, default=[])
+    if len(rival) >= len(best):
+        lengths = ' and '.join(f'{group[0].length_m:.2f} m' for group in (best, rival))
+        raise LandmarkNavError(
+            f'sheets that sweeps {views[0] + 1} and {views[1] + 1} both show say that these are '
+            f'{lengths} apart: check the size given, or hang more sheets of it'
+        )
+    return best
+
+
+def _way(
+    a: int, b: int, first: SheetView, second: SheetView, pose: TwoViews, pose_sigma_rad: float
+) -> _Pair | None:
+    """How long the way is if two views show one sheet; None if they do not."""
+    state = np.array([0.0, 0.0, pose.heading_rad, 0.0, *pose.tilt_rad])
+    there = turned(state, second.position[None])[0]
+    rotation = rot_z(pose.heading_rad)
+    reach = np.array([np.linalg.norm(s.position) for s in (first, second)])
+    rough = pose_sigma_rad**2 * np.sum(reach**2)
+    covariance = first.covariance + rotation @ second.covariance @ rotation.T
+    information = np.linalg.inv(covariance + rough * np.eye(3))
+    way = first.position - there
+    along = np.array([np.cos(pose.direction_rad), np.sin(pose.direction_rad), 0.0])
+    variance = 1.0 / (along @ information @ along)
+    length = float(variance * (along @ information @ way))
+    left = way - length * along
+    if left @ information @ left > chdtri(2, _CHANCE):
+        return None
+    sigma = float(np.sqrt(variance))
+    return _Pair(a, b, length, sigma) if length > 0.0 and sigma < _MOST_SIGMA * length else None
+
+
+def _same(one: _Pair, other: _Pair) -> bool:
+    apart = abs(one.length_m - other.length_m)
+    return bool(apart < _SAME_SIGMAS * np.hypot(one.sigma_m, other.sigma_m))
+
+
+def _distinct(pairs: list[_Pair]) -> list[_Pair]:
+    """Of pairs that share a view of a sheet the most certain one."""
+    kept: list[_Pair] = []
+    for pair in sorted(pairs, key=lambda p: p.sigma_m):
+        if all(pair.one != k.one and pair.other != k.other for k in kept):
+            kept.append(pair)
+    return kept
+
+
+def _groups(
+    links: Sequence[tuple[tuple[int, int], tuple[int, int]]],
+) -> list[list[tuple[int, int]]]:
+    """What is linked, directly or over others."""
+    groups: list[set[tuple[int, int]]] = []
+    for link in links:
+        joined = set(link).union(*(g for g in groups if g & set(link)))
+        groups = [g for g in groups if not g & joined] + [joined]
+    return [sorted(group) for group in groups]
+
+
+def sheet_misses(
+    states: FloatArray, track: SheetTrack, lever: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """
+    How far the views of a sheet miss each other, in standard deviations.
+
+    The sheet itself is eliminated: what remains is off its best location.
+
+    Parameters
+    ----------
+    states : ndarray, shape (v, 6)
+        Of the sweeps.
+    track : SheetTrack
+        The sheet.
+    lever : ndarray, shape (3,)
+        Viewpoint in the base frame.
+
+    Returns
+    -------
+    misses : ndarray, shape (3 m,)
+    jacobian : ndarray, shape (3 m, v, 6)
+        By the states.
+    by_shared : ndarray, shape (3 m, q)
+        By the errors that all sheets of the kind share.
+
+    """
+    count = len(track.views)
+    off, weight = np.empty((count, 3)), np.zeros((count, 3, 3))
+    jacobian = np.zeros((count, 3, len(states), STATE))
+    by_shared = np.empty_like(track.shared)
+    for k, (view, seen) in enumerate(zip(track.views, track.positions, strict=True)):
+        state, rotation = states[view], rot_z(states[view, 2])
+        root = np.linalg.cholesky(rotation @ track.covariance[k] @ rotation.T)
+        weight[k] = np.linalg.inv(root)
+        reach = turned(state, seen[None])[0]
+        by_shared[k] = rotation @ track.shared[k]
+        off[k] = center(state, lever) + reach
+        arm = off[k] - [*state[:2], 0.0]
+        slope = jacobian[k, :, view]
+        slope[0, 0] = slope[1, 1] = slope[2, 3] = 1.0
+        slope[:2, 2] = -arm[1], arm[0]
+        slope[:, 4] = rotation @ [0.0, -seen[2], seen[1]]
+        slope[:, 5] = rotation @ [seen[2], 0.0, -seen[0]]
+    design = weight.reshape(3 * count, 3)
+    left = np.eye(3 * count) - design @ np.linalg.pinv(design)
+
+    def whitened(rows: FloatArray) -> FloatArray:
+        flat = np.einsum('kij,kj...->ki...', weight, rows).reshape(3 * count, -1)
+        return np.asarray(left @ flat)
+
+    by_states = whitened(jacobian).reshape(3 * count, len(states), STATE)
+    return whitened(off)[:, 0], by_states, whitened(by_shared)

@@ -1,0 +1,74 @@
+"""Where the robot should be when an image was taken, out of fused poses with their speeds."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from landmark_nav.geometry import se2
+from landmark_nav.localization.odometry.noise import twist_motion
+from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
+
+__all__ = ['ExpectedPoses']
+
+_HISTORY = 200
+# So far ahead the speeds tell where to look: an image need not wait for the next odometry.
+_AHEAD_NS = 100_000_000
+
+
+_Pose = TypeVar('_Pose', bound=PoseEstimate)
+
+
+class ExpectedPoses(Generic[_Pose]):
+    """
+    The last fused poses, with whatever belongs to them.
+
+    Parameters
+    ----------
+    max_age_s : float
+        How far in time a pose may be from where it is asked for.
+
+    """
+
+    def __init__(self, max_age_s: float) -> None:
+        self._max_age_ns = round(1e9 * max_age_s)
+        self._known: deque[tuple[_Pose, float, float]] = deque(maxlen=_HISTORY)
+
+    def add(self, pose: _Pose, speeds: OdometrySample) -> None:
+        """Take a fused pose and the speeds of the same time."""
+        known = (pose, speeds.linear_m_s, speeds.angular_rad_s)
+        if self._known and self._known[-1][0].stamp_ns - pose.stamp_ns > self._max_age_ns:
+            # The clock was set back: poses of before would be taken for the future. Never empty
+            # once it was not: the thread of the images reads it meanwhile.
+            self._known = deque([known], maxlen=_HISTORY)
+        else:
+            self._known.append(known)
+
+    def recent(self, stamp_ns: int, max_age_s: float | None = None) -> _Pose | None:
+        """The last one; None where that is farther from a time than `max_age_s`, or none came."""
+        newest = self._known[-1][0] if self._known else None
+        age_ns = self._max_age_ns if max_age_s is None else round(1e9 * max_age_s)
+        return newest if newest and abs(stamp_ns - newest.stamp_ns) <= age_ns else None
+
+    def reaches(self, stamp_ns: int) -> bool:
+        """Whether a pose is known from which the speeds lead to that time well enough."""
+        return bool(self._known) and self._known[-1][0].stamp_ns >= stamp_ns - _AHEAD_NS
+
+    def at(self, stamp_ns: int) -> _Pose | Refusal:
+        """Pose nearest in time, moved by its own speeds."""
+        known = tuple(self._known)
+        if not known:
+            return Refusal('no fused pose yet', 'it takes odom, and a start on initialpose')
+        # Of poses of the same time the last one counts: an image has corrected it.
+        pose, linear, angular = min(
+            reversed(known), key=lambda entry: abs(entry[0].stamp_ns - stamp_ns)
+        )
+        seconds = (stamp_ns - pose.stamp_ns) * 1e-9
+        if abs(stamp_ns - pose.stamp_ns) > self._max_age_ns:
+            return Refusal('no fused pose near its stamp', f'the nearest is {seconds:+.2f} s off')
+        motion = twist_motion(linear, angular, seconds)
+        moved = np.asarray(se2.compose(pose.pose, motion))
+        return replace(pose, stamp_ns=stamp_ns, pose=moved)

@@ -1,0 +1,392 @@
+"""The state of the estimator, fed by odometry, detections and places as they come."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+import logging
+from math import log, sqrt
+
+import numpy as np
+
+from landmark_nav.calibration import Calibration
+from landmark_nav.localization.estimator import (
+    EstimatorConfig,
+    ImagePoints,
+    Integrity,
+    JointFilter,
+    protection_level,
+    ProtectionLevel,
+    Status,
+    Update,
+)
+from landmark_nav.localization.estimator.filter import State
+from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
+from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion
+from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
+from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
+from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
+from landmark_nav.localization.start import checked_start
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    Expectation,
+    FloatArray,
+    JointSample,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+__all__ = ['Fusion']
+
+_LOG = logging.getLogger(__name__)
+
+# While a clock was set back the robot may have moved as far as in a blind second.
+_BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
+# Odometry that stays away for so long is said, s.
+_SILENT_S = 0.7
+# What a knock changes may be that far from its prior, 1 sigma; nothing is by 5 sigma.
+_MAY_STEP = {
+    'axis_yaw': 0.03,
+    'camera_roll': 0.03,
+    'camera_tilt': 0.03,
+    'joint_delay': DELAY_BOUND_S,
+}
+# Log of the odds from which images speak for a pose beyond doubt.
+_TRUSTED = 4.0
+# Log of the odds that a pose that somebody gives is right: one in a hundred is another place.
+_GIVEN_RIGHT = log(99.0)
+_NOT_STARTED = Refusal('not initialized', 'give a start pose')
+_WRONG_START = Refusal('the given start is wrong', 'images are not those of that place')
+
+
+class Fusion:
+    """
+    Pose, calibration and map errors out of whatever comes when; offline and in the node.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        Landmarks with their joint covariance.
+    calibration : Calibration
+        Prior of mount, lens and clocks.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        calibration: Calibration,
+        config: EstimatorConfig | None = None,
+        odometry: OdometryNoiseConfig | None = None,
+    ) -> None:
+        self._map, self._prior = landmark_map, calibration
+        self._config, self._odometry = (
+            config or EstimatorConfig(),
+            odometry or OdometryNoiseConfig(),
+        )
+        self._track, self._clock = OdometryTrack(self._odometry), ClockWatch()
+        self._line: Timeline | None = None
+        # A given start is in doubt until images alone give the pose: the filter from there on if
+        # it were anywhere, the state at the start, and the log of the odds that it is right.
+        self._anywhere: JointFilter | None = None
+        self._given: State | None = None
+        self._start_odds = _GIVEN_RIGHT
+        # The state when images last spoke for the pose beyond doubt.
+        self._trusted: State | None = None
+        # What of the mount would be too far from its prior to be believed.
+        self._unlikely: tuple[str, ...] = ()
+        self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
+
+    def change_map(self, landmark_map: LandmarkMap) -> None:
+        """Go on with other landmarks; the pose stays as it is, and as sure."""
+        self._map = landmark_map
+        if self._line is not None:
+            self._begin(self._line.filter.on_map(landmark_map))
+
+    def initialize(self, start: PoseEstimate, now_ns: int | None = None) -> None:
+        """
+        Start anew at a pose that somebody gives; what was learned of the robot stays.
+
+        A stamp that is not near the odometry of the last seconds is taken as now, `now_ns` or
+        the last odometry.
+
+        Raises
+        ------
+        LandmarkNavError
+            A pose or covariance that is not finite, or a covariance that is not positive.
+
+        """
+        ends = self._track.stamps_ns
+        recent = ends and (max(ends[0], ends[1] - round(1e9 * self._config.history_s)), ends[1])
+        self._place(checked_start(start, recent, now_ns))
+        assert self._line is not None, 'it was placed'
+        self._anywhere, self._given = copy(self._line.filter), self._line.filter.snapshot
+        self._anywhere.forget_pose()
+
+    def place(
+        self,
+        found: PoseEstimate,
+        joints: JointSample | CameraFrame | None = None,
+        now_ns: int | None = None,
+    ) -> None:
+        """
+        Go on from a place that images show; the last of them was taken at these joints.
+
+        Raises
+        ------
+        LandmarkNavError
+            As `initialize`.
+
+        """
+        found = checked_start(found, self._reach_ns, now_ns)
+        late = self._prior_late if self._line is None else self.late
+        rate, bend = 0.0, 0.0
+        if joints is not None:
+            pan = PanMotion.of(joints, self._prior.base)
+            rate = pan.rate_rad_s
+            if pan.track is not None and late.sigma_s:
+                _, rate, bend = pan.track.lagged(late.delay_s, late.sigma_s)
+        # The pan may begin to turn meanwhile.
+        bent = np.diag([0.0, 0.0, bend**2])
+        found = replace(found, covariance=found.covariance + bent)
+        self._place(found, rate)
+
+    def reaches(self, stamp_ns: int) -> bool:
+        """Whether a start at a time can be moved on to now."""
+        return self._reach_ns is None or self._reach_ns[0] <= stamp_ns
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """Move on; what is wrong with the sample, if anything (`Distrusted` if it is used)."""
+        line, ends, stamp = self._line, self._track.stamps_ns, sample.stamp_ns
+        if ends is not None:
+            newest = ends[1] if line is None else line.newest_ns
+            window_ns = round(1e9 * self._config.history_s)
+            step = self._clock.judge(stamp, ends[1], newest, window_ns)
+            seconds = f'{1e-9 * (stamp - ends[1]):.1f} s'
+            if step is ClockStep.AHEAD:
+                return Ahead('odometry is ahead', f'{seconds}: the next sample tells')
+            if step is ClockStep.BACK:
+                self._set_back(sample)
+                return Distrusted('clock was set back', f'{seconds}: goes on from the last pose')
+        elif line is not None and abs(stamp - line.newest_ns) > REACH_NS:
+            # Before any odometry came nobody knew by which clock a start was given.
+            self._begin(_restamped(line.filter, stamp))
+            line = self._line
+        if line is not None:
+            return line.add_odometry(sample)
+        refusal = self._track.add(sample)
+        self._track.trim(stamp - REACH_NS)
+        return refusal
+
+    def add_detections(
+        self, found: Detections, joints: JointSample | CameraFrame | None = None
+    ) -> Update | Refusal:
+        """Correct the state by the landmarks of one image, see `points`."""
+        return self.add_points(self.points(found, joints))
+
+    def add_points(self, seen: ImagePoints) -> Update | Refusal:
+        """Correct the state by the landmarks of one image."""
+        line, ends = self._line, self._track.stamps_ns
+        if line is None:
+            return _NOT_STARTED
+        if self._start_odds < 0.0:
+            return _WRONG_START
+        if ends is not None and seen.stamp_ns - ends[1] > REACH_NS:
+            return Refusal('detections are ahead', f'{1e-9 * (seen.stamp_ns - ends[1]):.1f} s')
+        update = line.add_image(seen)
+        self._update = update if isinstance(update, Update) else None
+        self._integrity.add(seen.stamp_ns, self._update, len(seen.missed))
+        if self._update is not None:
+            self._weigh_start(line, seen, self._update)
+        self._unlikely = self.calibration.contradictions(self._prior.widened(_MAY_STEP))
+        sure = self._integrity.log_ratio >= _TRUSTED and not self._unlikely
+        if sure and self._anywhere is None:
+            self._trusted = line.filter.snapshot
+        if self._update is not None and self._update.stepped:
+            _LOG.warning('camera or base was turned, and the wheels did not measure it')
+        return update
+
+    def _weigh_start(self, line: Timeline, seen: ImagePoints, update: Update) -> None:
+        """Compare an image with what it would be anywhere, until images alone give the pose."""
+        anywhere = self._anywhere
+        if anywhere is None or self._given is None:
+            return
+        move_to(seen.stamp_ns, anywhere, self._track)
+        self._start_odds += update.log_evidence - anywhere.observe(seen).log_evidence
+        if self._start_odds < 0.0:
+            # What was learned at a wrong pose is wrong.
+            line.filter.restore(self._given)
+            self._begin(line.filter)
+        elif not is_prior_uncertain(anywhere.estimate.covariance):
+            self._anywhere = None
+
+    def points(
+        self, found: Detections, joints: JointSample | CameraFrame | None = None
+    ) -> ImagePoints:
+        """
+        Return what was measured of the landmarks in an image that the map holds.
+
+        Parameters
+        ----------
+        found : Detections
+            With image points; where there are none, or no joints, bearings count, as the mount of
+            `robot.yaml` or, if there are points, the calibrated one had them.
+        joints : JointSample or CameraFrame, optional
+            Measured pan and tilt at the stamp.
+
+        """
+        found = found.chosen(np.isin(found.ids, self._map.ids))
+        missed = self._map.indices(found.missed[np.isin(found.missed, self._map.ids)])
+        columns = self._map.indices(found.ids)
+        if (len(found.points) and joints is not None) or not len(found):
+            pan = joints.pan_rad if joints is not None else 0.0
+            points = ImagePoints(
+                found.stamp_ns, columns, found.points, found.point_covariance,
+                np.full(len(columns), pan), missed=missed, near=found.near,
+            )  # fmt: skip
+            if joints is None:
+                return points
+            return replace(
+                points,
+                tilt_rad=joints.tilt_rad,
+                pan_rate_rad_s=joints.pan_rate_rad_s,
+                pan_sigma_rad=joints.pan_sigma_rad,
+                pan_track=joints.pan_track,
+            )
+        mount = self.calibration.mount if len(found.points) else self._prior.mount
+        looked: float | None = None if len(found.points) else found.pan_rad
+        if joints is not None:
+            looked = float(mount.azimuth_base_rad(joints.pan_rad))
+        points = ImagePoints.of_bearings(
+            found.stamp_ns, columns, found.bearing_rad, found.variance_rad2, mount, looked,
+            found.pan_sigma_rad if joints is None else joints.pan_sigma_rad,
+        )  # fmt: skip
+        return replace(points, missed=missed)
+
+    def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
+        """
+        Pose of the base at a time, the newest by default; None before one is known.
+
+        The covariance of a pose that is lost says so.
+        """
+        if self._line is None:
+            return None
+        lost = bool(self._unlikely) or self._start_odds < 0.0
+        return self._integrity.doubted(self._line.estimate(stamp_ns), lost)
+
+    def expectation(self, stamp_ns: int) -> Expectation | None:
+        """Where the camera should be at a time; None before a pose is known."""
+        return None if self._line is None else self._line.filter_at(stamp_ns).expectation
+
+    def with_landmarks(self, stamp_ns: int) -> FloatArray:
+        """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
+        assert self._line is not None, 'a pose is known'
+        return self._line.filter_at(stamp_ns).with_landmarks()
+
+    def level(self, estimate: PoseEstimate) -> ProtectionLevel:
+        """What the error of an estimate stays within, with 99 %."""
+        return protection_level(estimate, self._update)
+
+    @property
+    def prior(self) -> Calibration:
+        """The calibration that it started from."""
+        return self._prior
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration as far as it is known by now."""
+        return self._prior if self._line is None else self._line.filter.calibration
+
+    @property
+    def late(self) -> JointDelay:
+        """Delay of the stamps of the joints."""
+        return JointDelay(*self.calibration['joint_delay'])
+
+    @property
+    def odometry_noise(self) -> OdometryNoiseConfig:
+        """How far odometry is to be trusted, as far as it was learned."""
+        if self._line is None:
+            return self._odometry
+        way, turns, slip, *_ = np.sqrt(self._line.filter.noise_factors).tolist()
+        return self._odometry.scaled(way, turns, slip)
+
+    @property
+    def detection_sigma_factor(self) -> float:
+        """Factor on what detections claim as their sigmas, as far as it was learned."""
+        return 1.0 if self._line is None else float(np.sqrt(self._line.filter.noise_factors[-1]))
+
+    def status_at(self, stamp_ns: int | None = None) -> tuple[Status, str]:
+        """State of the pose at a time, the newest by default, and the reason if it is not OK."""
+        line, ends = self._line, self._track.stamps_ns
+        if line is None:
+            return Status.LOST, 'no pose is known: it takes odom, and initialpose or relocalize'
+        at_ns = line.newest_ns if stamp_ns is None else max(stamp_ns, line.newest_ns)
+        status, reason = self._integrity.status(line.estimate(at_ns))
+        if self._unlikely:
+            names = ', '.join(self._unlikely)
+            status = Status.LOST
+            reason = f'{names} would be far from robot.yaml: it is rather elsewhere'
+        if self._start_odds < 0.0:
+            status, reason = Status.LOST, str(_WRONG_START)
+        silent_s = 1e-9 * ((stamp_ns or 0) - (ends[1] if ends else 0))
+        if stamp_ns is None or silent_s <= _SILENT_S:
+            return status, reason
+        silence = f'no odometry for {silent_s:.1f} s' if ends else 'no odometry'
+        if status is Status.OK:
+            return Status.DEGRADED, silence
+        return status, f'{silence}: {reason}'
+
+    @property
+    def _reach_ns(self) -> tuple[int, int] | None:
+        """First and last time from which the odometry leads to now."""
+        ends = self._track.stamps_ns
+        return ends and (ends[0] - round(1e9 * HORIZON_S), ends[1])
+
+    @property
+    def _prior_late(self) -> JointDelay:
+        """What the delay may be at the start: one that is not known may be large."""
+        late = JointDelay(*self._prior['joint_delay'])
+        return late if late.is_known else replace(late, sigma_s=max(late.sigma_s, DELAY_BOUND_S))
+
+    def _place(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> None:
+        """Be at a pose, with all that was learned of the robot while the pose was right."""
+        lost = self.status_at()[0] is Status.LOST
+        if self._line is None or (lost and self._trusted is None):
+            # All images of a swing agree on a heading that late joint states turned.
+            prior = self._prior_late.sigma_s**2 - self._prior['joint_delay'][1] ** 2
+            widened = self._prior.widened({'joint_delay': sqrt(max(0.0, prior))})
+            joint = JointFilter(self._map, widened, start, self._config, self._odometry)
+        else:
+            joint = self._line.filter
+            if lost and self._trusted is not None:
+                # A wrong pose teaches wrong things. If the start was right, it was lost for a
+                # reason: the camera may have been turned.
+                joint.restore(self._trusted)
+                if self._start_odds >= 0.0:
+                    joint = joint.stepped()
+        self._begin(joint.placed(start, pan_rate_rad_s))
+        self._integrity, self._unlikely = Integrity(), ()
+        self._anywhere, self._start_odds = None, _GIVEN_RIGHT
+
+    def _begin(self, joint: JointFilter) -> None:
+        self._line, self._update = Timeline(joint, self._track, self._config.history_s), None
+
+    def _set_back(self, sample: OdometrySample) -> None:
+        """Go on from the newest pose by another clock (a bag that starts over)."""
+        self._track = OdometryTrack(self._odometry)
+        self._track.add(sample)
+        if self._line is not None:
+            joint = self._line.filter_at(self._line.newest_ns)
+            joint.move(joint.snapshot.stamp_ns, _BLIND_SECOND)
+            self._begin(_restamped(joint, sample.stamp_ns))
+            self._integrity = Integrity()
+
+
+def _restamped(joint: JointFilter, stamp_ns: int) -> JointFilter:
+    """Return a filter whose state is of another time."""
+    joint.restore(replace(joint.snapshot, stamp_ns=stamp_ns))
+    return joint

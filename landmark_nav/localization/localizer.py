@@ -1,0 +1,249 @@
+"""
+Localization in one: for bags, and for use without ROS.
+
+image and expectation -> observer -> detections; detections and odometry -> fusion -> pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from landmark_nav.calibration import Calibration
+from landmark_nav.localization.estimator import (
+    EstimatorConfig,
+    ImagePoints,
+    ProtectionLevel,
+    Status,
+    Update,
+)
+from landmark_nav.localization.fusion import Fusion
+from landmark_nav.localization.late_joints import JointDelay
+from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.observer import Observation, Observer, straight
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
+from landmark_nav.parameters import Config
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    FloatArray,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+__all__ = ['STATUS', 'LocalizationConfig', 'LocalizationUpdate', 'Localizer']
+
+# States as the rest of the package calls them.
+STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
+
+
+@dataclass(frozen=True)
+class LocalizationConfig(Config):
+    """Parameters of all stages."""
+
+    observation: LookingConfig = field(default_factory=LookingConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+    relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizationUpdate:
+    """
+    All results of one image.
+
+    Parameters
+    ----------
+    observation : Observation
+        What was seen.
+    used : int
+        How many landmarks corrected the pose.
+    fused : PoseEstimate
+        The estimate at the image's stamp, after the update.
+    status, reason : str
+        After the update: ``tracking``, ``coasting`` or ``lost``, and the reason for the last two.
+    with_landmarks : ndarray, shape (3, 2 n), optional
+        Covariance of `fused` with the positions of all landmarks.
+    search : PoseEstimate or Refusal, optional
+        Result of searching for the place, if that was done.
+    level : ProtectionLevel, optional
+        What the error of `fused` stays within, with 99 %.
+    points : ImagePoints, optional
+        What the estimator was given.
+    taken : Update or Refusal, optional
+        What it made of that, or why it was not used.
+
+    """
+
+    stamp_ns: int
+    observation: Observation
+    used: int
+    fused: PoseEstimate
+    status: str
+    reason: str
+    with_landmarks: FloatArray | None = None
+    search: PoseEstimate | Refusal | None = None
+    level: ProtectionLevel | None = None
+    points: ImagePoints | None = None
+    taken: Update | Refusal | None = None
+
+
+class Localizer:
+    """
+    The nodes of the navigation phase in one.
+
+    Without `initialize`, and while it is lost or no landmark is in sight, it searches for the
+    place: it gathers images until they fit one place only.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What to look for.
+    calibration : Calibration
+        Prior of mount, lens and clocks.
+    config : LocalizationConfig
+        Of detection, odometry, relocalization and the estimator.
+
+    """
+
+    def __init__(
+        self, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
+    ) -> None:
+        self._map, self._config = landmark_map, config
+        self._fusion = Fusion(landmark_map, calibration, config.estimator, config.odometry)
+        self._observer = Observer(landmark_map, calibration, config.observation, config.estimator)
+        self._unseen = Unseen(config.relocalization.unseen_s)
+        self._sample: OdometrySample | None = None
+        self._relocalizer: Relocalizer | None = self._new_search()
+
+    def initialize(self, start: PoseEstimate) -> None:
+        """Start anew at a pose of the base."""
+        self._fusion.initialize(start)
+        self._relocalizer = None
+        self._unseen.restart()
+
+    def add_odometry(self, sample: OdometrySample) -> Refusal | None:
+        """Move on; what is wrong with the sample, if anything."""
+        self._sample = sample
+        self._observer.add_odometry(sample)
+        if self._relocalizer is not None:
+            self._relocalizer.add_odometry(sample)
+        return self._fusion.add_odometry(sample)
+
+    def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
+        """Pose of the base at a time, the newest by default; None before one is known."""
+        return self._fusion.estimate(stamp_ns)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration as far as it is known by now."""
+        return self._fusion.calibration
+
+    @property
+    def level(self) -> ProtectionLevel | None:
+        """What the error of the newest estimate stays within, with 99 %."""
+        estimate = self._fusion.estimate()
+        return None if estimate is None else self._fusion.level(estimate)
+
+    @property
+    def late(self) -> JointDelay:
+        """Delay of the stamps of the joints."""
+        return self._fusion.late
+
+    @property
+    def odometry_noise(self) -> OdometryNoiseConfig:
+        """How far odometry is to be trusted, as far as it was learned."""
+        return self._fusion.odometry_noise
+
+    @property
+    def detection_sigma_factor(self) -> float:
+        """Factor on what detections claim as their sigmas, as far as it was learned."""
+        return self._fusion.detection_sigma_factor
+
+    @property
+    def status(self) -> tuple[str, str]:
+        """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
+        status, reason = self._fusion.status_at()
+        return STATUS[status], reason
+
+    def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
+        """
+        Look at an image and correct the pose, or search for the place until one is known.
+
+        Returns
+        -------
+        LocalizationUpdate or PoseEstimate or Refusal
+            An update if a pose was known before; otherwise the pose that was found, or why none
+            was.
+
+        """
+        expected = self._fusion.expectation(frame.stamp_ns)
+        if expected is None:
+            return self._search(frame)
+        seen = self._observer.look(frame, expected)
+        update = self._updated(seen, self._fusion.points(seen.detections, frame))
+        self._unseen.note(frame.stamp_ns, len(seen.detections))
+        searches = update.status == 'lost' or self._unseen.lasts
+        if not searches or seen.unusable or not self._config.relocalization.when_lost:
+            self._relocalizer = None
+            return update
+        self._relocalizer = self._relocalizer or self._new_search()
+        outcome = self._search(frame)
+        status, reason = self.status
+        fused = self.estimate(frame.stamp_ns) or update.fused
+        return replace(update, fused=fused, status=status, reason=reason, search=outcome)
+
+    def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
+        """Correct the pose by bearings that somebody else measured."""
+        prior = self._fusion.estimate(found.stamp_ns)
+        if prior is None:
+            return Refusal('not initialized', 'give a start pose')
+        known = np.isin(found.ids, self._map.ids)
+        refused = {int(k): Refusal('not in the map') for k in found.ids[~known]}
+        found = found.chosen(known)
+        seen = Observation(found, refused, lambda: self._observer.fix(found, prior))
+        return self._updated(seen, self._fusion.points(found))
+
+    def _new_search(self) -> Relocalizer:
+        config = self._config
+        search = Relocalizer(
+            self._map, self.calibration.mount, config.relocalization, config.odometry,
+            config.observation,
+        )  # fmt: skip
+        if self._sample is not None:
+            search.add_odometry(self._sample)
+        return search
+
+    def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
+        """Search for the place; the images from which it is found are not fused again."""
+        assert self._relocalizer is not None, 'it searches'
+        outcome = self._relocalizer.add_frame(straight(frame, self.calibration))
+        if isinstance(outcome, Refusal):
+            return outcome
+        self._fusion.place(self._relocalizer.in_time, frame)
+        self._relocalizer = None
+        self._unseen.restart()
+        return self._fusion.estimate(frame.stamp_ns) or outcome
+
+    def _updated(self, seen: Observation, points: ImagePoints) -> LocalizationUpdate:
+        """Correct the state by an image; return what came of it."""
+        stamp, taken = points.stamp_ns, self._fusion.add_points(points)
+        fused = self._fusion.estimate(stamp)
+        assert fused is not None, 'a pose is known'
+        status, reason = self._fusion.status_at()
+        return LocalizationUpdate(
+            stamp,
+            seen,
+            len(taken.used) if isinstance(taken, Update) else 0,
+            fused,
+            STATUS[status],
+            reason,
+            self._fusion.with_landmarks(stamp),
+            level=self._fusion.level(fused),
+            points=points,
+            taken=taken,
+        )

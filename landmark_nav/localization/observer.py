@@ -1,0 +1,273 @@
+"""
+Landmarks found where the state of the estimator expects them, and fixes from their bearings.
+
+The calibrated mount puts the camera; the covariance of pose and mount together sets the search
+windows. So what is not known is searched for, and what was learned narrows the search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from landmark_nav.arrays import IndexArray
+from landmark_nav.calibration import Calibration
+from landmark_nav.localization.detection.blurred import detect_blurred
+from landmark_nav.localization.detection.correlation import DetectionResult
+from landmark_nav.localization.detection.expectation import Expectation as Window
+from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
+from landmark_nav.localization.detection.informative import most_informative
+from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
+from landmark_nav.localization.frozen_image import FrozenImage
+from landmark_nav.localization.late_joints import in_time
+from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
+from landmark_nav.localization.relocalization.within_prior import localize_within_prior
+from landmark_nav.localization.triangulation import triangulate
+from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
+from landmark_nav.localization.triplet import visible_landmarks
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    Expectation,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+__all__ = ['Observation', 'Observer', 'straight']
+
+# Shares of the landmarks looked for that count as most of them, and as hardly any.
+_MOST, _HARDLY_ANY = 0.75, 0.25
+# Largest error of the rows that the search allows for, pixels.
+_MOST_RISE_PX = 50.0
+# The novelty of a landmark is halved when it is looked for, and recovers by a fifth an image.
+_NEW, _STILL_KNOWN = 0.5, 0.8
+# Steps in which the lens is put right for drawing templates, over the focal length.
+_STEP = 4e-4
+# A search within a wide prior takes a tenth of a second: it is made in each of the first so many
+# images, then, if nothing was found, in every third one.
+_EAGER, _PATIENT = 5, 3
+_HANGS = Refusal('image is the one before', 'though the camera has moved: it hangs')
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """
+    What an image shows.
+
+    Parameters
+    ----------
+    detections : Detections
+        Landmarks that were found.
+    refused : mapping of int to Refusal
+        Why others were not, by landmark id.
+    triangulate : callable
+        Gives `fix` where somebody asks for it.
+    unusable : bool
+        Whether the image was not searched at all.
+    expected : mapping of int to Window
+        Where landmarks were searched, by id.
+
+    """
+
+    detections: Detections
+    refused: Mapping[int, Refusal]
+    triangulate: Callable[[], PoseEstimate | Refusal]
+    unusable: bool = False
+    expected: Mapping[int, Window] = field(default_factory=dict)
+
+    @cached_property
+    def fix(self) -> PoseEstimate | Refusal:
+        """Pose of the base triangulated from the bearings of this image alone."""
+        return self.triangulate()
+
+
+def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
+    """Return an image with camera and joints as a calibration has them."""
+    frame = in_time(frame, calibration['joint_delay'][0])
+    # In steps of a tenth of a pixel, as each camera needs a grid of rays of its own.
+    focal, shift = (
+        _STEP * round(calibration[name][0] / _STEP) for name in ('focal_scale', 'principal_point')
+    )
+    camera = frame.camera
+    return replace(
+        frame,
+        camera=replace(
+            camera,
+            fx=camera.fx * (1.0 + focal),
+            fy=camera.fy * (1.0 + focal),
+            cx=camera.cx + shift * camera.fx,
+        ),
+        pan_rad=frame.pan_rad * (1.0 + calibration['pan_scale'][0]),
+        tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
+    )
+
+
+class Observer:
+    """
+    Finds landmarks in one image after the other.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What to look for.
+    calibration : Calibration
+        Prior of mount, lens and clocks.
+    config : LookingConfig
+        Of the stages that look at an image.
+    step : EstimatorConfig
+        By how much camera or base may be turned at once.
+
+    """
+
+    def __init__(
+        self,
+        landmark_map: LandmarkMap,
+        calibration: Calibration,
+        config: LookingConfig,
+        step: EstimatorConfig,
+    ) -> None:
+        self._map, self._config, self._step = landmark_map, config, step
+        self._mount = calibration.mount
+        self._frozen = FrozenImage()
+        self._blur, self._found_most, self._vain = np.zeros(2), False, 0
+        self._novelty = np.ones(len(landmark_map.landmarks))
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Move on."""
+        self._frozen.add_odometry(sample)
+
+    def fix(self, found: Detections, prior: PoseEstimate) -> PoseEstimate | Refusal:
+        """Triangulate from the bearings of one image; the prior rejects impossible results."""
+        index = self._map.indices(found.ids)
+        pan_variance = self._mount.pan_sigma_rad**2 + found.pan_sigma_rad**2
+        start = axis_from_base(prior, self._mount)
+        away = self._map.positions[index, :2] - start.pose[:2]
+        # An error of the pan shifts all landmarks across their lines of sight.
+        across = np.column_stack([-away[:, 1], away[:, 0]]).ravel()
+        covariance = self._map.joint_covariance_of(index)
+        fix = triangulate(
+            self._map.positions[index, :2],
+            found.bearing_rad,
+            found.variance_rad2,
+            covariance + pan_variance * np.outer(across, across),
+            start,
+            self._config.triangulation,
+        )
+        if isinstance(fix, Refusal):
+            return fix
+        return base_from_axis(fix.at(found.stamp_ns), self._mount)
+
+    def look(self, frame: CameraFrame, expected: Expectation) -> Observation:
+        """
+        Look for some of the visible landmarks: a few as long as most are found.
+
+        If hardly any is found, all are looked for where they should be if camera or base was
+        turned. A wide pose is localize_within_prior before: what came of it is `Detections.near`.
+        """
+        if self._frozen.repeats(frame):
+            return Observation(_nothing(frame.stamp_ns), {}, lambda: _HANGS, unusable=True)
+        config = self._config
+        place = self._narrowed(frame, expected)
+        if place is not None:
+            expected = replace(expected, pose=place.pose, covariance=place.covariance)
+        visible = self._visible(frame, expected)
+        enough, most = config.detection.target_count, config.detection.max_count
+        step = self._step
+        turned = expected.stepped(step.step_sigma_m, step.step_sigma_rad, step.step_sigma_s)
+        tries = [(expected, enough)] if self._found_most and enough < len(visible) else []
+        for state, count in [*tries, (expected, most), (turned, most)]:
+            result, looked_for = self._searched(frame, state, visible, count)
+            found = len(result.detections)
+            self._found_most = found >= _MOST * len(looked_for)
+            if self._found_most or (count == most and found > _HARDLY_ANY * len(looked_for)):
+                break
+        self._novelty = 1.0 - _STILL_KNOWN * (1.0 - self._novelty)
+        self._novelty[looked_for] *= _NEW
+        missed = [k for k, why in result.refused.items() if why.reason not in NOT_LOOKED_FOR]
+        seen = result.detections
+        points = ImagePoints.of_pixels(
+            frame.stamp_ns,
+            self._map.indices(seen.ids),
+            seen.uv_px,
+            seen.covariance_px2,
+            frame.camera,
+            frame.pan_rad,
+        )
+        seen = replace(
+            seen,
+            missed=np.array(sorted(missed), dtype=np.int64),
+            pan_sigma_rad=frame.pan_sigma_rad,
+            pan_rad=float(expected.calibration.mount.azimuth_base_rad(frame.pan_rad)),
+            points=points.points,
+            point_covariance=points.covariance,
+            near=None if place is None else place.pose,
+        )
+        return Observation(
+            seen, result.refused, lambda: self.fix(seen, expected), expected=result.expected
+        )
+
+    def _narrowed(self, frame: CameraFrame, expected: Expectation) -> PoseEstimate | None:
+        """Find the pose within a wide one; if that fails again and again, try less often."""
+        if not is_prior_uncertain(expected.covariance):
+            self._vain = 0
+            return None
+        self._vain += 1
+        if self._vain > _EAGER and self._vain % _PATIENT:
+            return None
+        known = expected.calibration
+        seen = straight(frame, known), expected, self._map, known.mount, self._config
+        place = localize_within_prior(*seen)
+        if isinstance(place, Refusal):
+            return None
+        self._vain = 0
+        return place.estimate
+
+    def _visible(self, frame: CameraFrame, expected: Expectation) -> IndexArray:
+        frame = straight(frame, expected.calibration)
+        return visible_landmarks(
+            expected,
+            self._map,
+            frame.camera,
+            expected.calibration.mount,
+            frame.pan_rad,
+            frame.tilt_rad,
+            self._config.triplet,
+        )
+
+    def _searched(
+        self, frame: CameraFrame, expected: Expectation, visible: IndexArray, count: int
+    ) -> tuple[DetectionResult, IndexArray]:
+        """Look for `count` of the visible landmarks, as far around as the state says."""
+        config, mount = self._config, expected.calibration.mount
+        # An error of the pan shifts the image as one of the heading does.
+        pan = expected.pan_sigma_rad(frame.pan_rate_rad_s)
+        shifted = np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2])
+        rise_px = np.hypot(
+            config.detection.vertical_sigma_px, frame.camera.fy * expected.tilt_sigma_rad
+        )
+        detection = replace(config.detection, vertical_sigma_px=min(_MOST_RISE_PX, float(rise_px)))
+        looked_for = most_informative(
+            axis_from_base(expected, mount), self._map, visible, config.triplet.bearing_sigma_rad,
+            count, self._novelty,
+        )  # fmt: skip
+        result, self._blur = detect_blurred(
+            straight(frame, expected.calibration),
+            replace(expected, covariance=expected.covariance + shifted),
+            self._map,
+            mount,
+            detection,
+            looked_for,
+            self._blur,
+        )
+        return result, looked_for
+
+
+def _nothing(stamp_ns: int) -> Detections:
+    none = np.empty(0)
+    return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))

@@ -1,0 +1,175 @@
+"""Sweeps as they come on topics: frames, angles and pose, joined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Lock
+import time
+from typing import Any
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.learning.sweep import assemble_sweep, missing_frames
+from landmark_nav.messages import decode
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.types import ImageArray, JointSample, PoseEstimate, Sweep
+
+__all__ = ['RecordedSweep', 'SweepInbox']
+
+# Frames of the longest sweep, and their bytes; older ones belong to a sweep that was given up.
+_MAX_FRAMES, _MAX_BYTES = 1440, 2**30
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedSweep:
+    """
+    A sweep whose images are still as they came: they may be compressed.
+
+    Parameters
+    ----------
+    trajectory : tuple of JointSample
+        Angles of its frames.
+    frames : mapping of int to tuple
+        Stamp -> message of the image, calibration.
+    pose_map_base : PoseEstimate, optional
+        Pose of the base, if ``sweep/pose`` gave it.
+
+    """
+
+    trajectory: tuple[JointSample, ...]
+    frames: dict[int, tuple[Any, decode.CameraInfo]]
+    pose_map_base: PoseEstimate | None
+
+    @property
+    def stamp_ns(self) -> int:
+        """Its begin."""
+        return self.trajectory[0].stamp_ns
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp."""
+        stamps = [sample.stamp_ns for sample in self.trajectory]
+        return min(stamps), max(stamps)
+
+    @property
+    def size_bytes(self) -> int:
+        """Of its images."""
+        return sum(len(image.data) for image, _ in self.frames.values())
+
+    def decoded(self, depth: decode.BitDepth, drop: Callable[[str, object], None]) -> Sweep:
+        """
+        Decode it.
+
+        Parameters
+        ----------
+        depth : BitDepth
+            Of the stream of images.
+        drop : callable
+            Is called with topic and reason where an image can not be used.
+
+        Raises
+        ------
+        LandmarkNavError
+            No frame is left.
+
+        """
+        views: dict[int, tuple[ImageArray, CameraModel, int]] = {}
+        for stamp, (image, info) in self.frames.items():
+            try:
+                pixels, camera = decode.camera_image(image, info, depth=depth)
+            except LandmarkNavError as error:
+                drop('sweep/image', error)
+                continue
+            views[stamp] = pixels, camera, depth.bits
+        lowered = {
+            stamp: (depth.lowered(pixels, bits), camera)
+            for stamp, (pixels, camera, bits) in views.items()
+        }
+        return assemble_sweep(self.trajectory, lowered, self.pose_map_base)
+
+
+class SweepInbox:
+    """
+    Joins ``sweep/*``.
+
+    Parameters
+    ----------
+    node : LandmarkNode
+        Who listens.
+    mount : PanTiltMount
+        Names of the joints.
+    frame_id : str
+        Frame that ``sweep/pose`` must be in.
+    late_frames_s : float
+        How long to wait for frames that arrive after their trajectory.
+    on_sweep : callable
+        Is given each sweep, in a callback group of its own: frames go on arriving meanwhile.
+
+    """
+
+    def __init__(
+        self,
+        node: LandmarkNode,
+        mount: PanTiltMount,
+        frame_id: str,
+        late_frames_s: float,
+        on_sweep: Callable[[RecordedSweep], None],
+    ) -> None:
+        self._mount, self._frame_id = mount, frame_id
+        self._late_frames_s, self._on_sweep = late_frames_s, on_sweep
+        self._lock = Lock()
+        self._images: dict[int, Any] = {}
+        self._infos: dict[int, decode.CameraInfo] = {}
+        self._pose: PoseEstimate | None = None
+        # The next sweep may come in the other form.
+        node.listen('sweep/image', self._on_image)
+        node.listen('sweep/image/compressed', self._on_image)
+        node.listen('sweep/camera_info', self._on_camera_info)
+        node.listen('sweep/pose', self._on_pose)
+        group = MutuallyExclusiveCallbackGroup()
+        node.listen('sweep/trajectory', self._on_trajectory, group=group)
+
+    def _on_image(self, message: Any) -> None:
+        with self._lock:
+            _remember(self._images, decode.stamp_ns(message.header), message)
+            while sum(len(image.data) for image in self._images.values()) > _MAX_BYTES:
+                del self._images[min(self._images)]
+
+    def _on_camera_info(self, message: Any) -> None:
+        info = decode.camera_info(message)
+        with self._lock:
+            _remember(self._infos, decode.stamp_ns(message.header), info)
+
+    def _on_pose(self, message: Any) -> None:
+        decode.check_frame(message.header, self._frame_id, 'give it there')
+        self._pose = decode.pose_estimate(message)
+
+    def _on_trajectory(self, message: Any) -> None:
+        trajectory = decode.sweep_trajectory(message, self._mount)
+        deadline = time.monotonic() + self._late_frames_s
+        while missing_frames(trajectory, self._complete()) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        frames = {sample.stamp_ns for sample in trajectory} & self._complete()
+        with self._lock:
+            found = {stamp: (self._images[stamp], self._infos[stamp]) for stamp in sorted(frames)}
+            # What is older belongs to this sweep or to one that was given up.
+            end_ns = max((sample.stamp_ns for sample in trajectory), default=0)
+            for items in (self._images, self._infos):
+                for stamp in [stamp for stamp in items if stamp <= end_ns]:
+                    del items[stamp]
+        pose, self._pose = self._pose, None
+        self._on_sweep(RecordedSweep(tuple(trajectory), found, pose))
+
+    def _complete(self) -> set[int]:
+        """Stamps of which image and calibration are there."""
+        with self._lock:
+            return self._images.keys() & self._infos.keys()
+
+
+def _remember(items: dict[int, Any], stamp_ns: int, item: Any) -> None:
+    items[stamp_ns] = item
+    while len(items) > _MAX_FRAMES:
+        del items[min(items)]

@@ -1,0 +1,141 @@
+"""Learning without a plan in a node: it keeps the sweeps, and the odometry since the first."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from landmark_nav.calibration import Calibration
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.learning.pipeline import LearningConfig, LearningResult
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import PanoramaStages
+from landmark_nav.learning.unmeasured import learn_located, locate_sweeps, UnmeasuredConfig
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.sweep_places import carried_on, known_places
+from landmark_nav.localization.triangulation.model import base_from_axis
+from landmark_nav.messages import decode
+from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
+from landmark_nav.parameters import parameter
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.types import OdometrySample, PlaceChain, PoseEstimate, Sweep
+
+__all__ = ['UnmeasuredLearner', 'UnmeasuredParameters']
+
+# Odometry is compounded in steps of 50 ms. So many are kept: 1.8 hours from sweep to sweep.
+_STEP_NS, _MOST_SAMPLES = 45_000_000, 2**17
+# A stamp that is earlier by more is of a clock that was set back.
+_SET_BACK_NS = 1_000_000_000
+# Images of all sweeps that are kept.
+_MAX_BYTES = 2**29
+
+
+@dataclass(frozen=True)
+class UnmeasuredParameters(PanoramaStages, LearningConfig):
+    """Parameters of all stages, from sweeps to map."""
+
+    late_frames_s: float = parameter(
+        3.0, 'how long to wait for frames that arrive after their trajectory, s', minimum=0.0
+    )
+    unmeasured: UnmeasuredConfig = field(default_factory=UnmeasuredConfig)
+    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+
+
+class UnmeasuredLearner:
+    """
+    ``sweep/*`` and ``odom`` to a map, by `learning.unmeasured`.
+
+    Parameters
+    ----------
+    node : LandmarkNode
+        Who listens.
+    given : Calibration
+        Of ``robot.yaml``.
+    config : UnmeasuredParameters
+        Parameters of the stages.
+
+    """
+
+    def __init__(
+        self, node: LandmarkNode, given: Calibration, config: UnmeasuredParameters
+    ) -> None:
+        self._node, self._given, self._config = node, given, config
+        self._sweeps: dict[int, RecordedSweep] = {}
+        self._odometry: deque[OdometrySample] = deque(maxlen=_MOST_SAMPLES)
+        SweepInbox(node, given.mount, 'map', config.late_frames_s, self._on_sweep)
+        node.listen('odom', self._on_odometry)
+
+    def __len__(self) -> int:
+        """Return how many sweeps are kept."""
+        return len(self._sweeps)
+
+    def clear(self) -> None:
+        """Forget the sweeps."""
+        self._sweeps.clear()
+
+    def learn(self) -> LearningResult:
+        """
+        Learn from the sweeps that are kept.
+
+        Raises
+        ------
+        LandmarkNavError
+            Nothing gives the scale, and as the stages.
+
+        """
+        recorded = [self._sweeps[stamp] for stamp in sorted(self._sweeps)]
+
+        def sweeps() -> Iterator[Sweep]:
+            depth = decode.BitDepth()
+            return (sweep.decoded(depth, self._node.drop) for sweep in recorded)
+
+        given = [sweep.pose_map_base for sweep in recorded]
+        spans = [sweep.span_ns for sweep in recorded]
+        odometry = list(self._odometry)
+        sheets = self._config.unmeasured.sheets
+        if not (any(given) or odometry or sheets.has_papers or sheets.has_markers):
+            raise LandmarkNavError(
+                'nothing gives the scale: connect odom and sweep again, publish sweep/pose, hang '
+                'sheets (unmeasured.sheets), or measure walls and papers and give room_file'
+            )
+
+        def known(_stamped: Sequence[Sweep]) -> list[PlaceChain]:
+            return known_places(given, spans, odometry, self._config.odometry)
+
+        unmeasured = self._config.unmeasured
+        mount = self._given.mount
+        located = locate_sweeps(sweeps, known, mount, self._config, unmeasured, StageLog())
+        result = learn_located(located, self._config, unmeasured)
+        learned = replace(result.map, prior=self._given, provenance=located.provenance)
+        return replace(result, map=learned)
+
+    def place_now(self, result: LearningResult) -> PoseEstimate | None:
+        """Pose of the base in the map, by odometry since the last sweep; None without odometry."""
+        if not self._odometry:
+            return None
+        place = base_from_axis(result.map.panorama_poses[-1], self._given.mount)
+        return carried_on(place, list(self._odometry), self._config.odometry)
+
+    def _on_sweep(self, sweep: RecordedSweep) -> None:
+        if not sweep.frames:
+            raise LandmarkNavError('the sweep has no frames: take it again')
+        kept = sum(one.size_bytes for one in self._sweeps.values())
+        if kept + sweep.size_bytes > _MAX_BYTES:
+            raise LandmarkNavError(
+                f'{len(self)} sweeps fill the memory for images: call learn_landmarks and '
+                'clear_panoramas, or publish compressed images'
+            )
+        self._sweeps[sweep.stamp_ns] = sweep
+        self._node.get_logger().info(f'sweep {len(self)} received')
+
+    def _on_odometry(self, message: Any) -> None:
+        sample = decode.odometry(message)
+        if self._odometry:
+            ahead_ns = sample.stamp_ns - self._odometry[-1].stamp_ns
+            if ahead_ns < -_SET_BACK_NS:
+                self._odometry.clear()
+            elif ahead_ns < _STEP_NS:
+                return
+        self._odometry.append(sample)

@@ -1,0 +1,333 @@
+"""
+Two maps with frames of their own in one frame, by the landmarks that both hold.
+
+One texture that both know gives a whole transformation, as heights and normals are known: each
+such match is tried, and the one that most others agree with is fitted to all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.patches import patch_axes
+from landmark_nav.geometry.se2 import compose, rotation, transform_points
+from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.upkeep.comparison import resampled
+
+__all__ = ['FrameAlignment', 'align_frames', 'brought_together', 'in_frame_of']
+
+# Part of a patch that is looked for in the other map's, and the least correlation.
+_TEMPLATE, _MIN_SCORE = 0.6, 0.7
+_MIN_TEMPLATE_PX = 8
+# Best matches that are tried as transformations: it bounds time and memory.
+_MOST_MATCHES = 1500
+# How much the frames of one room differ in height, beside the scale (m): floor and camera.
+_HEIGHT_SIGMA_M = 0.03
+# Errors of a normal (rad) and of the place where a texture is matched (m).
+_NORMAL_SIGMA_RAD, _MATCH_SIGMA_M = 0.02, 0.005
+_GATE_SIGMAS = 3.0
+# Metres that were measured by a person.
+_MEASURED_SCALE_SIGMA = 2e-3
+# Of 120 landmarks of two rooms at most 4 agreed by chance, of one room 84 to 100 (seeds 901, 902).
+# Another transformation may have this share of the support.
+_LEAST_SUPPORT, _LEAST_SHARE, _MOST_RIVAL = 4, 0.1, 0.5
+# Rounds of the fit, and the spread of the first, halved in each; unknowns without data stay.
+_ROUNDS, _FIRST_SPREAD, _LEAST_INFORMATION = 10, 8.0, 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class FrameAlignment:
+    """
+    Frame of map b in that of map a.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (3,)
+        Of the frame of b in a: metres of a, radians.
+    rise_m : float
+        Its height in a: that of the camera is given, and not scaled.
+    scale : float
+        Metre of b in metres of a.
+    covariance : ndarray, shape (5, 5)
+        Of x, y, height, heading and the logarithm of the scale.
+    support : int
+        How many landmarks of a agree.
+
+    """
+
+    pose: FloatArray
+    rise_m: float
+    scale: float
+    covariance: FloatArray
+    support: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Matches:
+    """Textures that look alike: places (m, 3) in each map, heading of b in a, and landmarks."""
+
+    in_a: FloatArray
+    in_b: FloatArray
+    turn_rad: FloatArray
+    a: npt.NDArray[np.intp]
+    b: npt.NDArray[np.intp]
+
+    def chosen(self, which: npt.NDArray[np.bool_]) -> _Matches:
+        return _Matches(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+    @property
+    def landmarks(self) -> int:
+        """How many landmarks take part, of the map with fewer."""
+        return min(len(np.unique(self.a)), len(np.unique(self.b)))
+
+
+def brought_together(a: LandmarkMap, b: LandmarkMap) -> tuple[LandmarkMap, FrameAlignment | None]:
+    """Map b in the frame of a, and how it came there: None if both were measured in one frame."""
+    if not (a.has_own_frame or b.has_own_frame):
+        return b, None
+    alignment = align_frames(a, b)
+    return replace(in_frame_of(alignment, b), frame_id=a.frame_id), alignment
+
+
+def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
+    """
+    Find the frame and the metre of map b in those of map a.
+
+    Raises
+    ------
+    LandmarkNavError
+        The maps share too few landmarks, or more than one transformation fits.
+
+    """
+    scale_sigma = float(np.hypot(_scale_sigma(a), _scale_sigma(b)))
+    matches = _matches(a, b, scale_sigma)
+    best, explained = _best(a, b, matches, scale_sigma)
+    needed = max(_LEAST_SUPPORT, _LEAST_SHARE * min(len(a.landmarks), len(b.landmarks)))
+    if best is None or best.support < needed:
+        raise LandmarkNavError(
+            f'{best.support if best else 0} landmarks agree on where the frames of the maps are '
+            f'to each other, {needed:.0f} are needed: are they of one room? Learn one map of all '
+            'sweeps'
+        )
+    # What the best one explains does not speak for another.
+    rival, _ = _best(a, b, matches.chosen(~explained), scale_sigma)
+    if rival is not None and rival.support > max(_LEAST_SUPPORT, _MOST_RIVAL * best.support):
+        raise LandmarkNavError(
+            f'{best.support} landmarks agree on where the frames of the maps are to each other, '
+            f'and {rival.support} on another place: textures repeat; learn one map of all sweeps'
+        )
+    return best
+
+
+def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
+    """
+    Map b in the frame and the metre of a.
+
+    The error of the alignment is five more factors that all its landmarks share.
+    """
+    scale, pose = alignment.scale, alignment.pose
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(pose[2])
+    origin = np.array([*pose[:2], alignment.rise_m])
+    root = np.linalg.cholesky(alignment.covariance)
+
+    def placed(points: FloatArray) -> FloatArray:
+        return np.asarray(origin + scale * turn @ points)
+
+    def moved(k: Landmark) -> Landmark:
+        position = placed(k.position)
+        factors = _by_frame(position - origin) @ root
+        by_own = scale * turn
+        return replace(
+            k,
+            position=position,
+            covariance=by_own @ k.covariance @ by_own.T + factors @ factors.T,
+            shared_loading=np.hstack([by_own @ k.shared_loading, factors]),
+            normal=turn @ k.normal,
+            width_m=scale * k.width_m,
+            height_m=scale * k.height_m,
+            viewpoint=placed(k.viewpoint),
+            views=tuple(replace(v, viewpoint=placed(v.viewpoint)) for v in k.views),
+        )
+
+    def posed(place: PoseEstimate) -> PoseEstimate:
+        way = place.pose * [scale, scale, 1.0]
+        by_own = np.diag([scale, scale, 1.0])
+        by_own[:2, :2] = scale * rotation(pose[2])
+        covariance = by_own @ place.covariance @ by_own.T
+        return replace(place, pose=compose(pose, way), covariance=covariance)
+
+    def ends(end: tuple[float, float]) -> tuple[float, float]:
+        x, y = transform_points(pose, scale * np.array(end)).tolist()
+        return x, y
+
+    known = b.calibration
+    if known is not None and known.by_map is not None:
+        known = replace(known, by_map=np.pad(known.by_map, ((0, 0), (0, 5))))
+    return replace(
+        b,
+        landmarks=tuple(moved(k) for k in b.landmarks),
+        walls=tuple(
+            replace(
+                w,
+                start=ends(w.start),
+                end=ends(w.end),
+                height=scale * w.height + alignment.rise_m,
+            )
+            for w in b.walls
+        ),
+        panorama_poses=tuple(posed(place) for place in b.panorama_poses),
+        calibration=known,
+    )
+
+
+def _by_frame(ways: FloatArray) -> FloatArray:
+    """Derivatives (..., 3, 5) of points, by their ways (..., 3) from the origin of the frame."""
+    jacobian = np.zeros((*ways.shape, 5))
+    jacobian[..., :3] = np.eye(3)
+    jacobian[..., 0, 3], jacobian[..., 1, 3] = -ways[..., 1], ways[..., 0]
+    jacobian[..., 4] = ways
+    return jacobian
+
+
+def _scale_sigma(landmarks: LandmarkMap) -> float:
+    return float(landmarks.provenance.get('scale_sigma', _MEASURED_SCALE_SIGMA))
+
+
+def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
+    """Textures that look alike at one height, the best first."""
+    textured_a = [i for i, k in enumerate(a.landmarks) if k.patch.size]
+    textured_b = [j for j, k in enumerate(b.landmarks) if k.patch.size]
+    texels = [k.width_m / k.patch.shape[1] for m in (a, b) for k in m.landmarks if k.patch.size]
+    texel = float(np.median(texels)) if texels else 1.0
+    images_a = {i: _image(a.landmarks[i], texel) for i in textured_a}
+    images_b = {j: _image(b.landmarks[j], texel) for j in textured_b}
+    rows = []
+    for i in textured_a:
+        for j in textured_b:
+            one, other = a.landmarks[i], b.landmarks[j]
+            apart = abs(one.position[2] - other.position[2])
+            if apart > 0.5 * max(one.height_m, other.height_m) + _GATE_SIGMAS * _HEIGHT_SIGMA_M:
+                continue
+            found = _offset(images_a[i], images_b[j])
+            if found is None:
+                continue
+            score, offset_a, offset_b = found
+            point_a = _point(one, texel * offset_a)
+            point_b = _point(other, texel * offset_b)
+            height_sigma = np.hypot(_HEIGHT_SIGMA_M, scale_sigma * point_a[2])
+            if abs(point_a[2] - point_b[2]) > _GATE_SIGMAS * height_sigma:
+                continue
+            turn = np.arctan2(*one.normal[1::-1]) - np.arctan2(*other.normal[1::-1])
+            rows.append((score, *point_a, *point_b, turn, i, j))
+    table = np.array(sorted(rows, reverse=True)[:_MOST_MATCHES]).reshape(-1, 10)
+    index = table[:, 8:].astype(np.intp)
+    return _Matches(table[:, 1:4], table[:, 4:7], wrap_rad(table[:, 7]), index[:, 0], index[:, 1])
+
+
+def _image(k: Landmark, texel_m: float) -> npt.NDArray[np.float32]:
+    shape = max(int(k.height_m / texel_m), 1), max(int(k.width_m / texel_m), 1)
+    return resampled(k, texel_m, shape, np.zeros(2))
+
+
+def _offset(
+    a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]
+) -> tuple[float, FloatArray, FloatArray] | None:
+    """Score, and the same point in both images (2,), right and down from their middles, px."""
+    swapped = a.size > b.size
+    small, large = (b, a) if swapped else (a, b)
+    rows, columns = (max(round(_TEMPLATE * length), 1) for length in small.shape)
+    if min(rows, columns) < _MIN_TEMPLATE_PX or rows > large.shape[0] or columns > large.shape[1]:
+        return None
+    top, left = (small.shape[0] - rows) // 2, (small.shape[1] - columns) // 2
+    template = small[top : top + rows, left : left + columns]
+    scores = cv2.matchTemplate(large, template, cv2.TM_CCOEFF_NORMED)
+    _, score, _, (column, row) = cv2.minMaxLoc(scores)
+    if not np.isfinite(score) or score < _MIN_SCORE:
+        return None
+    half = np.array([columns - 1, rows - 1]) / 2.0
+    in_small = half + np.array([left, top]) - (np.array(small.shape[::-1]) - 1) / 2.0
+    in_large = half + np.array([column, row]) - (np.array(large.shape[::-1]) - 1) / 2.0
+    return (score, in_large, in_small) if swapped else (score, in_small, in_large)
+
+
+def _point(k: Landmark, offset_m: FloatArray) -> FloatArray:
+    right, down = patch_axes(k.normal)
+    return np.asarray(k.position + offset_m[0] * right + offset_m[1] * down)
+
+
+def _agreement(matches: _Matches, scale_sigma: float) -> npt.NDArray[np.bool_]:
+    """Which matches (columns) the transformation of each match (rows) fits, (m, m)."""
+    way_a, way_b = (xyz[None, :, :2] - xyz[:, None, :2] for xyz in (matches.in_a, matches.in_b))
+    off = np.einsum('kij,klj->kli', rotation(matches.turn_rad), way_b) - way_a
+    sigma = np.hypot(scale_sigma, _NORMAL_SIGMA_RAD) * np.linalg.norm(way_b, axis=-1)
+    turn = wrap_rad(matches.turn_rad[None] - matches.turn_rad[:, None])
+    return np.asarray(
+        (np.linalg.norm(off, axis=-1) < _GATE_SIGMAS * np.hypot(sigma, 2.0 * _MATCH_SIGMA_M))
+        & (np.abs(turn) < _GATE_SIGMAS * 2.0 * _NORMAL_SIGMA_RAD)
+    )
+
+
+def _distinct(agree: npt.NDArray[np.bool_], matches: _Matches) -> npt.NDArray[np.intp]:
+    """How many landmarks of each map are behind each row of `agree`, the lesser number."""
+    counts = []
+    for index in (matches.a, matches.b):
+        order = np.argsort(index, kind='stable')
+        begins = np.flatnonzero(np.diff(index[order], prepend=-1))
+        counts.append(np.logical_or.reduceat(agree[:, order], begins, axis=1).sum(1))
+    return np.asarray(np.minimum(*counts))
+
+
+def _best(
+    a: LandmarkMap, b: LandmarkMap, matches: _Matches, scale_sigma: float
+) -> tuple[FrameAlignment | None, npt.NDArray[np.bool_]]:
+    """Transformation that most matches agree with, fitted to them, and which these are (m,)."""
+    if not len(matches.a):
+        return None, np.zeros(0, dtype=np.bool_)
+    agree = _agreement(matches, scale_sigma)
+    first = int(np.argmax(_distinct(agree, matches)))
+    start = matches.turn_rad[first]
+    return _fitted(a, b, matches, agree[first], start, scale_sigma), agree[first]
+
+
+def _fitted(
+    a: LandmarkMap,
+    b: LandmarkMap,
+    matches: _Matches,
+    agree: npt.NDArray[np.bool_],
+    turn_rad: float,
+    scale_sigma: float,
+) -> FrameAlignment:
+    """Pose and scale that fit the matches that agree (Gauss-Newton; outliers leave)."""
+    chosen = matches.chosen(agree)
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(turn_rad)
+    state = np.array([*(chosen.in_a - chosen.in_b @ turn.T).mean(0), turn_rad, 0.0])
+    # Both frames are on the floor, but for what cameras of given height see in another metre.
+    height_sigma = np.hypot(_HEIGHT_SIGMA_M, scale_sigma * np.abs(matches.in_a[:, 2]).max())
+    prior = np.diag([0.0, 0.0, height_sigma**-2, 0.0, scale_sigma**-2])
+    spread = _FIRST_SPREAD
+    for _ in range(_ROUNDS):
+        turn[:2, :2] = rotation(state[3])
+        scaled = np.exp(state[4]) * turn
+        ways = matches.in_b @ scaled.T
+        off = matches.in_a - ways - state[:3]
+        noise = a.covariances[matches.a] + scaled @ b.covariances[matches.b] @ scaled.T
+        information = np.linalg.inv(noise + _MATCH_SIGMA_M**2 * np.eye(3))
+        which = np.einsum('mi,mij,mj->m', off, information, off) < (_GATE_SIGMAS * spread) ** 2
+        spread = max(1.0, 0.5 * spread)
+        jacobian = _by_frame(ways[which])
+        weighed = np.einsum('mki,mkl->mil', jacobian, information[which])
+        normal = np.einsum('mil,mlj->ij', weighed, jacobian) + prior
+        covariance = np.linalg.inv(normal + _LEAST_INFORMATION * np.eye(5))
+        # Only height and scale have a prior, of 0.
+        state = state + covariance @ (np.einsum('mil,ml->i', weighed, off[which]) - prior @ state)
+    support = matches.chosen(which).landmarks
+    pose = np.array([*state[:2], wrap_rad(state[3])])
+    return FrameAlignment(pose, float(state[2]), float(np.exp(state[4])), covariance, support)

@@ -1,0 +1,188 @@
+"""Paths, markers and the debug image: for who subscribes, bounded, and nothing otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import time
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.observer import Observation
+from landmark_nav.messages import decode
+from landmark_nav.nodes import live_pose, live_view
+from landmark_nav.nodes.live_pose import LivePose, ThinnedPath
+from landmark_nav.nodes.live_view import LiveView
+from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Refusal,
+)
+
+PERIOD_NS = 20_000_000
+IMAGE = 'triangulation_localizer/debug_image/compressed'
+
+
+class Bystander(LandmarkNode):
+    """Publishes what the helpers make, and may subscribe to it as well."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('bystander', 'test', **options)
+
+    def health(self) -> Health:
+        return Health(Level.OK, 'looking')
+
+
+class Graph:
+    """A node, and a way to let messages in."""
+
+    def __init__(self, context: Context) -> None:
+        self.node = Bystander(context=context)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + 20.0
+        while not condition():
+            assert time.monotonic() < deadline, 'waited in vain'
+            self.executor.spin_once(timeout_sec=0.02)
+
+
+@pytest.fixture
+def graph(domain_id: int) -> Iterator[Graph]:
+    context = Context()
+    context.init(domain_id=domain_id)
+    made = Graph(context)
+    yield made
+    made.executor.shutdown()
+    made.node.destroy_node()
+    context.try_shutdown()
+
+
+def estimate(k: int, x: float, y: float = 0.0) -> PoseEstimate:
+    return PoseEstimate(k * PERIOD_NS, np.array([x, y, 0.1]), 1e-4 * np.eye(3))
+
+
+def odometry(k: int, x: float) -> OdometrySample:
+    return OdometrySample(k * PERIOD_NS, np.array([x, 5.0, 0.1]))
+
+
+def test_a_path_follows_the_drive_and_stays_bounded() -> None:
+    path, step_m = ThinnedPath('map'), 0.01
+    for k in range(200_000):
+        path.add(k, np.array([step_m * k, 0.0, 0.0]))
+    message = path.message()
+    x = np.array([one.pose.position.x for one in message.poses])
+    assert len(x) <= live_pose._MOST_POINTS
+    assert np.all(np.diff(x) > 0.0)
+    assert x[0] == 0.0
+    # Evenly along the way, and near its end.
+    assert np.diff(x).max() < 4.0 * x[-1] / len(x)
+    assert x[-1] > step_m * 200_000 - np.diff(x).max()
+    assert message.header.stamp == message.poses[-1].header.stamp
+    assert not path.changed
+
+
+def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(graph: Graph) -> None:
+    live = LivePose(graph.node, 'map')
+    came: dict[str, list[Any]] = {'odometry_fusion/path': [], 'odometry_fusion/odometry_path': []}
+    for topic, messages in came.items():
+        graph.node.listen(topic, messages.append)
+    graph.until(lambda: all(one.get_subscription_count() for one in live._outputs))
+    begun_s, k = time.monotonic(), 0
+    while time.monotonic() - begun_s < 1.2:
+        # The robot drives along x; odometry is off by a tenth.
+        live.show(estimate(k, 0.01 * k), odometry(k, 0.011 * k), lambda: None)
+        graph.executor.spin_once(timeout_sec=0.005)
+        k += 1
+    graph.until(lambda: all(came.values()))
+    rate_hz = len(came['odometry_fusion/path']) / (time.monotonic() - begun_s)
+    assert rate_hz <= 5.5
+    fused, alone = (messages[-1].poses for messages in came.values())
+    assert fused[0].pose.position.x == alone[0].pose.position.x == 0.0
+    # Of the same times, though one may be a message ahead.
+    x = {decode.stamp_ns(one.header): one.pose.position.x for one in fused}
+    stamped = [(decode.stamp_ns(one.header), one.pose.position.x) for one in alone]
+    both = [(odometry_x, x[stamp]) for stamp, odometry_x in stamped if stamp in x]
+    assert len(both) > 1
+    assert all(odometry_x == pytest.approx(1.1 * fused_x) for odometry_x, fused_x in both)
+    assert max(abs(one.pose.position.y) for one in fused) == 0.0
+    # Who comes later sees the way up to now, though the robot stands.
+    late: list[Any] = []
+    graph.node.listen('odometry_fusion/path', late.append)
+
+    def standing() -> bool:
+        live.show(estimate(k, 0.01 * k), odometry(k, 0.011 * k), lambda: None)
+        return bool(late)
+
+    graph.until(standing)
+    assert len(late[-1].poses) == len(live._paths[0]._poses)
+    # Played anew, the clock is set back.
+    time.sleep(0.25)
+    live.show(estimate(0, 2.0), odometry(0, 2.0), lambda: None)
+    graph.until(lambda: [len(messages[-1].poses) for messages in came.values()] == [1, 1])
+
+
+def no(*_given: Any, **_named: Any) -> Any:
+    raise AssertionError('nobody looks')
+
+
+def test_without_a_subscriber_nothing_is_drawn(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module, name in (
+        (live_view, 'draw_observation'),
+        (live_view.encode, 'compressed_image'),
+        (live_view.encode, 'view_markers'),
+        (live_pose.encode, 'pose_markers'),
+        (live_pose.ThinnedPath, 'message'),
+    ):
+        monkeypatch.setattr(module, name, no)
+    show_image(LiveView(graph.node, 'map'))
+    live = LivePose(graph.node, 'map')
+    for k in range(3):
+        live.show(estimate(k, float(k)), odometry(k, float(k)), no)
+
+
+def test_the_debug_image_and_the_markers_reach_who_subscribes(graph: Graph) -> None:
+    live, poses = LiveView(graph.node, 'map'), LivePose(graph.node, 'map')
+    came: dict[str, list[Any]] = {
+        IMAGE: [],
+        'triangulation_localizer/markers': [],
+        'odometry_fusion/markers': [],
+    }
+    for topic, messages in came.items():
+        graph.node.listen(topic, messages.append)
+
+    def all_came() -> bool:
+        show_image(live)
+        poses.show(estimate(1, 2.0), odometry(1, 2.0), lambda: estimate(1, 2.0))
+        return all(came.values())
+
+    graph.until(all_came)
+    message = came[IMAGE][-1]
+    assert message.header.frame_id == 'optical'
+    image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape == (480, 640, 3)
+
+
+def show_image(live: LiveView) -> None:
+    none = np.empty(0)
+    nothing = Detections(0, none.astype(np.int64), none, none, none, none.reshape(0, 2))
+    camera = CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0)
+    frame = CameraFrame(0, np.zeros((480, 640), np.uint8), camera, 0.1)
+    seen = Observation(nothing, {}, lambda: Refusal('dark'))
+    live.show(frame, estimate(0, 1.0), seen, LandmarkMap(()), PanTiltMount(), None, 'optical')

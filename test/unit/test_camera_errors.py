@@ -1,0 +1,82 @@
+"""Errors of lens and mount are recovered from points that a turning camera sees twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from landmark_nav.diagnosis.camera_errors import camera_error, CameraSetup, Matches
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.rotation import rot_z
+
+CAMERA = CameraModel(512, 512, 555.0, 555.0, 256.0, 250.0, distortion=(-0.19, 0.06, 0.0, 0.0))
+RIGHT = CameraSetup(CAMERA, PanTiltMount(axis_xyz=(0.1, 0.0, 1.1)))
+
+
+@pytest.fixture(scope='module')
+def matches() -> Matches:
+    """Walls 2 to 5 m away, a robot that turns, drives and pans, noise of 0.2 pixels."""
+    rng = np.random.default_rng(6)
+    before, after, pairs, pans = [], [], [], []
+    for pair in range(24):
+        pan = rng.uniform(-1.0, 1.0) + np.array([0.0, rng.uniform(-0.3, 0.3)])
+        turn, moved = rng.uniform(-0.1, 0.1), [*rng.uniform(-0.02, 0.02, 2), 0.0]
+        pixels = rng.uniform(20.0, 490.0, (40, 2))
+        (first, second), (center, other) = RIGHT.mount.camera_pose_base(pan)
+        rays = CAMERA.unproject(pixels) @ first.T
+        points = center + rays * rng.uniform(2.0, 5.0, (40, 1))
+        seen = CAMERA.project(((points - moved) @ rot_z(turn) - other) @ second)
+        inside = CAMERA.contains(seen)
+        before.append(pixels[inside])
+        after.append(seen[inside] + rng.normal(0.0, 0.2, (inside.sum(), 2)))
+        pairs.append(np.full(inside.sum(), pair))
+        pans.append(pan)
+    joints = np.array(pans)
+    return Matches(
+        np.concatenate(before),
+        np.concatenate(after),
+        np.concatenate(pairs),
+        joints,
+        np.zeros_like(joints),
+    )
+
+
+def lens(**change: float) -> CameraSetup:
+    return replace(RIGHT, camera=replace(CAMERA, **change))
+
+
+def mounted(**change: object) -> CameraSetup:
+    return replace(RIGHT, mount=replace(RIGHT.mount, **change))
+
+
+@pytest.mark.parametrize(
+    ('given', 'name', 'value'),
+    [
+        (mounted(axis_rpy=(0.0, 0.2, 0.0)), 'axis pitch', -0.2),
+        (mounted(axis_rpy=(-0.15, 0.0, 0.0)), 'axis roll', 0.15),
+        (mounted(camera_roll_rad=-0.5 * np.pi), 'roll', 0.5 * np.pi),
+        (replace(RIGHT, tilt_rad=0.25), 'tilt', -0.25),
+        (lens(cx=346.0), 'cx', -90.0 / 555.0),
+        (lens(fx=800.0, fy=800.0), 'focal length', np.log(555.0 / 800.0)),
+        (lens(distortion=(0.1, 0.06, 0.0, 0.0)), 'distortion', -0.29),
+    ],
+)
+def test_an_error_of_lens_or_mount_is_recovered(
+    matches: Matches, given: CameraSetup, name: str, value: float
+) -> None:
+    found = camera_error(matches, given)
+    assert found is not None
+    assert found.name == name
+    assert found.value == pytest.approx(value, abs=0.03)
+
+
+def test_nothing_is_found_where_nothing_is_wrong(matches: Matches) -> None:
+    assert camera_error(matches, RIGHT) is None
+
+
+def test_joints_that_are_wrong_do_not_blame_the_camera(matches: Matches) -> None:
+    wrong = replace(matches, pans_rad=-57.3 * matches.pans_rad + 0.4)
+    assert camera_error(wrong, RIGHT) is None
+    assert camera_error(replace(matches, tilts_rad=matches.pans_rad), RIGHT) is None

@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from rendered_drives import (
+    camera_image,
+    drive,
+    error_of,
+    expected,
+    FRAME_NS,
+    LENS,
+    MAP,
+    MOUNT,
+    ROOM,
+    START,
+    start_of,
+    START_SIGMA,
+)
+
+from landmark_nav.calibration import Calibration
+from landmark_nav.localization.detection import DetectionConfig
+from landmark_nav.localization.estimator import EstimatorConfig
+from landmark_nav.localization.localizer import (
+    LocalizationConfig,
+    LocalizationUpdate,
+    Localizer,
+)
+from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.observer import Observer
+from landmark_nav.localization.triplet import CameraState, TripletConfig
+from landmark_nav.localization.triplet.active_camera import ActiveCamera
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    LandmarkMap,
+    PoseEstimate,
+    Refusal,
+    Triplet,
+)
+
+EXACT = Calibration.exact(MOUNT)
+
+
+def observer(config: LookingConfig | None = None) -> Observer:
+    return Observer(MAP, EXACT, config or LookingConfig(), EstimatorConfig())
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a drive gave: updates, errors of fused poses (n, 3), their NEES (n,)."""
+
+    updates: list[LocalizationUpdate]
+    errors: FloatArray
+    nees: FloatArray
+    fixes: list[tuple[PoseEstimate, FloatArray]]
+
+
+def localize(seed: int = 1, seconds: float = 9.0) -> Run:
+    """Drive with the camera turned to the triplet that is best after each image."""
+    rng = np.random.default_rng(seed)
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
+    camera = ActiveCamera(MAP, MOUNT, TripletConfig())
+    localizer.initialize(start_of(rng))
+    updates, errors, nees, fixes, pan = [], [], [], [], 0.0
+    for step in drive(rng, seconds):
+        assert localizer.add_odometry(step.odometry) is None
+        if step.stamp_ns % FRAME_NS:
+            continue
+        frame = replace(camera_image(step.pose, pan, rng), stamp_ns=step.stamp_ns)
+        update = localizer.add_frame(frame)
+        assert isinstance(update, LocalizationUpdate)
+        error = error_of(update.fused, step.pose)
+        updates.append(update)
+        errors.append(error)
+        nees.append(error @ np.linalg.solve(update.fused.covariance, error))
+        if isinstance(update.observation.fix, PoseEstimate):
+            fixes.append((update.observation.fix, step.pose))
+        chosen = camera.choose(update.fused, LENS, CameraState(pan)).chosen
+        assert isinstance(chosen, Triplet)
+        pan = chosen.pan_rad
+    return Run(updates, np.array(errors), np.array(nees), fixes)
+
+
+@pytest.fixture(scope='module')
+def run() -> Run:
+    return localize()
+
+
+def test_a_drive_is_followed(run: Run) -> None:
+    later = run.errors[3:]
+    assert np.sqrt(np.mean(np.sum(later[:, :2] ** 2, 1))) < 0.018
+    assert np.sqrt(np.mean(later[:, 2] ** 2)) < np.radians(0.35)
+    assert np.mean(run.nees) / 3.0 < 2.5
+    assert {update.status for update in run.updates} == {'tracking'}
+    # The camera is turned so that the three are in the image.
+    counts = [len(update.observation.detections) for update in run.updates]
+    assert np.mean(counts[1:]) >= 3.0
+
+
+def test_odometry_alone_is_misled() -> None:
+    rng = np.random.default_rng(1)
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
+    localizer.initialize(start_of(rng))
+    for step in drive(rng, 9.0):
+        localizer.add_odometry(step.odometry)
+    last = localizer.estimate()
+    assert last is not None
+    error = error_of(last, step.pose)
+    assert np.hypot(error[0], error[1]) > 0.02
+    assert np.abs(error / np.sqrt(np.diag(last.covariance))).max() < 4.0
+
+
+def test_fixes_err_as_their_covariances_say(run: Run) -> None:
+    assert len(run.fixes) > 10
+    errors = np.array([error_of(fix, pose) for fix, pose in run.fixes])
+    sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in run.fixes])
+    assert np.abs(errors / sigma).max() < 4.5
+    assert np.mean((errors / sigma) ** 2) < 2.5
+
+
+def test_the_fix_comes_from_the_bearings_alone() -> None:
+    # Priors that differ lead to one fix: they only say where to look.
+    frame = camera_image(START, 0.2)
+    found = []
+    for shift in ((0.0, 0.0, 0.0), (0.04, -0.03, 0.01), (-0.03, 0.04, -0.012)):
+        prior = PoseEstimate(0, START + np.array(shift), np.diag([0.04, 0.04, 0.012]) ** 2)
+        seen = observer().look(frame, expected(prior))
+        assert isinstance(seen.fix, PoseEstimate)
+        found.append(seen.fix)
+    for fix in found[1:]:
+        sigma = np.sqrt(np.diag(found[0].covariance))
+        assert np.abs(error_of(fix, found[0].pose) / sigma).max() < 0.7
+
+
+def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
+    prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
+    seen = observer().look(camera_image(START, 0.2), expected(prior))
+    assert not set(seen.detections.ids.tolist()) & set(seen.refused)
+    assert len(seen.detections) + len(seen.refused) >= 4
+    assert all(refusal.reason for refusal in seen.refused.values())
+
+
+def test_where_most_is_found_few_are_looked_for_and_all_once_they_are_not() -> None:
+    prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
+    looks = observer(LookingConfig(detection=DetectionConfig(target_count=3)))
+    frame = camera_image(START, 0.2)
+    blank = replace(frame, image=np.full_like(frame.image, 90))
+
+    def looked_for(k: int, frame: CameraFrame) -> int:
+        given = expected(replace(prior, stamp_ns=k))
+        seen = looks.look(replace(frame, stamp_ns=k), given)
+        return len(seen.detections) + len(seen.refused)
+
+    frames = (frame, frame, blank, blank, frame, frame)
+    counts = [looked_for(k, frame) for k, frame in enumerate(frames)]
+    assert counts[0] > 3
+    assert counts == [counts[0], 3, counts[0], counts[0], counts[0], 3]
+
+
+def test_a_blank_image_gives_no_fix_and_odometry_goes_on() -> None:
+    rng = np.random.default_rng(3)
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    dark = np.zeros((LENS.height, LENS.width, 3), np.uint8)
+    for step in drive(rng, 2.0):
+        localizer.add_odometry(step.odometry)
+        if step.stamp_ns % FRAME_NS:
+            continue
+        update = localizer.add_frame(CameraFrame(step.stamp_ns, dark, LENS, 0.0))
+        assert isinstance(update, LocalizationUpdate)
+        assert isinstance(update.observation.fix, Refusal)
+        assert len(update.observation.detections) == 0
+        assert update.observation.refused
+        assert not update.used
+    error = error_of(update.fused, step.pose)
+    assert np.abs(error / np.sqrt(np.diag(update.fused.covariance))).max() < 3.0
+
+
+def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
+    rng = np.random.default_rng(4)
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
+    assert localizer.estimate() is None
+    dark = np.zeros((LENS.height, LENS.width, 3), np.uint8)
+    nothing = localizer.add_frame(CameraFrame(-FRAME_NS, dark, LENS, 0.0))
+    assert isinstance(nothing, Refusal)
+    assert nothing.reason == 'nothing recognised'
+    outcomes = []
+    for step in drive(rng, 4.0):
+        localizer.add_odometry(step.odometry)
+        if step.stamp_ns % FRAME_NS:
+            continue
+        frame = camera_image(step.pose, 0.8 * step.stamp_ns * 1e-9 - 1.0, rng)
+        outcomes.append(localizer.add_frame(replace(frame, stamp_ns=step.stamp_ns)))
+        if isinstance(outcomes[-1], PoseEstimate):
+            found = error_of(outcomes[-1], step.pose)
+            assert np.abs(found / np.sqrt(np.diag(outcomes[-1].covariance))).max() < 4.0
+    kinds = [type(outcome) for outcome in outcomes]
+    assert kinds.count(PoseEstimate) == 1
+    # From then on it tracks.
+    after = kinds.index(PoseEstimate) + 1
+    assert all(issubclass(kind, Refusal) for kind in kinds[: after - 1])
+    assert set(kinds[after:]) == {LocalizationUpdate}
+    assert np.hypot(*error_of(outcomes[-1].fused, step.pose)[:2]) < 0.03
+
+
+def test_a_map_without_landmarks_gives_refusals() -> None:
+    localizer = Localizer(LandmarkMap((), walls=ROOM.walls), EXACT, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    update = localizer.add_frame(camera_image(START, 0.0))
+    assert isinstance(update, LocalizationUpdate)
+    assert isinstance(update.observation.fix, Refusal)
+
+
+def test_a_drive_again_gives_the_same() -> None:
+    first, second = (localize(seed=5, seconds=2.0) for _ in range(2))
+    np.testing.assert_array_equal(first.errors, second.errors)

@@ -1,0 +1,182 @@
+"""Sheets of a known size: where panoramas show them, and the scale that they give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.paper_colors import paper_bgr
+from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.learning.relative_pose.epipolar import center
+from landmark_nav.learning.relative_pose.scale import PlaceSource, scale_sigma, SheetSource
+from landmark_nav.learning.relative_pose.sheet_tracks import (
+    FINE,
+    sheet_misses,
+    sheet_tracks,
+)
+from landmark_nav.learning.relative_pose.two_views import TwoViews
+from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
+from landmark_nav.types import FloatArray, ImageArray, Panorama, PlaceChain
+
+CYLINDER = Cylinder.with_resolution(550.0, -0.4, 0.4)
+LEVER = np.array([0.08, 0.0, 1.1])
+A4 = SheetsConfig(paper_width_m=0.21, paper_height_m=0.297)
+
+
+def panorama(image: ImageArray) -> Panorama:
+    return Panorama(
+        0, image, np.ones(image.shape[:2], bool), CYLINDER, np.zeros(3), 0.0, np.eye(4)
+    )
+
+
+def with_sheet(
+    texture: ImageArray, size: tuple[float, float], middle: FloatArray, slant_rad: float
+) -> ImageArray:
+    """A grey panorama with an upright sheet at `middle` (3,), turned from facing the viewpoint."""
+    facing = np.arctan2(-middle[1], -middle[0]) + slant_rad
+    normal = np.array([np.cos(facing), np.sin(facing), 0.0])
+    right = np.array([-normal[1], normal[0], 0.0])
+    # Four samples a pixel, both ways, as edges lie between pixels; only around the sheet.
+    fine, half = 4, 90
+    first = int(CYLINDER.column_of(np.arctan2(middle[1], middle[0]))) - half
+    column, row = np.meshgrid(
+        first + (np.arange(2 * half * fine) + 0.5) / fine - 0.5,
+        (np.arange(fine * CYLINDER.height) + 0.5) / fine - 0.5,
+    )
+    rays = CYLINDER.rays(np.stack([column, row], -1))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        reach = (middle @ normal) / (rays @ normal)
+    hit = reach[..., None] * rays - middle
+    across, up = hit @ right / size[0] + 0.5, 0.5 - hit[..., 2] / size[1]
+    on = (reach > 0.0) & (np.abs(across - 0.5) < 0.5) & (np.abs(up - 0.5) < 0.5)
+    part = np.full((*on.shape, 3), 150, np.uint8)
+    at = np.clip((up[on] * len(texture)).astype(int), 0, len(texture) - 1)
+    part[on] = texture[at, np.clip((across[on] * texture.shape[1]).astype(int), 0, None)]
+    small = cv2.resize(part, (2 * half, CYLINDER.height), interpolation=cv2.INTER_AREA)
+    image = np.full((CYLINDER.height, CYLINDER.width, 3), 150, np.uint8)
+    image[:, (first + np.arange(2 * half)) % CYLINDER.width] = small
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.7), np.uint8)
+
+
+@pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.0, 0.4), (0.8, 3.13)])
+def test_a_paper_is_found_where_it_hangs(slant_rad: float, azimuth: float) -> None:
+    middle = np.array([2.6 * np.cos(azimuth), 2.6 * np.sin(azimuth), 0.35])
+    paper = np.full((4, 4, 3), np.array(paper_bgr('green')), np.uint8)
+    image = with_sheet(paper, (0.21, 0.297), middle, slant_rad)
+    (seen,) = find_sheets(panorama(image), A4)
+    assert (seen.kind, seen.name) == ('papers', 'green')
+    off = seen.position - middle
+    assert np.linalg.norm(off) < 0.03
+    assert off @ np.linalg.solve(seen.covariance, off) < 16.0
+
+
+@pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.2, 0.4), (-0.7, 3.13)])
+def test_a_marker_is_found_with_its_number(slant_rad: float, azimuth: float) -> None:
+    if not hasattr(cv2.aruco, 'ArucoDetector'):
+        pytest.skip('this OpenCV has no ArUco detector')
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    marker = cv2.aruco.generateImageMarker(dictionary, 7, 600)
+    # White all around, as it is printed: 0.15 m of black, 0.2 m in all.
+    sheet = cv2.cvtColor(cv2.copyMakeBorder(marker, *[100] * 4, 0, value=255), cv2.COLOR_GRAY2BGR)
+    middle = np.array([2.0 * np.cos(azimuth), 2.0 * np.sin(azimuth), -0.2])
+    image = with_sheet(np.asarray(sheet), (0.2, 0.2), middle, slant_rad)
+    (seen,) = find_sheets(panorama(image), SheetsConfig(marker_size_m=0.15))
+    assert (seen.kind, seen.name) == ('markers', '7')
+    off = seen.position - middle
+    assert np.linalg.norm(off) < 0.03
+    assert off @ np.linalg.solve(seen.covariance, off) < 16.0
+
+
+STATES = np.array([[0.0, 0, 0, 0, 0, 0], [1.7, 0.6, 0.5, 0.002, 0.004, -0.003]])
+SHEETS = np.array([[2.0, -1.8, 1.6], [3.1, 1.2, 1.4], [0.6, 2.1, 1.7]])
+
+
+def views(
+    state: FloatArray, rng: np.random.Generator, size: float = 1.0, names: str = 'abc'
+) -> list[SheetView]:
+    """Views of SHEETS from a state, `size` times as large as they are given."""
+    seen = []
+    for name, sheet in zip(names, SHEETS, strict=True):
+        tilt = np.array([*state[4:], 0.0])
+        true = (sheet - center(state, LEVER)) @ rot_z(state[2])
+        true = true - np.cross(tilt, true)
+        reach = np.linalg.norm(true)
+        ray = true / reach
+        across = 3e-4 * reach * (np.eye(3) - np.outer(ray, ray))
+        root = across + 5e-3 * reach * np.outer(ray, ray)
+        position = true / size + root @ rng.normal(size=3)
+        shared = 0.002 * position[:, None]
+        seen.append(SheetView('papers', name, position, root @ root.T, shared))
+    return seen
+
+
+def true_pose() -> TwoViews:
+    way = center(STATES[1], LEVER) - center(STATES[0], LEVER)
+    return TwoViews(float(STATES[1, 2]), float(np.arctan2(way[1], way[0])), STATES[1, 4:], 100)
+
+
+def papers(seed: int, size: float = 1.0) -> SheetSource:
+    rng = np.random.default_rng(seed)
+    sheets = [views(state, rng, size) for state in STATES]
+    tracks, _ = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
+    return SheetSource('papers', tracks, LEVER)
+
+
+def test_sheets_of_one_look_are_told_apart_and_false_ones_left_out() -> None:
+    rng = np.random.default_rng(1)
+    sheets = [views(state, rng, names='aaa') for state in STATES]
+    for seen in sheets:  # a poster of another size, which both show
+        seen.append(replace(seen[0], position=0.7 * seen[0].position))
+        seen.append(replace(seen[0], position=rng.normal(0.0, 2.0, 3)))
+    tracks, lengths = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
+    assert len(tracks) == len(SHEETS)
+    way = np.linalg.norm(center(STATES[1], LEVER) - center(STATES[0], LEVER))
+    assert lengths[0, 1] == pytest.approx(way, rel=0.01)
+
+
+def test_sheets_that_contradict_each_other_are_refused() -> None:
+    rng = np.random.default_rng(2)
+    sheets = [views(state, rng)[:1] for state in STATES]
+    for seen in sheets:
+        seen.append(replace(seen[0], name='b', position=0.7 * seen[0].position))
+    with pytest.raises(LandmarkNavError, match='check the size'):
+        sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
+
+
+def test_the_scale_that_sheets_give_is_consistent() -> None:
+    shares = [papers(seed).share(STATES, LEVER) for seed in range(60)]
+    # The error of the size given is in sigma, but not in these.
+    noise = np.sqrt(np.array([s.sigma for s in shares]) ** 2 - 0.002**2)
+    normal = (np.array([s.scale for s in shares]) - 1.0) / noise
+    assert 0.6 < np.mean(normal**2) < 1.6
+
+
+def test_slopes_of_sheets_are_right() -> None:
+    track = papers(3).tracks[0]
+    off, slopes, _ = sheet_misses(STATES, track, LEVER)
+    step = 1e-6 * np.random.default_rng(4).normal(size=STATES.shape)
+    ahead, back = (sheet_misses(STATES + sign * step, track, LEVER)[0] for sign in (1.0, -1.0))
+    expected = np.einsum('mvs,vs->m', slopes, step)
+    assert np.linalg.norm(0.5 * (ahead - back) - expected) < 0.05 * np.linalg.norm(expected)
+    assert len(off) == 3 * len(track.views)
+
+
+def test_sources_that_disagree_are_named_with_their_sigmas(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def odometry(sigma: float) -> PlaceSource:
+        return PlaceSource(PlaceChain(STATES[:, :3], sigma**2 * np.diag([0, 0, 0, 2, 2, 1.0])))
+
+    right, large = papers(5), papers(5, size=1.1)
+    agree = [s.share(STATES, LEVER) for s in (odometry(0.02), right)]
+    assert scale_sigma(agree) < min(share.sigma for share in agree)
+    doubtful = [s.share(STATES, LEVER) for s in (odometry(0.05), large)]
+    assert scale_sigma(doubtful) > 0.05
+    assert 'by odom the sweeps are' in caplog.text
+    with pytest.raises(LandmarkNavError, match=r'by odom .* than by papers \(\d'):
+        scale_sigma([s.share(STATES, LEVER) for s in (odometry(0.02), large)])

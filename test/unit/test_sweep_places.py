@@ -1,0 +1,98 @@
+"""Where sweeps were taken, by poses that are given and by odometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.sweep_places import (
+    carried_on,
+    known_places,
+    places_by_odometry,
+)
+from landmark_nav.types import OdometrySample, PoseEstimate
+
+STEP_NS = 50_000_000
+CONFIG = OdometryNoiseConfig()
+# Frame of odometry at the first sweep; the way to the second one, and farther on.
+ODOM = np.array([3.0, -1.0, 0.7])
+WAY, FARTHER = np.array([1.8, 0.4, 0.9]), np.array([1.0, -0.2, 1.3])
+# Steps of 50 ms: it stands, drives, stands, drives on.
+STANDS, DRIVES = 60, 100
+
+
+def drive() -> list[OdometrySample]:
+    """Odometry of both sweeps and what follows."""
+    shares = np.linspace(0.0, 1.0, DRIVES)[:, None]
+    legs = [np.zeros((STANDS, 3)), shares * WAY, np.tile(WAY, (STANDS, 1))]
+    legs.append(WAY + shares * (FARTHER - WAY))
+    poses = se2.compose(ODOM, np.concatenate(legs))
+    return [OdometrySample(STEP_NS * (k + 1), pose) for k, pose in enumerate(poses)]
+
+
+def span(first: int, last: int) -> tuple[int, int]:
+    return STEP_NS * (first + 1), STEP_NS * (last + 1)
+
+
+SPANS = [span(5, STANDS - 5), span(STANDS + DRIVES + 5, 2 * STANDS + DRIVES - 5)]
+
+
+def test_odometry_gives_relative_poses_and_errors_that_grow_with_the_way() -> None:
+    places = places_by_odometry(SPANS, drive(), CONFIG)
+    np.testing.assert_allclose(places.poses, [np.zeros(3), WAY], atol=1e-3)
+    sigma = np.sqrt(np.diag(places.covariance)).reshape(2, 3)
+    assert not sigma[0].any()
+    assert 0.005 < np.hypot(*sigma[1, :2]) < 0.2
+
+
+def test_a_pose_is_carried_on_with_what_odometry_adds() -> None:
+    samples = drive()
+    known = PoseEstimate(SPANS[1][1], np.array([0.5, 0.6, -2.0]), np.diag([1e-6, 4e-6, 1e-6]))
+    now = carried_on(known, samples, CONFIG)
+    assert now.stamp_ns == samples[-1].stamp_ns
+    expected = se2.compose(known.pose, se2.relative(WAY, FARTHER))
+    np.testing.assert_allclose(now.pose, expected, atol=1e-3)
+    assert np.all(np.linalg.eigvalsh(now.covariance) > 0.0)
+    assert np.trace(now.covariance) > np.trace(known.covariance)
+
+
+def test_errors_of_given_poses_are_relative_to_the_first() -> None:
+    first = PoseEstimate(1, np.array([1.0, 2.0, 0.5]), np.diag([1e-4, 1e-4, 1e-6]))
+    second = PoseEstimate(2, np.array([3.0, 2.0, 0.1]), np.diag([4e-4, 1e-4, 4e-6]))
+    (places,) = known_places([first, second], [], [], CONFIG)
+    np.testing.assert_array_equal(places.poses[0], first.pose)
+    rng = np.random.default_rng(3)
+    draws = np.array(
+        [
+            rng.multivariate_normal(place.pose, place.covariance, 100_000)
+            for place in (first, second)
+        ]
+    )
+    # With the first one moved to where it is given.
+    moved = se2.compose(first.pose, se2.relative(draws[0], draws[1]))
+    drawn = np.cov(moved.T)
+    np.testing.assert_allclose(places.covariance[3:, 3:], drawn, atol=0.05 * np.max(drawn))
+
+
+@pytest.mark.parametrize(
+    ('spans', 'samples', 'why'),
+    [
+        (SPANS, drive()[:STANDS], 'odom does not cover sweep 2'),
+        (SPANS, [], 'odom does not cover sweep 1'),
+        ([SPANS[0], span(STANDS + 20, STANDS + DRIVES)], drive(), 'moved .* in sweep 2'),
+    ],
+)
+def test_odometry_that_does_not_say_is_refused(
+    spans: list[tuple[int, int]], samples: list[OdometrySample], why: str
+) -> None:
+    with pytest.raises(LandmarkNavError, match=why):
+        places_by_odometry(spans, samples, CONFIG)
+
+
+def test_a_sweep_without_its_pose_is_named() -> None:
+    given = PoseEstimate(1, np.zeros(3), np.eye(3))
+    with pytest.raises(LandmarkNavError, match='sweep 2 has no sweep/pose'):
+        known_places([given, None], [], [], CONFIG)
