@@ -423,3 +423,18 @@ def test_a_pose_that_the_camera_found_is_off_by_what_the_mount_is_off_by() -> No
         squares.append(error @ np.linalg.solve(covariance, error))
     # The pose has no errors of its own: three numbers are drawn.
     assert 2.5 < np.mean(squares) < 3.6
+
+
+@pytest.mark.parametrize(('start_sigma', 'moves'), [(3e-3, True), (0.5, False)])
+def test_one_of_many_detections_counts_only_where_chance_would_not_find_it(
+    start_sigma: float, moves: bool
+) -> None:
+    drive = simulated(3, seconds=1.0, noise=0.0)
+    image = next(event for event in drive.events if isinstance(event, ImagePoints))
+    one = replace(image.chosen(np.arange(len(image)) == 0), missed=np.arange(3))
+    start = PoseEstimate(0, drive.poses[0], start_sigma**2 * np.eye(3))
+    joint = JointFilter(drive.landmark_map, drive.prior, start)
+    before = np.trace(joint.estimate.covariance)
+    update = joint.observe(one)
+    assert (np.trace(joint.estimate.covariance) < before) == moves
+    assert (update.weight > 0.0).all() == moves

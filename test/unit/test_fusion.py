@@ -244,6 +244,23 @@ def test_a_wrong_start_is_not_taken_for_a_wrong_mount(seed: int) -> None:
     assert lost
 
 
+@pytest.mark.parametrize('aside_m', [0.0, 0.1, 1.0])
+def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m: float) -> None:
+    drive = simulated(6, seconds=4.0, prior=Calibration.of_mount(MOUNT))
+    fusion = fused(drive)
+    off = drive.poses[0] + [aside_m, 0.0, 0.0]
+    fusion.initialize(PoseEstimate(0, off, np.diag(np.square([0.05, 0.05, 0.035]))))
+    given = fusion.calibration
+    for what in arriving(drive):
+        take(fusion, what)
+    wrong = aside_m > 0.5
+    assert (fusion.status_at()[0] is Status.LOST) is wrong
+    learned = not np.array_equal(fusion.calibration.values, given.values)
+    assert learned is not wrong
+    fusion.place(drive.start)
+    assert fusion.status_at()[0] is not Status.LOST
+
+
 def test_another_map_leaves_the_pose_and_what_was_learned() -> None:
     drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
     fusion, arrivals = fused(drive), list(arriving(drive))

@@ -188,13 +188,17 @@ class ImagePoints:
         track = self.pan_track
         if track is None:
             return self.pan_rad + self.pan_rate_rad_s * delay_s, self.pan_rate_rad_s
-        lagged = track.lagged(delay_s, self.delay_step_s)
-        return self.pan_rad + (lagged.pan_rad - float(track.at(0.0))), lagged.rate_rad_s
+        step = self.delay_step_s
+        given, before, at, after = track.at([0.0, delay_s - step, delay_s, delay_s + step])
+        return self.pan_rad + (at - given), float((after - before) / (2.0 * step))
 
     def bend_rad(self, delay_s: float) -> float:
-        """By how much the pan deviates from that derivative, a standard deviation."""
-        track = self.pan_track
-        return 0.0 if track is None else track.lagged(delay_s, self.delay_step_s).bend_rad
+        """By how much the pan deviates from that derivative, a step before and after."""
+        if self.pan_track is None:
+            return 0.0
+        step = self.delay_step_s
+        before, at, after = self.pan_track.at([delay_s - step, delay_s, delay_s + step])
+        return float(0.5 * (after + before) - at)
 
 
 class Projection(NamedTuple):
