@@ -169,7 +169,9 @@ def test_what_is_awaited_is_logged_and_once_that_it_is_there(
     graph: Graph, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Another test may have sent what the package logs to a node.
-    monkeypatch.setattr(logging.getLogger('landmark_nav'), 'propagate', True)
+    package = logging.getLogger('landmark_nav')
+    monkeypatch.setattr(package, 'propagate', True)
+    monkeypatch.setattr(package, 'handlers', [])
     caplog.set_level(logging.INFO, 'landmark_nav')
     graph.listener.announce()
     (ready,) = caplog.messages
