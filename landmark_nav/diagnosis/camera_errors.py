@@ -231,7 +231,17 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     moving = np.ptp(matches.tilts_rad) > _LEVEL_RAD
     if moving and (without := _score(level, setup)) > none + _CERTAIN:
         matches, none = level, without  # of another joint
-    found = {name: _best(matches, setup, error, none) for name, error in _ERRORS.items()}
+    # With the error in it, the small angles may be others than without; each angle has its price
+    # (Schwarz, Estimating the dimension of a model, 1978).
+    price = 1.5 * np.log(_INDEPENDENT * (matches.pairs[-1] + 1))
+    starts = ((setup, none, price), (given, _score(matches, given), 0.0))
+    none = max(score - cost for _, score, cost in starts)
+    found = {}
+    for name, error in _ERRORS.items():
+        fits = [(*_best(matches, s, error, score), cost) for s, score, cost in starts]
+        found[name] = max(
+            ((value, score - cost) for value, score, cost in fits), key=lambda f: f[1]
+        )
     name = max(found, key=lambda key: found[key][1])
     score = found[name][1]
     if score < none + _CERTAIN:
