@@ -57,7 +57,7 @@ class Graph:
     def until(self, condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + 20.0
         while not condition():
-            assert time.monotonic() < deadline, 'waited in vain'
+            assert time.monotonic() < deadline, 'it did not come in time'
             self.executor.spin_once(timeout_sec=0.02)
 
 
