@@ -293,7 +293,7 @@ def _seen(
     calibration: Calibration,
 ) -> list[dict[str, Any]]:
     """
-    Landmarks of one image: found and used, found and not used, or looked for in vain.
+    Landmarks of one image: found and used, found and not used, or not found.
 
     `outline` are the corners of the patch where the fused pose expects it, pixels.
     """
