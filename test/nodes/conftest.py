@@ -11,7 +11,6 @@ from typing import Any, TYPE_CHECKING
 
 import pytest
 
-from landmark_nav.cli.main import main
 from landmark_nav.demo.graph import node_command, node_environment
 from landmark_nav.demo.supervisor import Supervisor
 
@@ -44,13 +43,9 @@ def start(supervisor: Supervisor) -> Callable[..., None]:
 
 
 @pytest.fixture(scope='session')
-def learned_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def learned_map(recorded: Path) -> Path:
     """Folder of what is learned of the recorded room."""
-    folder = tmp_path_factory.mktemp('learned') / 'map'
-    recorded = Path(__file__).resolve().parents[2] / 'bags'
-    inputs = ['--room', str(recorded / 'room.yaml'), '--robot', str(recorded / 'robot.yaml')]
-    assert main(['learn', str(recorded / 'learn'), *inputs, '--out', str(folder)]) == 0
-    return folder
+    return recorded / 'map'
 
 
 @pytest.fixture

@@ -1,15 +1,15 @@
 """
 Which feature proposes patches that are found again? Measure each alone, set weights, and check.
 
-``python test/attention_weights.py --seeds 31 32 33 34 35 36`` simulates rooms with two sweeps
-each, lets attention propose patches with each feature alone, with chance, with equal weights and
-with the default ones, and looks for every patch from other places after a lamp was dimmed and a
-piece of furniture moved. Places and walls are the true ones, and so is how far before a wall a
-patch hangs, so that it is attention alone that is judged. Found again means: above the threshold
-and within 1 px of the truth; what no wall shows is never found. It prints the share of the first
-40 patches of a panorama that are found, of all, what is found in a wrong place, in percent, the
-root mean squared error in pixels of the first 40 that are found, and the weights that follow: in
-proportion to what a feature finds more than chance among the first 40.
+``python test/benchmarks attention_weights --seeds 31 32 33 34 35 36`` simulates rooms with two
+sweeps each, lets attention propose patches with each feature alone, with chance, with equal
+weights and with the default ones, and looks for every patch from other places after a lamp was
+dimmed and a piece of furniture moved. Places and walls are the true ones, and so is how far
+before a wall a patch hangs, so that it is attention alone that is judged. Found again means:
+above the threshold and within 1 px of the truth; what no wall shows is never found. It prints
+the share of the first 40 patches of a panorama that are found, of all, what is found in a wrong
+place, in percent, the root mean squared error in pixels of the first 40 that are found, and the
+weights that follow: in proportion to what a feature finds more than chance among the first 40.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-import sys
 from unittest.mock import patch as patched
 
 import cv2
@@ -271,7 +270,3 @@ def main() -> int:
     rule = np.maximum(more, 0.0) / max(np.maximum(more, 0.0).sum(), 1e-9)
     print('by the rule:', ', '.join(f'{n} {w:.2f}' for n, w in zip(FEATURES, rule, strict=True)))
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

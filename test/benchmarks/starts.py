@@ -1,7 +1,7 @@
 """
 Starts that are off, and given as such: how many landmarks are found, how soon it tracks.
 
-``python test/start_check.py DRIVE --map MAP --robot robot.yaml`` begins at several moments of a
+``python test/benchmarks starts DRIVE --map MAP --robot robot.yaml`` begins at several moments of a
 drive with a pose that is off by so many metres and degrees, its sigmas as large, and lets nothing
 else look for the place. `{seed}` in paths stands for each of ``--seeds``.
 """
@@ -12,7 +12,6 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 import logging
-import sys
 
 import numpy as np
 
@@ -154,7 +153,3 @@ def main() -> int:
     for case, several in outcomes.items():
         print(row(*case, several))
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

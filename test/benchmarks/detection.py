@@ -1,7 +1,7 @@
 """
 How well single bearings are measured, and whether their variances are consistent.
 
-python test/detection_check.py --map MAP --robot robot.yaml BAG [--noise GREY] [--prior M RAD]
+python test/benchmarks detection --map MAP --robot robot.yaml BAG [--noise GREY] [--prior M RAD]
     [--appearance patch virtual_view] [--start start.json] [--seeds N …]
 
 One row for each kind of expected appearance; `{seed}` in paths stands for the seeds, over which
@@ -21,7 +21,6 @@ from dataclasses import dataclass, fields, replace
 from itertools import product
 import json
 from pathlib import Path
-import sys
 import time
 
 import cv2
@@ -221,7 +220,3 @@ def main() -> int:
 def _print(name: str, rows: list[Summary]) -> None:
     means = [np.mean([getattr(row, f.name) for row in rows]) for f in fields(Summary)]
     print(f'{name:>28}' + ''.join(f'{mean:14.4g}' for mean in means), flush=True)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
