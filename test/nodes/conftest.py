@@ -15,6 +15,8 @@ from landmark_nav.demo.graph import node_command, node_environment
 from landmark_nav.demo.supervisor import Supervisor
 
 if TYPE_CHECKING:
+    from graph import Graph
+
     from landmark_nav.ros.robot_client import RobotClient
 
 _NUMBER = count()
@@ -23,7 +25,8 @@ _NUMBER = count()
 @pytest.fixture
 def domain_id() -> int:
     """A domain that no other test of this run uses, below the ephemeral ports."""
-    return 10 + (os.getpid() * 7 + next(_NUMBER)) % 90
+    worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
+    return 10 + 45 * (worker % 2) + (os.getpid() * 7 + next(_NUMBER)) % 45
 
 
 @pytest.fixture
@@ -74,6 +77,15 @@ def client(
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with RobotClient(domain_id, supervisor.check) as joined:
         yield joined
+
+
+@pytest.fixture
+def graph(domain_id: int) -> Iterator[Graph]:
+    from graph import Graph
+
+    made = Graph(domain_id)
+    yield made
+    made.close()
 
 
 @pytest.fixture
